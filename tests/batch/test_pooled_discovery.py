@@ -3,16 +3,17 @@
 import numpy as np
 import polars as pl
 import pytest
-from scipy import stats
 
 from imubayes.batch.pooled_discovery import pooled_discovery
-from imubayes.batch.pooled_evidence import CandidateKey, adjusted, pooled_evidence, pooled_scores
+from imubayes.batch.pooled_evidence import effect_in_units, law_tables, unit_gains
+from imubayes.batch.pooled_scores import pooled_scores
 from imubayes.batch.posterior_table import packed
-from imubayes.batch.unit_scores import SCORES
+from imubayes.batch.score_files import read_unit_scores
+from imubayes.batch.unit_scores import SCORES, CandidateKey
 from imubayes.errors import InputError
 
 EFFECTS = ("quadratic", "twin", "drift", "pair", "width")
-ROWS, UNITS = 40, 100
+ROWS, UNITS, SIZE = 40, 100, 50.0
 
 
 def design(seed: int) -> np.ndarray:
@@ -23,23 +24,24 @@ def design(seed: int) -> np.ndarray:
 
 
 def score_rows(seed: int, effect: np.ndarray, noise: float = 1.0) -> list[dict]:
-    """Return the rows of one unit whose response is `effect` (6,) in standard deviations of each coefficient."""
+    """Return the rows of one unit whose response is `effect` (6,) in standard deviations of each coefficient.
+
+    Typical sizes reach ten standard deviations.
+    """
     columns = design(1)
-    size = effect / np.linalg.norm(columns, axis=0)
-    residual = noise * np.random.default_rng(seed).normal(size=ROWS) + columns @ size
+    columns *= 10 / np.linalg.norm(columns, axis=0)
+    residual = noise * np.random.default_rng(seed).normal(size=ROWS) + columns @ effect / 10
     digest, names = f"d{seed}", ["q[ax]", "t[ax]", "d[ax]", "p1[ax]", "p2[ax]", "w[ax]"]
     own = {"quadratic": [0], "twin": [1], "drift": [2], "pair": [3, 4], "width": [5]}
-    u, v = columns.T @ residual, columns.T @ columns
-    rows = []
-    for name, places in own.items():
-        chi2 = float(u[places] @ np.linalg.solve(v[np.ix_(places, places)], u[places]))
-        rows.append({
-            "digest": digest, "unit": f"U{seed}", "effect": name, "shape": "", "scope": "accelerometer",
-            "coefficients": [names[place] for place in places], "measures": ["ug"] * len(places),
-            "signs": [int(name == "width")] * len(places), "dof": len(places), "chi2": chi2 / noise**2, "p": 0.5,
-            "factor": 1 / noise**2,
-        })  # fmt: skip
-    together = {"digest": digest, "unit": f"U{seed}", "coefficients": names, "score": u.tolist(),
+    u, v = columns.T @ residual / noise**2, columns.T @ columns / noise**2
+    rows = [
+        {"digest": digest, "unit": f"U{seed}", "effect": name, "shape": "", "scope": "accelerometer", "part": "",
+         "owners": ["ax"], "coefficients": [names[place] for place in places], "log_odds": np.log(0.2),
+         "widths": [0.01, 0.04, 0.16, 0.64, 2.5, 10.0]}
+        for name, places in own.items()
+    ]  # fmt: skip
+    together = {"digest": digest, "unit": f"U{seed}", "coefficients": names, "measures": ["ug"] * 6,
+                "sizes": [SIZE] * 6, "signs": [0, 0, 0, 0, 0, 1], "score": u.tolist(),
                 "information": packed(v)}  # fmt: skip
     return [*rows, together]
 
@@ -65,32 +67,61 @@ def of_effect(place: int, sizes: np.ndarray) -> np.ndarray:
 
 def test_what_no_unit_shows_is_found_in_a_hundred():
     found = pooled_discovery(*archive(1, of_effect(0, np.full(UNITS, 1.5))))
-    first = found.findings[0]
-    assert first.effects == ("quadratic", "twin") or first.effects == ("twin", "quadratic")
-    assert (first.evidence.law, first.evidence.units, len(found.findings)) == ("common", UNITS, 1)
-    assert first.evidence.log10_adjusted < -20
+    (first,) = found.findings
+    assert set(first.effects) == {"quadratic", "twin"}
+    assert (first.evidence.law, first.evidence.units, first.equipment) == ("common", UNITS, None)
+    assert first.probability > 0.999
+    assert sum(each.probability for each in first.place) == pytest.approx(1.0, abs=0.05)
     (coefficient,) = first.coefficients
-    assert coefficient.value is not None
-    assert coefficient.sd is not None
-    assert np.log10(0.01) < first.log10_p_differing
-    assert first.supporting[0].contribution > 0 > first.opposing[0].contribution
-    assert found.equipment == ()
+    assert coefficient.value == pytest.approx(0.15 * SIZE, abs=3 * coefficient.sd)
+    assert (coefficient.sd, coefficient.spread) == (pytest.approx(0.1 * SIZE / np.sqrt(UNITS), rel=0.02), 0.0)
+    assert first.supporting[0].gain > 0 > first.opposing[0].gain
+    assert found.nothing < 0.001
+    assert found.nothing_else > 0.5
 
 
 @pytest.mark.parametrize("size", [3.0, 30.0, 300.0])
 def test_evidence_beyond_the_range_of_a_double_is_ranked(size):
-    # The smallest positive double is that of χ² 1485: 100 units reach it at 4 standard deviations each.
     found = pooled_discovery(*archive(1, of_effect(2, np.full(UNITS, size))))
-    expected = stats.chi2.logsf(1000, 1) / np.log(10) * found.findings[0].evidence.chi2 / 1000
-    assert found.findings[0].effects == ("drift",)
-    assert found.ranking[0].log10_p == pytest.approx(expected, rel=0.02)
-    assert found.findings[0].log10_p_differing < 0
+    (first,) = found.findings
+    assert first.effects == ("drift",)
+    assert first.evidence.log_odds == pytest.approx(0.5 * UNITS * size**2, rel=0.15)
+    assert first.evidence.probability == pytest.approx(1.0)
+    assert set(first.evidence.laws) == {"common", "own", "some"}
+
+
+def test_the_evidence_is_that_of_all_units_in_one_model():
+    """Against the joint normal law of the scores, whose sizes share a mean."""
+    scores = pooled_scores(archive(9, of_effect(2, np.array([2.0, 3.0, 1.0])))[0])
+    candidate = scores.candidates[CandidateKey("drift", "", "accelerometer")]
+    gains = unit_gains(scores, candidate)
+    found = law_tables(gains, np.ones((1, 3), dtype=bool))["own"][0]
+    (place,) = candidate.places
+    u, v = scores.score[:, place], np.diag(scores.information[:, place, place])
+
+    def joint(spread: float, width: float) -> float:
+        covariance = v + v @ (spread**2 * np.eye(3) + width**2) @ v
+        return -0.5 * float(u @ np.linalg.solve(covariance, u)) - 0.5 * float(np.linalg.slogdet(covariance)[1])
+
+    first = joint(gains.widths[2], gains.widths[3])
+    for q, m in ((2, 5), (3, 2), (5, 4)):
+        expected = joint(gains.widths[q], gains.widths[m]) - first
+        assert found[q, 1 + m] - found[2, 1 + 3] == pytest.approx(expected)
 
 
 def test_sizes_of_their_own_are_found_where_their_mean_is_zero():
     signs = np.random.default_rng(2).choice([-1.0, 1.0], UNITS)
     first = pooled_discovery(*archive(2, of_effect(2, 1.5 * signs))).findings[0]
     assert (first.effects, first.evidence.law) == (("drift",), "own")
+    assert first.coefficients[0].spread > 0
+
+
+def test_sizes_about_a_mean_are_told_from_a_common_one():
+    sizes = np.random.default_rng(9).normal(3.0, 2.0, UNITS)
+    first = pooled_discovery(*archive(9, of_effect(2, sizes))).findings[0]
+    (coefficient,) = first.coefficients
+    assert (first.effects, first.evidence.law) == (("drift",), "own")
+    assert coefficient.value == pytest.approx(0.3 * SIZE, abs=3 * coefficient.sd)
 
 
 def test_the_fifth_of_the_units_that_have_it_is_named():
@@ -98,7 +129,7 @@ def test_the_fifth_of_the_units_that_have_it_is_named():
     first = pooled_discovery(*archive(3, of_effect(2, sizes))).findings[0]
     truth = {f"U{3000 + place}" for place in np.flatnonzero(sizes)}
     named = set(first.named)
-    assert first.effects == ("drift",)
+    assert (first.effects, first.evidence.law) == (("drift",), "some")
     assert len(named & truth) / len(named) >= 0.85
     assert len(named & truth) / len(truth) >= 0.9
     assert not {each.unit for each in first.opposing} & truth
@@ -107,40 +138,57 @@ def test_the_fifth_of_the_units_that_have_it_is_named():
 def test_a_fault_of_one_table_is_found_in_its_units_and_not_in_the_others():
     tables = ["t2" if place % 4 == 0 else "t1" for place in range(UNITS)]
     sizes = np.array([3.0 if name == "t2" else 0.0 for name in tables])
-    found = pooled_discovery(*archive(4, of_effect(2, sizes), tables))
-    assert [(each.kind, each.name, each.effects) for each in found.equipment] == [("table", "t2", ("drift",))]
+    (first,) = pooled_discovery(*archive(4, of_effect(2, sizes), tables)).findings
+    assert first.effects == ("drift",)
+    assert first.equipment is not None
+    assert (first.equipment.kind, first.equipment.name, first.equipment.inside) == ("table", "t2", 25)
+    assert first.equipment.log_bayes_outside is not None
+    assert first.equipment.log_bayes_outside < 0 < first.evidence.log_odds
+    assert {int(each.unit[1:]) % 4 for each in first.every_unit} == {0}
+
+
+def test_two_effects_are_found_one_after_the_other():
+    both = of_effect(2, np.full(UNITS, 1.5)) + of_effect(0, np.full(UNITS, 1.5))
+    found = pooled_discovery(*archive(8, both)).findings
+    assert [set(each.effects) for each in found] == [{"drift"}, {"quadratic", "twin"}]
 
 
 def test_archives_without_an_effect_give_no_alarm_unless_the_noise_is_understated():
-    quiet = [pooled_discovery(*archive(seed, np.zeros((30, 6)))).alarm for seed in range(10, 30)]
-    assert sum(quiet) <= 2
+    quiet = [pooled_discovery(*archive(seed, np.zeros((30, 6)))) for seed in range(10, 30)]
+    assert not any(each.alarm for each in quiet)
+    assert np.median([each.nothing for each in quiet]) > 0.8
     scores, units = archive(5, np.zeros((UNITS, 6)))
-    # The noise of every unit is 1.5 times what its calibration says.
-    understated = scores.with_columns(factor=pl.col("factor") * 2.25)
+    # The noise of every unit is 1.5 times what its scores say.
+    understated = scores.with_columns(pl.col("score", "information").list.eval(pl.element() * 2.25))
+    assert not pooled_discovery(scores, units).alarm
     assert pooled_discovery(understated, units).alarm
 
 
 def test_a_unit_with_more_noise_weighs_less():
     quiet, loud = (score_rows(seed, np.zeros(6), noise) for seed, noise in ((1, 1.0), (2, 10.0)))
     both = pooled_scores(pl.DataFrame([*quiet, *loud], schema=SCORES))
-    evidence = pooled_evidence(both, CandidateKey("drift", "", "accelerometer"))
-    size = np.linalg.norm(design(1)[:, 2])
-    assert evidence.covariance[0, 0] == pytest.approx(1 / (size**2 * 1.01))
+    effect = effect_in_units(both, CandidateKey("drift", "", "accelerometer"), "common")
+    assert effect.sd[0] == pytest.approx(0.1 * SIZE / np.sqrt(1.01), rel=1e-3)
 
 
 def test_an_effect_of_one_sign_is_not_found_with_the_other():
-    right = pooled_scores(archive(6, of_effect(5, np.full(UNITS, 1.0)))[0])
-    wrong = pooled_scores(archive(6, of_effect(5, np.full(UNITS, -1.0)))[0])
-    key = CandidateKey("width", "", "accelerometer")
-    assert pooled_evidence(right, key).log_p["common"] < -20
-    assert pooled_evidence(wrong, key).log_p["common"] > np.log(0.99)
-
-
-def test_the_adjustment_is_that_of_benjamini_and_yekutieli():
-    p = np.array([1e-4, 0.3, 0.004, 0.02, 0.7])
-    assert np.allclose(np.exp(adjusted(np.log(p))), stats.false_discovery_control(p, method="by"))
+    right, wrong = (archive(6, of_effect(5, np.full(UNITS, sign))) for sign in (1.0, -1.0))
+    assert pooled_discovery(*right).findings[0].effects == ("width",)
+    assert not pooled_discovery(*wrong).alarm
 
 
 def test_a_batch_without_scores_is_refused():
     with pytest.raises(InputError, match="no campaign of the batch has scores"):
         pooled_discovery(SCORES.to_frame(), archive(7, np.zeros((2, 6)))[1])
+
+
+def test_scores_of_another_version_are_refused(tmp_path):
+    folder = tmp_path / "model-m"
+    folder.mkdir()
+    (folder / "model.toml").touch()
+    archive(7, np.zeros((2, 6)))[0].write_parquet(folder / "scores-new.parquet")
+    assert read_unit_scores(tmp_path).height == 12
+    pl.DataFrame({"digest": ["d"], "p": [0.5]}).write_parquet(folder / "scores-old.parquet")
+    with pytest.raises(InputError, match="another version") as refused:
+        read_unit_scores(tmp_path)
+    assert "run imubayes batch again" in refused.value.issues[0].remedy

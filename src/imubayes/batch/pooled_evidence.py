@@ -1,285 +1,240 @@
-"""Evidence for a candidate effect over many units, for three ways in which units may have it.
+"""Evidence for a candidate effect over many units, for three laws by which units may have it.
 
-* ``common``: a coefficient of the same size and sign in all units.  U = ΣUᵢ and I = ΣIᵢ, and UᵀI⁻¹U is χ².
-* ``own``: each unit has a size of its own.  Σ UᵢᵀIᵢ⁻¹Uᵢ is χ² with the sum of the degrees of freedom.
-* ``some``: few units have it.  The p-values of the units are combined by the method of Simes (Biometrika 73, 1986).
+* ``common``: a coefficient of the same size and sign in all units.
+* ``own``: each unit has a size of its own, normal about a common mean, which may be zero.
+* ``some``: a share of the units have it, each with a size of its own.
 
-The smallest of the three p-values, times three, is the p-value of the candidate.
+The likelihood of the coefficients of a unit is exp(uᵀb − bᵀVb/2).  With sizes normal about a mean m with a spread s,
+u → (1 + s²V)⁻¹u and V → (1 + s²V)⁻¹V are those of m, and add up over units; logarithms of the evidence add up as well.
+Widths of m, spreads and shares are summed over grids.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import polars as pl
+from scipy import special
 
-from imubayes.batch.posterior_table import unpacked
-from imubayes.tail_probabilities import chi2_log_survival, chi2_survival, normal_log_survival
+from imubayes.batch.pooled_scores import PooledScores
+from imubayes.batch.unit_scores import CandidateKey
+from imubayes.criticism.evidence.effect_variants import EffectVariant
+from imubayes.criticism.evidence.hypothesis import gain_of_coefficients
 
 Law = Literal["common", "own", "some"]
 LAWS: tuple[Law, ...] = ("common", "own", "some")
-# Eigenvalues of an information matrix, in units of what each coefficient had at first, below which a direction is not
-# determined, or was projected out.
-_RANK = 1e-6
+"""Equally likely."""
+_SHOWN, _SEEN = 3.0, 1.0
+"""Standard deviations at which an effect of its largest typical size, and one of a width, would stand: as in a single
+diagnosis, what the units would not show is no hypothesis."""
+_ABOUT_ZERO = 0.5
+"""Prior probability that sizes of units' own have the mean zero."""
 
 
 @dataclass(frozen=True)
-class CandidateKey:
-    """A candidate: effect, values of its shape parameters as text, and the channels tested together."""
-
-    effect: str
-    shape: str
-    scope: str
-
-
-@dataclass(frozen=True)
-class PooledScores:
-    """Scores and information of all units, on the union of their coefficients.
+class UnitGains:
+    """What each of n units says of K coefficients, with a spread of 0 and then of each of Q widths; S = Q + 1.
 
     Attributes
     ----------
-    digests, units : n campaigns and their units.
-    names : C coefficients; 0 in the score and information of a unit that lacks one.
-    score, information : shapes (n, C) and (n, C, C), at the noise scale of each fit.
-    size : shape (n, C), roots of the diagonal of the information at first; 0 where a unit lacks the coefficient.
-    candidates : key → places of its coefficients, (K,).
-    factor : key → calibration of its χ², (n,); NaN where a unit was not tested.
-    signs, measures : of each coefficient, (C,): the only sign allowed, 0 for either, and its unit of measure.
+    widths : shape (Q,), in largest typical sizes.
+    gain : shape (S, n), log evidence of sizes about zero.
+    score, information : shapes (S, n, K) and (S, n, K, K), of their mean.
+    sign : shape (K,), the only sign allowed, 0 for either.
     """
 
-    digests: tuple[str, ...]
-    units: tuple[str, ...]
-    names: tuple[str, ...]
+    widths: np.ndarray
+    gain: np.ndarray
     score: np.ndarray
     information: np.ndarray
-    size: np.ndarray
-    candidates: Mapping[CandidateKey, np.ndarray]
-    factor: Mapping[CandidateKey, np.ndarray]
-    signs: np.ndarray
-    measures: tuple[str, ...]
+    sign: np.ndarray
 
-    def chosen(self, members: np.ndarray) -> "PooledScores":
-        """Return the scores of some campaigns, by their places."""
-        return replace(
-            self,
-            digests=tuple(self.digests[place] for place in members),
-            units=tuple(self.units[place] for place in members),
-            score=self.score[members],
-            information=self.information[members],
-            size=self.size[members],
-            factor={key: values[members] for key, values in self.factor.items()},
-        )
-
-    def without(self, key: CandidateKey) -> "PooledScores":
-        """Return the scores once a candidate, of its own size in each unit, is projected out."""
-        places = self.candidates[key]
-        cross = self.information[:, :, places]
-        gain = cross @ inverses(self.information[:, places[:, None], places], self.size[:, places])
-        score = self.score - np.einsum("nck,nk->nc", gain, self.score[:, places])
-        return replace(self, score=score, information=self.information - gain @ np.swapaxes(cross, 1, 2))
+    @property
+    def told(self) -> np.ndarray:
+        """Which units have any information, (n,) bool."""
+        return np.einsum("nkk->n", self.information[0]) > 0
 
 
-def pooled_scores(scores: pl.DataFrame) -> PooledScores:
-    """Return the scores of a batch as arrays.
+def unit_gains(scores: PooledScores, candidate: EffectVariant) -> UnitGains:
+    """Return what each unit says of a candidate."""
+    places, widths = np.array(candidate.places), np.array(candidate.widths)
+    u, v = scores.score[:, places], scores.information[:, places[:, None], places]
+    sign, spreads = scores.signs[places], np.concatenate([[0.0], widths])
+    gains = [gain_of_coefficients(v, u, np.full(u.shape, width), sign) for width in widths]
+    shrink = np.linalg.inv(np.eye(len(places)) + spreads[:, None, None, None] ** 2 * v)
+    score = np.einsum("snkl,nl->snk", shrink, u)
+    return UnitGains(widths, np.stack([np.zeros(len(u)), *gains]), score, shrink @ v, sign)
+
+
+def law_tables(gains: UnitGains, members: np.ndarray) -> dict[Law, np.ndarray]:
+    """Return the log evidence of each law, its priors included, to be summed over all axes but the first.
 
     Parameters
     ----------
-    scores : schema `imubayes.batch.unit_scores.SCORES`.
+    members : shape (G, n) bool, of groups of units.
+
+    Returns
+    -------
+    ``common``: (G, Q) over widths; ``own``: (G, Q, R) over spreads, then over a mean of zero and its widths; ``some``:
+    (G, Q, P) over widths and the shares of `shares_of`.  −∞ where the units would not show it.
     """
-    whole = scores.filter(pl.col("effect").is_null()).sort("digest")
-    tests = scores.filter(pl.col("effect").is_not_null())
-    names = tuple(sorted({name for row in whole["coefficients"] for name in row}))
-    place = {name: index for index, name in enumerate(names)}
-    row_of = {digest: index for index, digest in enumerate(whole["digest"])}
-    score, information = np.zeros((len(row_of), len(names))), np.zeros((len(row_of), len(names), len(names)))
-    for row, (own, u, triangle) in enumerate(whole.select("coefficients", "score", "information").iter_rows()):
-        at = np.array([place[name] for name in own], dtype=int)
-        score[row, at] = u
-        information[row, at[:, None], at] = unpacked(triangle)
-    signs, measures = np.zeros(len(names), dtype=int), [""] * len(names)
-    members: dict[CandidateKey, set[str]] = {}
-    factor: dict[CandidateKey, np.ndarray] = {}
-    columns = ("digest", "effect", "shape", "scope", "coefficients", "measures", "signs", "factor")
-    for digest, effect, shape, scope, own, units, sign, each in tests.select(columns).iter_rows():
-        key = CandidateKey(effect, shape, scope)
-        members.setdefault(key, set()).update(own)
-        factor.setdefault(key, np.full(len(row_of), np.nan))[row_of[digest]] = each
-        for name, unit, only in zip(own, units, sign, strict=True):
-            signs[place[name]], measures[place[name]] = only, unit
-    places = {key: np.array(sorted(place[name] for name in own)) for key, own in members.items()}
-    return PooledScores(
-        digests=tuple(whole["digest"]),
-        units=tuple(whole["unit"]),
-        names=names,
-        score=score,
-        information=information,
-        size=np.sqrt(np.maximum(np.einsum("nkk->nk", information), 0.0)),
-        candidates=places,
-        factor=factor,
-        signs=signs,
-        measures=tuple(measures),
-    )
+    inside = members.astype(float)
+    about_zero = (inside @ gains.gain.T)[:, 1:, None]
+    about = _gains_of_means(gains, inside)
+    own = [about_zero + math.log(_ABOUT_ZERO), about_zero + about[:, 1:] + math.log(1 - _ABOUT_ZERO)]
+    own[1] -= math.log(own[1].shape[2])
+    shares = shares_of(members.shape[1])
+    mixed = np.logaddexp(np.log1p(-shares), np.log(shares) + gains.gain[1:, :, None])
+    number = np.maximum(inside @ gains.told, 1.0)
+    possible = shares * number[:, None] >= 1
+    few = np.where(possible, -np.log(np.maximum(possible.sum(axis=1, keepdims=True), 1)), -np.inf)
+    size = np.sqrt(np.linalg.eigvalsh(np.tensordot(inside, gains.information[0], 1))[:, -1].clip(0.0))
+    # What one unit shows grows to that of n: a mean by √n, the variance of sizes as well, and one unit is enough alone.
+    seen = [_log_seen(gains.widths, size / number**power) for power in (0.0, 0.25, 0.5)]
+    return {
+        "common": about[:, 0] + seen[0],
+        "own": np.concatenate(own, axis=2) + seen[1][:, :, None],
+        "some": np.einsum("gn,qnp->gqp", inside, mixed) + few[:, None, :] + seen[2][:, :, None],
+    }
 
 
-def inverses(information: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return the pseudo-inverses of information matrices, without directions that are not determined.
+def shares_of(count: int) -> np.ndarray:
+    """Return the shares of units that may have an effect, from a half down to one of them, (P,)."""
+    return 0.5 ** np.arange(1, max(1, int(math.log2(max(count, 1)))) + 1)
 
-    Parameters
-    ----------
-    information : shape (n, K, K).
-    size : shape (n, K), the roots of what each coefficient's information was before anything was projected out.
+
+def _gains_of_means(gains: UnitGains, inside: np.ndarray) -> np.ndarray:
+    """Return the log evidence of a mean of each width, (G, S, Q), over that of zero.
+
+    Of one sign only the mean of equal sizes counts: sizes of their own are about zero, half of their normal law.
     """
-    scale = np.where(size > 0, 1 / np.where(size > 0, size, 1.0), 0.0)
-    values, axes = np.linalg.eigh(information * scale[:, :, None] * scale[:, None, :])
-    kept = values > _RANK
-    inverse = (axes * np.where(kept, 1 / np.where(kept, values, 1.0), 0.0)[:, None, :]) @ np.swapaxes(axes, 1, 2)
-    return inverse * scale[:, :, None] * scale[:, None, :]
+    found, signed = np.full((len(inside), len(gains.gain), len(gains.widths)), -np.inf), bool(np.any(gains.sign))
+    for spread in range(1 if signed else len(gains.gain)):
+        u, v = inside @ gains.score[spread], np.tensordot(inside, gains.information[spread], 1)
+        for q, width in enumerate(gains.widths):
+            found[:, spread, q] = gain_of_coefficients(v, u, np.full(u.shape, width), gains.sign)
+    return found
 
 
-@dataclass(frozen=True)
+def _log_seen(widths: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return the log prior of widths that units show, (G, Q); −∞ of the others."""
+    seen = (widths * size[:, None] >= _SEEN) & (size[:, None] >= _SHOWN)
+    return np.where(seen, -np.log(np.maximum(seen.sum(axis=1, keepdims=True), 1)), -np.inf)
+
+
+@dataclass(frozen=True, eq=False)
 class PooledEvidence:
-    """Evidence for one candidate over n units.
+    """Evidence for one candidate in one group of units.
 
     Attributes
     ----------
-    tested : places of the campaigns in which it was tested, n of them.
-    chi2, dof : shape (n,), calibrated χ² and degrees of freedom of each unit.
-    own, information : shapes (n, K) and (n, K, K), coefficient of each unit by itself, and calibrated information.
-    coefficient, covariance : shapes (K,) and (K, K), the common coefficient.
-    contribution : shape (n,), change of each unit's χ² by the common coefficient; negative speaks against it.
-    log_p : by law, logarithm of the p-value.
-    common_chi2, common_dof : of the common coefficient.
+    group : its place.
+    units : how many campaigns of the group have any information.
+    log_law : shape (3,), logarithm of prior and evidence of each law, over those of nothing missing.
     """
 
     key: CandidateKey
-    tested: np.ndarray
-    chi2: np.ndarray
-    dof: np.ndarray
-    own: np.ndarray
-    information: np.ndarray
-    coefficient: np.ndarray
-    covariance: np.ndarray
-    contribution: np.ndarray
-    log_p: Mapping[Law, float]
-    common_chi2: float
-    common_dof: int
+    group: int
+    units: int
+    log_law: np.ndarray
+
+    @cached_property
+    def log_odds(self) -> float:
+        """Natural logarithm of the odds against nothing missing."""
+        return float(np.logaddexp.reduce(self.log_law))
+
+    @property
+    def shares(self) -> dict[Law, float]:
+        """The probability of each law, given the effect."""
+        return dict(zip(LAWS, np.exp(self.log_law - self.log_odds).tolist(), strict=True))
 
     @property
     def law(self) -> Law:
-        """The way of having it with the strongest evidence."""
-        return min(LAWS, key=lambda law: self.log_p[law])
-
-    @property
-    def log_p_any(self) -> float:
-        """Logarithm of the p-value of the candidate, its three laws counted."""
-        return min(0.0, self.log_p[self.law] + np.log(len(LAWS)))
-
-    @cached_property
-    def unit_p(self) -> np.ndarray:
-        """p-value of each unit by itself, (n,)."""
-        return np.where(self.dof > 0, chi2_survival(self.chi2, np.maximum(self.dof, 1)), 1.0)
-
-    def expected(self, carriers: np.ndarray) -> np.ndarray:
-        """Return the χ² that each unit would have with the coefficients of the carriers, averaged, (n,)."""
-        own = self.own[carriers]
-        return np.einsum("ck,nkl,cl->n", own, self.information, own) / max(len(own), 1)
-
-    @property
-    def log_p_differing(self) -> float:
-        """Logarithm of the p-value of no difference between the coefficients of the units."""
-        freedom = int(self.dof.sum()) - self.common_dof
-        apart = max(float(self.chi2.sum()) - self.common_chi2, 0.0)
-        return float(chi2_log_survival(apart, freedom)) if freedom else 0.0
+        """The likeliest law."""
+        return LAWS[int(np.argmax(self.log_law))]
 
 
-def pooled_evidence(scores: PooledScores, key: CandidateKey) -> PooledEvidence:
-    """Return the evidence for a candidate over all units in which it was tested."""
-    places, factor = scores.candidates[key], scores.factor[key]
-    tested = np.flatnonzero(np.isfinite(factor))
-    # The calibration multiplies χ²: score and information are those of a unit whose noise scale is known.
-    scale = factor[tested]
-    u = scores.score[tested][:, places] * scale[:, None]
-    v = scores.information[np.ix_(tested, places, places)] * scale[:, None, None]
-    size = scores.size[tested][:, places] * np.sqrt(scale)[:, None]
-    inverse = inverses(v, size)
-    chi2 = np.einsum("nk,nkl,nl->n", u, inverse, u)
-    dof = np.rint(np.einsum("nkl,nlk->n", inverse, v)).astype(int)
-    total, whole = u.sum(axis=0), v.sum(axis=0)
-    covariance = inverses(whole[None], np.sqrt(np.sum(size**2, axis=0))[None])[0]
-    coefficient = covariance @ total
-    common_dof = int(np.rint(np.trace(covariance @ whole)))
-    log_p: dict[Law, float] = {
-        "common": _log_p_common(total, covariance, common_dof, scores.signs[places]),
-        "own": float(chi2_log_survival(chi2.sum(), dof.sum())) if dof.sum() else 0.0,
-        "some": _simes(chi2_log_survival(chi2[dof > 0], dof[dof > 0])),
-    }
-    contribution = 2 * u @ coefficient - np.einsum("k,nkl,l->n", coefficient, v, coefficient)
-    return PooledEvidence(
-        key=key,
-        tested=tested,
-        chi2=chi2,
-        dof=dof,
-        own=np.einsum("nkl,nl->nk", inverse, u),
-        information=v,
-        coefficient=coefficient,
-        covariance=covariance,
-        contribution=contribution,
-        log_p=log_p,
-        common_chi2=float(total @ coefficient),
-        common_dof=common_dof,
-    )
+def log_bayes(scores: PooledScores, key: CandidateKey, members: np.ndarray) -> np.ndarray:
+    """Return the log Bayes factor of each law in each group, members (G, n) bool, against nothing missing, (G, 3)."""
+    tables = law_tables(unit_gains(scores, scores.candidates[key]), members)
+    return np.stack([special.logsumexp(tables[law].reshape(len(members), -1), axis=1) for law in LAWS], axis=1)
 
 
-def _log_p_common(total: np.ndarray, covariance: np.ndarray, dof: int, signs: np.ndarray) -> float:
-    """Return the log p-value of the common coefficient.
+def all_evidence(
+    scores: PooledScores, members: np.ndarray, log_share: np.ndarray, least: int = 1
+) -> list[PooledEvidence]:
+    """Return the evidence for every candidate in every group, the strongest first.
 
-    Coefficients that may have one sign only are tested one by one, with that sign, and the best of them counts
-    (Bonferroni).
+    Parameters
+    ----------
+    members : shape (G, n) bool; the first group are all units.
+    log_share : shape (G,), logarithms of the shares of the prior of an effect.
+    least : fewest campaigns with information inside any other group, and outside of it.
     """
-    if not dof:
-        return 0.0
-    if not signs.any():
-        return float(chi2_log_survival(total @ covariance @ total, dof))
-    value, variance = covariance @ total, np.diag(covariance)
-    known = variance > 0
-    deviation = value[known] / np.sqrt(variance[known])
-    only = signs[known]
-    each = np.where(
-        only == 0, normal_log_survival(np.abs(deviation)) + np.log(2), normal_log_survival(only * deviation)
-    )
-    return float(min(0.0, each.min() + np.log(len(each)))) if len(each) else 0.0
+    found = list[PooledEvidence]()
+    for key, candidate in scores.candidates.items():
+        told = scores.told(key)
+        inside = members.astype(int) @ told
+        enough = (inside >= least) & (told.sum() - inside >= least)
+        enough[0] = inside[0] > 0
+        chosen = np.flatnonzero(enough)
+        if not len(chosen):
+            continue
+        log_law = log_bayes(scores, key, members[chosen]) + candidate.log_odds - math.log(len(LAWS))
+        for group, own in zip(chosen.tolist(), log_law + log_share[chosen, None], strict=True):
+            if np.isfinite(own).any():
+                found.append(PooledEvidence(key, group, int(inside[group]), own))
+    return sorted(found, key=lambda each: -each.log_odds)
 
 
-def _simes(log_p: np.ndarray) -> float:
-    """Return the log p-value of several by the method of Simes."""
-    if not len(log_p):
-        return 0.0
-    ordered = np.sort(log_p)
-    return float(min(0.0, np.min(ordered + np.log(len(ordered)) - np.log(np.arange(1, len(ordered) + 1)))))
+def probability_of_any(ranked: Sequence[PooledEvidence]) -> float:
+    """Return the probability that something is missing: candidates exclude one another."""
+    return float(special.expit(special.logsumexp([each.log_odds for each in ranked]))) if ranked else 0.0
 
 
-def all_evidence(scores: PooledScores, least: int = 1) -> list[PooledEvidence]:
-    """Return the evidence for every candidate tested in at least so many units, the strongest first."""
-    keys: Sequence[CandidateKey] = [
-        key for key, factor in scores.factor.items() if np.sum(np.isfinite(factor)) >= least
-    ]
-    return sorted((pooled_evidence(scores, key) for key in keys), key=lambda each: each.log_p_any)
+@dataclass(frozen=True)
+class EffectInUnits:
+    """An effect by its likeliest law, in the n units of a group.
 
-
-def adjusted(log_p: np.ndarray) -> np.ndarray:
-    """Return logarithms of p-values, (m,), adjusted for a false discovery rate under any dependence.
-
-    Benjamini and Yekutieli (Annals of Statistics 29, 2001): candidates are tested on the same residuals, and may be
-    correlated in either sign, for which the procedure of Benjamini and Hochberg has no guarantee.
+    Attributes
+    ----------
+    gain : shape (n,), natural logarithm of the evidence of each unit for it.
+    probability : shape (n,), that the unit has it: as a few units have it, else at even odds before its data.
+    value, sd : shape (K,), mean over the units that have it, in the unit of each coefficient.
+    spread : shape (K,), standard deviation over units; 0 where it is common.
     """
-    count = len(log_p)
-    if not count:
-        return log_p
-    order = np.argsort(log_p)
-    ranks = np.arange(1, count + 1)
-    raised = log_p[order] + np.log(count * np.sum(1 / ranks) / ranks)
-    result = np.empty(count)
-    result[order] = np.minimum(np.minimum.accumulate(raised[::-1])[::-1], 0.0)
-    return result
+
+    gain: np.ndarray
+    probability: np.ndarray
+    value: np.ndarray
+    sd: np.ndarray
+    spread: np.ndarray
+
+
+def effect_in_units(scores: PooledScores, key: CandidateKey, law: Law) -> EffectInUnits:
+    """Return what an effect is in units, all of `scores`, by a law."""
+    gains = unit_gains(scores, scores.candidates[key])
+    table = law_tables(gains, np.ones((1, len(scores.units)), dtype=bool))[law][0]
+    best = np.unravel_index(int(np.argmax(table)), table.shape)
+    spread = 0 if law == "common" else 1 + int(best[0])
+    u, v, gain = gains.score[spread], gains.information[spread], gains.gain[spread]
+    share = np.ones(len(u))
+    if law == "some":
+        weight, shares = np.exp(table - special.logsumexp(table)), shares_of(len(u))
+        each = special.expit(gains.gain[1:, :, None] + special.logit(shares))
+        share = np.einsum("qp,qnp->n", weight, each)
+    covariance = np.linalg.inv(np.einsum("n,nkl->kl", share, v) + np.eye(u.shape[1]) / gains.widths[-1] ** 2)
+    mean = covariance @ (share @ u)
+    if law == "common" or (law == "own" and best[1] > 0):
+        gain = gain + u @ mean - 0.5 * np.einsum("k,nkl,l->n", mean, v, mean)
+    size = scores.sizes[list(scores.candidates[key].places)]
+    width = 0.0 if law == "common" else gains.widths[spread - 1]
+    return EffectInUnits(
+        gain=gain,
+        probability=share if law == "some" else special.expit(gain),
+        value=mean * size,
+        sd=np.sqrt(np.diag(covariance)) * size,
+        spread=width * size,
+    )

@@ -202,13 +202,12 @@ def _distances(
     return distance, p
 
 
-def discoveries(p: np.ndarray, rate: float, dependent: bool = True) -> np.ndarray:
+def discoveries(p: np.ndarray, rate: float) -> np.ndarray:
     """Return which of n hypotheses are rejected at a false discovery rate, (n,) bool.
 
     By the procedure of Benjamini and Yekutieli (Annals of Statistics 29, 2001), which holds under any dependence, such
-    as that of units which share the estimate of their population; by that of Benjamini and Hochberg (1995), which has
-    more power, where the p-values are independent.
+    as that of units which share the estimate of their population.
     """
     if not len(p):
         return np.zeros(0, dtype=bool)
-    return stats.false_discovery_control(p, method="by" if dependent else "bh") <= rate
+    return stats.false_discovery_control(p, method="by") <= rate

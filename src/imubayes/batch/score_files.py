@@ -15,10 +15,10 @@ import polars as pl
 from imubayes.atomic_files import replacing
 from imubayes.batch.fit_unit import bound_to
 from imubayes.batch.posterior_table import MODEL_FILE, chosen_model, model_folder, read_units
-from imubayes.batch.unit_scores import SCORES, score_table, unit_scores
+from imubayes.batch.unit_scores import SCORES, unit_scores
 from imubayes.batch.unit_sources import UnitSource
 from imubayes.campaign_data import Campaign
-from imubayes.errors import InputError, Issue
+from imubayes.errors import InputError, Issue, input_error
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.model_file import read_model
@@ -28,10 +28,18 @@ _PREFIX, _CHUNK, _DIGITS = "scores-", 32, 16
 
 
 def read_unit_scores(results: str | Path, model: str | None = None) -> pl.DataFrame:
-    """Return the scores of a batch, schema `SCORES`; raises InputError where there is no such model."""
+    """Return the scores of a batch, schema `SCORES`; raises InputError where they are of another version."""
     folder = model_folder(results, chosen_model(results, model))
-    files = sorted(folder.glob(f"{_PREFIX}*.parquet"))
-    return pl.concat([SCORES.to_frame(), *(pl.read_parquet(file) for file in files)])
+    tables = {file: pl.read_parquet(file) for file in sorted(folder.glob(f"{_PREFIX}*.parquet"))}
+    for file, table in tables.items():
+        if table.schema != SCORES:
+            raise input_error(
+                "the scores of the batch were written by another version of imubayes",
+                str(file),
+                "scores of this version",
+                "run imubayes batch again, with --out of another folder",
+            )
+    return pl.concat([SCORES.to_frame(), *tables.values()])
 
 
 def complete_scores(
@@ -68,7 +76,7 @@ def _scored(spec: ModelSpec, rows: Sequence[dict], issues: list[Issue]) -> Itera
         path = Path(row["file"])
         source = UnitSource(row["digest"], row["unit"], row["campaign"], row["file"], path.suffix == ".parquet")
         try:
-            yield score_table(row["unit"], row["digest"], unit_scores(refitted(spec, source.read(), row)))
+            yield unit_scores(refitted(spec, source.read(), row), row["unit"], row["digest"])
         except InputError as error:
             issues.extend(error.issues)
 

@@ -1,18 +1,19 @@
 """Scores of all candidate effects in one fit, in a form that can be added over units.
 
-With r the whitened residual and g⊥ the whitened response to the coefficients of a candidate, less what the
-parameters of the model absorb, the score U = g⊥ᵀr and the information I = g⊥ᵀg⊥ are all that is needed of a unit: U
-and I of a coefficient that units share are sums over the units.  All coefficients of all candidates stand in one U
-and one I, so that candidates can be compared with and cleared of each other.
+With r the residual and g⊥ the response to the coefficients of a candidate, both divided by the noise and less what the
+parameters of the model absorb, the score U = g⊥ᵀr and the information V = g⊥ᵀg⊥ are all that is needed of a unit: the
+likelihood of its coefficients is exp(Uᵀb − bᵀVb/2), and logarithms add up over units.  All coefficients of all
+candidates stand in one U and one V, so that candidates can be compared with and cleared of each other.
 
 Priors give no evidence here.  A population that its prior does not expect would speak for an effect in every unit,
 and over a hundred units loudly: what the parameters absorb is projected out as if their priors were flat.
 
-Each unit has its own noise scale, estimated from its residuals once the candidate is projected out.  Its F test is
-turned into the χ² of the same p-value, so that sums over units have the distribution that they should have;
-`factor` is the ratio of that χ² to UᵀI⁻¹U.
+The noise of a channel is that known beforehand, drawn to its rows as far as it is not known well.  Where the rows
+scatter more than that, it is what they say: a unit with a gross error must not outvote all others.
 """
 
+import math
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -20,162 +21,163 @@ import numpy as np
 import polars as pl
 
 from imubayes.batch.posterior_table import packed
-from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Response, candidate_responses
-from imubayes.criticism.projection import Projection, project
-from imubayes.criticism.score_test import ProjectedResponse, coefficient_subsets, project_responses, score_test
+from imubayes.criticism.evidence.effect_variants import EffectVariant
+from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis, scale_mode
+from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.inference.fitted_model import Fit
-from imubayes.tail_probabilities import chi2_at
 
-# Singular values of the model's Jacobian, relative to the largest, below which a direction is rounding.
 _RANK = 1e-10
+"""Singular values of the model's Jacobian, relative to the largest, below which a direction is rounding."""
+_RETAINED = 1e-6
+"""Share of a response, squared, that the model must leave over: less is rounding."""
+_ROUNDS, _SETTLED, _LEAST_FREEDOM = 10, 1e-3, 2.0
 
 SCORES = pl.Schema(
     {
         "digest": pl.String, "unit": pl.String, "effect": pl.String, "shape": pl.String, "scope": pl.String,
-        "coefficients": pl.List(pl.String), "measures": pl.List(pl.String), "signs": pl.List(pl.Int8),
-        "dof": pl.Int64, "chi2": pl.Float64, "p": pl.Float64, "factor": pl.Float64,
-        "score": pl.List(pl.Float64), "information": pl.List(pl.Float64),
+        "part": pl.String, "owners": pl.List(pl.String), "coefficients": pl.List(pl.String), "log_odds": pl.Float64,
+        "widths": pl.List(pl.Float64), "measures": pl.List(pl.String), "sizes": pl.List(pl.Float64),
+        "signs": pl.List(pl.Int8), "score": pl.List(pl.Float64), "information": pl.List(pl.Float64),
     }
 )  # fmt: skip
-"""One row per campaign and candidate; one more per campaign, without an effect, with score and information of all
-coefficients, the information as lower triangle, at the noise scale of the fit."""
+"""One row per campaign and candidate, up to `widths`; one more per campaign, without an effect, with what follows of
+all coefficients: units, largest typical sizes, signs, score, and the lower triangle of the information."""
 
 
 @dataclass(frozen=True)
-class CandidateScore:
-    """The test of one candidate in one unit.
+class CandidateKey:
+    """A candidate over units.
 
     Attributes
     ----------
-    effect, shape : the candidate, and the values of its shape parameters as text; empty where it has none.
-    scope : the kind of channel whose coefficients are tested together, or the owner of the coefficients.
-    coefficients, measures, signs : C of them: names, units of measure, and the only sign allowed, 0 for either.
-    dof : directions that could be resolved.
-    chi2, p : calibrated χ², and its p-value; of either sign.
-    factor : ratio of `chi2` to UᵀI⁻¹U.
+    effect, shape : its name, and the values of its shape parameters as text; empty where it has none.
+    scope : the kind of channel, or the channel, mounting or table that it acts on alone.
+    part : the only parameter that it has; empty for all of them.
     """
 
     effect: str
     shape: str
     scope: str
-    coefficients: tuple[str, ...]
-    measures: tuple[str, ...]
-    signs: tuple[int, ...]
-    dof: int
-    chi2: float
-    p: float
-    factor: float
+    part: str = ""
 
 
-@dataclass(frozen=True)
-class UnitScores:
-    """All candidates of one unit.
+def unit_scores(fit: Fit, unit: str, digest: str) -> pl.DataFrame:
+    """Return the scores of every candidate effect of a converged fit, schema `SCORES`."""
+    return scores_of(linear_problem(fit, candidate_responses(fit)), unit, digest)
 
-    Attributes
-    ----------
-    candidates : their tests.
-    names : C coefficients of all candidates and shapes.
-    score, information : shapes (C,) and (C, C), at the noise scale of the fit.
+
+def scores_of(problem: LinearProblem, unit: str, digest: str) -> pl.DataFrame:
+    """Return the scores of the candidates of a linearised fit."""
+    of = EvidenceOf(problem)
+    score, information = _past_own(of, _likeliest_noise(of))
+    shapes = [_shape(each) for each in problem.candidates for _ in each.coefficients]
+    names = [
+        f"{each.parameter.name}{f' at {shape}' if shape else ''}"
+        for each, shape in zip(problem.coefficients, shapes, strict=True)
+    ]
+    rows = [
+        {
+            **vars(key), "owners": list(each.owners), "log_odds": each.log_odds, "widths": list(each.widths),
+            "coefficients": [names[place] for place in each.places],
+        }
+        for key, each in _candidates(of, np.diag(information) > 0)
+    ]  # fmt: skip
+    together = {
+        "coefficients": names, "measures": [each.parameter.shown_unit for each in problem.coefficients],
+        "sizes": problem.sizes.tolist(), "signs": problem.sign.tolist(), "score": score.tolist(),
+        "information": packed(information),
+    }  # fmt: skip
+    return pl.DataFrame([{"digest": digest, "unit": unit, **each} for each in (*rows, together)], schema=SCORES)
+
+
+def _likeliest_noise(of: EvidenceOf) -> Hypothesis:
+    """Return the hypothesis that nothing is missing, at the likeliest scatter between runs that the model states."""
+    found = Hypothesis((), of.stated)
+    for place, unit in enumerate(of.units):
+        if len(unit.stated) > 1:
+            tried = [of.evaluate(found.with_noise(place, each)) for each in unit.stated]
+            found = max(tried, key=lambda each: each.log_posterior).hypothesis
+    return found
+
+
+def _past_own(of: EvidenceOf, noise: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """Return score (C,) and information (C, C) of all coefficients past the model's own parameters, no prior on these.
+
+    Coefficients of which nothing is left are 0 in both.
     """
-
-    candidates: tuple[CandidateScore, ...]
-    names: tuple[str, ...]
-    score: np.ndarray
-    information: np.ndarray
-
-
-def unit_scores(fit: Fit) -> UnitScores:
-    """Return the scores of every candidate effect of a converged fit."""
-    responses = candidate_responses(fit)
-    projection = without_priors(project(fit, responses.misfit, responses.jacobian))
-    projected = [_retained(each) for each in project_responses(projection, responses.candidates)]
-    projected = [each for each in projected if each.response.coefficients]
-    kinds = {channel.name: channel.kind for channel in fit.model.campaign.channels}
-    tests = tuple(test for each in projected for test in _tests(projection, each, kinds))
-    columns = np.concatenate([np.zeros((len(projection.residual), 0)), *(each.projected for each in projected)], axis=1)
-    names = tuple(name for each in projected for name in _names(each.response))
-    return UnitScores(tests, names, columns.T @ projection.residual, columns.T @ columns)
+    columns, channel = _whitened_rows(of, noise)
+    own = of.problem.own
+    basis, scale = _scaled_basis(of.problem, columns, channel)
+    free = columns[:, own:] / scale[channel, None]
+    left = free - basis @ (basis.T @ free)
+    kept = np.sum(left**2, axis=0) > _RETAINED * np.sum(free**2, axis=0)
+    kept[-1] = True
+    left *= kept
+    products = left.T @ left
+    return products[:-1, -1], products[:-1, :-1]
 
 
-def without_priors(projection: Projection) -> Projection:
-    """Return the projection in which the priors neither hold parameters back nor give evidence."""
-    priors = projection.turn.priors
-    rows = len(projection.residual) - priors
-    jacobian = projection.jacobian[:rows]
+def _whitened_rows(of: EvidenceOf, noise: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows of all channels with the columns [J X r], (n, P + C + 1), and the channel of each, (n,)."""
+    count = of.problem.own + len(of.problem.coefficients)
+    channels = sorted(of.unit_of)
+    columns = np.zeros((of.problem.outputs, count + 1))
+    channel = np.repeat(channels, [len(of.problem.rows[k].entry) for k in channels]).astype(int)
+    for k in channels:
+        columns[np.ix_(channel == k, [*of.problem.rows[k].live, count])] = of.whitened(noise, k)
+    return columns, channel
+
+
+def _scaled_basis(problem: LinearProblem, columns: np.ndarray, channel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the model's own parameters span, (n, rank), and the noise scale of each channel, (K,)."""
+    scale, basis = np.ones(len(problem.rows)), np.zeros((len(columns), 0))
+    for _ in range(_ROUNDS):
+        basis = _span(columns[:, : problem.own] / scale[channel, None])
+        misfit = columns[:, -1] / scale[channel]
+        rest, left = misfit - basis @ (basis.T @ misfit), 1 - np.sum(basis**2, axis=1)
+        before = scale.copy()
+        for k in np.unique(channel):
+            freedom = max(float(left[channel == k].sum()), _LEAST_FREEDOM)
+            square = max(float(np.sum(rest[channel == k] ** 2) * before[k] ** 2), 1e-12)
+            mode, _ = scale_mode(square, freedom, problem.rows[k].scale_sd)
+            scale[k] = max(math.exp(mode), math.sqrt(square / freedom))
+        if np.max(np.abs(np.log(scale / before)), initial=0.0) < _SETTLED:
+            break
+    return basis, scale
+
+
+def _span(jacobian: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of the columns of a Jacobian, (n, rank)."""
     size = np.linalg.norm(jacobian, axis=0)
     left, singular, _ = np.linalg.svd(jacobian / np.where(size > 0, size, 1.0), full_matrices=False)
-    span = left[:, singular > _RANK * singular.max(initial=0.0)]
-    basis = np.zeros((rows + priors, span.shape[1] + priors))
-    basis[:rows, : span.shape[1]] = span
-    basis[rows:, span.shape[1] :] = np.eye(priors)
-    residual = projection.residual - basis @ (basis.T @ projection.residual)
-    used = np.concatenate([np.asarray(projection.fitted.model.problem.observations.weight) > 0, np.ones(priors, bool)])
-    freedom = projection.strata.sums(used.astype(float)) - projection.strata.sums(np.sum(basis**2, axis=1))
-    return replace(projection, basis=basis, residual=residual, freedom=freedom)
-
-
-def _retained(each: ProjectedResponse) -> ProjectedResponse:
-    """Return a response without the coefficients that the model absorbs in full."""
-    whole, left = (np.sum(columns**2, axis=0) for columns in (each.whitened, each.projected))
-    kept = np.flatnonzero(left > thresholds.FORM_RETAINED_MIN * whole)
-    response = each.response
-    coefficients = tuple(response.coefficients[place] for place in kept)
-    fewer = replace(response, coefficients=coefficients, columns=response.columns[:, kept])
-    return ProjectedResponse(fewer, each.whitened[:, kept], each.projected[:, kept])
+    return left[:, singular > _RANK * singular.max(initial=0.0)]
 
 
 def _shape(response: Response) -> str:
     return ", ".join(f"{name}={value:g}" for name, value in response.scan.shape.items())
 
 
-def _names(response: Response) -> list[str]:
-    shape = _shape(response)
-    return [f"{each.parameter.name}{f' at {shape}' if shape else ''}" for each in response.coefficients]
+def _candidates(of: EvidenceOf, left: np.ndarray) -> Iterator[tuple[CandidateKey, EffectVariant]]:
+    """Yield the variants of which something is left, left (C,) bool, with what they are called in every unit."""
+    problem = of.problem
+    kinds = {channel.name: channel.kind for channel in problem.channels}
+    owners, fields = defaultdict[tuple[int, str], set[str]](set), defaultdict[tuple[int, str], set[str]](set)
 
+    def about(each: EffectVariant) -> tuple[tuple[int, str], set[str]]:
+        cause = each.response, kinds.get(each.owners[0], "")
+        return cause, {problem.coefficients[k].parameter.field for k in each.places}
 
-def _tests(projection: Projection, each: ProjectedResponse, kinds: dict[str, str]) -> Iterator[CandidateScore]:
-    """Yield the tests of a candidate on each kind of channel and on each owner alone."""
-    response, names = each.response, _names(each.response)
-    for chosen in coefficient_subsets(response, kinds):
-        columns = each.projected[:, chosen]
-        # The directions that are left are those of the whitened columns: what was absorbed counts as annihilated.
-        length = np.linalg.norm(each.whitened[:, chosen], axis=0)
-        test = score_test(projection, columns, length, thresholds.FORM_RETAINED_MIN)
-        count = test.span.shape[1]
-        if not count or test.delta_chi2_at_fit <= 0:
-            continue
-        chi2 = chi2_at(test.log_p, count)
-        coefficients = [response.coefficients[place] for place in chosen]
-        owners = {coefficient.owner for coefficient in coefficients}
-        of_kind = {kinds.get(owner, "") for owner in owners}
-        alone = len(owners) == 1 and len(owners) < len({c.owner for c in response.coefficients})
-        yield CandidateScore(
-            effect=response.scan.effect,
-            shape=_shape(response),
-            scope=min(owners) if alone else min(of_kind),
-            coefficients=tuple(names[place] for place in chosen),
-            measures=tuple(coefficient.parameter.unit for coefficient in coefficients),
-            signs=tuple(coefficient.sign for coefficient in coefficients),
-            dof=count,
-            chi2=chi2,
-            p=test.p,
-            factor=chi2 / test.delta_chi2_at_fit,
-        )
-
-
-def score_table(unit: str, digest: str, scores: UnitScores) -> pl.DataFrame:
-    """Return the scores of a unit as a table, schema `SCORES`."""
-    rows = [
-        {
-            "digest": digest, "unit": unit, "effect": each.effect, "shape": each.shape, "scope": each.scope,
-            "coefficients": list(each.coefficients), "measures": list(each.measures), "signs": list(each.signs),
-            "dof": each.dof, "chi2": each.chi2, "p": each.p, "factor": each.factor,
-        }
-        for each in scores.candidates
-    ]  # fmt: skip
-    together = {
-        "digest": digest, "unit": unit, "coefficients": list(scores.names), "score": scores.score.tolist(),
-        "information": packed(scores.information),
-    }  # fmt: skip
-    return pl.DataFrame([*rows, together], schema=SCORES)
+    for each in of.variants:
+        cause, own = about(each)
+        owners[cause].update(each.owners)
+        fields[cause].update(own)
+    for each in of.variants:
+        cause, own = about(each)
+        places = tuple(k for k in each.places if left[k])
+        if places:
+            scope = each.owners[0] if len(each.owners) < len(owners[cause]) else cause[1] or "equipment"
+            part = next(iter(own)) if len(own) < len(fields[cause]) else ""
+            owned = tuple(dict.fromkeys(problem.coefficients[k].owner for k in places))
+            shape = _shape(problem.candidates[each.response])
+            yield CandidateKey(each.effect, shape, scope, part), replace(each, owners=owned, places=places)

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Patch
 
+from imubayes.batch.discovery_record import PooledDiscovery, PooledFinding
 from imubayes.batch.parameter_population import ParameterPopulation, Populations
-from imubayes.batch.pooled_discovery import PooledDiscovery, PooledFinding, UnitEvidence
 from imubayes.display.labels import pretty, shortened
 from imubayes.display.rounding import value_and_sd
 from imubayes.display.theme import (
@@ -43,9 +43,10 @@ _TREND = (
     "drift the points scatter about a level line."
 )
 _EVIDENCE = (
-    "Drop of χ² by campaign: above zero a unit speaks for the effect, below against it; a unit with several "
-    "calibrations has a bar for each, with its date. Where the effect has one size in all units the bars are of that "
-    "common coefficient; otherwise they are of each campaign's own, less its degrees of freedom."
+    "Natural logarithm of the evidence of each campaign: above zero it speaks for the effect, below against it; a unit "
+    "with several calibrations has a bar for each, with its date. Where the effect has one size in all units the bars "
+    "are of that common coefficient; otherwise they are of each campaign's own. In vermilion: it has the effect with a "
+    "probability above 0.9."
 )
 _CHANGE = (
     "Old against new estimate of each campaign in standard deviations of the change that the new model allows; "
@@ -172,21 +173,16 @@ def campaign_names(units: pl.DataFrame) -> dict[str, str]:
 
 def _evidence_bars(axes: Axes, each: PooledFinding, names: dict[str, str]) -> None:
     """Draw one bar a campaign, the strongest first; the middle ones are left out where there are many."""
-    common = each.evidence.law == "common"
-
-    def strength(unit: UnitEvidence) -> float:
-        return unit.contribution if common else unit.chi2 - each.evidence.dof
-
-    ordered = sorted(each.every_unit, key=strength, reverse=True)
+    ordered = sorted(each.every_unit, key=lambda unit: unit.gain, reverse=True)
     if len(ordered) > _MOST_UNITS:
         ordered = ordered[: _MOST_UNITS // 2] + ordered[-_MOST_UNITS // 2 :]
-    heights = np.array([strength(unit) for unit in ordered])
+    heights = np.array([unit.gain for unit in ordered])
     named = np.array([unit.unit in each.named for unit in ordered])
     colours = np.where(named, VERMILION, np.where(heights > 0, BLUE, QUIET))
     axes.bar(np.arange(len(ordered)), heights, color=colours, width=0.8, zorder=3)
     axes.axhline(0, color=INK, linewidth=0.8, zorder=4)
     axes.set_xticks(np.arange(len(ordered)), [names[unit.digest] for unit in ordered], rotation=90, fontsize=6)
-    axes.set(ylabel="Δχ²", xlim=(-1, len(ordered)))
+    axes.set(ylabel="log evidence", xlim=(-1, len(ordered)))
     left = len(each.every_unit) - len(ordered)
     note = f"; {left} in the middle are left out" if left else ""
     title = f"{' or '.join(each.effects[:3])}: vermilion units show it by themselves{note}"
