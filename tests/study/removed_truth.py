@@ -96,7 +96,7 @@ def whole_response(fitted: Any) -> Callable[[Any, np.ndarray], np.ndarray]:
     from imubayes.criticism import candidate_effects
     from imubayes.model.problem import predict_from
 
-    extended = candidate_effects._extend(fitted, candidate_effects._candidates(fitted)[0])
+    extended = candidate_effects._extend(fitted, candidate_effects._candidates(fitted)[0], candidate_effects._AT_NULLS)
     own = np.asarray(fitted.model.problem.priors.values(jnp.asarray(fitted.z)))
     places = {parameter.name: (place, parameter) for place, parameter in enumerate(extended.parameters)}
     predict = eqx.filter_jit(predict_from)

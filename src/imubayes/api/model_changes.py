@@ -6,7 +6,7 @@ from dataclasses import replace as with_fields
 from pathlib import Path
 
 from imubayes.atomic_files import refuse_existing
-from imubayes.criticism.addition import refit_with, simplest
+from imubayes.criticism.addition import refit_with
 from imubayes.criticism.cross_validation import objection
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.model_history import Tree
@@ -188,7 +188,7 @@ def _named(
     if effects:
         found = diagnosis.channels_for(effects[0]) if diagnosis is not None and len(effects) == 1 else None
         return effects, channels if channels is not None else found
-    proposed = simplest(diagnosis) if diagnosis is not None else None
+    proposed = diagnosis.proposed if diagnosis is not None else None
     if proposed is None:
         allowed = "what a diagnosis of the result proposes, or an effect that `imubayes effects` lists"
         raise input_error("no effect is named, and no diagnosis proposes one", "add", allowed, "name one")

@@ -6,7 +6,7 @@ from imubayes.criticism.changed_model import ChangedModel
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.refit import Refit, refit_changed, require_fit
 from imubayes.criticism.start_at_estimates import start_at_estimates
-from imubayes.criticism.verdict import CoefficientEstimate, Suggestion
+from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.criticism.warm_start import extend
 from imubayes.inference.fitted_model import Fit
 
@@ -40,24 +40,6 @@ def refit_with(
     screened = _screened(effects, diagnosis)
     known = screened[0] if screened and _one_finding(effects, diagnosis) else None
     return refit_changed(before, change, progress, _predicted_coefficients(change, known, len(effects) == 1))
-
-
-def simplest(diagnosis: Diagnosis) -> Suggestion | None:
-    """Return the least that explains what a diagnosis found: of each group of effects the first; None for nothing.
-
-    Where effects explain the same, all of them together have estimates of next to no use.
-    """
-    choice = diagnosis.proposed
-    if choice is None:
-        return None
-    leaders = {group.effects[0] for group in diagnosis.groups}
-    others = {name for group in diagnosis.groups for name in group.effects[1:]}
-    others |= {each.effect for rival in diagnosis.rivals for each in rival.effects}
-    kept = tuple(name for name in choice.effects if name not in others - leaders) or choice.effects
-    if kept == choice.effects:
-        return choice
-    channels = diagnosis.channels_for(kept[0]) if len(kept) == 1 else choice.channels
-    return Suggestion(effects=kept, channels=channels)
 
 
 def _screened(effects: Sequence[str], diagnosis: Diagnosis | None) -> list[ScreenedEffect]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imubayes.criticism.diagnosis_record import CoefficientEstimate
+from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.criticism.verdict import EffectChoice
 from imubayes.model.bind import Model
 from imubayes.model.model_spec import ModelSpec
