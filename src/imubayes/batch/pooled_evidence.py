@@ -21,7 +21,7 @@ from scipy import special
 from imubayes.batch.pooled_scores import PooledScores
 from imubayes.batch.unit_scores import CandidateKey
 from imubayes.criticism.evidence.effect_variants import EffectVariant
-from imubayes.criticism.evidence.hypothesis import gain_of_coefficients
+from imubayes.criticism.evidence.width_sums import gain_of_coefficients
 
 Law = Literal["common", "own", "some"]
 LAWS: tuple[Law, ...] = ("common", "own", "some")

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imubayes.criticism.verdict import CoefficientEstimate
-from imubayes.criticism.verdict import EffectChoice
+from imubayes.criticism.verdict import CoefficientEstimate, EffectChoice
 from imubayes.model.bind import Model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.parameters.vector import Layout

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
-from imubayes.criticism import thresholds
 from imubayes.criticism.held_out_record import CrossValidation, GroupGain, HeldOutVerdict
 from imubayes.criticism.verdict import RmsChange
+from imubayes.criticism.warm_start import REFIT_LOSS
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.noise_marginal import curvature, slope
 from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
@@ -29,6 +29,13 @@ from imubayes.model.robust_likelihood import has_heavy_tails
 from imubayes.parameters.vector import Layout
 from imubayes.step_counter import counted
 from imubayes.units import to_si
+
+_GAIN_STANDARD_ERRORS, _GAIN_CHANCE, _GAIN_MIN = 2.0, 0.0228, 0.5
+"""A gain in log predictive density helps if it exceeds GAIN_MIN, and so many standard errors or, by flips of signs, the
+one-sided chance of that many (convention).  GAIN_MIN is derived: a superfluous parameter costs half a unit on unseen
+data (Akaike)."""
+_MAX_BLOCKS, _BLOCK_ROWS = 8, 4
+"""A single run is left out in so many blocks at most, of so many rows at least.  Convention."""
 
 _residuals = kept(residuals)
 _EXACT_FLIPS, _ROUNDING = 13, 1e-12
@@ -63,9 +70,9 @@ def summarise_gains(
 def _judged(gains: np.ndarray, se: float) -> Literal["helps", "unclear", "not"]:
     """Return whether the sum of gains, shape (K,), with its standard error, is beyond chance."""
     delta = float(gains.sum())
-    if not delta > thresholds.GAIN_MIN:
+    if not delta > _GAIN_MIN:
         return "not"
-    clear = delta > thresholds.GAIN_STANDARD_ERRORS * se or sign_flip_chance(gains) < thresholds.GAIN_CHANCE
+    clear = delta > _GAIN_STANDARD_ERRORS * se or sign_flip_chance(gains) < _GAIN_CHANCE
     return "helps" if clear else "unclear"
 
 
@@ -155,7 +162,7 @@ def groups(model: Model) -> tuple[Literal["run", "pose", "block"], tuple[str, ..
         masks = tuple((pose == number) & ~entries.closing for number in there)
         return "pose", tuple(map(str, there.tolist())), masks
     in_time = np.argsort(run.covariates["time"], kind="stable") if "time" in run.covariates else np.arange(run.rows)
-    blocks = np.array_split(in_time, max(min(thresholds.MAX_BLOCKS, run.rows // thresholds.BLOCK_ROWS), 1))
+    blocks = np.array_split(in_time, max(min(_MAX_BLOCKS, run.rows // _BLOCK_ROWS), 1))
     names = tuple(f"rows {block.min() + 1} to {block.max() + 1}" for block in blocks)
     return "block", names, tuple(np.isin(entries.row, block) for block in blocks)
 
@@ -238,7 +245,7 @@ def objection(after: Fit, delta_chi2: float, may_rise: bool = False) -> str:
     """
     if not after.converged:
         return f"The refit is not taken. {after.message}"
-    if not (may_rise or delta_chi2 > thresholds.REFIT_LOSS):
+    if not (may_rise or delta_chi2 > REFIT_LOSS):
         return (
             "The refit is not taken: it fits worse than the model without the addition (χ² rose by "
             f"{-delta_chi2:.1f} at the same noise scales)."

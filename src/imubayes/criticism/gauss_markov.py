@@ -12,8 +12,16 @@ from itertools import product
 
 import numpy as np
 
-from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
+
+_MARKOV_SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0)
+"""Grid of the restricted likelihood: share of the variance that is correlated, correlation from row to row.  Effort."""
+_MARKOV_CORRELATIONS = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.96)
+_MARKOV_NEARLY = 1.0
+"""Grid points within this log likelihood of the best (1.4 standard deviations) are nearly as likely; the one with most
+low-frequency noise is taken.  Blind study (7a6fcab): zero gives false alarms in correlated noise."""
+_DIRECTION_HELD_MIN = 0.1
+"""A projected direction with less than this share of its squared length in a channel is ignored there.  Numerical."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +38,7 @@ class MarkovNoise:
 
 
 WHITE = MarkovNoise(0.0, 0.0)
-GRID = (WHITE, *(MarkovNoise(*pair) for pair in product(thresholds.MARKOV_SHARES, thresholds.MARKOV_CORRELATIONS)))
+GRID = (WHITE, *(MarkovNoise(*pair) for pair in product(_MARKOV_SHARES, _MARKOV_CORRELATIONS)))
 
 
 @dataclass(frozen=True)
@@ -80,7 +88,7 @@ def estimate_markov_noise(projection: Projection, channels: Sequence[int]) -> di
     others = (tables.sum(axis=0) - tables) / max(len(channels) - 1, 1)
     power = np.array([noise.low_frequency_power for noise in GRID])
     whole = tables + others
-    likely = np.where(whole > whole.max(axis=1, keepdims=True) - thresholds.MARKOV_NEARLY, power, 0.0)
+    likely = np.where(whole > whole.max(axis=1, keepdims=True) - _MARKOV_NEARLY, power, 0.0)
     return {place: GRID[int(np.argmax(own))] for place, own in zip(channels, likely, strict=True)}
 
 
@@ -112,7 +120,7 @@ def restricted_log_likelihoods(residual: np.ndarray, taken: np.ndarray, series: 
     offsets = (series[:, :, None] == np.arange(count)).any(axis=1).T.astype(float)
     whole = np.concatenate([taken, offsets / np.sqrt(offsets.sum(axis=0))], axis=1)
     left, lengths, _ = np.linalg.svd(whole, full_matrices=False)
-    columns = np.concatenate([residual[:, None], left[:, lengths**2 > thresholds.DIRECTION_HELD_MIN]], axis=1)
+    columns = np.concatenate([residual[:, None], left[:, lengths**2 > _DIRECTION_HELD_MIN]], axis=1)
     found = []
     for noise in GRID:
         by = InnovationsFilter(series, np.full(len(series), noise.share), np.full(len(series), noise.correlation))

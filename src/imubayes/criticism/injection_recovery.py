@@ -14,7 +14,6 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
-from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import searchable
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
@@ -32,6 +31,9 @@ from imubayes.parameters.parameter_declarations import Declared
 from imubayes.representation import Presented
 from imubayes.simulation.simulate import random_stream, simulate
 from imubayes.step_counter import counted
+
+_SIZING_STEPS, _SIZING_TOLERANCE = 6, 0.02
+"""Steps to find the injected size, and relative tolerance of its Δχ².  Numerical."""
 
 Screen = Callable[[Fit], Diagnosis]
 
@@ -270,11 +272,11 @@ def _trial(fitted: Fit, clear: _Clear, name: str, size: Size, seed: int, screen:
 def _scaled(strength: Callable[[float], float], target: float) -> float | None:
     """Return the scale at which a strength is reached; None where none of any use does."""
     scale = 1e-3
-    for _ in range(thresholds.SIZING_STEPS):
+    for _ in range(_SIZING_STEPS):
         there = strength(scale)
         if not there > 1e-12 or not np.isfinite(there):
             return None
-        if abs(there / target - 1) < thresholds.SIZING_TOLERANCE:
+        if abs(there / target - 1) < _SIZING_TOLERANCE:
             break
         scale *= float(np.sqrt(target / there))
     return scale

@@ -23,9 +23,8 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.criticism import thresholds
 from imubayes.criticism.noise_tests import to_entries
-from imubayes.criticism.noise_violation import NoiseComparison
+from imubayes.criticism.noise_violation import NOISE_AGREES, NOISE_TOLD_SD, NoiseComparison
 from imubayes.criticism.projection import Projection
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
@@ -37,6 +36,18 @@ from imubayes.noise.components import WhiteNoise
 from imubayes.parameters.priors import HalfNormal
 from imubayes.parameters.vector import Parameter
 from imubayes.tail_probabilities import LEAST_P, f_survival, normal_survival
+
+SISTERS_LOG_SD = 0.5
+"""Standard deviation of the logarithm of a scale among equal sensors, as in the default prior of white_noise.
+Convention: with it a scatter of five runs is told from 12 times that of two sisters, one of many runs from 8 times.
+Scales drawn from half-normal priors, each by itself, differ more: then one campaign in a hundred is told."""
+_SISTERS_FREEDOM_MIN = 0.5
+"""Fewest degrees of freedom between runs for such a comparison.  Numerical: below, a variance is rounding."""
+_NOISE_FREEDOM_MIN = 5.0
+"""Fewest degrees of freedom within runs for which a comparison is made.  Convention: below, σ is known to 30 % at
+best."""
+_RUNS_AGREE = 1.5
+"""Scatter of the corrected runs over the noise of raw samples, up to which they agree with one another.  Convention."""
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(61)
 # z of a correlation of 0 under a uniform prior.
@@ -170,7 +181,7 @@ class _FittedRows:
     def estimate(self, channel: int) -> _ScaleEstimate | None:
         """Return what the scatter of rows says of one raw sample; None where they are too few to tell."""
         here, (chi2, freedom) = self.of(channel), _within(self.projection, channel)
-        if not here.any() or freedom < thresholds.NOISE_FREEDOM_MIN:
+        if not here.any() or freedom < _NOISE_FREEDOM_MIN:
             return None
         return _ScaleEstimate(float(np.median(self.sigma[here])) ** 2 * chi2 / freedom, freedom)
 
@@ -229,10 +240,10 @@ def largest_scatter(model: Model) -> np.ndarray:
 
     Raw samples tell white noise nearly; a prior, within two of its standard deviations.
     """
-    found, records = np.full(len(model.campaign.channels), thresholds.RUNS_AGREE), sample_noise(model)
+    found, records = np.full(len(model.campaign.channels), _RUNS_AGREE), sample_noise(model)
     for parameter, member, place in noise_scales(model):
         if issubclass(member, WhiteNoise) and place is not None and place not in records:
-            found[place] = max(thresholds.RUNS_AGREE, _value(parameter, 2.0) / stated(parameter))
+            found[place] = max(_RUNS_AGREE, _value(parameter, 2.0) / stated(parameter))
     return found
 
 
@@ -240,7 +251,7 @@ def _known_size(parameter: Parameter, record: SampleNoise | None) -> float:
     """Return z of what is known of a size: of its raw samples, else what the prior states."""
     told = parameter.z_at(record.sd / parameter.factor) if record is not None else None
     # Far beyond the prior it is the stimulus that varies within rows.
-    if record is not None and told is not None and not (record.varying and told > thresholds.NOISE_TOLD_SD):
+    if record is not None and told is not None and not (record.varying and told > NOISE_TOLD_SD):
         return told
     z = parameter.z_at(stated(parameter))
     return 0.0 if z is None else z
@@ -269,7 +280,7 @@ def noise_scales(model: Model) -> list[tuple[Parameter, EffectClass, int | None]
 def _against_record(base: NoiseComparison, record: SampleNoise, factor: float) -> NoiseComparison:
     known = record.sd / factor
     ratio = base.fitted / known
-    p = float(f_survival((ratio / thresholds.NOISE_AGREES) ** 2, base.freedom, record.freedom))
+    p = float(f_survival((ratio / NOISE_AGREES) ** 2, base.freedom, record.freedom))
     sd = ratio * math.sqrt(0.5 / base.freedom + 0.5 / record.freedom)
     return replace(base, recorded=known, source="samples", ratio=ratio, ratio_sd=sd, p=p)
 
@@ -333,7 +344,7 @@ def chance_among_sisters(
 
 def _spread_among(sisters: int) -> float:
     """Return the standard deviation of the logarithm of a scale about the mean of so many others of its kind."""
-    return thresholds.SISTERS_LOG_SD * math.sqrt(1 + 1 / sisters)
+    return SISTERS_LOG_SD * math.sqrt(1 + 1 / sisters)
 
 
 def _holm(p: np.ndarray) -> np.ndarray:
@@ -363,7 +374,7 @@ def _between_runs(projection: Projection) -> dict[int, _ScaleEstimate]:
     squares, found = strata.sums(apart.residual**2), {}
     for place in np.flatnonzero(strata.between).tolist():
         groups, freedom = (channel == strata.channel[place]) & (precision > 0), float(apart.freedom[place])
-        if freedom >= thresholds.SISTERS_FREEDOM_MIN:
+        if freedom >= _SISTERS_FREEDOM_MIN:
             floor = float(np.mean(1 / precision[groups]))
             whole = floor + float(np.mean(shared[groups]))
             found[int(strata.channel[place])] = _ScaleEstimate(whole * float(squares[place]) / freedom, freedom, floor)

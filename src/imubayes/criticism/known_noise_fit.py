@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.campaign_data import INPUT_UNIT
-from imubayes.criticism import thresholds
 from imubayes.criticism.known_noise import known_scales
 from imubayes.criticism.model_history import ChannelRms, KnownNoiseFit
 from imubayes.gather import in_batches
@@ -32,6 +31,12 @@ from imubayes.model.noise_covariance import noise_deviation, whiten, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.units import to_si
+
+_RETAINED_MIN = 1e-12
+"""A direction of a candidate whose projection retains less than this share of its squared length is rounding, and
+cannot be detected.  Numerical: a drift turns a servo table by 10⁶ times the noise of its angle, and what only the
+priors of the model speak against is 1e-10 of that; projections are accurate to some 1e-20.  Larger overlooks such
+effects."""
 
 _AT_ONCE = 16
 """Columns that are whitened at once, so that one compiled program serves all."""
@@ -67,7 +72,7 @@ class KnownNoisePoint:
         # Columns are of one length for the least squares, whatever their units.
         length = np.linalg.norm(fresh, axis=0)
         unit = np.where(length > 0, length, 1.0)
-        size = np.linalg.lstsq(across / unit, self.left, rcond=math.sqrt(thresholds.RETAINED_MIN))[0] / unit
+        size = np.linalg.lstsq(across / unit, self.left, rcond=math.sqrt(_RETAINED_MIN))[0] / unit
         moved = np.linalg.solve(self.upper, absorbed @ size)
         misfit = self.misfit - columns @ size + self.jacobian @ moved
         return replace(self, misfit=misfit, left=self.left - across @ size)

@@ -9,11 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism import thresholds
 from imubayes.criticism.gauss_markov import WHITE, InnovationsFilter, MarkovNoise, estimate_markov_noise
 from imubayes.criticism.projection import Projection
 from imubayes.noise.components import Outliers
 from imubayes.tail_probabilities import chi2_survival, normal_survival
+
+_NOISE_DRAWS, _NOISE_DRAWS_AT_ONCE = 200, 20_000_000
+"""Simulations of white noise through the projection, and rows times simulations held at once.  Effort: the standard
+deviation is known to 5 %; the tail is that of a Pearson III distribution."""
+_STRONGEST_ANTICORRELATION = 0.95
+"""Bound of the estimated negative noise statistic (a correlation cannot be −1).  Numerical."""
 
 OUTLIERS = "outliers"
 # Below this the law is normal to all digits.
@@ -106,9 +111,7 @@ def screen_noise(
     """
     model = projection.fitted.model
     rows = len(projection.residual)
-    draws = np.random.default_rng(seed).normal(
-        size=(rows, max(20, min(thresholds.NOISE_DRAWS, thresholds.NOISE_DRAWS_AT_ONCE // rows)))
-    )
+    draws = np.random.default_rng(seed).normal(size=(rows, max(20, min(_NOISE_DRAWS, _NOISE_DRAWS_AT_ONCE // rows))))
     both = np.concatenate([projection.residual[:, None], projection.project(draws)], axis=1)
     entries = to_entries(projection, both)
     found = []
@@ -124,7 +127,7 @@ def screen_noise(
             # Quadratic statistics are skew: a normal tail would understate the p-value.
             skew = float(np.mean((values[1:] - mean) ** 3)) / sd**3 if sd > 1e-9 * abs(mean) else 0.0
             p = _skew_tail(z, float(np.clip(skew, 0.0, 4.0)))
-            value = float(np.clip(values[0] - mean, -thresholds.STRONGEST_ANTICORRELATION, None))
+            value = float(np.clip(values[0] - mean, -_STRONGEST_ANTICORRELATION, None))
             found.append(NoiseCandidate(effect, names, value, p, max(z, 0.0) ** 2))
     # p-values have a floor: where several are at it, the drop decides.
     return sorted(found, key=lambda candidate: (candidate.p, -candidate.drop))

@@ -4,8 +4,17 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from imubayes.criticism import thresholds
 from imubayes.json_record import Record
+
+_NOISE_CONTRADICTED_P = 0.005
+"""A scale that exceeds what is known with less than this p-value, all comparisons together (Holm), contradicts it, and
+no model is adequate.  Convention: half of the budget for noise, because an excess that matters is far beyond; larger
+gives false alarms."""
+NOISE_AGREES = 1.05
+"""A ratio of fitted to recorded noise up to this is agreement, whatever its uncertainty.  Convention: the standard
+deviation of samples is rounded, and the stimulus varies a little within a row.  Larger hides weak structure."""
+_NOISE_TOLD, NOISE_TOLD_SD = 1.3, 3.0
+"""A ratio beyond this, or below its inverse, is told where it exceeds so many standard uncertainties.  Convention."""
 
 NoiseKind = Literal[
     "autocorrelation", "low_frequency", "scatter_between_runs", "grows_with_input", "heavy_tails", "quantisation"
@@ -69,7 +78,7 @@ class NoiseComparison:
     @property
     def excessive(self) -> bool:
         """Whether it exceeds what is known, beyond chance, with nothing in the model that would explain it."""
-        return not self.correlated and self.p < thresholds.NOISE_CONTRADICTED_P
+        return not self.correlated and self.p < _NOISE_CONTRADICTED_P
 
     @property
     def of_rows(self) -> bool:
@@ -80,10 +89,10 @@ class NoiseComparison:
     def excess_chi2(self) -> float:
         """The χ² by which rows scatter more than known, at the noise that remains; 0 where that may be chance."""
         told = self.excessive and self.of_rows
-        return self.freedom * (1 - (thresholds.NOISE_AGREES / self.ratio) ** 2) if told else 0.0
+        return self.freedom * (1 - (NOISE_AGREES / self.ratio) ** 2) if told else 0.0
 
     @property
     def agrees(self) -> bool:
         """Whether fitted and known noise agree, but for chance or for less than is worth a word."""
-        chance = thresholds.NOISE_TOLD_SD * self.ratio_sd / self.ratio
-        return not self.excessive and abs(math.log(self.ratio)) < max(math.log(thresholds.NOISE_TOLD), chance)
+        chance = NOISE_TOLD_SD * self.ratio_sd / self.ratio
+        return not self.excessive and abs(math.log(self.ratio)) < max(math.log(_NOISE_TOLD), chance)

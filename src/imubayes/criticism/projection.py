@@ -14,13 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
-from imubayes.criticism import thresholds
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.noise.base import SharedNoise
+
+_OFFSET_INFLATION = 1.2
+"""A run offset is a stratum of its own where it inflates the variance of the run's mean by more than this factor.
+Convention: smaller makes more between-run strata, each with few degrees of freedom and little power."""
 
 PRIOR = -1
 Whitening = Callable[[np.ndarray], np.ndarray]
@@ -277,7 +280,7 @@ def _reflectors(
     offset = np.concatenate([(extra(offset) if extra is not None else offset)[:, 0], [0.0]])[members]
     length = np.linalg.norm(offset, axis=1)
     several = np.sum(members < count, axis=1) > 1
-    separate = (1 / _noise_of_mean(fitted, members) > thresholds.OFFSET_INFLATION) | (offsets & several)
+    separate = (1 / _noise_of_mean(fitted, members) > _OFFSET_INFLATION) | (offsets & several)
     first = offset / np.where(length > 0, length, 1.0)[:, None] - np.eye(1, members.shape[1])
     size = np.linalg.norm(first, axis=1)
     able = separate & (length > 0) & (size > 1e-12)

@@ -16,7 +16,6 @@ from scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
-from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import fitting_channels
 from imubayes.criticism.changed_model import ChangedModel, beyond, new_in
 from imubayes.criticism.verdict import CoefficientEstimate
@@ -36,6 +35,15 @@ from imubayes.parameters.parameter_declarations import Declared
 from imubayes.parameters.priors import HalfNormal, Normal, Prior, rounded_width
 from imubayes.parameters.vector import Layout, Parameter
 from imubayes.tail_probabilities import chi2_survival, normal_survival
+
+_NO_GRADIENT, _SINGULAR = 1e-14, 1e-9
+"""A new coefficient whose squared whitened column is below this in prior units has no gradient at its null (it enters
+as β² or |β|), and combinations this much weaker than the strongest are not determined.  Numerical."""
+_PRIOR_CONFLICT_SD = 3.0
+"""A prior contradicts the data where the estimate lies so many standard deviations of its prior predictive distribution
+from the prior mean.  Convention (0.3 %): it is widened in an addition.  Larger lets a prior decide against the data."""
+REFIT_LOSS = -0.5
+"""A refit that loses more χ² than this is refused: a larger model cannot fit worse but for its new priors.  Derived."""
 
 
 def extended(
@@ -188,7 +196,7 @@ def _diagnosed(parameter: Parameter, estimate: CoefficientEstimate | None) -> fl
         return 0.0
     spread = np.hypot(_about(parameter.prior, 0.0)[2], (estimate.sd or 0.0) * parameter.factor)
     size = abs(estimate.value * parameter.factor)
-    return size if size > thresholds.PRIOR_CONFLICT_SD * spread else 0.0
+    return size if size > _PRIOR_CONFLICT_SD * spread else 0.0
 
 
 def _about_zero(prior: Prior) -> Literal["normal", "halfnormal", ""]:
@@ -257,7 +265,7 @@ def _first_step(
     z = null.copy()
     z[new] += step
     z[~new] += solve_triangular(upper, q.T @ (right - fresh @ step))
-    flat = np.diag(squares) < thresholds.NO_GRADIENT
+    flat = np.diag(squares) < _NO_GRADIENT
     for place, blind in zip(np.flatnonzero(new).tolist(), flat.tolist(), strict=True):
         if blind:
             z[place] = _away_from_null(model, place, null[place], hints)
@@ -270,7 +278,7 @@ def _first_step(
         # A scanned time constant lies near its true value and has a gradient once its coefficient is not zero.
         z, sd, drop, flat = _second_step(model, z, h, new, (sd, drop, flat), without)
     return ChangedModel(
-        model, z, h, null, new, delta_chi2=drop if tells and drop > thresholds.REFIT_LOSS else None,
+        model, z, h, null, new, delta_chi2=drop if tells and drop > REFIT_LOSS else None,
         coefficients=_coefficients(model.layout, z, new, sd, flat) if tells else (),
         asked=_contradicting(_chosen(model, new), null[new], squares, drive),
         residual=left[:entries], explained=(across @ step)[:entries],
@@ -293,7 +301,7 @@ def _contradicting(
     squares, drive : shapes (K, K) and (K,), of the projected whitened columns in z.
     """
     values, axes = np.linalg.eigh(squares)
-    told = values > max(thresholds.SINGULAR * float(values.max(initial=0.0)), thresholds.NO_GRADIENT)
+    told = values > max(_SINGULAR * float(values.max(initial=0.0)), _NO_GRADIENT)
     if not told.any():
         return np.zeros(len(parameters))
     along = (axes[:, told].T @ drive) / values[told]
@@ -303,7 +311,7 @@ def _contradicting(
         [_about(parameter.prior, z) for parameter, z in zip(parameters, null, strict=True)]
     ).T
     estimate = first + slope * step
-    beyond = thresholds.PRIOR_CONFLICT_SD
+    beyond = _PRIOR_CONFLICT_SD
     alone = np.abs(estimate) > beyond * np.sqrt(width**2 + slope**2 * variance)
     score = float(np.sum((along + axes[:, told].T @ null) ** 2 / (1 + 1 / values[told])))
     together = chi2_survival(score, int(told.sum())) < 2 * normal_survival(beyond)

@@ -24,7 +24,7 @@ import numpy as np
 import scipy.linalg
 
 from imubayes.criticism.evidence.linear_problem import UNKNOWN, ChannelRows, LinearProblem
-from imubayes.criticism.thresholds import SISTERS_LOG_SD
+from imubayes.criticism.known_noise import SISTERS_LOG_SD
 
 Family = Literal["known", "scale", "correlated", "wander", "rate", "tails", "runs"]
 

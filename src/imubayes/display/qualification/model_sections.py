@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from imubayes.criticism import thresholds
 from imubayes.display.diagnosis_sentences import bias_clause
 from imubayes.display.evidence_text import evidence_text
 from imubayes.display.labels import pretty
@@ -308,7 +307,7 @@ def _combination(names: Sequence[str], weights: Sequence[float], left_out: int) 
     text = ""
     for name, weight in zip(names, weights, strict=True):
         sign = " − " if weight < 0 else " + "
-        size = "" if abs(abs(weight) - 1) < thresholds.FALSE_ALARM else f"{abs(weight):.2g}·"
+        size = "" if abs(abs(weight) - 1) < 0.05 else f"{abs(weight):.2g}·"
         text += (sign if text else ("−" if weight < 0 else "")) + size + name
     return text + (f" and {left_out} more" if left_out else "")
 
