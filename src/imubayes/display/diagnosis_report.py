@@ -165,7 +165,7 @@ def _prediction(found: Diagnosis) -> str:
     )
 
 
-def _indistinguishable(found: Diagnosis) -> list[str]:
+def _discriminating(found: Diagnosis) -> list[str]:
     """Return the run that would distinguish the effects of a group that these do not."""
     return [
         f"A run that would distinguish {listed(group.effects)}: {_run_text(group)}."

@@ -92,7 +92,7 @@ def _in_its_place(group: EffectGroup) -> str:
     rest = len(others) - _MOST_NAMED
     names = [*others[:_MOST_NAMED], *([f"{rest} more"] if rest > 0 else [])]
     named = " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-    return f" {named} in its place would fit as well: these runs cannot distinguish them."
+    return f" {named} would fit as well in place of {group.effects[0]}: these runs cannot distinguish them."
 
 
 def _group_sentence(group: EffectGroup) -> str:

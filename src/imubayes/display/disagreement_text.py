@@ -29,9 +29,7 @@ def _sentence(found: Disagreement, probability: float) -> str:
     best, *others = found.causes
     said += f" It would agree with {_cause(best, found)}."
     if others:
-        said += (
-            f" These runs do not distinguish that from: {'; '.join(_cause(each, found) for each in others[:_MOST])}."
-        )
+        said += f" It would agree as well with {'; or '.join(_cause(each, found) for each in others[:_MOST])}."
     if found.instead:
         said += f" Alternatively the record of {listed(list(found.instead), _MOST)} is wrong."
     return f"{said} Correct the record, or leave the {'run' if found.row is None else 'row'} out, and fit again."

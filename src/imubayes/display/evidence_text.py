@@ -99,9 +99,8 @@ def _assumptions(found: Evidence) -> str:
     """Return what the probabilities assume where that matters: noise that is not known, and prior odds."""
     said = ""
     if found.noise_known > _WELL_KNOWN:
-        said += (
-            f" The noise is known beforehand only to within a factor of {significant(math.exp(found.noise_known), 2)}."
-        )
+        factor = significant(math.exp(found.noise_known), 2)
+        said += f" The noise is known beforehand only to within a factor of {factor}."
     odds = sorted((each.log_odds for each in found.explanations if each.log_odds is not None), reverse=True)
     if len(odds) > 1 and odds[0] - odds[1] < _PRIOR_DOUBT:
         said += " Prior odds of 7 to 1 would change the order of the first two."

@@ -27,9 +27,9 @@ def injection_lines(trials: Trials) -> list[str]:
     if trials.nulls:
         low, high = trials.false_alarm_interval
         lines.append(
-            f"Without injection: {_counted(trials.false_alarms, 'false alarm')} in {_counted(len(trials.nulls), 'draw')}, "
-            f"a rate of {percent(trials.false_alarms / len(trials.nulls))} (95 % interval {percent(low)} to "
-            f"{percent(high)})."
+            f"Without injection: {_counted(trials.false_alarms, 'false alarm')} in "
+            f"{_counted(len(trials.nulls), 'draw')}, a rate of {percent(trials.false_alarms / len(trials.nulls))} "
+            f"(95 % interval {percent(low)} to {percent(high)})."
         )
     missed = [trial.effect for trial in trials.trials if not trial.detected]
     if missed:
