@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from imubayes.criticism.free_form_dependence import Structure
+from imubayes.criticism.score_test import Candidate, ScoreTest
+from imubayes.criticism.stepwise_search import SearchResult
 
 from imubayes.criticism import addition, diagnose, suggestions, thresholds
 from imubayes.criticism.candidate_effects import ShapeScan
@@ -21,12 +24,9 @@ from imubayes.criticism.diagnosis_record import (
     RankedEffect,
     RivalExplanation,
 )
-from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import following_covariate
-from imubayes.criticism.score_test import Candidate, ScoreTest
-from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.criticism.verdict import EffectChoice, Suggestion
 from imubayes.display import diagnosis_sentences
 

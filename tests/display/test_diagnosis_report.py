@@ -1,4 +1,4 @@
-"""A diagnosis as it is displayed: the answer first, then the evidence."""
+"""A diagnosis as it is displayed: the likeliest explanation first, then what supports it."""
 
 import io
 import json
@@ -10,33 +10,25 @@ import pytest
 from matplotlib.collections import LineCollection
 from rich.console import Console
 
-from imubayes.criticism.detectability import Absorber, ParameterBias
+from display.made_diagnoses import ASYMMETRY, diagnosis, evidence, line
+from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import (
-    Amplitude,
     AskedEffect,
-    ChainStage,
-    CoefficientEstimate,
-    CovariateLabel,
-    Diagnosis,
-    EffectGroup,
-    GroupMember,
-    RankedEffect,
-    ResidualStructure,
-    RivalExplanation,
-    StrongestStructure,
+    ResidualFormula,
     UndetectableEffect,
     UntypicalSize,
 )
+from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement
+from imubayes.criticism.evidence.evidence_record import FoundForm, FoundNoise
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.injection_recovery import Size, Trial, Trials
 from imubayes.criticism.known_noise import KnownNoise
-from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
 from imubayes.criticism.noise_violation import NoiseComparison
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
-from imubayes.criticism.verdict import EffectChoice, RmsChange, Suggestion, Verdict
+from imubayes.criticism.verdict import EffectChoice, Suggestion, Verdict
 from imubayes.display import diagnosis_report as shown
 from imubayes.display.figures.evidence_pictures import (
     before_after,
@@ -52,132 +44,168 @@ from imubayes.display.noise_violation_text import contradiction_text
 from imubayes.display.report_layout import print_report
 from imubayes.display.table_layout import terminal
 from imubayes.errors import InputError
-from imubayes.inference.candidate_runs import RunDesign
 from imubayes.results.loop_files import read_diagnosis, write_diagnosis
 
 PNG = b"\x89PNG"
-
-
-def line(effect: str, drop: float, p: float, value: float = 120.0) -> RankedEffect:
-    coefficient = CoefficientEstimate(name=f"{effect}.size[gx]", value=value, sd=12.0, unit="ppm")
-    return RankedEffect(
-        effect=effect, channels=("gx",), delta_chi2=drop, dof=1, p=p, p_global=p, within_runs=drop, shape={},
-        coefficients=(coefficient,),
-    )  # fmt: skip
-
-
-def diagnosis(verdict: Verdict = "equivalent_effects", terms: tuple[FormulaTerm, ...] = ()) -> Diagnosis:
-    ranked = (line("gyro_scale_asymmetry", 98.4, 1e-18), line("gyro_scale_quadratic", 95.1, 3e-18))
-    members = tuple(GroupMember(unexplained=0.0, **vars(each)) for each in ranked)
-    group = EffectGroup(
-        effects=tuple(each.effect for each in ranked), channels=("gx",), delta_chi2=98.4, dof=1, p_global=1e-18,
-        candidates=members, residual=RmsChange(channel="gx", before=2.8, after=1.5, unit="deg/h"),
-        covariate=CovariateLabel(name="rate_i", unit="deg/s", phrase="rate along the input axis"),
-        discriminating_run=RunDesign(procedure="rate_table", table="rate", mounting="x-up", max_rate_deg_s=300.0),
-    )  # fmt: skip
-    hidden = UndetectableEffect(
-        effect="accel_quadratic", absorbed_by=(Absorber("run offsets", 0.93),), reason="absorbed", unit="ug/g^2"
-    )
-    lacking = UndetectableEffect(effect="lever_arm", reason="not_supplied", needs=("turning",))
-    pattern = ResidualStructure(
-        channel="gx", covariate="table_rate", test="spline", p=1e-9, shape="Ω²", kind="gyro", terms=terms,
-        coefficient=Amplitude(value=0.3, sd=None, unit="ppm"),
-    )  # fmt: skip
-    return Diagnosis(
-        verdict=verdict, message="It did not settle." if verdict == "not_converged" else "", p_global=1e-18, result="R",
-        groups=(group,) if verdict == "equivalent_effects" else (),
-        ranking=(*ranked, line("gyro_g_sensitivity", 2.0, 0.9)), undetectable=(hidden, lacking),
-        structure=(pattern,), looks=40.0,
-        strongest=StrongestStructure(channel="gx", covariates=(), step=Step("ramp", 3.0, "s")),
-        suggested=Suggestion(effects=("gyro_scale_asymmetry",), channels=None)
-        if verdict == "equivalent_effects" else None,
-    )  # fmt: skip
+TAILS = (FoundNoise(channels=("gx",), family="tails", scale=1.2),)
+THERMAL = FoundForm(name="function of temperature", channels=("gx",), log_odds=80.0)
 
 
 def test_the_answer_comes_first(capsys):
     print_report(shown.diagnosis_report(diagnosis(), verbose=True))
     out = capsys.readouterr().out
     lines = out.splitlines()
-    assert lines[0].startswith("gyro_scale_asymmetry is missing on gx. The residual of gx depends on rate along")
-    assert "Δχ² 98.4" in lines[1]
-    assert "p = 1e-18 corrected for 40 looks" in lines[1]
-    assert "Discriminating run: rate_table on 'rate' in mounting 'x-up'" in lines[2]
-    assert lines[3] == "next: imubayes add gyro_scale_asymmetry --to R --out R-gyro_scale_asymmetry"
+    assert lines[:6] == [
+        "gyro_scale_asymmetry is missing on gx. The residual of gx depends on rate along the input axis. "
+        "gyro_scale_quadratic would fit as well in place of gyro_scale_asymmetry: these runs cannot distinguish them.",
+        "Probability: an effect missing 0.998 (gyro_scale_asymmetry 0.54 or gyro_scale_quadratic 0.46 on gx); nothing "
+        "missing < 0.001.",
+        "Predicted with gyro_scale_asymmetry added: Δχ² 98.4 at the noise known beforehand; residual of gx 2.80 → 1.50 "
+        "deg/h rms.",
+        "A run that would distinguish gyro_scale_asymmetry, gyro_scale_quadratic: rate_table on 'rate' in mounting "
+        "'x-up', rates to ±300 deg/s.",
+        "next: imubayes add gyro_scale_asymmetry --to R --out R-gyro_scale_asymmetry",
+        "or, with all that fit as well: imubayes add gyro_scale_asymmetry gyro_scale_quadratic --to R --out R-all",
+    ]
     assert "93 % run offsets" in out
     assert "lever_arm (turning)" in " ".join(out.split())
 
 
-def test_an_effect_that_would_do_in_place_of_wandering_noise_is_told():
-    effect = EffectChoice(effect="gyro_bias_drift", channels=("gx",))
-    rival = RivalExplanation(effects=(effect,), log_odds=1.0)
-    found = Diagnosis(verdict="noise_model", wandering="instead", rivals=(rival,))
-    [said] = shown.diagnosis_lines(found)
-    assert "gyro_bias_drift on gx may be missing instead: record the unit at rest again" in said
-    assert "missing instead" not in shown.diagnosis_lines(found.model_copy(update={"rivals": ()}))[0]
+@pytest.mark.parametrize(
+    ("verdict", "probability", "said", "command"),
+    [
+        ("adequate", 0.998, "The model explains the data: no effect of the catalogue is missing", "plant --result R"),
+        ("adequate", 0.62, "The model probably explains the data (probability 0.62): no other", "plant --result R"),
+        ("missing_effect", 0.62, "gyro_scale_asymmetry is probably missing on gx (probability 0.62).", "add"),
+        ("missing_effect", 0.42, "gyro_scale_asymmetry is possibly missing on gx (probability 0.42).", "add"),
+        ("noise_model", 0.998, "The noise is not as modelled: heavy tails on gx. No effect explains it.", "compare R"),
+        ("noise_model", 0.62, "The noise is probably not as modelled (probability 0.62): heavy tails", "compare R"),
+        (
+            "unexplained_structure",
+            0.998,
+            "A cause outside the catalogue acts: function of temperature on gx.",
+            "compare",
+        ),
+        ("unexplained_structure", 0.62, "A cause outside the catalogue probably acts (probability 0.62)", "compare R"),
+    ],
+)
+def test_what_is_in_doubt_is_told_with_its_probability(verdict, probability, said, command):
+    form = THERMAL if verdict == "unexplained_structure" else None
+    found = diagnosis(verdict, probability, form, TAILS if verdict == "noise_model" else ())
+    assert shown.sentence(found).startswith(said)
+    assert shown.next_command(found).startswith(f"imubayes {command}")
 
 
-def test_wandering_noise_is_named_beside_the_effect_that_it_rivals():
-    found = diagnosis().model_copy(update={"wandering": "rival", "suggested": None})
-    report = shown.diagnosis_report(found)
-    assert report.lines[0].startswith("Either gyro_scale_asymmetry is missing on gx, or the noise wanders")
-    assert "Record the unit at rest again: a systematic drift repeats" in "\n".join(report.lines)
-    assert shown.next_command(found) == "imubayes compare R"
+def test_noise_that_the_model_lacks_is_what_to_add():
+    found = diagnosis("noise_model", noise=TAILS)
+    found = found.model_copy(update={"suggested": Suggestion(effects=("outliers",), channels=None)})
+    assert "With the noise corrected, no effect is missing." in shown.sentence(found)
+    assert shown.next_command(found) == "imubayes add outliers --to R --out R-outliers"
+    (sheet,) = shown.leading_sheets(found)
+    assert [cell.text for cell in sheet.rows[0]] == ["heavy tails on gx", "1.20"]
 
 
-@pytest.mark.parametrize("determined", [True, False])
-def test_an_undetermined_stage_is_said(determined):
-    found = diagnosis()
-    stage = ChainStage(named="converter", sensor="gyro", determined=determined)
-    group = found.groups[0].model_copy(update={"stage": stage})
-    said = shown.sentence(found.model_copy(update={"groups": (group,)}))
-    assert ("in the gyro or in its converter is not determined: drive the converter alone." in said) != determined
+@pytest.mark.parametrize(("row", "probability"), [(None, 0.998), (3, 0.62)])
+def test_a_wrong_record_is_told_with_what_would_agree(row, probability):
+    cause = AgreeingInput(
+        form="offset", quantity="temperature_degC", unit="degC", recorded=20.0, agreeing=(25.13,), sd=(0.11,),
+        probability=0.9,
+    )  # fmt: skip
+    other = replace_record(cause, form="factor", quantity="table_rate_deg_s", unit="1", recorded=1.0, agreeing=(1.1,))
+    wrong = Disagreement(run="A", row=row, log_odds=40.0, causes=(cause, other), instead=("B",))
+    found = diagnosis("run_disagrees", probability).model_copy(update={"disagreeing": (wrong,)})
+    said = shown.sentence(found)
+    if row is None:
+        assert said.startswith("Run A does not agree with the other runs. It would agree with temperature_degC about")
+        assert said.endswith("Correct the record, or leave the run out, and fit again.")
+    else:
+        assert said.startswith(
+            "Row 3 of run A probably does not agree with the other rows (probability 0.62). It would"
+        )
+        assert said.endswith("Correct the record, or leave the row out, and fit again.")
+    assert "It would agree as well with table_rate_deg_s times 1.10 ± 0.11, all rows alike." in said
+    assert "Alternatively the record of B is wrong." in said
 
 
-def test_the_ranking_marks_groups_and_chances():
-    sheet = shown.ranking_sheet(diagnosis())
+def replace_record(record: AgreeingInput, **changed) -> AgreeingInput:
+    return record.model_copy(update=changed)
+
+
+def test_a_second_missing_effect_is_told_beside_the_first():
+    first = diagnosis().groups[0].model_copy(update={"candidates": diagnosis().groups[0].candidates[:1]})
+    second = first.model_copy(update={"candidates": diagnosis().groups[0].candidates[1:], "probability": 0.7})
+    found = diagnosis().model_copy(update={"groups": (first, second), "delta_chi2": 120.0})
+    assert "gyro_scale_quadratic is probably also missing on gx (probability 0.70)." in shown.sentence(found)
+    assert (
+        "Predicted with gyro_scale_asymmetry, gyro_scale_quadratic added: Δχ² 120 at the noise known beforehand; "
+        "residual of gx 2.80 → 1.50 deg/h rms, with gyro_scale_asymmetry alone."
+    ) in shown.diagnosis_lines(found)
+
+
+def test_the_ranking_marks_groups_and_probabilities():
+    found = diagnosis().model_copy(update={"ranking": (line(ASYMMETRY, 98.4, 0.9996), line("gyro_warm_up", 2.0, 1e-5))})
+    sheet = shown.ranking_sheet(found)
     texts = [[cell.text for cell in row] for row in sheet.rows]
-    assert [row[-1] for row in texts] == ["1", "1", ""]
-    assert [row[-2].mood for row in sheet.rows] == ["bad", "bad", "dim"]
+    assert [row[-1] for row in texts] == ["1", ""]
+    assert [(row[-2].text, row[-2].mood) for row in sheet.rows] == [("> 0.999", "bad"), ("< 0.001", "dim")]
     assert "size[gx] 120 ± 12 ppm" in texts[0][2]
     assert sheet.narrow is not None
 
 
 @pytest.mark.parametrize(
-    ("verdict", "said"),
+    ("verdict", "missing", "said"),
     [
-        ("missing_effect", "is missing"),
-        ("adequate", "absent down to 3.00 ppm"),
-        ("undetectable", "93 % in run offsets"),
+        ("missing_effect", 0.97, "accel_quadratic, or an effect that resembles it, is missing (probability 0.97)."),
+        ("missing_effect", 0.6, "accel_quadratic, or an effect that resembles it, is probably missing (probability"),
+        ("adequate", 0.02, "accel_quadratic is absent down to 3.00 ppm, the size that is detected with a probability"),
+        ("adequate", 0.4, "accel_quadratic may be missing (probability 0.40); 3.00 ppm would be detected with"),
+        ("undetectable", 0.02, "These runs cannot show accel_quadratic: absorbed by the model, 93 % in run offsets."),
     ],
 )
-def test_one_effect_is_answered_in_a_sentence(verdict, said):
+def test_one_effect_is_answered_in_a_sentence(verdict, missing, said):
     asked = AskedEffect(effect="accel_quadratic", smallest_detectable=3.0, unit="ppm")
-    found = diagnosis("adequate").model_copy(update={"verdict": verdict, "asked": asked})
+    weighed = evidence({"nothing": 1 - missing, "effects": missing}, inclusion={"accel_quadratic": missing})
+    found = diagnosis("adequate").model_copy(update={"verdict": verdict, "asked": asked, "explanations": weighed})
     (answer,) = shown.diagnosis_report(found).lines
-    assert answer.startswith("These runs cannot show" if verdict == "undetectable" else "accel_quadratic is")
-    assert said in answer
+    assert answer.startswith(said)
     assert shown.next_command(found) == ""
 
 
-def test_not_converged_is_not_ranked():
+def test_what_is_said_of_a_fit_that_did_not_converge():
     lines = shown.diagnosis_lines(diagnosis("not_converged"))
-    assert lines[0] == "It did not settle."
-    assert "not ranked" in " ".join(lines)
+    assert lines == ["It did not settle."], "nothing is weighed without a mode"
+    weighed = diagnosis("not_converged").model_copy(update={"explanations": evidence({"nothing": 0.95})})
+    first, *_, last = shown.diagnosis_lines(weighed)
+    assert first.startswith(
+        "It did not settle. At the point where it stopped nothing is missing, with probability 0.95."
+    )
+    assert last == "What is said here refers to the point where the fit stopped, and is provisional."
+    unsampled = diagnosis().model_copy(update={"message": "Too few draws."})
+    assert shown.diagnosis_lines(unsampled)[-1].endswith("what is said here refers to its mode.")
 
 
-def test_the_class_of_the_strongest_pattern_is_given_and_none_is_refused():
-    with pytest.raises(InputError, match="no effect class"):
-        shown.effect_source(diagnosis("unexplained_structure"))
+def formula(shape: str = "|Ω_i|", expression: str = "jnp.abs(sample.rate[0])") -> ResidualFormula:
     term = FormulaTerm(
-        shape="|Ω_i|", expression="jnp.abs(sample.rate[0])", needs=("turning",), value=0.3, sd=None, unit="ppm",
-        delta_chi2=50.0, p_global=1e-9,
+        shape=shape, expression=expression, needs=("turning",), value=0.3, sd=0.02, unit="ppm", delta_chi2=50.0,
+        log_odds=19.0,
     )  # fmt: skip
-    source = shown.effect_source(diagnosis("unexplained_structure", (term,)))
+    return ResidualFormula(channel="gx", kind="gyro", shape=shape, terms=(term,), inclusion=0.9, near=("Ω_i²",))
+
+
+def test_the_class_of_a_cause_outside_the_catalogue_is_given_and_none_is_refused():
+    found = diagnosis("unexplained_structure", form=THERMAL)
+    with pytest.raises(InputError, match="no effect class"):
+        shown.effect_source(found)
+    found = found.model_copy(update={"formulas": (formula(),)})
+    source = shown.effect_source(found)
     compile(source, "found_shape.py", "exec")
     assert "import jax.numpy as jnp" in source
     assert 'name = "found_gyro_shape"' in source
     assert "needs = ('turning',)" in source
     assert "return signal + self.coefficient * jnp.abs(sample.rate[0])" in source
+    assert shown.next_command(found).startswith("imubayes diagnose R --python > found_shape.py && imubayes add")
+    sheet, _ = shown.leading_sheets(found)
+    assert [cell.text for cell in sheet.rows[0]] == ["gx", "|Ω_i|", "0.300 ± 0.020 ppm", "50.0", "19.0"]
 
 
 def test_a_kept_diagnosis_comes_back(tmp_path):
@@ -194,12 +222,16 @@ def test_a_kept_diagnosis_comes_back(tmp_path):
 
 
 def test_the_json_has_the_sentence_and_the_next_command():
-    facts = shown.diagnosis_json(diagnosis())
+    facts = shown.diagnosis_json(diagnosis().model_copy(update={"formulas": (formula(),)}))
+    assert facts["format"] == 2
     assert facts["sentence"].startswith("gyro_scale_asymmetry is missing")
     assert facts["next"].startswith("imubayes add gyro_scale_asymmetry")
+    assert facts["explanations"]["explanations"][2] == {"kind": "effects", "probability": 0.998, "log_odds": 0.0}
     group = facts["groups"][0]
+    assert group["effects"] == ["gyro_scale_asymmetry", "gyro_scale_quadratic"]
     assert group["separating_run"] == "rate_table on 'rate' in mounting 'x-up', rates to ±300 deg/s"
     assert group["discriminating_run"]["max_rate_deg_s"] == 300.0
+    assert "class FoundShape" in facts["formulas"][0]["python"]
     assert json.dumps(facts)
 
 
@@ -265,14 +297,6 @@ def test_noise_that_disagrees_with_its_record_is_told():
     assert "known noise" not in shown.sentence(agreeing)
 
 
-@pytest.mark.parametrize(("p", "told"), [(0.07, True), (0.4, False)])
-def test_a_candidate_that_is_nearly_significant_is_told(p, told):
-    ranked = (line("gyro_bias_drift", 15.3, p), line("gyro_warm_up", 2.0, 0.9))
-    said = shown.sentence(diagnosis("adequate").model_copy(update={"ranking": ranked}))
-    assert said.startswith("The model explains the data")
-    assert ("The nearest to significance is gyro_bias_drift on gx, p = 0.07." in said) == told
-
-
 @pytest.mark.parametrize(("in_sd", "told"), [(-663.0, True), (0.2, False)])
 def test_what_an_undetectable_effect_would_do_is_told(in_sd, told):
     bias = ParameterBias("accel_bias.bias[ax]", "ug", 300.0, in_sd, "gravity_anomaly.anomaly[all]", 300.0, "ug")
@@ -286,26 +310,18 @@ def test_what_an_undetectable_effect_would_do_is_told(in_sd, told):
     assert "1 effect of the catalogue is undetectable in these runs." in said
 
 
-def test_excess_scatter_without_a_name_is_a_verdict_on_the_noise():
-    found = diagnosis("noise_model").model_copy(update={"recorded_noise": (comparison("ax", 2.14, 1e-40),)})
-    assert "scatter from row to row" in shown.sentence(found)
-    assert "2.14 ± 0.11" in shown.sentence(found)
-    assert shown.next_command(found) == "imubayes compare R"
-
-
-def test_noise_that_contradicts_what_is_known_is_said_first():
-    """Whatever the verdict, and once: after the groups it may agree, before them it does not."""
+def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_explains_it():
     told = (comparison("ax", 53.0, 1e-300), comparison("ay", 2.14, 1e-40))
-    found = diagnosis().model_copy(update={"contradicted": told})
-    said = shown.sentence(found)
+    noisy = diagnosis("noise_model", noise=TAILS).model_copy(update={"contradicted": told, "recorded_noise": told})
+    said = shown.sentence(noisy)
     assert said.startswith(
         "white_noise.sigma[ax], 424 pulse/s, is 53.0 ± 2.7 times what the raw samples of the same rows"
     )
-    assert (
-        "an effect or noise slower than a row; white_noise.sigma[ay] likewise. gyro_scale_asymmetry is missing" in said
-    )
-    alone = diagnosis("noise_model").model_copy(update={"contradicted": told, "recorded_noise": told})
-    assert "times the known noise" not in shown.sentence(alone)
+    assert "an effect or noise slower than a row; white_noise.sigma[ay] likewise. The noise is not as modelled" in said
+    assert "times the known noise" not in said
+    explained = shown.sentence(diagnosis().model_copy(update={"contradicted": told}))
+    assert explained.startswith("gyro_scale_asymmetry is missing")
+    assert "stands in for" not in explained
     scatter = NoiseComparison(
         "gx", 7.7, 3.0, "prior", 2.6, 2.6, 0.2, False, "LSB", 0.0, "run_scatter.tau[gx]", (), True
     )
@@ -321,11 +337,6 @@ def test_the_picture_of_the_recorded_noise(tmp_path):
     scatter, runs = np.random.default_rng(0).normal(size=60), np.repeat(["a", "b", "c"], 20)
     record = KnownNoise((comparison("ax", 2.14, 1e-40), comparison("ay", 1.0, 0.5)), np.repeat("ax", 60), runs, scatter)
     assert save_recorded_noise(tmp_path, record).read_bytes()[:4] == PNG
-
-
-def test_more_that_remains_is_said_beside_the_first_effect():
-    assert "diagnose again" not in shown.sentence(diagnosis())
-    assert "diagnose again" in shown.sentence(diagnosis().model_copy(update={"more_remains": True}))
 
 
 def test_an_effect_of_unusual_size_is_said_to_be_one():
@@ -436,14 +447,19 @@ def test_small_pictures():
 
 
 def test_injection_names_what_was_missed(capsys):
-    trial = Trial("gyro_warm_up", (), 50.0, Diagnosis(verdict="adequate", p_global=0.3))
+    missed = Trial("gyro_warm_up", (), 50.0, diagnosis("adequate"))
+    found = Trial(ASYMMETRY, (), 50.0, diagnosis().model_copy(
+        update={"explanations": evidence({"effects": 0.998}, inclusion={ASYMMETRY: 0.54})}
+    ))  # fmt: skip
     quiet: tuple[Verdict, ...] = ("adequate",) * 19
     nulls: tuple[Verdict, ...] = ("missing_effect", *quiet)
-    trials = Trials("c", "m", Size(), 0, (trial,), {"lever_arm": "no run"}, nulls, 0.05)
+    trials = Trials("c", "m", Size(), 0, (missed, found), {"lever_arm": "no run"}, nulls)
     print_report(injection_report(trials))
     out = " ".join(capsys.readouterr().out.split())
+    assert out.startswith("2 effects injected one by one into simulated data of 'c', at the size with Δχ² = 50.0: 1")
     assert "Missed: gyro_warm_up." in out
-    assert "1 false alarms in 20 draws" in out
+    assert "1 false alarm in 20 draws" in out
     assert "lever_arm" in out
-    assert injection_sheet(trials).rows[0][3].mood == "bad"
+    rows = injection_sheet(trials).rows
+    assert [(row[3].mood, row[-1].text) for row in rows] == [("bad", "< 0.001"), ("", "0.54")]
     assert injection_json(trials)["null"]["rate"] == 0.05

@@ -2,41 +2,9 @@
 
 import pytest
 
-from imubayes.criticism.evidence.evidence_record import (
-    EffectSlot,
-    Evidence,
-    Explanation,
-    FoundForm,
-    FoundNoise,
-    ProbableEffect,
-    ProbableExplanation,
-)
-from imubayes.display.evidence_text import evidence_text, probability
-
-KINDS: tuple[Explanation, ...] = ("nothing", "noise", "effects", "input", "outside")
-
-
-def slot(*names: tuple[str, float]) -> EffectSlot:
-    candidates = tuple(ProbableEffect(effect=name, channels=("gx",), probability=p) for name, p in names)
-    return EffectSlot(candidates=candidates, channels=("gx",), gain=6.6, coefficients=(), shape={})
-
-
-def evidence(
-    shares: dict[Explanation, float],
-    slots: tuple[EffectSlot, ...] = (),
-    form: FoundForm | None = None,
-    noise: tuple[FoundNoise, ...] = (),
-    known: float = 0.03,
-) -> Evidence:
-    explanations = tuple(
-        ProbableExplanation(kind=kind, probability=shares.get(kind, 0.0), log_odds=0.0 if kind in shares else -20.0)
-        for kind in KINDS
-    )
-    inclusion = (ProbableEffect(effect="accel_cubic", channels=("ax",), probability=0.04),)
-    return Evidence(
-        explanations=explanations, slots=slots, inclusion=inclusion, form=form, noise=noise, noise_known=known,
-        hypotheses=100,
-    )  # fmt: skip
+from display.made_diagnoses import evidence, slot
+from imubayes.criticism.evidence.evidence_record import FoundForm, FoundNoise
+from imubayes.display.evidence_text import evidence_text, likely, noise_text, probability
 
 
 def test_effects_that_cannot_be_told_apart_have_their_shares() -> None:
@@ -44,14 +12,14 @@ def test_effects_that_cannot_be_told_apart_have_their_shares() -> None:
     said = evidence_text(evidence({"effects": 0.998}, (shared,), known=0.5))
     assert said == (
         "Probability: an effect missing 0.998 (gyro_scale_asymmetry 0.54 or gyro_scale_quadratic 0.46 on gx); nothing "
-        "missing < 0.001. No raw samples tell the noise: it is taken to be known to 65 %."
+        "missing < 0.001. The noise is known beforehand only to within a factor of 1.6."
     )
 
 
 def test_nothing_missing_is_told_with_the_nearest_effect() -> None:
     said = evidence_text(evidence({"nothing": 0.95, "effects": 0.05}))
     assert said.startswith("Probability: nothing missing 0.95; an effect missing 0.05 (accel_cubic 0.04).")
-    assert said.endswith("Prior odds of 7 to 1 would change which is likeliest.")
+    assert said.endswith("Prior odds of 7 to 1 would change the order of the first two.")
 
 
 def test_a_wrong_record_names_run_and_row_and_noise_its_channels() -> None:
@@ -71,3 +39,23 @@ def test_effects_beside_a_cause_outside_the_catalogue_are_named() -> None:
 @pytest.mark.parametrize(("value", "shown"), [(1.0, "> 0.999"), (0.0, "< 0.001"), (0.998, "0.998"), (0.5, "0.50")])
 def test_a_probability_is_never_nought_or_one(value: float, shown: str) -> None:
     assert probability(value) == shown
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (0.95, ("", "")),
+        (0.62, (" probably", " (probability 0.62)")),
+        (0.42, (" possibly", " (probability 0.42)")),
+    ],
+)
+def test_doubt_is_told_with_its_probability(value: float, said: tuple[str, str]) -> None:
+    assert likely(value) == said
+
+
+def test_noise_of_another_size_has_its_factor() -> None:
+    noise = (
+        FoundNoise(channels=("gx", "gy"), family="scale", scale=2.74),
+        FoundNoise(channels=("ax",), family="runs", scale=1.0),
+    )
+    assert noise_text(noise) == "white noise on gx, gy 2.7 times as large as known, scatter between runs on ax"

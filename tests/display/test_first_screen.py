@@ -6,16 +6,14 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from display.test_diagnosis_report import diagnosis
+from display.made_diagnoses import diagnosis
 from imubayes.campaign import Inspection, inspect_campaign
-from imubayes.criticism.diagnosis_record import CoefficientEstimate, NoiseFinding
 from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.refit import Prediction
-from imubayes.criticism.verdict import EffectChoice, RmsChange
+from imubayes.criticism.verdict import CoefficientEstimate, EffectChoice, RmsChange
 from imubayes.display.change_report import change_lines, change_report, next_command
 from imubayes.display.check_report import check_report
 from imubayes.display.diagnosis_report import diagnosis_report
-from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.grouped_notes import grouped
 from imubayes.display.report_layout import Report, print_report
 from imubayes.results.model_change import BeforeAfter, ModelChange, Observation, RunRmsChange
@@ -61,30 +59,14 @@ def test_check_fits_on_a_screen(noted):
 
 
 def test_diagnose_fits_on_a_screen():
-    long = diagnosis().model_copy(update={"ranking": diagnosis().ranking * 40, "structure": diagnosis().structure * 30})
+    long = diagnosis().model_copy(update={"ranking": diagnosis().ranking * 40})
     lines = screen(diagnosis_report(long))
     assert len(lines) <= 24
     assert lines[0].startswith("gyro_scale_asymmetry is missing")
     assert any(line.startswith(" gyro_scale_quadratic") for line in lines)
-    assert lines[-1].startswith("next: imubayes add gyro_scale_asymmetry")
-    assert "120 candidates, 30 significant structures, 2 undetectable effects" in " ".join(lines)
+    assert sum(line.startswith("next: imubayes add gyro_scale_asymmetry") for line in lines) == 1
+    assert "All tables: 120 effects, 2 undetectable effects: imubayes diagnose R --verbose" in lines
     assert "Undetectable in these runs" in " ".join(screen(diagnosis_report(long, verbose=True)))
-
-
-def test_the_strongest_finding_comes_first():
-    noise = NoiseFinding(
-        effect="run_scatter", channels=("gx", "gy"), value=40.0, p=1e-80, delta_chi2=4580.0, adopted=True
-    )
-    weak = diagnosis("unexplained_structure").model_copy(update={"noise": (noise,)})
-    weak = weak.model_copy(update={"structure": tuple(each.model_copy(update={"p": 4e-4}) for each in weak.structure)})
-    assert sentence(weak).startswith("The noise model lacks run_scatter on gx, gy (Δχ² 4580). The residual of gx has a")
-    # Where the structure is the clearer one, it stays first; noise that is not adopted is not told.
-    strong = weak.model_copy(update={"structure": diagnosis().structure, "noise": ()})
-    assert sentence(strong).startswith("The residual of gx has a step")
-    weaker = (noise.model_copy(update={"p": 1e-5}),)
-    strong = strong.model_copy(update={"noise": weaker})
-    assert "The noise model lacks" in sentence(strong)
-    assert sentence(strong).startswith("The residual of gx has a step")
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 
+from display.made_diagnoses import diagnosis
 from display.synthetic_results import summary_of, trihedral_residuals
-from display.test_diagnosis_report import diagnosis, residual_table, tree
+from display.test_diagnosis_report import residual_table, tree
 from display.test_first_screen import addition, screen
 from imubayes.criticism.model_history import ChannelRms, KnownNoiseFit, Tree
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs

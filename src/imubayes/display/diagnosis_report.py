@@ -15,9 +15,9 @@ from imubayes.display.diagnosis_tables import (
     recorded_noise_sheet,
     undetectable_sheet,
 )
-from imubayes.display.evidence_text import evidence_text, probability
+from imubayes.display.evidence_text import evidence_text
 from imubayes.display.formula_source import formula_source
-from imubayes.display.labels import pretty
+from imubayes.display.labels import listed, pretty
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import significant
 from imubayes.display.run_design_words import run_design_text
@@ -92,11 +92,11 @@ def diagnosis_lines(found: Diagnosis) -> list[str]:
         lines.append(evidence_text(found.explanations))
     if found.groups:
         lines.append(_prediction(found))
-        lines += _indistinguishable(found)
+        lines += _discriminating(found)
     if found.verdict == "not_converged" and found.explanations is not None:
-        lines.append("The fit did not converge: the explanations are linear about where it stopped.")
+        lines.append("What is said here refers to the point where the fit stopped, and is provisional.")
     elif found.message and found.verdict != "not_converged":
-        lines.append("The sampling of this fit did not converge; what is said here is about its mode.")
+        lines.append("The sampling of this fit did not converge; what is said here refers to its mode.")
     return lines
 
 
@@ -157,24 +157,21 @@ def effect_source(found: Diagnosis) -> str:
 def _prediction(found: Diagnosis) -> str:
     best = found.groups[0]
     rms, together = best.residual, found.delta_chi2 if found.delta_chi2 is not None else best.delta_chi2
-    them = "them" if len(found.groups) > 1 else "it"
+    added = listed([each.effects[0] for each in found.groups])
+    alone = f", with {best.effects[0]} alone" if len(found.groups) > 1 else ""
     return (
-        f"Predicted for adding {them}: Δχ² {significant(together)} at the noise known beforehand; residual of "
-        f"{rms.channel} {significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms"
-        f"{' by the first' if len(found.groups) > 1 else ''}."
+        f"Predicted with {added} added: Δχ² {significant(together)} at the noise known beforehand; residual of "
+        f"{rms.channel} {significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms{alone}."
     )
 
 
-def _indistinguishable(found: Diagnosis) -> list[str]:
-    """Return which effects the runs do not distinguish, and the run that would."""
-    lines = []
-    for group in found.groups:
-        if len(group.effects) < 2:
-            continue
-        run = f" Discriminating run: {_run_text(group)}." if group.discriminating_run is not None else ""
-        shares = ", ".join(f"{each.effect} {probability(each.probability)}" for each in group.candidates)
-        lines.append(f"Indistinguishable in these runs: {shares}.{run}")
-    return lines
+def _discriminating(found: Diagnosis) -> list[str]:
+    """Return the run that would distinguish the effects of a group that these do not."""
+    return [
+        f"A run that would distinguish {listed(group.effects)}: {_run_text(group)}."
+        for group in found.groups
+        if group.discriminating_run is not None
+    ]
 
 
 def _run_text(group: EffectGroup) -> str:

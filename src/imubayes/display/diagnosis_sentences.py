@@ -1,4 +1,4 @@
-"""The verdict of a diagnosis in words: a few sentences, the finding of the strongest evidence first."""
+"""The verdict of a diagnosis in words: a few sentences, the likeliest explanation first."""
 
 import math
 
@@ -7,7 +7,7 @@ from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, Undetect
 from imubayes.criticism.evidence.evidence_record import NAMED
 from imubayes.criticism.noise_violation import NoiseComparison
 from imubayes.display.disagreement_text import disagreement_text
-from imubayes.display.evidence_text import form_text, noise_text, probability
+from imubayes.display.evidence_text import form_text, likely, noise_text, probability
 from imubayes.display.labels import listed, pretty
 from imubayes.display.noise_violation_text import contradiction_text, noise_ratio
 from imubayes.display.rounding import percent, significant
@@ -16,7 +16,7 @@ _MOST_NAMED = 3
 
 
 def sentence(found: Diagnosis) -> str:
-    """Return the verdict in a few sentences, the finding of the strongest evidence first."""
+    """Return the verdict in a few sentences; first the noise that contradicts what is known, where noise leads."""
     if found.asked is not None:
         return _asked_sentence(found)
     told = [found.message] if found.verdict == "not_converged" else []
@@ -37,68 +37,69 @@ def _finding(found: Diagnosis) -> str:
     evidence = found.explanations
     if evidence is None:
         return ""
-    kind = evidence.leading.kind
+    kind, (adverb, chance) = evidence.leading.kind, likely(evidence.leading.probability)
     if kind == "nothing":
         return _adequate_sentence(found)
-    if kind == "input":
-        return disagreement_text(found.disagreeing)
     if kind == "noise":
-        rest = "With it corrected, no effect is missing." if found.suggested else "No effect explains that."
-        likely = _doubt(evidence.leading.probability)
-        return f"The noise is{likely} not as the model says: {noise_text(evidence.noise)}. {rest}"
+        rest = "With the noise corrected, no effect is missing." if found.suggested else "No effect explains it."
+        return f"The noise is{adverb} not as modelled{chance}: {noise_text(evidence.noise)}. {rest}"
     beside = _missing_sentence(found) if found.groups else ""
     if kind == "effects":
         noise = noise_text(evidence.noise)
-        return beside + (f" Beside it the noise is not as the model says: {noise}." if noise else "")
+        return beside + (f" The noise is not as modelled either: {noise}." if noise else "")
+    if kind == "input":
+        said = disagreement_text(found.disagreeing, evidence.leading.probability)
+        return f"{said} With the record corrected: {beside}" if beside else said
     assert evidence.form is not None
     said = (
-        f"A cause outside the catalogue acts{_doubt(evidence.leading.probability)}: {form_text(evidence.form)}. No "
-        "effect of the catalogue explains it."
+        f"A cause outside the catalogue{adverb} acts{chance}: {form_text(evidence.form)}. No effect of the catalogue "
+        "explains it."
     )
     return f"{said} {beside}".strip()
-
-
-def _doubt(value: float) -> str:
-    """Return the probability of a finding that is not beyond reasonable doubt; empty of one that is."""
-    return "" if value >= NAMED else f" probably (probability {probability(value)})"
 
 
 def _adequate_sentence(found: Diagnosis) -> str:
     assert found.explanations is not None
     nothing = found.explanations.leading.probability
-    if nothing >= NAMED:
+    if found.verdict == "not_converged":
+        said = f"At the point where it stopped nothing is missing, with probability {probability(nothing)}."
+    elif nothing >= NAMED:
         said = "The model explains the data: no effect of the catalogue is missing as far as these runs can show."
     else:
-        said = f"The model probably explains the data (probability {probability(nothing)}): nothing else is likelier."
+        adverb, chance = likely(nothing)
+        said = f"The model{adverb} explains the data{chance}: no other explanation is likelier."
     return said + _undetectable_sentence(found)
 
 
 def _missing_sentence(found: Diagnosis) -> str:
     """Return the effects that are missing, the strongest first, with what the runs cannot distinguish."""
     first, *others = found.groups
-    said = _group_sentence(first)
-    said += "".join(
-        f" {each.effects[0]} is{_doubt(each.probability)} missing beside it on {listed(each.channels)}"
-        f"{_in_its_place(each)}." for each in others
-    )  # fmt: skip
+    said = _group_sentence(first) + "".join(f" {_missing(each, 'also ')}{_in_its_place(each)}" for each in others)
     return said + _size_sentence(first)
 
 
+def _missing(group: EffectGroup, also: str = "") -> str:
+    """Return that the first effect of a group is missing, and where."""
+    adverb, chance = likely(group.probability)
+    return f"{group.effects[0]} is{adverb} {also}missing on {listed(group.channels)}{chance}."
+
+
 def _in_its_place(group: EffectGroup) -> str:
+    """Return which effects would fit as well as the first of a group; empty where none would."""
     others = group.effects[1:]
-    return f" ({', '.join(others[:_MOST_NAMED])} in its place would fit as well)" if others else ""
+    if not others:
+        return ""
+    rest = len(others) - _MOST_NAMED
+    names = [*others[:_MOST_NAMED], *([f"{rest} more"] if rest > 0 else [])]
+    named = " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+    return f" {named} would fit as well in place of {group.effects[0]}: these runs cannot distinguish them."
 
 
 def _group_sentence(group: EffectGroup) -> str:
-    first, *others = group.effects
-    said = f"{first} is{_doubt(group.probability)} missing on {', '.join(group.channels)}."
+    said = _missing(group)
     if group.covariate is not None:
         said += f" The residual of {group.residual.channel} depends on {group.covariate.phrase}."
-    if others:
-        rest = len(others) - _MOST_NAMED
-        names = [*others[:_MOST_NAMED], *([f"{rest} more"] if rest > 0 else [])]
-        said += f" {' and '.join(names)} would fit as well: these runs cannot distinguish them."
-    return said
+    return said + _in_its_place(group)
 
 
 def _size_sentence(group: EffectGroup) -> str:
@@ -176,12 +177,21 @@ def _outlier_sentence(found: Diagnosis) -> str:
 def _asked_sentence(found: Diagnosis) -> str:
     asked = found.asked
     assert asked is not None
-    likely = f"probability {probability(found.probability(asked.effect))}"
+    missing = found.probability(asked.effect)
     if found.verdict == "missing_effect":
-        return f"{asked.effect} is missing, or an effect that resembles it: {likely}."
+        adverb, _ = likely(missing)
+        return (
+            f"{asked.effect}, or an effect that resembles it, is{adverb} missing (probability {probability(missing)})."
+        )
     if found.verdict == "adequate":
         size = f"{significant(asked.smallest_detectable)} {pretty(asked.unit)}"
-        return f"{asked.effect} is absent down to {size}, the size that is detected with 80 % power ({likely})."
+        if missing > 1 - NAMED:
+            chance = f"probability {probability(missing)}"
+            return f"{asked.effect} may be missing ({chance}); {size} would be detected with a probability of 80 %."
+        return (
+            f"{asked.effect} is absent down to {size}, the size that is detected with a probability of 80 %; that it "
+            f"is missing has probability {probability(missing)}."
+        )
     hidden = found.undetectable[0]
     absorbed = ", ".join(f"{percent(each.share)} in {each.parameter}" for each in hidden.absorbed_by[:3])
     why = f"absorbed by the model, {absorbed}" if absorbed else why_undetectable(hidden)

@@ -113,7 +113,7 @@ def noise_sheet(found: Diagnosis) -> Sheet:
     """Return the noise of the likeliest explanation where it is not as the model says."""
     noise = found.explanations.noise if found.explanations is not None else ()
     rows = [(Cell(noise_text([each])), Cell(significant(each.scale))) for each in noise]
-    return Sheet("Noise that is not as the model says", ("noise", "scale / known"), rows, (0,))
+    return Sheet("Noise that is not as modelled", ("noise", "scale / known"), rows, (0,))
 
 
 def recorded_noise_sheet(found: Diagnosis) -> Sheet:

@@ -3,15 +3,16 @@
 from collections.abc import Sequence
 
 from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement
+from imubayes.display.evidence_text import likely
 from imubayes.display.labels import listed, pretty
 from imubayes.display.rounding import significant, value_and_sd
 
 _MOST = 3
 
 
-def disagreement_text(found: Sequence[Disagreement]) -> str:
-    """Return which runs and rows do not agree with the others, and what would make them agree."""
-    return " ".join(map(_sentence, found))
+def disagreement_text(found: Sequence[Disagreement], probability: float) -> str:
+    """Return which run or row does not agree with the others, how probable that is, and what would make it agree."""
+    return " ".join(_sentence(each, probability) for each in found)
 
 
 def place_text(found: Disagreement) -> str:
@@ -19,18 +20,18 @@ def place_text(found: Disagreement) -> str:
     return f"run {found.run}" if found.row is None else f"row {found.row} of run {found.run}"
 
 
-def _sentence(found: Disagreement) -> str:
-    place = place_text(found)
+def _sentence(found: Disagreement, probability: float) -> str:
+    place, (adverb, chance) = place_text(found), likely(probability)
     said = (
-        f"{place[0].upper()}{place[1:]} does not agree with "
-        f"{'the other runs' if found.row is None else 'all other rows'} (log odds {significant(found.log_odds)})."
+        f"{place[0].upper()}{place[1:]}{adverb} does not agree with "
+        f"{'the other runs' if found.row is None else 'the other rows'}{chance}."
     )
     best, *others = found.causes
     said += f" It would agree with {_cause(best, found)}."
     if others:
-        said += f" Not distinguished from that: {'; '.join(_cause(each, found) for each in others[:_MOST])}."
+        said += f" It would agree as well with {'; or '.join(_cause(each, found) for each in others[:_MOST])}."
     if found.instead:
-        said += f" Or the record of {listed(list(found.instead), _MOST)} is wrong instead."
+        said += f" Alternatively the record of {listed(list(found.instead), _MOST)} is wrong."
     return f"{said} Correct the record, or leave the {'run' if found.row is None else 'row'} out, and fit again."
 
 

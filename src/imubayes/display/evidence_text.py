@@ -3,15 +3,22 @@
 import math
 from collections.abc import Iterable
 
-from imubayes.criticism.evidence.evidence_record import EffectSlot, Evidence, Explanation, FoundForm, FoundNoise
+from imubayes.criticism.evidence.evidence_record import (
+    NAMED,
+    EffectSlot,
+    Evidence,
+    Explanation,
+    FoundForm,
+    FoundNoise,
+)
 from imubayes.display.labels import listed
-from imubayes.display.rounding import percent, significant
+from imubayes.display.rounding import significant
 
 _LEAST_TOLD, _MOST_NAMES, _WELL_KNOWN = 0.01, 4, 0.1
 _PRIOR_DOUBT = 2.0
 """Nats by which prior odds may reasonably differ."""
 _NOISE = {
-    "known": "noise as stated", "scale": "white noise of another size", "correlated": "correlated rows",
+    "known": "noise as stated", "scale": "white noise", "correlated": "correlated rows",
     "wander": "a random walk", "rate": "noise that grows with the input", "tails": "heavy tails",
     "runs": "scatter between runs",
 }  # fmt: skip
@@ -32,6 +39,13 @@ def evidence_text(found: Evidence) -> str:
         kind = "effects missing" if several else _KINDS[one.kind]
         told.append(f"{kind} {probability(one.probability)}" + (f" ({detail})" if detail else ""))
     return f"Probability: {'; '.join(told)}.{_assumptions(found)}"
+
+
+def likely(value: float) -> tuple[str, str]:
+    """Return the adverb of a finding, and its probability in parentheses; both empty beyond reasonable doubt."""
+    if value >= NAMED:
+        return "", ""
+    return " probably" if value >= 0.5 else " possibly", f" (probability {probability(value)})"
 
 
 def probability(value: float) -> str:
@@ -58,10 +72,10 @@ def _detail(found: Evidence, kind: Explanation) -> str:
 
 
 def noise_text(noise: Iterable[FoundNoise]) -> str:
-    """Return what the noise is beyond what is stated; of another size, by which factor."""
+    """Return what the noise is beyond what is stated; of white noise of another size, by which factor."""
     return listed([
         f"{_NOISE[each.family]} on {listed(each.channels)}"
-        + (f", {significant(each.scale, 2)} times that known" if each.family == "scale" else "")
+        + (f" {significant(each.scale, 2)} times as large as known" if each.family == "scale" else "")
         for each in noise
     ])  # fmt: skip
 
@@ -85,8 +99,9 @@ def _assumptions(found: Evidence) -> str:
     """Return what the probabilities assume where that matters: noise that is not known, and prior odds."""
     said = ""
     if found.noise_known > _WELL_KNOWN:
-        said += f" No raw samples tell the noise: it is taken to be known to {percent(math.expm1(found.noise_known))}."
+        factor = significant(math.exp(found.noise_known), 2)
+        said += f" The noise is known beforehand only to within a factor of {factor}."
     odds = sorted((each.log_odds for each in found.explanations if each.log_odds is not None), reverse=True)
     if len(odds) > 1 and odds[0] - odds[1] < _PRIOR_DOUBT:
-        said += " Prior odds of 7 to 1 would change which is likeliest."
+        said += " Prior odds of 7 to 1 would change the order of the first two."
     return said

@@ -21,14 +21,15 @@ def injection_report(trials: Trials) -> Report:
 def injection_lines(trials: Trials) -> list[str]:
     """Return the outcome in sentences."""
     lines = [
-        f"{len(trials.trials)} effects injected one by one into simulated data of '{trials.campaign}', each "
+        f"{_counted(len(trials.trials), 'effect')} injected one by one into simulated data of '{trials.campaign}', "
         f"{_size(trials)}: {trials.detected} detected, the right group first for {trials.group_first}."
     ]
     if trials.nulls:
         low, high = trials.false_alarm_interval
         lines.append(
-            f"Without injection: {trials.false_alarms} false alarms in {len(trials.nulls)} draws, a rate of "
-            f"{percent(trials.false_alarms / len(trials.nulls))} (95 % interval {percent(low)} to {percent(high)})."
+            f"Without injection: {_counted(trials.false_alarms, 'false alarm')} in "
+            f"{_counted(len(trials.nulls), 'draw')}, a rate of {percent(trials.false_alarms / len(trials.nulls))} "
+            f"(95 % interval {percent(low)} to {percent(high)})."
         )
     missed = [trial.effect for trial in trials.trials if not trial.detected]
     if missed:
@@ -36,6 +37,10 @@ def injection_lines(trials: Trials) -> list[str]:
     if trials.skipped:
         lines.append(f"Not injected, undetectable in these runs: {listed(list(trials.skipped), 12)}.")
     return lines
+
+
+def _counted(count: int, name: str) -> str:
+    return f"{count} {name}{'' if count == 1 else 's'}"
 
 
 def _size(trials: Trials) -> str:
