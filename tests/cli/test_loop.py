@@ -110,7 +110,7 @@ def test_unusable_command_lines(capsys, tmp_path, monkeypatch, words):
 
 
 def test_a_refit_that_is_not_taken_has_status_1(place, capsys, monkeypatch, tmp_path):
-    refit = sys.modules["imubayes.criticism.refit"]
+    refit = sys.modules["imubayes.loop.refit"]
     monkeypatch.setattr(refit, "observed_delta_chi2", lambda *_: -4.0)
     status, _, err = said(capsys, "add", LACKING, "--to", place / "first", "--out", tmp_path / "worse")
     assert status == 1

@@ -12,12 +12,12 @@ import pytest
 from loop_results import CAMPAIGN, LACKING, lacking_model
 from scipy import stats
 
-import imubayes.criticism.refit as refit_module
+import imubayes.loop.refit as refit_module
 from imubayes.api import ModelChange, Result, add, export, fit
-from imubayes.criticism.cross_validation import groups, objection, predict_left_out, summarise_gains, whole_fit
+from imubayes.loop.cross_validation import groups, objection, predict_left_out, summarise_gains, whole_fit
 from imubayes.criticism.diagnosis_record import CoefficientEstimate
 from imubayes.criticism.verdict import EffectChoice
-from imubayes.criticism.warm_start import _contradicting, extend
+from imubayes.loop.warm_start import _contradicting, extend
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from null_data import fitted_to, refitted, with_values
 
-import imubayes.criticism.warm_start as extend_module
-from imubayes.criticism.cross_validation import observed_delta_chi2
-from imubayes.criticism.warm_start import extend
+import imubayes.loop.warm_start as extend_module
+from imubayes.loop.cross_validation import observed_delta_chi2
+from imubayes.loop.warm_start import extend
 from imubayes.model.problem import predict
 
 HALF_WIDTH = 60.0  # ug, three times the standard deviation of its prior

@@ -10,7 +10,7 @@ import pytest
 
 import imubayes.api
 from imubayes.criticism import diagnose
-from imubayes.criticism.noise_assumptions import NoiseJudgement
+from imubayes.adequacy.noise_assumptions import NoiseJudgement
 from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.fit_cautions import alarm_of
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.criticism.gauss_markov import GRID, WHITE, InnovationsFilter, MarkovNoise, restricted_log_likelihoods
+from imubayes.adequacy.gauss_markov import GRID, WHITE, InnovationsFilter, MarkovNoise, restricted_log_likelihoods
 
 SERIES = np.array([[0, 1, 2, 3, 4], [5, 6, 7, 9, 9], [8, 9, 9, 9, 9]])
 

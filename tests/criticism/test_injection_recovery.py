@@ -8,9 +8,9 @@ from loop_results import CAMPAIGN, lacking_model
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup
-from imubayes.criticism.injection_recovery import Size, plant_effects, refitted
+from imubayes.loop.injection_recovery import Size, plant_effects, refitted
 from imubayes.criticism.verdict import RmsChange, Verdict
-from imubayes.criticism.warm_start import extend
+from imubayes.loop.warm_start import extend
 from imubayes.display.injection_report import injection_json
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit

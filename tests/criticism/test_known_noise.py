@@ -10,12 +10,13 @@ from null_data import fitted_to, redrawn, refitted, with_values
 
 import imubayes.criticism.stepwise_search as stepwise
 from imubayes.campaign import load_campaign
-from imubayes.criticism import candidate_effects, diagnose, noise_assumptions, thresholds
+from imubayes.adequacy import noise_assumptions
+from imubayes.criticism import candidate_effects, diagnose, thresholds
 from imubayes.criticism.common_course import common_courses, inflation, replicates
 from imubayes.criticism.diagnose import judge
-from imubayes.criticism.known_noise import KnownNoise, chance_among_sisters, compare_with_known
-from imubayes.criticism.noise_assumptions import NoiseJudgement
-from imubayes.criticism.projection import Projection, project
+from imubayes.adequacy.known_noise import KnownNoise, chance_among_sisters, compare_with_known
+from imubayes.adequacy.noise_assumptions import NoiseJudgement
+from imubayes.adequacy.projection import Projection, project
 from imubayes.display.diagnosis_report import next_command
 from imubayes.display.diagnosis_sentences import sentence
 from imubayes.inference.fitted_model import Fit

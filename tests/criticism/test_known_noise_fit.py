@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from null_data import fitted_to, redrawn
 
-from imubayes.criticism.known_noise import known_scales, sample_noise
-from imubayes.criticism.known_noise_fit import KnownNoisePoint, fit_at_known_noise, known_noise_point
+from imubayes.adequacy.known_noise import known_scales, sample_noise
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint, fit_at_known_noise, known_noise_point
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import linearise
 from imubayes.units import to_si

@@ -12,7 +12,7 @@ from imubayes.criticism.diagnose import judge
 from imubayes.criticism.free_form_dependence import free_forms, project_forms, screen_structure
 from imubayes.criticism.localised_structure import STEP, features, scan_features
 from imubayes.criticism.multiple_testing import look_elsewhere
-from imubayes.criticism.projection import project
+from imubayes.adequacy.projection import project
 from imubayes.criticism.residual_covariates import covariates
 from imubayes.criticism.score_test import score_test
 from imubayes.display.diagnosis_report import diagnosis_json

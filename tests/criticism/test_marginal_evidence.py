@@ -14,7 +14,7 @@ from imubayes.criticism import diagnose, effect_selection, effects_beside_noise,
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.marginal_evidence import evident_between_runs
-from imubayes.criticism.projection import project
+from imubayes.adequacy.projection import project
 from imubayes.criticism.score_test import project_responses, screen
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imubayes.criticism.equivalent_effects import equivalence_group
-from imubayes.criticism.projection import Projection, Strata
+from imubayes.adequacy.projection import Projection, Strata
 from imubayes.criticism.score_test import Candidate, ScoreTest
 from imubayes.criticism.search_input import Screening
 from imubayes.criticism.stepwise_search import SearchResult

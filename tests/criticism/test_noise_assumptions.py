@@ -5,8 +5,8 @@ import pytest
 from null_data import fitted_to, redrawn, with_values
 from scipy import stats
 
-from imubayes.criticism.noise_assumptions import grid_step, judged_noise
-from imubayes.criticism.noise_tests import _skew_tail
+from imubayes.adequacy.noise_assumptions import grid_step, judged_noise
+from imubayes.adequacy.noise_tests import _skew_tail
 from imubayes.inference.fitted_model import Fit
 
 

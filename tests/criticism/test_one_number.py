@@ -14,9 +14,10 @@ from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.score_test import Candidate, ScoreTest
 from imubayes.criticism.stepwise_search import SearchResult
 
-from imubayes.criticism import addition, diagnose, suggestions, thresholds
+from imubayes.criticism import diagnose, suggestions, thresholds
+from imubayes.loop import addition
 from imubayes.criticism.candidate_effects import ShapeScan
-from imubayes.criticism.changed_model import ChangedModel
+from imubayes.loop.changed_model import ChangedModel
 from imubayes.criticism.diagnosis_record import (
     CoefficientEstimate,
     Diagnosis,
@@ -24,7 +25,7 @@ from imubayes.criticism.diagnosis_record import (
     RankedEffect,
     RivalExplanation,
 )
-from imubayes.criticism.projection import Projection
+from imubayes.adequacy.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import following_covariate
 from imubayes.criticism.verdict import EffectChoice, Suggestion

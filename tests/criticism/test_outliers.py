@@ -9,11 +9,11 @@ from null_data import fitted_to, redrawn, refitted, with_values
 
 import imubayes.criticism.stepwise_search as search_module
 from imubayes.criticism.candidate_effects import candidate_responses
-from imubayes.criticism.cross_validation import groups, predict_left_out, whole_fit
+from imubayes.loop.cross_validation import groups, predict_left_out, whole_fit
 from imubayes.criticism.diagnose import judge
-from imubayes.criticism.noise_tests import screen_noise, to_entries
+from imubayes.adequacy.noise_tests import screen_noise, to_entries
 from imubayes.criticism.outliers import consecutive
-from imubayes.criticism.projection import project
+from imubayes.adequacy.projection import project
 from imubayes.display.diagnosis_report import diagnosis_json
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import imubayes.criticism.refit as refit_module
+import imubayes.loop.refit as refit_module
 from imubayes.api import ModelChange, Result, add, fit, remove
 from imubayes.cli.main import run
-from imubayes.criticism.addition import simplest
-from imubayes.criticism.cross_validation import objection, summarise_gains
+from imubayes.loop.addition import simplest
+from imubayes.loop.cross_validation import objection, summarise_gains
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, RivalExplanation
 from imubayes.criticism.evidence.evidence_record import EffectSlot, Evidence, ProbableEffect
-from imubayes.criticism.not_distinguished import NotDistinguished, correlated_owners
-from imubayes.criticism.removal import _among, _refuse_required, _without, reduce
-from imubayes.criticism.removal_odds import removal_log_odds
-from imubayes.criticism.start_at_estimates import start_at_estimates
+from imubayes.loop.not_distinguished import NotDistinguished, correlated_owners
+from imubayes.loop.removal import _among, _refuse_required, _without, reduce
+from imubayes.loop.removal_odds import removal_log_odds
+from imubayes.loop.start_at_estimates import start_at_estimates
 from imubayes.criticism.verdict import EffectChoice, Suggestion
-from imubayes.criticism.warm_start import extend
+from imubayes.loop.warm_start import extend
 from imubayes.display.change_report import change_lines
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit

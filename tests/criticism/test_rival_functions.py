@@ -15,7 +15,7 @@ from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.localised_structure import Feature, FeatureScan, FeatureSet
-from imubayes.criticism.projection import project
+from imubayes.adequacy.projection import project
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.rival_functions import drifts_of_series
 from imubayes.criticism.score_test import project_responses

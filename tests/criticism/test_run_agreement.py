@@ -16,9 +16,9 @@ from imubayes.campaign import load_campaign
 from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds, wrong_runs
 from imubayes.criticism.candidate_effects import Responses
-from imubayes.criticism.deletion_diagnostics import linear_fit
+from imubayes.adequacy.deletion_diagnostics import linear_fit
 from imubayes.criticism.disagreement_record import Disagreement
-from imubayes.criticism.run_agreement import agreement_of_runs, doubted_runs, known_before
+from imubayes.adequacy.run_agreement import agreement_of_runs, doubted_runs, known_before
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model

@@ -9,7 +9,7 @@ from null_data import fitted_to
 
 from imubayes.criticism import score_test, thresholds
 from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan, candidate_responses
-from imubayes.criticism.projection import PRIOR, Projection, Strata, project
+from imubayes.adequacy.projection import PRIOR, Projection, Strata, project
 from imubayes.criticism.scales_beside import at_scales_beside
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, assess
 from imubayes.parameters.priors import Normal

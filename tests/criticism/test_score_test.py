@@ -12,7 +12,7 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.multiple_testing import look_elsewhere
-from imubayes.criticism.projection import project
+from imubayes.adequacy.projection import project
 from imubayes.criticism.score_test import project_responses, score_test, screen
 from imubayes.criticism.stepwise_search import search
 from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_lines

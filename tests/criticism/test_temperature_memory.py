@@ -13,7 +13,7 @@ from imubayes.criticism import stepwise_search, temperature_memory, thresholds, 
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
-from imubayes.criticism.projection import project
+from imubayes.adequacy.projection import project
 from imubayes.criticism.score_test import project_responses
 from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.criticism.temperature_memory import LAG, PLAY, RATE, Course, kind_of_memory

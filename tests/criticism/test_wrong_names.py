@@ -13,7 +13,7 @@ from test_chain_stage import signal, without
 
 from imubayes.criticism import effect_selection
 from imubayes.criticism.diagnose import judge
-from imubayes.criticism.noise_violation import NoiseComparison
+from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.criticism.stepwise_search import SearchResult, search
 from imubayes.criticism.unexplained_structure import unexplained_structure
 from imubayes.display.diagnosis_sentences import sentence

@@ -21,11 +21,12 @@ from imubayes.criticism.diagnosis_record import (
 from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement
 from imubayes.criticism.evidence.evidence_record import FoundForm, FoundNoise
 from imubayes.criticism.formula_search import FormulaTerm
-from imubayes.criticism.held_out_record import CrossValidation
-from imubayes.criticism.injection_recovery import Size, Trial, Trials
-from imubayes.criticism.known_noise import KnownNoise
-from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
-from imubayes.criticism.noise_violation import NoiseComparison
+from imubayes.loop.held_out_record import CrossValidation
+from imubayes.loop.injection_recovery import Size, Trial, Trials
+from imubayes.adequacy.known_noise import KnownNoise
+from imubayes.adequacy.adequacy_record import ChannelRms
+from imubayes.loop.model_history import ChiSquareDrop, Node, Tree, node_id
+from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
 from imubayes.criticism.verdict import EffectChoice, Suggestion, Verdict

@@ -8,8 +8,8 @@ from rich.console import Console
 
 from display.made_diagnoses import diagnosis
 from imubayes.campaign import Inspection, inspect_campaign
-from imubayes.criticism.held_out_record import CrossValidation
-from imubayes.criticism.refit import Prediction
+from imubayes.loop.held_out_record import CrossValidation
+from imubayes.loop.refit import Prediction
 from imubayes.criticism.verdict import CoefficientEstimate, EffectChoice, RmsChange
 from imubayes.display.change_report import change_lines, change_report, next_command
 from imubayes.display.check_report import check_report

@@ -195,7 +195,7 @@ def second_step(fitted: Any, document: Document, planted: list[dict[str, Any]]) 
 
 def extended_mode(fitted: Any, found: dict[str, Any]) -> Any:
     """Return the fit with one effect more, as `imubayes add` begins it."""
-    from imubayes.criticism.warm_start import extend
+    from imubayes.loop.warm_start import extend
 
     shape = {f"{found['effect']}.{field}": value for field, value in found["shape"].items()}
     hints = {one["name"]: one["value"] for one in found["coefficients"]}

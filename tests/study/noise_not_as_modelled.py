@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import beta
 
 from imubayes.campaign import load_campaign
-from imubayes.criticism.noise_assumptions import judged_noise
+from imubayes.adequacy.noise_assumptions import judged_noise
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind

@@ -12,7 +12,7 @@ import pytest
 from imubayes.api import fit
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
-from imubayes.criticism.warm_start import extend
+from imubayes.loop.warm_start import extend
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.prior_agreement import PriorConflict, prior_conflicts
 from imubayes.model.bind import bind

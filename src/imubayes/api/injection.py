@@ -5,10 +5,10 @@ from pathlib import Path
 
 from imubayes.api.fitting import bound
 from imubayes.campaign_data import Campaign
-from imubayes.criticism.injection_recovery import Size, Trials, plant_effects
 from imubayes.display.notebook_progress import progress_of
 from imubayes.errors import input_error
 from imubayes.inference.run_fit import joint_fit
+from imubayes.loop.injection_recovery import Size, Trials, plant_effects
 from imubayes.model.model_spec import ModelSpec
 from imubayes.results.result import Result, read_result
 

@@ -6,17 +6,17 @@ from dataclasses import replace as with_fields
 from pathlib import Path
 
 from imubayes.atomic_files import refuse_existing
-from imubayes.criticism.addition import refit_with
-from imubayes.criticism.cross_validation import objection
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.criticism.model_history import Tree
-from imubayes.criticism.refit import Refit
-from imubayes.criticism.removal import refit_without
 from imubayes.display.notebook_progress import progress_of
 from imubayes.errors import input_error
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit
+from imubayes.loop.addition import refit_with
+from imubayes.loop.cross_validation import objection
+from imubayes.loop.model_history import Tree
+from imubayes.loop.refit import Refit
+from imubayes.loop.removal import refit_without
 from imubayes.model.effect_registry import names_in
 from imubayes.model.model_file import read_model
 from imubayes.qualification.report_budgets import keep_budgets

@@ -7,7 +7,7 @@ from imubayes.cli.options import Json, print_json
 from imubayes.cli.session import progress, start_jax
 
 if TYPE_CHECKING:
-    from imubayes.criticism.model_history import Tree
+    from imubayes.loop.model_history import Tree
 
 
 def history(

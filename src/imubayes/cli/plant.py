@@ -50,9 +50,9 @@ def plant(
     with progress() as tell:
         start_jax()
         from imubayes.api import plant as plant_effects
-        from imubayes.criticism.injection_recovery import Size
         from imubayes.display.injection_report import injection_json, injection_report
         from imubayes.display.report_layout import print_report
+        from imubayes.loop.injection_recovery import Size
 
         trials = plant_effects(
             campaign, model, result=result, effects=split(effects),

@@ -13,7 +13,7 @@ _RECORDS = {
     "constants": ("imubayes.qualification.onboard_record", "OnboardConstants"),
     "diagnosis": ("imubayes.criticism.diagnosis_record", "Diagnosis"),
     "change": ("imubayes.results.model_change", "ModelChange"),
-    "history": ("imubayes.criticism.model_history", "Node"),
+    "history": ("imubayes.loop.model_history", "Node"),
     "fit": ("imubayes.results.fit_file", "FitRecord"),
     "report": ("imubayes.qualification.report_record", "QualificationReport"),
     "summary": ("imubayes.results.summary", "Summary"),

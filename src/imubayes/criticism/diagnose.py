@@ -10,6 +10,9 @@ from functools import cached_property
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.adequacy.known_noise import compare_with_known, known_scales
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint, known_noise_point
+from imubayes.adequacy.projection import project
 from imubayes.criticism.candidate_effects import Responses, candidate_responses
 from imubayes.criticism.detectability import AbsorbedResponses, Detectability
 from imubayes.criticism.diagnosis_record import (
@@ -30,10 +33,7 @@ from imubayes.criticism.evidence.hypothesis import Hypothesis
 from imubayes.criticism.evidence.noise_structures import Family
 from imubayes.criticism.evidence.posterior_summary import Posterior, Slot, SlotMember
 from imubayes.criticism.formula_search import find_formula
-from imubayes.criticism.known_noise import compare_with_known, known_scales
-from imubayes.criticism.known_noise_fit import KnownNoisePoint, known_noise_point
 from imubayes.criticism.outliers import outliers
-from imubayes.criticism.projection import project
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
 from imubayes.criticism.residual_evidence import ResidualEvidence, residual_evidence
 from imubayes.criticism.verdict import CoefficientEstimate, RmsChange, Suggestion, Verdict

@@ -7,12 +7,12 @@ from typing import Literal
 
 from pydantic import PrivateAttr
 
+from imubayes.adequacy.adequacy_record import NoiseComparison
+from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.criticism.detectability import NEGLECTED_SHIFT, Absorber, NeglectedUncertainty, ParameterBias
 from imubayes.criticism.disagreement_record import Disagreement
 from imubayes.criticism.evidence.evidence_record import Evidence
 from imubayes.criticism.formula_search import FormulaTerm
-from imubayes.criticism.known_noise import KnownNoise
-from imubayes.criticism.noise_violation import NoiseComparison
 from imubayes.criticism.outliers import Outlier
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.criticism.verdict import CoefficientEstimate, RmsChange, Suggestion, Verdict

@@ -5,13 +5,6 @@ from typing import Literal
 from imubayes.json_record import Record
 
 
-class DoubtedRun(Record):
-    """A run that the others, which agree with one another, do not predict; `p` for all runs together."""
-
-    run: str
-    p: float
-
-
 class AgreeingInput(Record):
     """A recorded quantity of a run, or of one row of it, and what would make the run agree with the others.
 

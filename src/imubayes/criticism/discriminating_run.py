@@ -7,10 +7,10 @@ all runs, the new one included; the run that makes the smallest of these largest
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.adequacy.known_noise import known_scales
+from imubayes.adequacy.known_noise_fit import whitened_rows
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.evidence.posterior_summary import Posterior, Slot
-from imubayes.criticism.known_noise import known_scales
-from imubayes.criticism.known_noise_fit import whitened_rows
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
 from imubayes.inference.fitted_model import Fit

@@ -3,8 +3,6 @@
 import math
 from collections.abc import Sequence
 
-from imubayes.criticism.held_out_record import CrossValidation
-from imubayes.criticism.not_distinguished import NotDistinguished
 from imubayes.criticism.verdict import RmsChange
 from imubayes.display.change_tables import LEAST_PERCENT, change_sheets, leading_sheets_of, share, size_of
 from imubayes.display.diagnosis_report import add_command
@@ -12,6 +10,8 @@ from imubayes.display.history_table import offsets_moved_text
 from imubayes.display.prior_conflicts import conflict_line
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import significant
+from imubayes.loop.held_out_record import CrossValidation
+from imubayes.loop.not_distinguished import NotDistinguished
 from imubayes.results.model_change import ModelChange, RunRmsChange
 
 _MOST_CHANGES = 3

@@ -2,10 +2,10 @@
 
 import math
 
+from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, UndetectableEffect
 from imubayes.criticism.evidence.evidence_record import NAMED
-from imubayes.criticism.noise_violation import NoiseComparison
 from imubayes.display.disagreement_text import disagreement_text
 from imubayes.display.evidence_text import form_text, likely, noise_text, probability
 from imubayes.display.labels import listed, pretty

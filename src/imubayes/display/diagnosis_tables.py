@@ -1,8 +1,8 @@
 """The evidence of a diagnosis in tables: effects, noise, outliers, formulas, and what cannot be detected."""
 
+from imubayes.adequacy.adequacy_record import NOISE_AGREES
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
-from imubayes.criticism.noise_violation import NOISE_AGREES
 from imubayes.display.diagnosis_sentences import why_undetectable
 from imubayes.display.evidence_text import noise_text, probability
 from imubayes.display.labels import listed, pretty

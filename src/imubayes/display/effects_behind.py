@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import polars as pl
 
-from imubayes.criticism.warm_start import null_point
 from imubayes.display.classical_of_prediction import classical_values, with_outputs
 from imubayes.inference.determined_combinations import combined
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_groups import in_units
+from imubayes.loop.warm_start import null_point
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import predict_many
 from imubayes.results.summary import Summary

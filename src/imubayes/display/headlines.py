@@ -1,9 +1,9 @@
 """The one line by which a record shows itself where the whole report would be too much."""
 
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.criticism.injection_recovery import Trials
-from imubayes.criticism.model_history import Tree
 from imubayes.display.rounding import significant
+from imubayes.loop.injection_recovery import Trials
+from imubayes.loop.model_history import Tree
 from imubayes.results.history_tree import shown_place
 from imubayes.results.model_change import ModelChange
 from imubayes.results.result import Result

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from imubayes.criticism.model_history import Node, Tree
 from imubayes.display.change_report import change_lines
 from imubayes.display.change_tables import change_sheets
 from imubayes.display.diagnosis_report import next_command
@@ -25,6 +24,7 @@ from imubayes.display.table_layout import Sheet
 from imubayes.display.templates import render
 from imubayes.display.theme import Picture
 from imubayes.errors import InputError
+from imubayes.loop.model_history import Node, Tree
 from imubayes.results.history_tree import shown_place
 from imubayes.results.loop_files import HistoryStep, read_diagnosis
 from imubayes.results.read_folder import read_summary_and_residuals

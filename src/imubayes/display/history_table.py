@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from imubayes.criticism.model_history import Node, Tree, rms_by_unit
 from imubayes.display.labels import listed, pretty, readable
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import ratio_text, significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
+from imubayes.loop.model_history import Node, Tree, rms_by_unit
 from imubayes.results.history_tree import shown_place
 
 Scales = Mapping[str, tuple[float, str]]

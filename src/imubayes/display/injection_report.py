@@ -2,13 +2,13 @@
 
 from typing import Any
 
-from imubayes.criticism.injection_recovery import Trial, Trials
 from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.evidence_text import probability
 from imubayes.display.labels import listed, pretty
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import percent, significant
 from imubayes.display.table_layout import Cell, Sheet
+from imubayes.loop.injection_recovery import Trial, Trials
 
 _MOOD = {"first": "", "other name": "weak", "missed": "bad"}
 

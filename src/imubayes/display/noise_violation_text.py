@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
+from imubayes.adequacy.adequacy_record import NoiseComparison, NoiseViolation
 from imubayes.display.labels import listed, pretty
 from imubayes.display.rounding import relation, significant, value_and_sd
 

@@ -3,8 +3,6 @@
 from functools import partial
 
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.criticism.injection_recovery import Trials
-from imubayes.criticism.model_history import Tree
 from imubayes.display.change_report import change_report
 from imubayes.display.diagnosis_report import diagnosis_report
 from imubayes.display.fit_report import summary_report
@@ -19,6 +17,8 @@ from imubayes.display.history_table import history_report
 from imubayes.display.injection_report import injection_report
 from imubayes.display.report_layout import report_html, report_text
 from imubayes.display.summary_html import summary_html
+from imubayes.loop.injection_recovery import Trials
+from imubayes.loop.model_history import Tree
 from imubayes.representation import headline_of, html_of, text_of
 from imubayes.results.model_change import ModelChange
 from imubayes.results.result import Result

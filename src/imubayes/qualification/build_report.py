@@ -11,8 +11,8 @@ import polars as pl
 from imubayes.campaign_data import Campaign
 from imubayes.covariates import shown
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.criticism.model_history import Tree
 from imubayes.errors import InputError
+from imubayes.loop.model_history import Tree
 from imubayes.qualification.assess import Assessment, assess, standards_input, tested_unit
 from imubayes.qualification.conformance import ProbabilityByTwoMethods
 from imubayes.qualification.conformity import ConformityOfQuantity, TestedUnit

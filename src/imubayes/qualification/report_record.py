@@ -7,9 +7,9 @@ None.
 
 from typing import Literal
 
+from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.evidence.evidence_record import Evidence
-from imubayes.criticism.model_history import ChannelRms
 from imubayes.criticism.verdict import Verdict
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.prior_conflict import PriorConflict

@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.criticism.model_history import ChiSquareDrop, Node, node_id
 from imubayes.errors import InputError
 from imubayes.inference.run_fit import model_hash
+from imubayes.loop.model_history import ChiSquareDrop, Node, node_id
 from imubayes.model.bind import Model
 from imubayes.results.fit_file import campaign_hash
 from imubayes.results.history_tree import read_node, select, write_node

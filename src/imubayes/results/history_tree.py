@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from imubayes.atomic_files import write_text
-from imubayes.criticism.model_history import Node, Tree
 from imubayes.errors import Issue, input_error
+from imubayes.loop.model_history import Node, Tree
 from imubayes.results.record_files import read_record
 
 HISTORY = "history.json"

@@ -9,10 +9,10 @@ import polars as pl
 
 from imubayes.atomic_files import write_text
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup
-from imubayes.criticism.model_history import Node, Tree
-from imubayes.criticism.removal_odds import removal_log_odds
 from imubayes.errors import InputError
 from imubayes.json_record import Record
+from imubayes.loop.model_history import Node, Tree
+from imubayes.loop.removal_odds import removal_log_odds
 from imubayes.results.history_tree import read_tree
 from imubayes.results.model_change import ModelChange
 from imubayes.results.record_names import RESIDUALS

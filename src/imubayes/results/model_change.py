@@ -6,14 +6,14 @@ import numpy as np
 import polars as pl
 from pydantic import PrivateAttr
 
-from imubayes.criticism.changed_model import ChangedModel
-from imubayes.criticism.held_out_record import CrossValidation
-from imubayes.criticism.model_history import ChannelRms
-from imubayes.criticism.not_distinguished import NotDistinguished, not_distinguished
-from imubayes.criticism.refit import Prediction, Refit
+from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.verdict import CoefficientEstimate, EffectChoice, RmsChange
 from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record, finite
+from imubayes.loop.changed_model import ChangedModel
+from imubayes.loop.held_out_record import CrossValidation
+from imubayes.loop.not_distinguished import NotDistinguished, not_distinguished
+from imubayes.loop.refit import Prediction, Refit
 from imubayes.representation import Presented
 from imubayes.results.estimate_changes import EstimateChange, estimate_changes
 from imubayes.results.output_units import in_output_units

@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.criticism.known_noise import compare_with_known
-from imubayes.criticism.known_noise_fit import fit_at_known_noise
-from imubayes.criticism.model_history import KnownNoiseFit
-from imubayes.criticism.noise_assumptions import NoiseJudgement, judged_noise_in, projected
-from imubayes.criticism.noise_violation import NoiseComparison
-from imubayes.criticism.run_agreement import doubted_runs
+from imubayes.adequacy.adequacy_record import KnownNoiseFit, NoiseComparison
+from imubayes.adequacy.known_noise import compare_with_known
+from imubayes.adequacy.known_noise_fit import fit_at_known_noise
+from imubayes.adequacy.noise_assumptions import NoiseJudgement, judged_noise_in, projected
+from imubayes.adequacy.run_agreement import doubted_runs
 from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import next_runs

@@ -7,9 +7,7 @@ from typing import Any, Literal
 
 from pydantic import field_validator
 
-from imubayes.criticism.disagreement_record import DoubtedRun
-from imubayes.criticism.model_history import KnownNoiseFit
-from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
+from imubayes.adequacy.adequacy_record import DoubtedRun, KnownNoiseFit, NoiseComparison, NoiseViolation
 from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput

@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.adequacy.known_noise import known_scales, noise_scales, sample_noise
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Channel
 from imubayes.criticism.candidate_effects import Coefficient, Response, Responses
 from imubayes.criticism.evidence.row_correlation import RowCorrelation, correlations_of
-from imubayes.criticism.known_noise import known_scales, noise_scales, sample_noise
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept
 from imubayes.model.bind import Model

@@ -23,8 +23,8 @@ from typing import Literal
 import numpy as np
 import scipy.linalg
 
+from imubayes.adequacy.known_noise import SISTERS_LOG_SD
 from imubayes.criticism.evidence.linear_problem import UNKNOWN, ChannelRows, LinearProblem
-from imubayes.criticism.known_noise import SISTERS_LOG_SD
 
 Family = Literal["known", "scale", "correlated", "wander", "rate", "tails", "runs"]
 

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.adequacy.known_noise import noise_scales
 from imubayes.array_shapes import Array, Float
-from imubayes.criticism.known_noise import noise_scales
 from imubayes.gather import in_batches
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept

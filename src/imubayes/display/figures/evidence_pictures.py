@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.covariates import Covariate, shown
 from imubayes.criticism.diagnosis_record import CovariateLabel, EffectGroup
 from imubayes.criticism.effect_covariates import INPUTS
-from imubayes.criticism.known_noise import KnownNoise
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
 from imubayes.display.figures.recorded_noise import recorded_noise_figure

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from imubayes.criticism.known_noise import KnownNoise
-from imubayes.criticism.noise_violation import NoiseComparison
+from imubayes.adequacy.adequacy_record import NoiseComparison
+from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.display.figures.panels import limit_of, thinned
 from imubayes.display.labels import shortened
 from imubayes.display.rounding import value_and_sd

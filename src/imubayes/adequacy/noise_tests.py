@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.gauss_markov import WHITE, InnovationsFilter, MarkovNoise, estimate_markov_noise
-from imubayes.criticism.projection import Projection
+from imubayes.adequacy.gauss_markov import WHITE, InnovationsFilter, MarkovNoise, estimate_markov_noise
+from imubayes.adequacy.projection import Projection
 from imubayes.noise.components import Outliers
 from imubayes.tail_probabilities import chi2_survival, normal_survival
 

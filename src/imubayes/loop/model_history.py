@@ -10,49 +10,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from imubayes.criticism.held_out_record import CrossValidation
+from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.verdict import EffectChoice, Verdict
 from imubayes.json_record import Record
+from imubayes.loop.held_out_record import CrossValidation
 from imubayes.representation import Presented
 
 # Effects of one step that its title names.
 _MOST_NAMED = 3
-
-
-class ChannelRms(Record):
-    """The residual rms of one channel.
-
-    Attributes
-    ----------
-    within : about the mean of each run; None where it is unknown.
-    noise : standard deviation that is known of the residual beforehand, offsets of runs included; None where unknown.
-    """
-
-    channel: str
-    rms: float
-    unit: str
-    within: float | None = None
-    noise: float | None = None
-
-
-class KnownNoiseFit(Record):
-    """Goodness of fit at the noise known beforehand.
-
-    Attributes
-    ----------
-    chi2 : least sum of squares of outputs and priors.
-    dof : number of outputs.
-    channels : residual rms of each channel, offsets of runs included, with the noise that was known.
-    """
-
-    chi2: float
-    dof: float
-    channels: tuple[ChannelRms, ...]
-
-    @property
-    def chi2_per_dof(self) -> float:
-        """χ² per degree of freedom."""
-        return self.chi2 / self.dof
 
 
 class ChiSquareDrop(Record):

@@ -2,7 +2,7 @@
 
 A scale of the noise that takes up a missing effect leaves χ² at its degrees of freedom, and the offset of a run that
 grows takes up what differs between runs.  At scales that do not depend on the fit
-(`imubayes.criticism.known_noise.known_scales`) neither can happen: the least sum of squares of outputs and priors,
+(`imubayes.adequacy.known_noise.known_scales`) neither can happen: the least sum of squares of outputs and priors,
 
     min_z |Σ^(−½) (y − f(z))|² + |z|²,
 
@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.adequacy.adequacy_record import ChannelRms, KnownNoiseFit
+from imubayes.adequacy.known_noise import known_scales
 from imubayes.campaign_data import INPUT_UNIT
-from imubayes.criticism.known_noise import known_scales
-from imubayes.criticism.model_history import ChannelRms, KnownNoiseFit
 from imubayes.gather import in_batches
 from imubayes.group_means import group_means
 from imubayes.inference.fitted_model import Fit

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.criticism.changed_model import ChangedModel
-from imubayes.criticism.cross_validation import cross_validate, objection, observed_delta_chi2
-from imubayes.criticism.held_out_record import CrossValidation
-from imubayes.criticism.known_noise import known_scales
-from imubayes.criticism.known_noise_fit import known_noise_point
+from imubayes.adequacy.known_noise import known_scales
+from imubayes.adequacy.known_noise_fit import known_noise_point
 from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import linearise
 from imubayes.inference.run_fit import joint_fit
 from imubayes.json_record import Record, finite
+from imubayes.loop.changed_model import ChangedModel
+from imubayes.loop.cross_validation import cross_validate, objection, observed_delta_chi2
+from imubayes.loop.held_out_record import CrossValidation
 
 
 class Prediction(Record):

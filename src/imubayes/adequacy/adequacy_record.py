@@ -1,4 +1,4 @@
-"""How the noise departs from its model, and from what is known of it beforehand, as records."""
+"""What a fit says of its own adequacy, as records: noise against what is known, runs that others do not predict, χ²."""
 
 import math
 from dataclasses import dataclass
@@ -96,3 +96,46 @@ class NoiseComparison:
         """Whether fitted and known noise agree, but for chance or for less than is worth a word."""
         chance = NOISE_TOLD_SD * self.ratio_sd / self.ratio
         return not self.excessive and abs(math.log(self.ratio)) < max(math.log(_NOISE_TOLD), chance)
+
+
+class DoubtedRun(Record):
+    """A run that the others, which agree with one another, do not predict; `p` for all runs together."""
+
+    run: str
+    p: float
+
+
+class ChannelRms(Record):
+    """The residual rms of one channel.
+
+    Attributes
+    ----------
+    within : about the mean of each run; None where it is unknown.
+    noise : standard deviation that is known of the residual beforehand, offsets of runs included; None where unknown.
+    """
+
+    channel: str
+    rms: float
+    unit: str
+    within: float | None = None
+    noise: float | None = None
+
+
+class KnownNoiseFit(Record):
+    """Goodness of fit at the noise known beforehand.
+
+    Attributes
+    ----------
+    chi2 : least sum of squares of outputs and priors.
+    dof : number of outputs.
+    channels : residual rms of each channel, offsets of runs included, with the noise that was known.
+    """
+
+    chi2: float
+    dof: float
+    channels: tuple[ChannelRms, ...]
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """χ² per degree of freedom."""
+        return self.chi2 / self.dof

@@ -13,15 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
-from imubayes.criticism.held_out_record import CrossValidation, GroupGain, HeldOutVerdict
 from imubayes.criticism.verdict import RmsChange
-from imubayes.criticism.warm_start import REFIT_LOSS
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.noise_marginal import curvature, slope
 from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
 from imubayes.inference.posterior_precision import Linearised, linearise
 from imubayes.json_record import finite
 from imubayes.kept_programs import kept
+from imubayes.loop.held_out_record import CrossValidation, GroupGain, HeldOutVerdict
+from imubayes.loop.warm_start import REFIT_LOSS
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals
 from imubayes.model.problem import hyper_prior_square, masked

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from imubayes.criticism.projection import Projection
+from imubayes.adequacy.projection import Projection
 
 _MARKOV_SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0)
 """Grid of the restricted likelihood: share of the variance that is correlated, correlation from row to row.  Effort."""

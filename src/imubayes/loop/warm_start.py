@@ -17,13 +17,13 @@ from scipy.linalg import solve_triangular
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
 from imubayes.criticism.candidate_effects import fitting_channels
-from imubayes.criticism.changed_model import ChangedModel, beyond, new_in
 from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.effects.base import MotionEffect
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import Linearised, linearise
 from imubayes.json_record import finite
 from imubayes.kept_programs import kept
+from imubayes.loop.changed_model import ChangedModel, beyond, new_in
 from imubayes.model.bind import Model, bind
 from imubayes.model.dry_run import dry_run
 from imubayes.model.effect_registry import EffectClass, Registry

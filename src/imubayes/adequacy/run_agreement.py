@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from imubayes.criticism.deletion_diagnostics import LinearFit, linear_fit
-from imubayes.criticism.disagreement_record import DoubtedRun
-from imubayes.criticism.known_noise import known_scales, largest_scatter, scales_between_runs
+from imubayes.adequacy.adequacy_record import DoubtedRun
+from imubayes.adequacy.deletion_diagnostics import LinearFit, linear_fit
+from imubayes.adequacy.known_noise import known_scales, largest_scatter, scales_between_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.tail_probabilities import f_log_survival
 

@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.criticism.noise_tests import to_entries
-from imubayes.criticism.noise_violation import NOISE_AGREES, NOISE_TOLD_SD, NoiseComparison
-from imubayes.criticism.projection import Projection
+from imubayes.adequacy.adequacy_record import NOISE_AGREES, NOISE_TOLD_SD, NoiseComparison
+from imubayes.adequacy.noise_tests import to_entries
+from imubayes.adequacy.projection import Projection
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.effect_registry import EffectClass

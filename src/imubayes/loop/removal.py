@@ -3,11 +3,11 @@
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
-from imubayes.criticism.changed_model import ChangedModel, beyond, new_in
-from imubayes.criticism.refit import Refit, refit_changed, require_fit
 from imubayes.effects.thermometer import TemperatureOffset
 from imubayes.errors import InputError, Issue, closest_first, input_error
 from imubayes.inference.fitted_model import Fit
+from imubayes.loop.changed_model import ChangedModel, beyond, new_in
+from imubayes.loop.refit import Refit, refit_changed, require_fit
 from imubayes.model.bind import bind
 from imubayes.model.effect_registry import Registry, names_in
 from imubayes.model.model_spec import EffectSpec, ModelSpec, PriorCorrelation

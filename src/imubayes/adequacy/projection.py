@@ -141,7 +141,7 @@ class RowTransform:
     """From entries to rows: whiten, then reflect each group's common direction into its first row.
 
     `members` are the groups' entries, `series` the same in the order of time, both (G, M) and padded with E; `extra`
-    (optional) is a further whitening of the entries, see `imubayes.criticism.noise_tests`.
+    (optional) is a further whitening of the entries, see `imubayes.adequacy.noise_tests`.
     """
 
     problem: Problem

@@ -10,9 +10,9 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.criticism.changed_model import ChangedModel
-from imubayes.criticism.warm_start import whitened
 from imubayes.inference.posterior_mode import heights
+from imubayes.loop.changed_model import ChangedModel
+from imubayes.loop.warm_start import whitened
 
 
 def start_at_estimates(change: ChangedModel, estimates: Mapping[str, float]) -> ChangedModel:

@@ -18,12 +18,12 @@ from imubayes.criticism.candidate_effects import searchable
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.verdict import Verdict
-from imubayes.criticism.warm_start import extended, whitened
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.run_fit import judged_fit
 from imubayes.kept_programs import kept
+from imubayes.loop.warm_start import extended, whitened
 from imubayes.model.bind import Model, bind
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Sequence
 
-from imubayes.criticism.changed_model import ChangedModel
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
-from imubayes.criticism.refit import Refit, refit_changed, require_fit
-from imubayes.criticism.start_at_estimates import start_at_estimates
 from imubayes.criticism.verdict import CoefficientEstimate
-from imubayes.criticism.warm_start import extend
 from imubayes.inference.fitted_model import Fit
+from imubayes.loop.changed_model import ChangedModel
+from imubayes.loop.refit import Refit, refit_changed, require_fit
+from imubayes.loop.start_at_estimates import start_at_estimates
+from imubayes.loop.warm_start import extend
 
 
 def refit_with(

@@ -2,7 +2,7 @@
 
 The uncertainty of a fit follows from the law of its noise.  Noise that wanders, has heavy tails or outliers, or that a
 coarse output hides gives intervals that hold the truth less often than they say, although chi-square is as it should
-be.  The statistics are those of the diagnosis (`imubayes.criticism.noise_tests`), each against its distribution for
+be.  The statistics are those of the diagnosis (`imubayes.adequacy.noise_tests`), each against its distribution for
 white noise, and two more: power at the lowest frequencies of each run, and the step between neighbouring outputs.
 """
 
@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.criticism.noise_tests import KINDS, OUTLIERS, screen_noise
-from imubayes.criticism.noise_violation import NoiseKind, NoiseViolation
-from imubayes.criticism.projection import Projection, project
+from imubayes.adequacy.adequacy_record import NoiseKind, NoiseViolation
+from imubayes.adequacy.noise_tests import KINDS, OUTLIERS, screen_noise
+from imubayes.adequacy.projection import Projection, project
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import linearise
 
