@@ -5,8 +5,8 @@ import pytest
 
 from imubayes.covariates import CONDITIONS, COVARIATES, remedy
 from imubayes.criticism import free_form_dependence
-from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.model.effect_registry import Registry
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 # Axes of labels that every campaign has, and kinds of channels that only noise acts on.
 ALWAYS_THERE = {"channel", "run", "angle", "closure"}

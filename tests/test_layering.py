@@ -33,7 +33,7 @@ FLOORS = (
     ("effects", "noise"),
     ("model",),
     ("inference", "simulation", "noise_analysis"),
-    ("adequacy",),
+    ("adequacy", "responses"),
     ("criticism", "archive"),
     ("loop",),
     ("results",),

@@ -6,7 +6,7 @@ import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.covariates import COVARIATES, Covariate
-from imubayes.criticism.residual_covariates import covariates
+from imubayes.responses.residual_covariates import covariates
 from imubayes.criticism.term_library import library
 from imubayes.display.figures.panels import abscissa
 from imubayes.display.residual_columns import covariates_of, numbers

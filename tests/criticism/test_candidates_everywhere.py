@@ -23,7 +23,7 @@ from tumble_plans import TumblePlan, write_tumble
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model, bind

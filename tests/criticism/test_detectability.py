@@ -8,7 +8,7 @@ from null_data import fitted_to
 from scipy import stats
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.criticism.detectability import freedom_of, noncentrality_needed
 from imubayes.adequacy.projection import Projection, project, with_run_offsets
 from imubayes.criticism.score_test import project_responses, score_test

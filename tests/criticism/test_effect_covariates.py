@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imubayes.criticism import effect_covariates
-from imubayes.criticism.effect_covariates import MEMORY, covariates_of
+from imubayes.responses import effect_covariates
+from imubayes.responses.effect_covariates import MEMORY, covariates_of
 from imubayes.effects import EFFECTS
 
 CATALOGUE = {member.name: member for member in EFFECTS}

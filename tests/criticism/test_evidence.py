@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg, stats
 
 from imubayes.campaign_data import Channel
-from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan
+from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
 from imubayes.criticism.evidence.effect_variants import effect_variants
 from imubayes.criticism.evidence.free_forms import FormHypothesis, free_forms
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
@@ -17,7 +17,7 @@ from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProble
 from imubayes.criticism.evidence.model_search import ModelSearch
 from imubayes.criticism.evidence.noise_structures import KNOWN, StateNoise, correlated, random_walk
 from imubayes.criticism.evidence.posterior_summary import evidence_of
-from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.parameters.priors import Normal
 from imubayes.parameters.vector import Parameter
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.evidence.evidence_record import Evidence
 from imubayes.criticism.evidence.explain import explain
-from imubayes.criticism.residual_covariates import covariates
+from imubayes.responses.residual_covariates import covariates
 from imubayes.display.diagnosis_report import diagnosis_lines
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode

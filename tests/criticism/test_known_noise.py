@@ -11,7 +11,8 @@ from null_data import fitted_to, redrawn, refitted, with_values
 import imubayes.criticism.stepwise_search as stepwise
 from imubayes.campaign import load_campaign
 from imubayes.adequacy import noise_assumptions
-from imubayes.criticism import candidate_effects, diagnose, thresholds
+from imubayes.criticism import diagnose, thresholds
+from imubayes.responses import candidate_effects
 from imubayes.criticism.common_course import common_courses, inflation, replicates
 from imubayes.criticism.diagnose import judge
 from imubayes.adequacy.known_noise import KnownNoise, chance_among_sisters, compare_with_known

@@ -7,13 +7,13 @@ import pytest
 from null_data import fitted_to, redrawn
 from scipy import stats
 
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.free_form_dependence import free_forms, project_forms, screen_structure
 from imubayes.criticism.localised_structure import STEP, features, scan_features
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.adequacy.projection import project
-from imubayes.criticism.residual_covariates import covariates
+from imubayes.responses.residual_covariates import covariates
 from imubayes.criticism.score_test import score_test
 from imubayes.display.diagnosis_report import diagnosis_json
 

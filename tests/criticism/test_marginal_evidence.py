@@ -11,7 +11,7 @@ from null_data import fitted_to, redrawn, refitted
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism import diagnose, effect_selection, effects_beside_noise, stepwise_search, thresholds
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.marginal_evidence import evident_between_runs
 from imubayes.adequacy.projection import project

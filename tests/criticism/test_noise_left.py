@@ -8,7 +8,7 @@ import pytest
 from null_data import fitted_to, redrawn
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.adequacy.projection import project
 from imubayes.criticism.score_test import project_responses
 from imubayes.criticism.stepwise_search import search

@@ -16,7 +16,7 @@ from imubayes.criticism.stepwise_search import SearchResult
 
 from imubayes.criticism import diagnose, suggestions, thresholds
 from imubayes.loop import addition
-from imubayes.criticism.candidate_effects import ShapeScan
+from imubayes.responses.candidate_effects import ShapeScan
 from imubayes.loop.changed_model import ChangedModel
 from imubayes.criticism.diagnosis_record import (
     CoefficientEstimate,
@@ -26,7 +26,7 @@ from imubayes.criticism.diagnosis_record import (
     RivalExplanation,
 )
 from imubayes.adequacy.projection import Projection
-from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import following_covariate
 from imubayes.criticism.verdict import EffectChoice, Suggestion
 from imubayes.display import diagnosis_sentences

@@ -8,7 +8,7 @@ import pytest
 from null_data import fitted_to, redrawn, refitted, with_values
 
 import imubayes.criticism.stepwise_search as search_module
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.loop.cross_validation import groups, predict_left_out, whole_fit
 from imubayes.criticism.diagnose import judge
 from imubayes.adequacy.noise_tests import screen_noise, to_entries

@@ -11,12 +11,12 @@ from null_data import fitted_to, redrawn
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 from imubayes.criticism import stepwise_search, unlisted_causes
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.localised_structure import Feature, FeatureScan, FeatureSet
 from imubayes.adequacy.projection import project
-from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.criticism.rival_functions import drifts_of_series
 from imubayes.criticism.score_test import project_responses
 from imubayes.criticism.stepwise_search import SearchResult

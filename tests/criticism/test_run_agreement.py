@@ -15,7 +15,7 @@ from simulate import write_simulated
 from imubayes.campaign import load_campaign
 from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds, wrong_runs
-from imubayes.criticism.candidate_effects import Responses
+from imubayes.responses.candidate_effects import Responses
 from imubayes.adequacy.deletion_diagnostics import linear_fit
 from imubayes.criticism.disagreement_record import Disagreement
 from imubayes.adequacy.run_agreement import agreement_of_runs, doubted_runs, known_before

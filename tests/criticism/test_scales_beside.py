@@ -8,7 +8,7 @@ import pytest
 from null_data import fitted_to
 
 from imubayes.criticism import score_test, thresholds
-from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan, candidate_responses
+from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan, candidate_responses
 from imubayes.adequacy.projection import PRIOR, Projection, Strata, project
 from imubayes.criticism.scales_beside import at_scales_beside
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, assess

@@ -9,7 +9,7 @@ from scipy import stats
 
 import imubayes.criticism.stepwise_search as search_module
 from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.adequacy.projection import project

@@ -10,7 +10,7 @@ import pytest
 from null_data import fitted_to, redrawn
 
 from imubayes.criticism import stepwise_search, temperature_memory, thresholds, unlisted_causes
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.adequacy.projection import project

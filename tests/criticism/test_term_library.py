@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.criticism.term_library import levels, library
 
 

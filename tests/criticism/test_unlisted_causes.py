@@ -8,7 +8,7 @@ import pytest
 from null_data import fitted_to, redrawn
 
 from imubayes.criticism import stepwise_search, unlisted_causes
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 
 ABSENT = "gyro_misalignment"

@@ -27,7 +27,7 @@ from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.loop.model_history import ChiSquareDrop, Node, Tree, node_id
 from imubayes.adequacy.adequacy_record import NoiseComparison
-from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
 from imubayes.criticism.verdict import EffectChoice, Suggestion, Verdict
 from imubayes.display import diagnosis_report as shown

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.criticism.residual_covariates import covariates
+from imubayes.responses.residual_covariates import covariates
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode

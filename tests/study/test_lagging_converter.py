@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.criticism import candidate_effects
+from imubayes.responses import candidate_effects
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.inference.fitted_model import Fit

@@ -194,7 +194,7 @@ def project(
 
     Parameters
     ----------
-    misfit, jacobian : shapes (E,) and (E, P), as of `imubayes.criticism.candidate_effects.candidate_responses`.
+    misfit, jacobian : shapes (E,) and (E, P), as of `imubayes.responses.candidate_effects.candidate_responses`.
     extra : a further whitening of the entries.
     offsets : whether run offsets count as noise although the model has none.
     """

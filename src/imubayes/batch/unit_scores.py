@@ -21,11 +21,11 @@ import numpy as np
 import polars as pl
 
 from imubayes.batch.posterior_table import packed
-from imubayes.criticism.candidate_effects import Response, candidate_responses
 from imubayes.criticism.evidence.effect_variants import EffectVariant
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis, scale_mode
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.inference.fitted_model import Fit
+from imubayes.responses.candidate_effects import Response, candidate_responses
 
 _RANK = 1e-10
 """Singular values of the model's Jacobian, relative to the largest, below which a direction is rounding."""

@@ -12,12 +12,12 @@ from statistics import NormalDist
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.criticism.candidate_effects import stated_size
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
 from imubayes.criticism.evidence.evidence_record import NAMED
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis, inverse
 from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import Record
+from imubayes.responses.candidate_effects import stated_size
 
 RUN_OFFSETS = "run offsets"
 DETECTION_POWER = 0.8

@@ -13,7 +13,6 @@ import numpy as np
 from imubayes.adequacy.known_noise import compare_with_known, known_scales
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, known_noise_point
 from imubayes.adequacy.projection import project
-from imubayes.criticism.candidate_effects import Responses, candidate_responses
 from imubayes.criticism.detectability import AbsorbedResponses, Detectability
 from imubayes.criticism.diagnosis_record import (
     AskedEffect,
@@ -31,10 +30,9 @@ from imubayes.criticism.evidence.evidence_record import NAMED, Explanation
 from imubayes.criticism.evidence.explain import explain
 from imubayes.criticism.evidence.hypothesis import Hypothesis
 from imubayes.criticism.evidence.noise_structures import Family
-from imubayes.criticism.evidence.posterior_summary import Posterior, Slot, SlotMember
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
 from imubayes.criticism.formula_search import find_formula
 from imubayes.criticism.outliers import outliers
-from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
 from imubayes.criticism.residual_evidence import ResidualEvidence, residual_evidence
 from imubayes.criticism.verdict import CoefficientEstimate, RmsChange, Suggestion, Verdict
 from imubayes.criticism.wrong_runs import disagreements
@@ -43,6 +41,8 @@ from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import Linearised
 from imubayes.json_record import finite
+from imubayes.responses.candidate_effects import Responses, candidate_responses
+from imubayes.responses.residual_covariates import ResidualCovariate, covariates
 from imubayes.step_counter import Tell, silent
 
 _CERTAINLY = 3.0
@@ -110,7 +110,12 @@ class _Judged:
     """A fit with the posterior over explanations of what it leaves."""
 
     def __init__(
-        self, fit: Fit, responses: Responses, known: Sequence[ResidualCovariate], posterior: Posterior, result: str
+        self,
+        fit: Fit,
+        responses: Responses,
+        known: Sequence[ResidualCovariate],
+        posterior: ExplanationPosterior,
+        result: str,
     ):
         self.fit, self.responses, self.known, self.result = fit, responses, known, result
         self.posterior, self.of = posterior, posterior.of
@@ -179,11 +184,11 @@ class _Judged:
     # ---- effects ----
 
     @cached_property
-    def _doubtful(self) -> Slot | None:
+    def _doubtful(self) -> MissingEffect | None:
         """The strongest of the slots whose effects the runs do not distinguish."""
         return next((slot for slot in self.posterior.slots if len(slot.members) > 1), None)
 
-    def _group(self, slot: Slot, shown: ResidualEvidence) -> EffectGroup:
+    def _group(self, slot: MissingEffect, shown: ResidualEvidence) -> EffectGroup:
         leader = slot.members[0]
         members = tuple(map(self._screened, slot.members))
         return EffectGroup(
@@ -210,19 +215,12 @@ class _Judged:
             coefficients=self.posterior.coefficients(member.variant, member.found),
         )
 
-    def _columns(self, member: SlotMember) -> np.ndarray:
-        """Return the responses of a variant about the fit, (E, C)."""
-        variant = self.of.variants[member.variant]
-        scan = self.of.problem.candidates[variant.response].scan
-        own = [each for each in self.responses.candidates if each.scan.effect == scan.effect]
-        response = next((each for each in own if each.scan == scan), own[0])
-        names = {self.of.problem.coefficients[k].parameter.name for k in variant.places}
-        return response.columns[:, [each.parameter.name in names for each in response.coefficients]]
-
     def _with(self, *members: SlotMember) -> KnownNoisePoint:
-        return self.at_known_noise.with_columns(np.concatenate([self._columns(each) for each in members], axis=1))
+        return self.at_known_noise.with_columns(
+            np.concatenate([self.posterior.response_to(each, self.responses)[0] for each in members], axis=1)
+        )
 
-    def _delta_chi2(self, slots: Sequence[Slot]) -> float | None:
+    def _delta_chi2(self, slots: Sequence[MissingEffect]) -> float | None:
         """Return the drop of χ² by the leaders of all slots together, at the noise known beforehand."""
         if not slots:
             return None

@@ -1,4 +1,4 @@
-"""The candidate run that best distinguishes the members of an slot, found without a simulation.
+"""The candidate run that best distinguishes the members of a slot, found without a simulation.
 
 Were the leader the truth with the coefficients found, a refit with another member would leave |(I − P_b) w|² of χ² over
 all runs, the new one included; the run that makes the smallest of these largest distinguishes them.
@@ -9,52 +9,41 @@ import numpy as np
 
 from imubayes.adequacy.known_noise import known_scales
 from imubayes.adequacy.known_noise_fit import whitened_rows
-from imubayes.criticism.candidate_effects import candidate_responses
-from imubayes.criticism.evidence.posterior_summary import Posterior, Slot
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.problem import prior_widths
+from imubayes.responses.candidate_effects import candidate_responses
 
 _DISTINGUISHED = 16.0
 """χ² by which a planned run has to distinguish the members of a slot: four standard deviations (convention)."""
 
 
-def discriminating_run(fitted: Fit, posterior: Posterior, slot: Slot) -> RunDesign | None:
+def discriminating_run(fitted: Fit, posterior: ExplanationPosterior, slot: MissingEffect) -> RunDesign | None:
     """Return the run that best distinguishes the members of a slot; None where no feasible run does."""
     if len(slot.members) < 2:
         return None
     extended, planned = with_planned(fitted, elsewhere=True)
     if not planned:
         return None
-    entries, of = extended.model.entries, posterior.of
+    entries = extended.model.entries
     responses = candidate_responses(extended, only=[member.effect for member in slot.members])
-    members = []
-    for member in slot.members:
-        scan = of.problem.candidates[of.variants[member.variant].response].scan
-        sizes = {each.name: each.value or 0.0 for each in posterior.coefficients(member.variant, member.found)}
-        own = [each for each in responses.candidates if each.scan.effect == scan.effect]
-        response = next((each for each in own if each.scan == scan), own[0] if own else None)
-        if response is None:
-            return None
-        names = [each.parameter.name for each in response.coefficients]
-        members.append((response.columns[:, [k for k, name in enumerate(names) if name in sizes]],
-                        np.array([sizes[name] for name in names if name in sizes])))  # fmt: skip
+    if {each.scan.effect for each in responses.candidates} < {member.effect for member in slot.members}:
+        return None
+    members = [posterior.response_to(member, responses) for member in slot.members]
     # The runs that are planned have the noise that is known of their channels.
     h = known_scales(extended)
-    white = whitened_rows(extended.model.problem, h, np.concatenate([responses.jacobian, *(c for c, _ in members)], 1))
-    jacobian, *columns = np.split(
-        white, np.cumsum([responses.jacobian.shape[1], *(c.shape[1] for c, _ in members)])[:-1], 1
-    )
+    parts = [responses.jacobian, *(columns for columns, _ in members)]
+    white = whitened_rows(extended.model.problem, h, np.concatenate(parts, axis=1))
+    jacobian, *columns = np.split(white, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
     prior = np.diag(1 / np.asarray(prior_widths(extended.model.problem, jnp.asarray(h))))
     recorded = len(fitted.model.campaign.runs)
+    sized = [(own, sizes) for own, (_, sizes) in zip(columns, members, strict=True)]
     differences = [
-        _least_difference(
-            jacobian, prior, [(own, sizes) for own, (_, sizes) in zip(columns, members, strict=True)],
-            (entries.run < recorded) | (entries.run == recorded + place),
-        )
+        _least_difference(jacobian, prior, sized, (entries.run < recorded) | (entries.run == recorded + place))
         for place in range(len(planned))
-    ]  # fmt: skip
+    ]
     best = int(np.argmax(differences))
     return planned[best].design if differences[best] >= _DISTINGUISHED else None
 

@@ -7,12 +7,12 @@ import numpy as np
 from imubayes.criticism.diagnosis_record import RankedEffect
 from imubayes.criticism.evidence.hypothesis import Evaluated, inverse
 from imubayes.criticism.evidence.model_search import states_noise
-from imubayes.criticism.evidence.posterior_summary import Posterior
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.proposals import Conditional, Screen, conditional
 from imubayes.criticism.verdict import CoefficientEstimate
 
 
-def ranking(posterior: Posterior) -> tuple[RankedEffect, ...]:
+def ranking(posterior: ExplanationPosterior) -> tuple[RankedEffect, ...]:
     """Return one line per effect, by its inclusion probability, then by its log odds alone."""
     of = posterior.of
     nothing = posterior.search.best(states_noise)
@@ -26,7 +26,7 @@ def ranking(posterior: Posterior) -> tuple[RankedEffect, ...]:
 
 
 def _line(
-    posterior: Posterior, nothing: Evaluated, alone: Conditional, as_known: Conditional, n: int, gain: float
+    posterior: ExplanationPosterior, nothing: Evaluated, alone: Conditional, as_known: Conditional, n: int, gain: float
 ) -> RankedEffect:
     of, variant = posterior.of, posterior.of.variants[n]
     places = np.array(variant.places)

@@ -14,10 +14,10 @@ import numpy as np
 from imubayes.criticism.evidence.evidence_record import NAMED
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
 from imubayes.criticism.evidence.proposals import base_columns
-from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.term_library import Term, library
 from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import Record, finite
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 _ELABORATE, _PENALTY = ("product", "wave"), 4.5
 """Sorts of terms that are chosen from many, and the nats by which they are penalised against plain ones."""

@@ -5,7 +5,7 @@ from statistics import NormalDist
 import numpy as np
 
 from imubayes.covariates import COVARIATES
-from imubayes.criticism.evidence.posterior_summary import Posterior
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.proposals import base_columns
 from imubayes.json_record import Record
 from imubayes.model.bind import Model
@@ -32,7 +32,7 @@ class Outlier(Record):
     table_angle_deg: float | None = None
 
 
-def outliers(posterior: Posterior) -> tuple[Outlier, ...]:
+def outliers(posterior: ExplanationPosterior) -> tuple[Outlier, ...]:
     """Return the outlying rows beside the leading explanation, the farthest first.
 
     The deletion residual of a row is its residual over √(1 − leverage), in standard deviations of the noise of the
@@ -49,7 +49,7 @@ def outliers(posterior: Posterior) -> tuple[Outlier, ...]:
     return tuple(sorted(found, key=lambda each: -abs(each.distance)))
 
 
-def _distances(posterior: Posterior, channel: int) -> np.ndarray:
+def _distances(posterior: ExplanationPosterior, channel: int) -> np.ndarray:
     """Return the deletion residual of each row of a channel, (n,)."""
     of, top = posterior.of, posterior.top
     where = of.taking_part(channel, top.columns, top.hypothesis.form)

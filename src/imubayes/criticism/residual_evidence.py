@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imubayes.campaign_data import INPUT_UNIT, Kind
-from imubayes.criticism.candidate_effects import Responses
 from imubayes.criticism.detectability import AbsorbedResponses
-from imubayes.criticism.effect_covariates import INPUTS, MEMORY, covariates_of
-from imubayes.criticism.evidence.posterior_summary import Posterior, SlotMember
-from imubayes.criticism.residual_covariates import ResidualCovariate, as_read
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, SlotMember
 from imubayes.group_means import group_means
+from imubayes.responses.candidate_effects import Responses
+from imubayes.responses.effect_covariates import INPUTS, MEMORY, covariates_of
+from imubayes.responses.residual_covariates import ResidualCovariate, as_read
 from imubayes.units import to_si
 
 COVARIATE_SHARE = 0.9
@@ -70,7 +70,7 @@ def of_runs(values: np.ndarray, runs: np.ndarray) -> np.ndarray:
 
 
 def residual_evidence(
-    posterior: Posterior,
+    posterior: ExplanationPosterior,
     absorbed: AbsorbedResponses,
     responses: Responses,
     member: SlotMember,
@@ -85,7 +85,8 @@ def residual_evidence(
     """
     fitted = absorbed.fitted
     model, of = fitted.model, posterior.of
-    columns = _response(posterior, responses, member)
+    response, sizes = posterior.response_to(member, responses)
+    columns = response @ sizes
     # The other parameters would change when the effect is added: what they absorb is subtracted.
     parts = columns - responses.jacobian @ absorbed.explained(member.found, of.variants[member.variant].places)
     place = _dominant_channel(posterior, parts)
@@ -117,18 +118,7 @@ def residual_evidence(
     )
 
 
-def _response(posterior: Posterior, responses: Responses, member: SlotMember) -> np.ndarray:
-    """Return the response to an effect at its size, about the fit, (E,)."""
-    of, variant = posterior.of, posterior.of.variants[member.variant]
-    scan = of.problem.candidates[variant.response].scan
-    own = [each for each in responses.candidates if each.scan.effect == scan.effect]
-    response = next((each for each in own if each.scan == scan), own[0])
-    sizes = {each.name: each.value or 0.0 for each in posterior.coefficients(member.variant, member.found)}
-    values = np.array([sizes.get(each.parameter.name, 0.0) for each in response.coefficients])
-    return response.columns @ values
-
-
-def _dominant_channel(posterior: Posterior, explained: np.ndarray) -> int:
+def _dominant_channel(posterior: ExplanationPosterior, explained: np.ndarray) -> int:
     """Return the channel in which a response, (E,), stands out of the noise most."""
     problem = posterior.of.problem
     squares = [np.sum((problem.root[rows.entry] * explained[rows.entry]) ** 2) for rows in problem.rows]

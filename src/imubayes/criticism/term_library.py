@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.covariates import Covariate, regressors
-from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 _MAX_POWER, _HARMONICS, _BUMP_CENTRES, _MAX_WAVES = 5, 6, 9, 16
 """Powers, harmonics of the table angle, centres of bumps, waves through the range (convention)."""

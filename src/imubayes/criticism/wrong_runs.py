@@ -6,15 +6,15 @@ from imubayes.campaign_data import Campaign
 from imubayes.covariates import COVARIATES
 from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
-from imubayes.criticism.evidence.posterior_summary import Posterior
-from imubayes.criticism.wrong_inputs import WrongInput
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
+from imubayes.responses.wrong_inputs import WrongInput
 from imubayes.units import to_si
 
 _TOLD = 0.02
 """Probability among wrong inputs from which another one is told."""
 
 
-def disagreements(posterior: Posterior, campaign: Campaign) -> tuple[Disagreement, ...]:
+def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[Disagreement, ...]:
     """Return the run or row whose record is wrong in the leading explanation; empty where it is another.
 
     Parameters

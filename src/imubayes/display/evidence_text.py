@@ -57,18 +57,24 @@ def probability(value: float) -> str:
 
 def _detail(found: Evidence, kind: Explanation) -> str:
     """Return what an explanation is in particular; empty where nothing is to be said."""
-    leads, noise = found.leading.kind == kind, noise_text(found.noise)
+    leads = found.leading.kind == kind
     if kind == "noise":
-        return noise if leads else ""
-    if kind == "effects" and leads and found.slots:
-        return "; ".join(map(_slot, found.slots)) + (f"; beside {noise}" if noise else "")
+        return noise_text(found.noise) if leads else ""
     if kind == "effects":
-        told = [each for each in found.inclusion if each.probability >= _LEAST_TOLD][:2]
-        return ", ".join(f"{each.effect} {probability(each.probability)}" for each in told)
-    if found.form is not None and found.form.wrong == (kind == "input") and kind in ("input", "outside"):
-        beside = " and ".join(map(_slot, found.slots)) if leads else ""
-        return form_text(found.form) + (f", beside {beside}" if beside else "")
-    return ""
+        return _effects(found, leads)
+    if found.form is None or found.form.wrong != (kind == "input") or kind == "nothing":
+        return ""
+    beside = " and ".join(map(_slot, found.slots)) if leads else ""
+    return form_text(found.form) + (f", beside {beside}" if beside else "")
+
+
+def _effects(found: Evidence, leads: bool) -> str:
+    """Return the effects of the explanation that leads; where another does, the likeliest."""
+    if leads and found.slots:
+        noise = noise_text(found.noise)
+        return "; ".join(map(_slot, found.slots)) + (f"; beside {noise}" if noise else "")
+    told = [each for each in found.inclusion if each.probability >= _LEAST_TOLD][:2]
+    return ", ".join(f"{each.effect} {probability(each.probability)}" for each in told)
 
 
 def noise_text(noise: Iterable[FoundNoise]) -> str:

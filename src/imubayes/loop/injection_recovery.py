@@ -14,7 +14,6 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
-from imubayes.criticism.candidate_effects import searchable
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.verdict import Verdict
@@ -29,6 +28,7 @@ from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict
 from imubayes.parameters.parameter_declarations import Declared
 from imubayes.representation import Presented
+from imubayes.responses.candidate_effects import searchable
 from imubayes.simulation.simulate import random_stream, simulate
 from imubayes.step_counter import counted
 

@@ -71,16 +71,19 @@ def _without(spec: ModelSpec, effects: Sequence[str], registry: Registry) -> Mod
             f"the model has no effect {known}", spec.where, closest_first(strange[0], listed),
             "correct the name: the model file lists its effects",
         )  # fmt: skip
-    kept = tuple(each for each in spec.effects if each.name not in effects)
-    kept = tuple(
-        each
-        for each in kept
-        if (covariate := _covariate_of(each.name, registry)) is None or _users(covariate, kept, registry)
-    )
+    kept = _needed(tuple(each for each in spec.effects if each.name not in effects), registry)
     names = {each.name for each in kept}
     files = tuple(file for file in spec.files if names & set(names_in(file)))
     blocks = (_among(block, names) for block in spec.correlations)
     return replace(spec, effects=kept, files=files, correlations=tuple(each for each in blocks if each is not None))
+
+
+def _needed(entries: tuple[EffectSpec, ...], registry: Registry) -> tuple[EffectSpec, ...]:
+    """Return the entries without errors of temperatures that no other depends on."""
+    covariates = {each.name: _covariate_of(each.name, registry) for each in entries}
+    return tuple(
+        each for each in entries if (covariate := covariates[each.name]) is None or _users(covariate, entries, registry)
+    )
 
 
 def _users(covariate: str, entries: Sequence[EffectSpec], registry: Registry) -> list[str]:

@@ -16,7 +16,6 @@ from scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
-from imubayes.criticism.candidate_effects import fitting_channels
 from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.effects.base import MotionEffect
 from imubayes.inference.fitted_model import Fit
@@ -34,6 +33,7 @@ from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.parameters.parameter_declarations import Declared
 from imubayes.parameters.priors import HalfNormal, Normal, Prior, rounded_width
 from imubayes.parameters.vector import Layout, Parameter
+from imubayes.responses.candidate_effects import fitting_channels
 from imubayes.tail_probabilities import chi2_survival, normal_survival
 
 _NO_GRADIENT, _SINGULAR = 1e-14, 1e-9

@@ -7,7 +7,7 @@ changes what acts on the body.
 
 Three kinds are taken to respond wherever the covariates they need are recorded: effects with memory, and effects on the
 gyros of free tumbles and of driven tables, where the record is not the signal itself.  For those the linearised model
-decides (`imubayes.criticism.candidate_effects`).
+decides (`imubayes.responses.candidate_effects`).
 """
 
 from collections.abc import Callable, Sequence

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imubayes.criticism.candidate_effects import Response
 from imubayes.criticism.evidence.linear_problem import LinearProblem, typical_sizes
+from imubayes.responses.candidate_effects import Response
 
 EXPECTED = 1.0
 """Expected number of missing effects, in equal shares of the catalogue; most of `LARGEST` each."""

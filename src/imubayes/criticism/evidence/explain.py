@@ -11,17 +11,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imubayes.criticism.candidate_effects import LinearisationPoint, Responses, candidate_responses
 from imubayes.criticism.evidence.free_forms import free_forms
 from imubayes.criticism.evidence.hypothesis import Evaluated
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.criticism.evidence.model_search import ModelSearch, states_noise
-from imubayes.criticism.evidence.posterior_summary import Posterior
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
-from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.wrong_inputs import Predictions, WrongInput, problem_of
 from imubayes.inference.fitted_model import Fit
 from imubayes.noise.base import SlowNoise, TailNoise
+from imubayes.responses.candidate_effects import LinearisationPoint, Responses, candidate_responses
+from imubayes.responses.residual_covariates import ResidualCovariate
+from imubayes.responses.wrong_inputs import Predictions, WrongInput, problem_of
 
 LARGE = 500.0
 """Nats of an effect above which the campaign is linearised anew about it.  Derived: where it stands out of the noise by
@@ -58,7 +58,7 @@ def weighs(fitted: Fit) -> bool:
     return not any(issubclass(layer.noise, beyond) for layer in fitted.model.problem.noise)
 
 
-def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> Posterior:
+def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> ExplanationPosterior:
     """Return how probable each explanation of what a converged fit leaves is."""
     about, problem = _About(fitted), linear_problem(fitted, responses)
     search = ModelSearch(problem)
@@ -78,7 +78,7 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
             break
         about, search = moved, _run(ModelSearch(problem), moved, covariates)
         best = max(best, (search, about), key=lambda each: each[0].best().log_posterior)
-    return Posterior(best[0], best[1].fitted)
+    return ExplanationPosterior(best[0], best[1].fitted)
 
 
 def _run(search: ModelSearch, about: _About, covariates: Sequence[ResidualCovariate]) -> ModelSearch:

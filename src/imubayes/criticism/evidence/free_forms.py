@@ -16,8 +16,8 @@ import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import ONE_OWNER
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
-from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.wrong_inputs import WrongInput
+from imubayes.responses.residual_covariates import ResidualCovariate
+from imubayes.responses.wrong_inputs import WrongInput
 
 FormFamily = Literal["function", "gain", "level", "threshold", "harmonic", "product", "memory", "step", "input"]
 

@@ -19,7 +19,6 @@ import numpy as np
 from imubayes.adequacy.known_noise import known_scales, noise_scales, sample_noise
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Channel
-from imubayes.criticism.candidate_effects import Coefficient, Response, Responses
 from imubayes.criticism.evidence.row_correlation import RowCorrelation, correlations_of
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept
@@ -28,6 +27,7 @@ from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.noise.base import SharedNoise, TailNoise
 from imubayes.noise.components import WhiteNoise
+from imubayes.responses.candidate_effects import Coefficient, Response, Responses
 from imubayes.tail_probabilities import normal_survival
 
 BELIEVED = 0.03

@@ -25,6 +25,7 @@ from imubayes.criticism.evidence.hypothesis import Evaluated, Hypothesis
 from imubayes.criticism.evidence.model_search import ModelSearch
 from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.inference.fitted_model import Fit
+from imubayes.responses.candidate_effects import Responses
 
 _TOLD, _SHOWN, _NEAR = 0.95, 8, 5.0
 """Share of a slot whose members are told; effects in the table of inclusion; nats within which a form is told."""
@@ -42,7 +43,7 @@ class SlotMember:
 
 
 @dataclass(frozen=True)
-class Slot:
+class MissingEffect:
     """One missing effect of the leading hypothesis, and what may stand in its place, the rest held.
 
     Attributes
@@ -57,7 +58,7 @@ class Slot:
     probability: float
 
 
-class Posterior:
+class ExplanationPosterior:
     """The hypotheses of a search with their probabilities.
 
     Attributes
@@ -109,11 +110,11 @@ class Posterior:
         return max(mine, key=lambda each: each.log_posterior)
 
     @cached_property
-    def slots(self) -> tuple[Slot, ...]:
+    def slots(self) -> tuple[MissingEffect, ...]:
         """The effects of the leading hypothesis, the strongest first."""
         return tuple(sorted(map(self._slot, self.top.hypothesis.variants), key=lambda each: -each.gain))
 
-    def _slot(self, variant: int) -> Slot:
+    def _slot(self, variant: int) -> MissingEffect:
         top = self.top
         rest, form = set(top.hypothesis.variants) - {variant}, top.hypothesis.form
         inside: dict[str, list[Evaluated]] = {}
@@ -135,7 +136,7 @@ class Posterior:
             own = next(iter(set(best.hypothesis.variants) - rest))
             members.append(SlotMember(effect, own, best, float(np.exp(mass[effect] - whole))))
         gain = float(top.log_posterior - without) if math.isfinite(without) else 0.0
-        return Slot(tuple(members), gain, self.including([each.effect for each in members]))
+        return MissingEffect(tuple(members), gain, self.including([each.effect for each in members]))
 
     def including(self, effects: Sequence[str]) -> float:
         """Return the probability that any of some effects is missing."""
@@ -169,6 +170,16 @@ class Posterior:
             for k in self.of.variants[variant].places
         )
 
+    def response_to(self, member: SlotMember, responses: Responses) -> tuple[np.ndarray, np.ndarray]:
+        """Return the responses (E, k) of other rows or at another point to a member's coefficients, and these (k,)."""
+        scan = self.of.problem.candidates[self.of.variants[member.variant].response].scan
+        sizes = {each.name: each.value or 0.0 for each in self.coefficients(member.variant, member.found)}
+        own = [each for each in responses.candidates if each.scan.effect == scan.effect]
+        response = next((each for each in own if each.scan == scan), own[0])
+        names = [each.parameter.name for each in response.coefficients]
+        here = [place for place, name in enumerate(names) if name in sizes]
+        return response.columns[:, here], np.array([sizes[names[place]] for place in here])
+
     @cached_property
     def wrong_inputs(self) -> tuple[tuple[float, Evaluated], ...]:
         """Wrong inputs near the likeliest, with their probabilities among them; empty without one."""
@@ -180,7 +191,7 @@ class Posterior:
 
     # ---- records ----
 
-    def _slot_record(self, slot: Slot) -> EffectSlot:
+    def _slot_record(self, slot: MissingEffect) -> EffectSlot:
         return EffectSlot(
             candidates=tuple(
                 ProbableEffect(effect=m.effect, channels=self.of.variants[m.variant].owners, probability=m.share)

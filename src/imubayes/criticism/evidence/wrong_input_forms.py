@@ -1,6 +1,6 @@
 """Wrong inputs as explanations: a column of the record of a run is off, its seat, its outputs, or one row of a column.
 
-A wrong input responds as the model does to that column of the record (`imubayes.criticism.wrong_inputs`).  Where it is
+A wrong input responds as the model does to that column of the record (`imubayes.responses.wrong_inputs`).  Where it is
 not among the explanations a thermometer that is off becomes a thermal effect, and a mistyped angle heavy tails.
 """
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from imubayes.criticism.evidence.free_forms import WRONG_INPUT, FormHypothesis, with_prior
 from imubayes.criticism.evidence.linear_problem import LinearProblem
-from imubayes.criticism.wrong_inputs import Predictions, WrongInput, suspected
 from imubayes.inference.fitted_model import Fit
+from imubayes.responses.wrong_inputs import Predictions, WrongInput, suspected
 
 _ERRORS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 """Standard deviations of what is wrong, by its largest response in units of noise: a mistake is no small effect."""

@@ -9,8 +9,6 @@ import polars as pl
 from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.covariates import Covariate, shown
 from imubayes.criticism.diagnosis_record import CovariateLabel, EffectGroup
-from imubayes.criticism.effect_covariates import INPUTS
-from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
 from imubayes.display.figures.recorded_noise import recorded_noise_figure
 from imubayes.display.figures.residual_evidence import (
@@ -23,6 +21,8 @@ from imubayes.display.labels import pretty
 from imubayes.display.residual_columns import numbers
 from imubayes.display.run_signs import RunSigns, run_signs
 from imubayes.display.theme import Picture
+from imubayes.responses.effect_covariates import INPUTS
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.results.record_names import RESIDUALS
 
 _LEVELS, _LEAST_SHARE, _TIME_LAST = 24, 0.15, 0.1
