@@ -165,8 +165,9 @@ def _of_covariate(
             yield from _levels(name, seen, places)
             yield from _thresholds(name, seen, places)
     yield FormHypothesis("function", f"function of {name}", own, {k: places[k].weighted(b) for k, b in basis.items()})
-    gained = {k: places[k].weighted(b * places[k].rows.input[:, None]) for k, b in basis.items()}
-    yield FormHypothesis("gain", f"input × function of {name}", own, gained)
+    if any(places[k].rows.input_varies for k in basis):
+        gained = {k: places[k].weighted(b * places[k].rows.input[:, None]) for k, b in basis.items()}
+        yield FormHypothesis("gain", f"input × function of {name}", own, gained)
 
 
 def _harmonics(angle: np.ndarray, orders: Sequence[int]) -> np.ndarray:
