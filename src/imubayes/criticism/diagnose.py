@@ -27,7 +27,7 @@ from imubayes.criticism.disagreement_record import Disagreement
 from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.evidence.evidence_record import Evidence
-from imubayes.criticism.evidence.explain import explain, weighs
+from imubayes.criticism.evidence.explain import explain
 from imubayes.criticism.free_form_dependence import dominant_channel
 from imubayes.criticism.known_noise import compare_with_known, known_scales
 from imubayes.criticism.known_noise_fit import known_noise_point
@@ -92,7 +92,7 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
     if effect:
         return _asked(effect, found, result)
     progress("weighing the explanations")
-    evidence = explain(fit, found.responses, found.covariates) if weighs(fit) else None
+    evidence = explain(fit, found.responses, found.covariates)
     progress("predicting each run from the others")
     disagreeing = disagreements(fit, found.responses, [group.leader.effect for group in found.groups])
     progress("interpreting what was found")
