@@ -57,7 +57,7 @@ def problem(residual: np.ndarray, scatter: tuple[tuple[float, float], ...] = ())
         rows.append(
             ChannelRows(
                 np.array(live), np.column_stack([*columns, residual[k]]), np.arange(count) + k * count,
-                tuple((n * ROWS, ROWS) for n in range(RUNS)), np.ones(count), np.ones(count), RATE, SCALE_SD, scatter,
+                tuple((n * ROWS, ROWS) for n in range(RUNS)), np.ones(count), RATE, SCALE_SD, scatter,
             )
         )  # fmt: skip
     made = tuple(Channel(c, "gyro", np.eye(3), "V", 1.0, "deg/s", 1.0) for c in CHANNELS)

@@ -56,7 +56,7 @@ def test_an_effect_between_few_runs_is_not_passed_over(monkeypatch: pytest.Monke
     """
     if verdict == "noise_model":
         monkeypatch.setattr(effects_beside_noise, "evident_between_runs", lambda *_: {})
-        monkeypatch.setattr(diagnose, "weighs", lambda _: False)
+        monkeypatch.setattr(diagnose, "explain", lambda *_: None)
     found = judge(planted(5, **{BETWEEN: 0.2}))
     assert found.verdict == verdict
     assert [group.effects[0] for group in found.groups] == ([BETWEEN] if verdict == "missing_effect" else [])

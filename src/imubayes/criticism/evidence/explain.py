@@ -18,7 +18,6 @@ from imubayes.criticism.evidence.model_search import ModelSearch, states_noise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
 from imubayes.inference.fitted_model import Fit
-from imubayes.noise.base import SlowNoise, TailNoise
 from imubayes.responses.candidate_effects import LinearisationPoint, Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, problem_of
@@ -27,7 +26,7 @@ LARGE = 500.0
 """Nats of an effect above which the campaign is linearised anew about it.  Derived: where it stands out of the noise by
 thirty standard deviations, a curvature of a tenth of it does by three."""
 _NEAR, _ROUNDS = 0.1, 3
-"""Relative change of a coefficient within which a linearisation stands, and how often it is made anew."""
+"""Relative change of a coefficient, or change of z, within which a linearisation stands; how often it is made anew."""
 
 
 @dataclass(frozen=True)
@@ -45,21 +44,19 @@ class _About:
     size: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def stands_for(self, other: "_About") -> bool:
-        """Tell whether this linearisation serves the other."""
+        """Tell whether this linearisation serves the other; about no mode, parameters lead on as well."""
         before, now = self.point.values, other.point.values
         same = before.keys() == now.keys() and self.point.shapes == other.point.shapes and self.wrong == other.wrong
         pairs = [*((x, now.get(name, 0.0)) for name, x in before.items()), *zip(self.size, other.size, strict=False)]
-        return same and all(abs(new - old) <= _NEAR * abs(old) for old, new in pairs)
-
-
-def weighs(fitted: Fit) -> bool:
-    """Tell whether the explanations of a fit can be weighed: not yet with slow noise or heavy tails in the model."""
-    beyond = (SlowNoise, TailNoise)
-    return not any(issubclass(layer.noise, beyond) for layer in fitted.model.problem.noise)
+        here = self.fitted.optimised or float(np.max(np.abs(other.fitted.z - self.fitted.z), initial=0.0)) <= _NEAR
+        return here and same and all(abs(new - old) <= _NEAR * abs(old) for old, new in pairs)
 
 
 def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> ExplanationPosterior:
-    """Return how probable each explanation of what a converged fit leaves is."""
+    """Return how probable each explanation of what a fit leaves is.
+
+    Of a fit that did not converge it is that of where it stopped: its linear model leads on from there.
+    """
     about, problem = _About(fitted), linear_problem(fitted, responses)
     search = ModelSearch(problem)
     if _is_large(search, search.large_effects):
@@ -77,7 +74,8 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
         if problem is None:
             break
         about, search = moved, _run(ModelSearch(problem), moved, covariates)
-        best = max(best, (search, about), key=lambda each: each[0].best().log_posterior)
+        further = [(search, about)] if not fitted.optimised else [best, (search, about)]
+        best = max(further, key=lambda each: each[0].best().log_posterior)
     return ExplanationPosterior(best[0], best[1].fitted)
 
 
@@ -88,7 +86,7 @@ def _run(search: ModelSearch, about: _About, covariates: Sequence[ResidualCovari
 
 
 def _leading_to(search: ModelSearch, about: _About, recorded: Fit) -> _About | None:
-    """Return the linearisation that a search calls for: about a gross wrong input, or about large effects; else None.
+    """Return the linearisation that a search calls for: a gross wrong input, large effects, or no mode; else None.
 
     What the curvature of a wrong input leaves excludes it as long as it is not corrected, so that it need not lead.
     """
@@ -97,7 +95,7 @@ def _leading_to(search: ModelSearch, about: _About, recorded: Fit) -> _About | N
     if wrong is not None and wrong.log_posterior > search.best(states_noise).log_posterior + LARGE:
         return _moved(search, about, wrong, recorded)
     top = search.best()
-    return _moved(search, about, top, recorded) if _is_large(search, top) else None
+    return _moved(search, about, top, recorded) if not recorded.optimised or _is_large(search, top) else None
 
 
 def _is_large(search: ModelSearch, top: Evaluated) -> bool:

@@ -31,6 +31,8 @@ _HARMONICS, _FIRST_HARMONIC = 12, 3
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
 _MOST_LEVELS, _LEAST_ROWS, _STEPS = 40, 8, 10
 _POWERS = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (3, 1))
+_APART = 1e-6
+"""Share of a covariate that another has to leave, for both to be two.  Numerical."""
 _MEAN_FREE = ("temperature_degC", "campaign_time_h", "time_s", "power_on_s")
 """Covariates that act by their change, not by their distance from zero."""
 
@@ -165,8 +167,9 @@ def _of_covariate(
             yield from _levels(covariate, seen, places)
             yield from _thresholds(covariate, seen, places)
     yield FormHypothesis("function", f"function of {said}", own, {k: places[k].weighted(b) for k, b in basis.items()})
-    gained = {k: places[k].weighted(b * places[k].rows.input[:, None]) for k, b in basis.items()}
-    yield FormHypothesis("gain", f"input × function of {said}", own, gained)
+    if any(places[k].rows.input_varies for k in basis):
+        gained = {k: places[k].weighted(b * places[k].rows.input[:, None]) for k, b in basis.items()}
+        yield FormHypothesis("gain", f"input × function of {said}", own, gained)
 
 
 def _harmonics(angle: np.ndarray, orders: Sequence[int]) -> np.ndarray:
@@ -238,11 +241,19 @@ def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) 
     for one, other in combinations(scaled, 2):
         shapes = {}
         for k in scaled[one].keys() & scaled[other].keys():
+            if _alike(scaled[one][k], scaled[other][k]):
+                continue
             a, b = scaled[one][k], scaled[other][k]
             terms = [a**p * b**q for p, q in _POWERS] + [np.sign(a) * b, a * np.sign(b)]
             shapes[k] = places[k].weighted(np.stack(terms, axis=1))
         if shapes:
             yield FormHypothesis("product", f"function of {phrase[one]} and {phrase[other]}", (one, other), shapes)
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> bool:
+    """Tell whether two covariates are one, as the times of a run and of the campaign where there is one run."""
+    a, b = one - one.mean(), other - other.mean()
+    return float(a @ b) ** 2 > (1 - _APART) * float(a @ a) * float(b @ b)
 
 
 def _row_before(rows: ChannelRows) -> np.ndarray:

@@ -29,7 +29,11 @@ from imubayes.criticism.evidence.noise_structures import (
 from imubayes.criticism.evidence.whitened_rows import GramMatrix, WhitenedRows, offsets_of_runs
 from imubayes.criticism.evidence.width_sums import summed_over_widths
 
-_ROUNDS, _TAIL_ROUNDS, _SETTLED = 6, 4, 1e-3
+_ROUNDS, _ROUNDS_TAILED = 6, 30
+"""Steps to the mode of the scales, and with weights of heavy tails, which move together.  Numerical."""
+_SETTLED, _SETTLED_WEIGHT = 1e-3, 0.03
+"""Change of the logarithm of a scale and of a weight within which they have settled.  Derived: errors of the evidence
+are of second order in it."""
 _LOG_SCALES = (-6.0, 12.0)
 
 
@@ -308,30 +312,38 @@ class _Evaluation:
 
     def _settle(self, precision: np.ndarray, pull: np.ndarray) -> None:
         """Find the mode of the noise scales, σ² = RSS/(n − γ) drawn towards what is known (MacKay 1992)."""
-        rounds = _ROUNDS + (_TAIL_ROUNDS if self.weight else 0)
-        for turn in range(rounds):
+        moved = math.inf if self.weight else 0.0
+        for _ in range(_ROUNDS_TAILED if self.weight else _ROUNDS):
             self._solve(precision, pull)
-            before, self.laplace = self.scale, 0.0
-            self.scale = before.copy()
-            for k, each in self.products.items():
-                mean, covariance = self.mean[each.where], self.covariance[np.ix_(each.where, each.where)]
-                rest = float(each.square - 2 * mean @ each.right + mean @ each.own @ mean)
-                taken = float(np.sum(covariance * each.own)) / before[k] ** 2
-                freedom = max(len(self.of.problem.rows[k].entry) - taken, 2.0)
-                noise = self.hypothesis.noise[self.of.unit_of[k]]
-                log_scale, term = scale_mode(max(rest, 1e-12), freedom, noise.scale_sd(self.of.problem.rows[k]))
-                self.scale[k], self.laplace = math.exp(log_scale), self.laplace + term
+            before = self.scale
+            self._rescale()
             settled = float(np.max(np.abs(np.log(self.scale / before)))) < _SETTLED
-            if self.weight and turn < rounds - 1:
-                self._reweigh()
-            elif settled:
+            if settled and moved < _SETTLED_WEIGHT:
                 break
+            if self.weight:
+                moved = self._reweigh()
         self._solve(precision, pull)
 
-    def _reweigh(self) -> None:
-        for k in self.weight:
+    def _rescale(self) -> None:
+        before, self.laplace = self.scale, 0.0
+        self.scale = before.copy()
+        for k, each in self.products.items():
+            mean, covariance = self.mean[each.where], self.covariance[np.ix_(each.where, each.where)]
+            rest = float(each.square - 2 * mean @ each.right + mean @ each.own @ mean)
+            taken = float(np.sum(covariance * each.own)) / before[k] ** 2
+            rows = self.of.problem.rows[k]
+            sd = self.of.noise(self.hypothesis, k).scale_sd(rows)
+            log_scale, term = scale_mode(max(rest, 1e-12), max(len(rows.entry) - taken, 2.0), sd)
+            self.scale[k], self.laplace = math.exp(log_scale), self.laplace + term
+
+    def _reweigh(self) -> float:
+        """Weigh the rows of heavy tails anew, and return by how much a logarithm of a weight changes at most."""
+        moved = 0.0
+        for k, before in self.weight.items():
             self.weight[k] = tail_weights(self._squares(k), self.degrees[k])
+            moved = max(moved, float(np.max(np.abs(np.log(self.weight[k] / before)))))
         self._gather()
+        return moved
 
     def _squares(self, channel: int) -> np.ndarray:
         return self.of.squares(

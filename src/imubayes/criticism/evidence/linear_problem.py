@@ -25,7 +25,7 @@ from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.noise.base import SharedNoise, TailNoise
+from imubayes.noise.base import SeriesNoise, SharedNoise, TailNoise
 from imubayes.noise.components import WhiteNoise
 from imubayes.responses.candidate_effects import Coefficient, Response, Responses
 from imubayes.tail_probabilities import normal_survival
@@ -39,6 +39,8 @@ _PRIOR_Z = np.array([-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0])
 """Places of the prior of a noise scale, in its standard deviations, that stand for it.  Numerical."""
 _LEAST_LENGTH = 1e-6
 """Length of a response to its largest typical size, in units of noise, below which no run shows it.  Numerical."""
+_STEADY_INPUT = 0.05
+"""Variation of the magnitude of the input over its largest below which it is constant, as at rest.  Numerical."""
 
 Grid = tuple[tuple[float, float], ...]
 """Sizes that a prior allows, with the logarithm of the probability of each."""
@@ -74,6 +76,12 @@ class ChannelRows:
     run_scatter: Grid
     tails: Grid = ()
     correlations: tuple[RowCorrelation, ...] = ()
+
+    @property
+    def input_varies(self) -> bool:
+        """Whether what depends on the input can be told from what does not."""
+        size = np.abs(self.input)
+        return len(size) > 0 and float(np.ptp(size)) > _STEADY_INPUT
 
 
 @dataclass(frozen=True)
@@ -220,15 +228,19 @@ def _rows_of(
 
 
 def _scale_sd(model: Model, channel: int, sizes: np.ndarray) -> float:
-    """Return how well the noise of a channel is known: the standard deviation of its logarithm."""
-    samples = sample_noise(model).get(channel)
-    if samples is not None and not samples.varying:
+    """Return how well the noise of a channel is known: the standard deviation of its logarithm.
+
+    Where the whole noise is correlated from row to row, so are the samples, and their scatter does not tell it.
+    """
+    samples, correlated = sample_noise(model).get(channel), _scale(model, channel, SeriesNoise) is not None
+    if samples is not None and not samples.varying and not correlated:
         return float(np.hypot(BELIEVED, np.sqrt(0.5 / samples.freedom)))
     place = _scale(model, channel, WhiteNoise)
     if place is None:
         return BELIEVED
     low, high = sizes[[1, 3], place].tolist()
-    return min(max(0.5 * float(np.log(high / low)), BELIEVED), UNKNOWN) if low > 0 else UNKNOWN
+    spread = 0.5 * float(np.log(high / low)) if low > 0 else UNKNOWN
+    return max(min(spread, np.inf if correlated else UNKNOWN), BELIEVED)
 
 
 def _prior_grid(at: _At, channel: int, kind: type) -> Grid:

@@ -131,16 +131,24 @@ class ModelSearch:
         return at
 
     def _likeliest(self, at: Evaluated, place: int, choices: Sequence[NoiseOfUnit]) -> Evaluated:
-        """Return the likeliest of some choices of noise in a unit; those that the residual excludes are not tried."""
+        """Return the likeliest of some choices of noise in a unit.
+
+        Those that the residual excludes are not tried, and of a family none after one that is worse.
+        """
         residual, channels = residuals(self.of, at), self.of.units[place].channels
         quick = {each: log_likelihood(self.of, residual, channels, each) for each in choices}
-        own = quick.get(at.hypothesis.noise[place], max(quick.values()))
+        present, worse = at.hypothesis.noise[place], set[str]()
+        own = quick.get(present, max(quick.values()))
         for choice in sorted(quick, key=lambda each: -quick[each]):
             if quick[choice] < own - _QUICK_NOISE:
                 break
+            if choice == present or choice.family in worse:
+                continue
             new = self._get(at.hypothesis.with_noise(place, choice), at)
             if new is not None and new.log_posterior > at.log_posterior + 1e-9:
                 at = new
+            else:
+                worse.add(choice.family)
         return at
 
     # ---- effects ----

@@ -24,7 +24,7 @@ import numpy as np
 import scipy.linalg
 
 from imubayes.adequacy.known_noise import SISTERS_LOG_SD
-from imubayes.criticism.evidence.linear_problem import UNKNOWN, ChannelRows, LinearProblem
+from imubayes.criticism.evidence.linear_problem import UNKNOWN, ChannelRows, Grid, LinearProblem
 
 Family = Literal["known", "scale", "correlated", "wander", "rate", "tails", "runs"]
 
@@ -163,6 +163,7 @@ class NoiseOfUnit:
     log_prior : logarithm of its prior probability.
     stated : whether it is what the model states.
     size : place of the size of the correlation in time that the model states; 0 of a model without.
+    replaces : whether it stands in place of that correlation, which is at its smallest.
     """
 
     rows: NoiseStructure
@@ -170,6 +171,7 @@ class NoiseOfUnit:
     log_prior: float
     stated: bool
     size: int = 0
+    replaces: bool = False
 
     @property
     def family(self) -> Family:
@@ -202,7 +204,8 @@ class NoiseUnit:
 
     def structures(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
         """Return all structures of rows, all else as it is."""
-        return [each for each in self.choices if (each.scatter, each.size) == (at.scatter, at.size)]
+        here = [each for each in self.choices if each.scatter == at.scatter]
+        return [each for each in here if each.size == at.size or each.replaces]
 
     def scatters(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
         """Return all scatters between runs, all else as it is."""
@@ -259,7 +262,8 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
 
 def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     own, kind = problem.rows[channels[0]], problem.kinds[channels[0]]
-    others = [each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or kind == "gyro")]
+    grows = kind == "gyro" and own.input_varies
+    others = [each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or grows)]
     # What the model leaves open is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
     sizes = tuple((k, each.log_prior) for k, each in enumerate(own.correlations)) or ((0, 0.0),)
@@ -269,13 +273,16 @@ def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     believed = math.log(1 - OTHER_NOISE)
     as_stated = [NoiseOfUnit(one, tau, believed + q + p, True, k) for tau, k, p in opened for one, q in stated]
     beside = [NoiseOfUnit(one, tau, q + p, False, k) for tau in scattered for _, k, p in opened for one, q in stated]
-    other = _other_noise(others, opened, beside, len(scattered))
+    whole = len(sizes) - 1 if any(each.whole for each in own.correlations) else None
+    other = _other_noise(others, scatters, opened, whole, beside, len(scattered))
     return NoiseUnit(channels, kind, (*as_stated, *other), tuple(each.factor for each in own.correlations))
 
 
 def _other_noise(
     structures: Sequence[NoiseStructure],
+    scatters: Grid,
     opened: Sequence[tuple[float, int, float]],
+    whole: int | None,
     beside: Sequence[NoiseOfUnit],
     scattered: int,
 ) -> Iterator[NoiseOfUnit]:
@@ -283,13 +290,17 @@ def _other_noise(
 
     Parameters
     ----------
-    opened : scatter, size and log prior of what the model leaves open.
+    scatters, opened : scatter, size and log prior of what the model leaves open.
+    whole : smallest size of a correlation that is that of the whole noise, so that another stands in its place.
     beside : stated noise with scatters that the model does not have, of which there are `scattered`.
     """
     families = Counter(each.family for each in structures)
     each_family = math.log(OTHER_NOISE / (len(families) + bool(scattered)))
     for each in structures:
         share = each_family - math.log(families[each.family])
-        yield from (NoiseOfUnit(each, tau, share + p, False, k) for tau, k, p in opened)
+        if whole is not None and isinstance(each, StateNoise):
+            yield from (NoiseOfUnit(each, tau, share + p, False, whole, True) for tau, p in scatters)
+        else:
+            yield from (NoiseOfUnit(each, tau, share + p, False, k) for tau, k, p in opened)
     for each in beside:
         yield replace(each, log_prior=each_family - math.log(scattered) + each.log_prior)

@@ -52,6 +52,11 @@ class RowCorrelation:
     gain: np.ndarray
     series: Series | SlowSeries
 
+    @property
+    def whole(self) -> bool:
+        """Whether the whole noise of a row is correlated, not a part beside white noise."""
+        return isinstance(self.series, Series)
+
     def whiten(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (n, C) of rows over their independent noise, whitened."""
         return in_batches(lambda some: _forward(self.series, jnp.asarray(some)), columns.T, _AT_ONCE).T
