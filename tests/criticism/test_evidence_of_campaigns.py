@@ -28,7 +28,7 @@ def fit_of(campaign: Path, model: Path) -> Fit:
 
 
 def weighed(fitted: Fit) -> Evidence:
-    return explain(fitted, candidate_responses(fitted), tuple(covariates(fitted)))
+    return explain(fitted, candidate_responses(fitted), tuple(covariates(fitted))).evidence
 
 
 @pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not in this checkout")
