@@ -31,8 +31,8 @@ def drawn(seed: int) -> tuple[LinearFit, np.ndarray]:
     misfit = jacobian @ random.normal(size=PARAMETERS) + np.linalg.cholesky(sigma) @ random.normal(size=len(at.run))
     inverse = np.linalg.inv(sigma)
     return LinearFit(
-        jacobian, misfit, inverse @ jacobian, inverse @ misfit, np.diag(inverse).copy(), np.ones(PARAMETERS),
-        np.zeros(PARAMETERS), at, np.ones(len(at.run)),
+        jacobian, misfit, inverse @ jacobian, inverse @ misfit, np.ones(PARAMETERS), np.zeros(PARAMETERS), at,
+        np.ones(len(at.run)),
     ), sigma  # fmt: skip
 
 

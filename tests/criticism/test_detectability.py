@@ -20,8 +20,12 @@ from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 
-OWN = [SimpleNamespace(name=f"{effect}.{field}[{channel}]", effect=effect, field=field, factor=1.0, shown_unit="1")
-       for channel in CHANNELS for effect, field in (("gyro_bias", "bias"), ("gyro_scale_factor", "scale"))]  # fmt: skip
+FIELDS = {"gyro_bias": "bias", "gyro_scale_factor": "scale"}
+OWN = [
+    SimpleNamespace(name=f"{effect}.{field}[{channel}]", effect=effect, field=field, factor=1.0, shown_unit="1")
+    for channel in CHANNELS
+    for effect, field in FIELDS.items()
+]
 SCATTER = ((0.0, math.log(0.5)), (0.8, math.log(0.5)))
 
 

@@ -11,12 +11,12 @@ from scipy import linalg, stats
 from imubayes.campaign_data import Channel
 from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan
 from imubayes.criticism.evidence.effect_variants import effect_variants
+from imubayes.criticism.evidence.evidence_record import Evidence
 from imubayes.criticism.evidence.free_forms import FormHypothesis, free_forms
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
 from imubayes.criticism.evidence.model_search import ModelSearch
 from imubayes.criticism.evidence.noise_structures import KNOWN, StateNoise, correlated, random_walk
-from imubayes.criticism.evidence.evidence_record import Evidence
 from imubayes.criticism.evidence.posterior_summary import Posterior
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.inference.fitted_model import Fit

@@ -57,7 +57,7 @@ def test_where_a_great_deal_is_missing_its_effects_are_named() -> None:
 
 
 def test_three_of_very_different_size_are_named_together() -> None:
-    """An asymmetry, a cube and a lever arm's worth of curvature on other channels, ten to a thousand times the noise."""
+    """An asymmetry, a cube and a square on three gyros, ten to a thousand times the noise."""
     fitted = fitted_to("hidden-none")
     entries, x = fitted.model.entries, signal(fitted)
     change = np.zeros(len(entries))

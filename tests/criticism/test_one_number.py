@@ -4,14 +4,19 @@ that the table shows, and one sum of probabilities.
 Records made by hand: what is tested is how they are put together.
 """
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from imubayes.criticism import addition
-from imubayes.criticism.diagnosis_record import CoefficientEstimate, Diagnosis, RankedEffect
+from imubayes.criticism.diagnosis_record import (
+    CoefficientEstimate,
+    Diagnosis,
+    EffectGroup,
+    RankedEffect,
+    ScreenedEffect,
+)
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import _following, input_times
 from imubayes.criticism.warm_start import Extension
@@ -74,11 +79,12 @@ def test_an_input_times_a_function_of_a_covariate_is_seen_as_such(scatter: float
 
 def test_a_coefficient_of_a_group_is_that_of_the_diagnosis() -> None:
     """`estimate` prefers the member of a group, whose coefficient is beside the other groups."""
-    def line(value: float, kind: Any = SimpleNamespace) -> Any:
-        return kind(effect="lag", channels=("gx",), value=value)
-
-    group = SimpleNamespace(candidates=(line(1.0),))
-    found = Diagnosis(verdict="missing_effect").model_copy(update={"groups": (group,), "ranking": (line(2.0),)})
-    assert found.estimate("lag") is group.candidates[0]
+    facts: Any = {"effect": "lag", "channels": ("gx",), "probability": 1.0, "delta_chi2": 90.0, "shape": {}}
+    member = ScreenedEffect(coefficients=(), **facts)
+    line = RankedEffect(coefficients=(), log_odds=40.0, **facts)
+    group = made(EffectGroup, candidates=(member,))
+    found = Diagnosis(verdict="missing_effect").model_copy(update={"groups": (group,), "ranking": (line,)})
+    assert found.estimate("lag") is member
     assert found.channels_for("lag") == ("gx",)
     assert found.estimate("other") is None
+    assert Diagnosis(verdict="adequate", ranking=(line,)).estimate("lag") is line
