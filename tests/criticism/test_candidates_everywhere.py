@@ -23,12 +23,12 @@ from tumble_plans import TumblePlan, write_tumble
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism import thresholds
-from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.responses.candidate_effects import candidate_responses
 
 ROOT = Path(__file__).parents[2]
 SIZES = CATALOGUE | {

@@ -14,14 +14,14 @@ from scipy import stats
 
 import imubayes.loop.refit as refit_module
 from imubayes.api import ModelChange, Result, add, export, fit
-from imubayes.loop.cross_validation import groups, objection, predict_left_out, summarise_gains, whole_fit
 from imubayes.criticism.diagnosis_record import CoefficientEstimate
 from imubayes.criticism.verdict import EffectChoice
-from imubayes.loop.warm_start import _contradicting, extend
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
+from imubayes.loop.cross_validation import groups, objection, predict_left_out, summarise_gains, whole_fit
+from imubayes.loop.warm_start import _contradicting, extend
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import masked
 from imubayes.parameters.priors import Normal

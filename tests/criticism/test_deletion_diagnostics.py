@@ -1,4 +1,4 @@
-"""Runs and rows left out, and further responses, against least squares by brute force with the whole covariance."""
+"""Runs left out, against least squares by brute force with the whole covariance."""
 
 from dataclasses import replace
 
@@ -31,19 +31,16 @@ def drawn(seed: int) -> tuple[LinearFit, np.ndarray]:
     misfit = jacobian @ random.normal(size=PARAMETERS) + np.linalg.cholesky(sigma) @ random.normal(size=len(at.run))
     inverse = np.linalg.inv(sigma)
     return LinearFit(
-        jacobian, misfit, inverse @ jacobian, inverse @ misfit, np.diag(inverse).copy(), np.ones(PARAMETERS),
-        np.zeros(PARAMETERS), at, np.ones(len(at.run)),
+        jacobian, misfit, inverse @ jacobian, inverse @ misfit, np.ones(PARAMETERS), np.zeros(PARAMETERS), at,
+        np.ones(len(at.run)),
     ), sigma  # fmt: skip
 
 
-def chi2_of(linear: LinearFit, sigma: np.ndarray, kept: np.ndarray, columns: np.ndarray | None = None) -> float:
-    """Return the least χ² with the parameters integrated out, and further columns fitted freely."""
+def chi2_of(linear: LinearFit, sigma: np.ndarray, kept: np.ndarray) -> float:
+    """Return the least χ² with the parameters integrated out."""
     whole = (sigma + linear.jacobian @ linear.jacobian.T)[np.ix_(kept, kept)]
     lower = np.linalg.cholesky(whole)
     left = np.linalg.solve(lower, linear.misfit[kept])
-    if columns is not None:
-        design = np.linalg.solve(lower, columns[kept])
-        left = left - design @ np.linalg.lstsq(design, left, rcond=None)[0]
     return float(left @ left)
 
 
@@ -56,44 +53,29 @@ def test_the_whole_and_each_run_left_out_have_the_chi2_of_brute_force() -> None:
         assert linear.weighted_by(kept.astype(float)).chi2 == pytest.approx(chi2_of(linear, sigma, kept))
 
 
-def test_each_row_left_out_has_the_chi2_of_brute_force() -> None:
+def test_the_noise_of_a_channel_is_that_which_its_rows_show() -> None:
+    """χ² over degrees of freedom, at least 1; twice the noise is four times the variance."""
     linear, sigma = drawn(2)
-    rows = linear.at.run * ROWS + linear.at.row
-    chi2, sizes = linear.row_deletions(rows)
-    whole = chi2_of(linear, sigma, rows >= 0)
-    assert np.all(sizes == CHANNELS)
-    expected = [whole - chi2_of(linear, sigma, rows != row) for row in range(RUNS * ROWS)]
-    assert chi2 == pytest.approx(np.array(expected))
-
-
-@pytest.mark.parametrize("count", [1, 3])
-def test_a_response_explains_what_brute_force_says(count: int) -> None:
-    linear, sigma = drawn(3)
-    columns = np.where(
-        linear.at.run[:, None] == 2, np.random.default_rng(4).normal(size=(len(linear.misfit), count)), 0.0
-    )
     every = np.ones(len(linear.misfit), dtype=bool)
-    score = linear.score(columns, np.linalg.solve(sigma, columns))
-    assert score.freedom == count
-    assert score.drop == pytest.approx(chi2_of(linear, sigma, every) - chi2_of(linear, sigma, every, columns))
+    assert linear.noise_ratios(every) == pytest.approx(np.ones(len(every)), abs=0.6)
+    random = np.random.default_rng(3)
+    more = np.where(linear.at.channel == 1, np.sqrt(3 * 2.0) * random.normal(size=len(every)), 0.0)
+    louder = replace(linear, misfit=linear.misfit + more, pulled=np.linalg.solve(sigma, linear.misfit + more))
+    ratios = louder.noise_ratios(every)
+    assert np.ptp(ratios[linear.at.channel == 1]) == 0
+    assert 2 < ratios[linear.at.channel == 1][0] < 6
+    assert ratios[linear.at.channel == 0][0] < 2
+    # The others of a run are weighted by what they show.
+    weight = louder.without_run(0).weight
+    assert not weight[linear.at.run == 0].any()
+    assert weight[(linear.at.run == 1) & (linear.at.channel == 1)][0] < 0.5
 
 
-def test_a_response_in_each_row_explains_what_it_explains_alone() -> None:
-    linear, sigma = drawn(5)
-    column = np.random.default_rng(6).normal(size=len(linear.misfit))
-    rows = linear.at.run * ROWS + linear.at.row
-    drop, size = linear.row_scores(column, rows)
-    for row in (0, 11, RUNS * ROWS - 1):
-        single = np.where(rows == row, column, 0.0)[:, None]
-        score = linear.score(single, np.linalg.solve(sigma, single))
-        assert (drop[row], size[row]) == pytest.approx((score.drop, score.size[0]))
-
-
-def test_a_response_that_the_parameters_make_explains_nothing() -> None:
-    linear, sigma = drawn(7)
-    linear = replace(linear, precision=np.full(PARAMETERS, 1e-12))
-    columns = linear.jacobian[:, :1]
-    assert linear.score(columns, np.linalg.solve(sigma, columns)).freedom == 0
+def test_degrees_of_freedom_are_outputs_less_parameters() -> None:
+    linear, _ = drawn(5)
+    linear = replace(linear, precision=np.full(PARAMETERS, 1e-9))
+    every = np.ones(len(linear.misfit), dtype=bool)
+    assert linear.freedom(every).sum() == pytest.approx(len(every) - PARAMETERS, abs=1e-4)
 
 
 def test_no_run_disagrees_by_chance_and_a_changed_one_does() -> None:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from imubayes.effects import EFFECTS
 from imubayes.responses import effect_covariates
 from imubayes.responses.effect_covariates import MEMORY, covariates_of
-from imubayes.effects import EFFECTS
 
 CATALOGUE = {member.name: member for member in EFFECTS}
 FORMULAS = [

@@ -9,17 +9,19 @@ import pytest
 from scipy import linalg, stats
 
 from imubayes.campaign_data import Channel
-from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
 from imubayes.criticism.evidence.effect_variants import effect_variants
+from imubayes.criticism.evidence.evidence_record import Evidence
 from imubayes.criticism.evidence.free_forms import FormHypothesis, free_forms
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
 from imubayes.criticism.evidence.model_search import ModelSearch
 from imubayes.criticism.evidence.noise_structures import KNOWN, StateNoise, correlated, random_walk
-from imubayes.criticism.evidence.posterior_summary import evidence_of
-from imubayes.responses.residual_covariates import ResidualCovariate
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
+from imubayes.inference.fitted_model import Fit
 from imubayes.parameters.priors import Normal
 from imubayes.parameters.vector import Parameter
+from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 RUNS, ROWS = 6, 20
 RATE = np.tile(np.linspace(-1.0, 1.0, ROWS), RUNS)
@@ -87,6 +89,15 @@ def drawn(seed: int, planted: dict[tuple[str, int], float] | None = None) -> np.
 def searched(residual: np.ndarray, forms: bool = True) -> ModelSearch:
     made = problem(residual)
     return ModelSearch(made).run(free_forms(made, covariates()) if forms else ())
+
+
+def posterior_of(search: ModelSearch) -> ExplanationPosterior:
+    """Return the posterior of a search that belongs to no fit."""
+    return ExplanationPosterior(search, object.__new__(Fit))
+
+
+def evidence_of(search: ModelSearch) -> Evidence:
+    return posterior_of(search).evidence
 
 
 def dense_log_evidence(of: EvidenceOf, hypothesis: Hypothesis) -> float:
@@ -163,12 +174,15 @@ def test_variants_share_the_prior_of_their_effect() -> None:
 
 
 def test_a_missing_effect_is_named_on_its_channel_with_its_coefficient() -> None:
-    found = evidence_of(searched(drawn(4, {("scale_asymmetry", 1): 0.3})))
+    posterior = posterior_of(searched(drawn(4, {("scale_asymmetry", 1): 0.3})))
+    found, [own] = posterior.evidence, posterior.slots
     [slot] = found.slots
     assert found.of("effects").probability > 0.95
     assert slot.candidates[0].effect == "scale_asymmetry"
     assert slot.channels == ("gy",)
-    [size] = slot.coefficients
+    [size] = posterior.coefficients(own.members[0].variant, own.members[0].found)
+    assert size.value is not None
+    assert size.sd is not None
     assert abs(size.value - 0.3) < 3 * size.sd < 0.2
 
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.evidence.evidence_record import Evidence
 from imubayes.criticism.evidence.explain import explain
-from imubayes.responses.residual_covariates import covariates
 from imubayes.display.diagnosis_report import diagnosis_lines
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
+from imubayes.responses.candidate_effects import candidate_responses
+from imubayes.responses.residual_covariates import covariates
 
 ROOT = Path(__file__).parents[2]
 CASES = ROOT.parent / "shared" / "cases"
@@ -28,7 +28,7 @@ def fit_of(campaign: Path, model: Path) -> Fit:
 
 
 def weighed(fitted: Fit) -> Evidence:
-    return explain(fitted, candidate_responses(fitted), tuple(covariates(fitted)))
+    return explain(fitted, candidate_responses(fitted), tuple(covariates(fitted))).evidence
 
 
 @pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not in this checkout")

@@ -7,14 +7,14 @@ import pytest
 from loop_results import CAMPAIGN, lacking_model
 
 from imubayes.campaign import load_campaign
-from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup
-from imubayes.loop.injection_recovery import Size, plant_effects, refitted
+from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, ScreenedEffect
 from imubayes.criticism.verdict import RmsChange, Verdict
-from imubayes.loop.warm_start import extend
 from imubayes.display.injection_report import injection_json
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
+from imubayes.loop.injection_recovery import Size, plant_effects, refitted
+from imubayes.loop.warm_start import extend
 from imubayes.model.bind import bind
 
 
@@ -26,11 +26,16 @@ def fitted() -> Fit:
 
 def answer(verdict: Verdict, *effects: str) -> Diagnosis:
     rms = RmsChange(channel="ax", before=2.0, after=1.0, unit="ug")
+    share = 1 / max(len(effects), 1)
+    candidates = tuple(
+        ScreenedEffect(effect=name, channels=("ax",), probability=share, delta_chi2=50.0, shape={}, coefficients=())
+        for name in effects
+    )
     group = EffectGroup(
-        effects=effects, channels=("ax",), delta_chi2=50.0, dof=1, p_global=0.01, candidates=(), residual=rms,
+        channels=("ax",), probability=0.99, log_odds=20.0, delta_chi2=50.0, candidates=candidates, residual=rms,
         covariate=None,
     )  # fmt: skip
-    return Diagnosis(verdict=verdict, p_global=0.01, groups=(group,) if effects else ())
+    return Diagnosis(verdict=verdict, groups=(group,) if effects else ())
 
 
 def test_the_planted_size_is_the_size_asked_for(fitted):

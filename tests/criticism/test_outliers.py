@@ -1,4 +1,4 @@
-"""Readings that are far off: told from patterns, from effects and from chance, and mended by `outliers`."""
+"""Readings that are far off: told as such, and from patterns, steps and effects; mended by `outliers`."""
 
 from dataclasses import replace
 
@@ -6,23 +6,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from null_data import fitted_to, redrawn, refitted, with_values
+from planted_data import names, probability, surely_wrong, told
 
-import imubayes.criticism.stepwise_search as search_module
-from imubayes.responses.candidate_effects import candidate_responses
-from imubayes.loop.cross_validation import groups, predict_left_out, whole_fit
 from imubayes.criticism.diagnose import judge
-from imubayes.adequacy.noise_tests import screen_noise, to_entries
-from imubayes.criticism.outliers import consecutive
-from imubayes.adequacy.projection import project
+from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.display.diagnosis_report import diagnosis_json
+from imubayes.display.diagnosis_sentences import sentence
 from imubayes.inference.fitted_model import Fit
+from imubayes.loop.cross_validation import groups, predict_left_out, whole_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec
 from imubayes.model.noise_covariance import noise_distribution
 
 
 @pytest.fixture(scope="module")
-def whole():
+def whole() -> Fit:
     return fitted_to("hidden-none")
 
 
@@ -38,10 +36,6 @@ def hits(fitted: Fit, count: int, size: float, seed: int) -> np.ndarray:
     return change * deviations(fitted)
 
 
-def named(document: dict) -> set[tuple[str, str, int]]:
-    return {(one["run"], one["channel"], one["row"]) for one in document["outliers"]}
-
-
 def places(fitted: Fit, change: np.ndarray) -> set[tuple[str, str, int]]:
     entries, campaign = fitted.model.entries, fitted.model.campaign
     return {
@@ -50,27 +44,45 @@ def places(fitted: Fit, change: np.ndarray) -> set[tuple[str, str, int]]:
     }
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(12, marks=pytest.mark.slow)])
-def test_readings_that_are_far_off_are_named(whole, count):
-    change = hits(whole, count, 12.0, seed=3)
-    found = diagnosis_json(judge(redrawn(whole, 5, change=change)))
-    assert found["verdict"] == "noise_model", found["sentence"]
-    assert {one["effect"] for one in found["noise"] if one["adopted"]} == {"outliers"}
-    assert named(found) == places(whole, change)
-    assert any(one["table_angle_deg"] is not None for one in found["outliers"]) or count == 1
-    assert "outlier" in found["sentence"]
-    assert all(8 < abs(one["distance"]) < 16 for one in found["outliers"])
+def listed(found: Diagnosis) -> set[tuple[str, str, int]]:
+    """Return the rows that a diagnosis tells as far off."""
+    return {(each.run, each.channel, each.row) for each in found.outliers}
 
 
-def test_without_the_look_for_outliers_they_pass_for_something_else(whole, monkeypatch):
-    """The planted fault: the check goes red where readings that are far off are not looked for."""
-    monkeypatch.setattr(search_module, "_outliers", lambda ground, sight: ([], np.zeros(0, dtype=bool)))
-    found = diagnosis_json(judge(redrawn(whole, 5, change=hits(whole, 12, 12.0, seed=3))))
-    assert found["verdict"] not in ("noise_model", "adequate")
-    assert not found["outliers"]
+def is_told(found: Diagnosis, where: set[tuple[str, str, int]]) -> None:
+    """Fail where the rows are not told, as outliers or as a wrong record of that row, or an effect is named."""
+    rows = {(run, row) for run, _, row in where}
+    wrong = {(each.run, each.row) for each in found.disagreeing}
+    assert where <= listed(found) or rows <= wrong, told(found)
+    assert found.verdict in ("noise_model", "run_disagrees"), told(found)
+    assert all(each.probability < 0.5 for each in found.ranking), told(found)
 
 
-def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole):
+def test_readings_that_are_far_off_are_told(whole: Fit) -> None:
+    change = hits(whole, 12, 12.0, seed=3)
+    found = judge(redrawn(whole, 5, change=change))
+    is_told(found, places(whole, change))
+    assert listed(found) == places(whole, change), told(found)
+    assert found.explanations is not None
+    assert "tails" in {each.family for each in found.explanations.noise}, told(found)
+    assert found.suggested is not None
+    assert found.suggested.effects == ("outliers",)
+    assert "outlier" in sentence(found)
+    assert any(one.table_angle_deg is not None for one in found.outliers)
+    assert all(6 < abs(one.distance) < 18 for one in found.outliers), told(found)
+
+
+@pytest.mark.parametrize("seed", [3, 8])
+def test_one_reading_that_is_far_off_is_told(whole: Fit, seed: int) -> None:
+    change = hits(whole, 1, 12.0, seed=seed)
+    is_told(judge(redrawn(whole, 5, change=change)), places(whole, change))
+
+
+def test_white_noise_has_no_outliers(whole: Fit) -> None:
+    assert not sum(len(judge(redrawn(whole, seed)).outliers) for seed in range(2))
+
+
+def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole: Fit) -> None:
     """All readings of the gyros at one rate, in all runs, are off alike: many that are far off, and one cause."""
     model = whole.model
     gyros = [k for k, channel in enumerate(model.campaign.channels) if channel.kind == "gyro"]
@@ -84,56 +96,45 @@ def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole):
     one = rates[len(rates) // 2]
     here = np.isin(model.entries.channel, gyros) & (rate == one)
     assert 0 < here.mean() < 0.2
-    found = diagnosis_json(judge(redrawn(whole, 6, change=9.0 * here * deviations(whole))))
-    assert found["verdict"] not in ("noise_model", "adequate"), found["sentence"]
-    assert not found["outliers"]
+    found = judge(redrawn(whole, 6, change=9.0 * here * deviations(whole)))
+    assert found.verdict not in ("noise_model", "adequate"), told(found)
+    assert not found.outliers, told(found)
+    assert not surely_wrong(found), told(found)
 
 
-def step(whole: Fit) -> np.ndarray:
-    """Return what the last three readings of one channel in one run are off by, (E,)."""
+def test_a_step_is_no_matter_of_outliers(whole: Fit) -> None:
+    """The last three readings of one channel in one run are off alike."""
     entries = whole.model.entries
     own = np.flatnonzero((entries.run == 1) & (entries.channel == 0))
     change = np.zeros(len(entries))
     change[own[np.argsort(entries.row[own])][-3:]] = 12.0
-    return change * deviations(whole)
+    found = judge(redrawn(whole, 8, change=change * deviations(whole)))
+    assert found.verdict == "unexplained_structure", told(found)
+    assert found.explanations is not None
+    form = found.explanations.form
+    assert form is not None
+    assert form.name.startswith("step"), told(found)
+    assert form.run == whole.model.campaign.runs[1].name
+    assert form.row == int(np.sort(entries.row[own])[-3]) + 1, told(found)
+    assert form.channels == (whole.model.campaign.channels[0].name,)
+    assert not found.outliers, told(found)
+    assert diagnosis_json(found)["next"].startswith("imubayes compare")
 
 
-def test_a_step_is_no_matter_of_outliers(whole):
-    found = diagnosis_json(judge(redrawn(whole, 8, change=step(whole))))
-    assert found["verdict"] == "unexplained_structure", found["sentence"]
-    assert not found["outliers"]
-    assert "time" in found["structure"][0]["covariate"]
-    # What happens once has no formula: none is offered, and what comes next can be done.
-    assert "has a step" in found["sentence"]
-    assert not any(line.get("python") for line in found["structure"])
-    assert found["next"].startswith("imubayes compare")
-
-
-def test_a_step_would_pass_for_outliers(whole, monkeypatch):
-    """The planted fault: the check goes red where nobody asks whether they follow one another."""
-    monkeypatch.setattr(search_module, "consecutive", lambda model, sizes: False)
-    found = diagnosis_json(judge(redrawn(whole, 8, change=step(whole))))
-    assert found["verdict"] == "noise_model", found["sentence"]
-
-
-def test_readings_hit_at_random_seldom_follow_one_another(whole):
-    hit = [consecutive(whole.model, hits(whole, count, 12.0, seed)) for count in (2, 6, 12, 30) for seed in range(50)]
-    assert np.mean(hit) < 0.03
-
-
-def test_an_effect_is_found_behind_them():
+def test_an_effect_is_found_behind_them() -> None:
     hidden = fitted_to("hidden-gyro")
     change = hits(hidden, 12, 12.0, seed=4)
-    value = np.asarray(hidden.model.problem.observations.value) + change
-    spoilt = with_values(hidden, value)
-    found = diagnosis_json(judge(spoilt))
-    assert "gyro_scale_asymmetry" in found["groups"][0]["effects"], found["sentence"]
-    assert places(hidden, change) <= named(found)
-    assert "outliers" in {one["effect"] for one in found["noise"] if one["adopted"]}
+    found = judge(with_values(hidden, np.asarray(hidden.model.problem.observations.value) + change))
+    assert names(found, "gyro_scale_asymmetry"), told(found)
+    assert "gyro_scale_asymmetry" in found.groups[0].effects
+    assert places(hidden, change) <= listed(found), told(found)
+    assert found.explanations is not None
+    assert "tails" in {each.family for each in found.explanations.noise}, told(found)
+    assert not surely_wrong(found, "gyro_scale_asymmetry"), told(found)
 
 
 @pytest.fixture(scope="module")
-def mended(whole):
+def mended(whole: Fit) -> tuple[Fit, Fit]:
     """The fit to readings of which some are far off, without `outliers` and with."""
     change = hits(whole, 12, 12.0, seed=3)
     spoilt = with_values(whole, np.asarray(whole.model.problem.observations.value) + change)
@@ -144,11 +145,11 @@ def mended(whole):
     return spoilt, robust
 
 
-def test_with_outliers_in_the_model_nothing_is_missing(whole, mended):
+def test_with_outliers_in_the_model_nothing_is_missing(whole: Fit, mended: tuple[Fit, Fit]) -> None:
     _, robust = mended
-    found = diagnosis_json(judge(robust))
-    assert found["verdict"] == "adequate", found["sentence"]
-    assert not found["outliers"]
+    found = judge(robust)
+    assert found.verdict == "adequate", told(found)
+    assert not found.groups
     # The scale is that of the good readings again.
     names = robust.model.hyper_layout.names
     sigma = np.asarray(robust.model.problem.hyper_priors.values(jnp.asarray(robust.h)))
@@ -158,7 +159,7 @@ def test_with_outliers_in_the_model_nothing_is_missing(whole, mended):
             assert 0.7 < sigma[names.index(name)] / was[place] < 1.15
 
 
-def test_runs_that_were_left_out_are_predicted_better(mended):
+def test_runs_that_were_left_out_are_predicted_better(mended: tuple[Fit, Fit]) -> None:
     _, _, masks = groups(mended[0].model)
     gains = []
     for mask in masks[:3]:
@@ -168,34 +169,13 @@ def test_runs_that_were_left_out_are_predicted_better(mended):
     assert sum(gains) > 30
 
 
-def test_a_reading_that_the_model_leans_on_is_seen(whole):
-    """The reading with the least of its variance left, yet enough, 20 standard deviations off."""
-    responses = candidate_responses(whole)
-    projection = project(whole, responses.misfit, responses.jacobian)
-    left = 1 - np.sum(to_entries(projection, projection.basis) ** 2, axis=1)
-    place = int(np.argmin(np.where(left > 0.2, left, 1.0)))
-    change = np.zeros(len(left))
+def test_a_reading_that_the_model_leans_on_is_seen(whole: Fit) -> None:
+    """The reading of the largest force along ax, whose neighbours share most of its leverage, 20 deviations off."""
+    entries = whole.model.entries
+    own = np.flatnonzero((entries.channel == 3) & ~entries.closing)
+    change = np.zeros(len(entries))
+    place = own[np.argmax(np.abs(entries.value[own]))]
     change[place] = 20 * deviations(whole)[place]
-    assert left[place] < 0.7
-    found = diagnosis_json(judge(redrawn(whole, 7, change=change)))
-    assert found["verdict"] == "noise_model", found["sentence"]
-    assert named(found) == places(whole, change)
-
-
-def test_chance_of_tails_under_white_noise(whole):
-    """p-values of fresh white residuals are spread evenly; those of Student's t of 4 degrees of freedom are not."""
-    responses = candidate_responses(whole)
-    projection = project(whole, responses.misfit, responses.jacobian)
-    rng = np.random.default_rng(2)
-
-    def chances(draws: np.ndarray) -> np.ndarray:
-        found = [screen_noise(replace(projection, residual=projection.project(one))) for one in draws]
-        return np.array([c.p for candidates in found for c in candidates if c.effect == "outliers"])
-
-    rows = len(projection.residual)
-    white = chances(rng.normal(size=(60, rows)))
-    assert 0.2 < np.mean(white < 0.5) < 0.75
-    assert np.mean(white < 0.05) < 0.12
-    assert np.mean(white < 0.001) < 0.02
-    heavy = chances(rng.standard_t(4, size=(10, rows)))
-    assert np.mean(heavy < 0.001) > 0.6
+    found = judge(redrawn(whole, 7, change=change))
+    is_told(found, places(whole, change))
+    assert probability(found, "nothing") < 0.01

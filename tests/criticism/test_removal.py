@@ -10,19 +10,19 @@ import pytest
 import imubayes.loop.refit as refit_module
 from imubayes.api import ModelChange, Result, add, fit, remove
 from imubayes.cli.main import run
-from imubayes.loop.addition import simplest
-from imubayes.loop.cross_validation import objection, summarise_gains
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, RivalExplanation
 from imubayes.criticism.evidence.evidence_record import EffectSlot, Evidence, ProbableEffect
+from imubayes.criticism.verdict import EffectChoice, Suggestion
+from imubayes.display.change_report import change_lines
+from imubayes.errors import InputError
+from imubayes.inference.fitted_model import Fit
+from imubayes.loop.addition import simplest
+from imubayes.loop.cross_validation import objection, summarise_gains
 from imubayes.loop.not_distinguished import NotDistinguished, correlated_owners
 from imubayes.loop.removal import _among, _refuse_required, _without, reduce
 from imubayes.loop.removal_odds import removal_log_odds
 from imubayes.loop.start_at_estimates import start_at_estimates
-from imubayes.criticism.verdict import EffectChoice, Suggestion
 from imubayes.loop.warm_start import extend
-from imubayes.display.change_report import change_lines
-from imubayes.errors import InputError
-from imubayes.inference.fitted_model import Fit
 from imubayes.model.effect_registry import Registry
 from imubayes.model.model_spec import EffectSpec, ModelSpec, PriorCorrelation
 from imubayes.results.estimate_changes import estimate_changes

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import simulate
 from null_data import refitted
+from planted_data import member, surely_wrong, told
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
@@ -44,10 +45,10 @@ def diagnosed(folder: Path, seed: int, ppm: float) -> Diagnosis:
 
 
 def said(found: Diagnosis) -> str:
-    """Return `right` with the cause in the first group, else what was said."""
-    if found.groups and "gyro_scale_factor" in found.groups[0].effects:
+    """Return `right` with the cause in a group, `wrong name` where another is beyond doubt, else what was said."""
+    if member(found, "gyro_scale_factor") is not None:
         return "right"
-    return "wrong name" if found.verdict == "missing_effect" else found.verdict
+    return "wrong name" if surely_wrong(found) else found.verdict
 
 
 def answered(folder: Path, seed: int, ppm: float) -> str:
@@ -65,9 +66,9 @@ def answered(folder: Path, seed: int, ppm: float) -> str:
 @pytest.mark.parametrize("ppm", [3000.0, -3000.0])
 def test_the_scale_factor_is_named(tmp_path, ppm):
     found = diagnosed(tmp_path / "positions", 41, ppm)
-    assert said(found) == "right"
-    member = next(each for each in found.groups[0].candidates if each.effect == "gyro_scale_factor")
-    (coefficient,) = member.coefficients
+    own = member(found, "gyro_scale_factor")
+    assert own is not None, told(found)
+    (coefficient,) = own.coefficients
     assert coefficient.value is not None
     assert coefficient.sd is not None
     assert abs(coefficient.value - ppm) < 4 * coefficient.sd

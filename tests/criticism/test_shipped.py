@@ -64,10 +64,12 @@ def test_what_the_catalogue_does_not_know_is_not_named():
     document, _ = _diagnosed("hidden-outside")
     assert document["verdict"] == "unexplained_structure"
     assert document["groups"] == []
-    best = document["structure"][0]
-    assert (best["channel"], best["covariate"]) == ("gy", "rate_i")
     assert _probability(document, "outside") > 0.9
     form = document["explanations"]["form"]
     assert (form["channels"], form["covariates"]) == (["gy"], ["rate_i"])
-    assert best["coefficient"]["value"] == pytest.approx(12.0, rel=0.15)
-    compile(best["python"], "found_shape.py", "exec")
+    [formula] = document["formulas"]
+    assert formula["channel"] == "gy"
+    [term] = formula["terms"]
+    assert term["value"] == pytest.approx(12.0, rel=0.15)
+    assert formula["inclusion"] > 0.5
+    compile(formula["python"], "found_shape.py", "exec")

@@ -1,0 +1,155 @@
+"""From a search to what is told: probabilities that add up, a ranking in order, formulas and far rows.
+
+Residuals are drawn from the linear model of `test_evidence`: no fit.
+"""
+
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_evidence import RATE, ROWS, RUNS, TEMPERATURE, covariates, drawn, posterior_of, problem, searched
+from test_one_number import made
+
+from imubayes.criticism.effect_ranking import ranking
+from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
+from imubayes.criticism.formula_search import Formula, coefficient_unit, find_formula
+from imubayes.criticism.outliers import outliers
+from imubayes.inference.fitted_model import Fit
+from imubayes.model.bind import Model
+from imubayes.responses.residual_covariates import ResidualCovariate
+
+COUNT = RUNS * ROWS
+WARMTH = 30 * TEMPERATURE
+"""Degrees off 25 °C."""
+PLANTED: list[dict[tuple[str, int], float]] = [
+    {}, {("scale_asymmetry", 1): 0.3}, {("scale_cubic", 0): 0.6, ("bias_temperature_quadratic", 1): 0.3},
+    {("scale_cubic", 0): 0.06},
+]  # fmt: skip
+
+
+def the_fit() -> Any:
+    """Return the fit of the residuals, as far as what is told asks of it."""
+    runs = [SimpleNamespace(name=f"run{n}", covariates={}) for n in range(RUNS)]
+    campaign = SimpleNamespace(
+        site=SimpleNamespace(gravity=9.8), runs=runs, channels=problem(np.zeros((2, COUNT))).channels
+    )
+    entries = SimpleNamespace(
+        run=np.tile(np.repeat(np.arange(RUNS), ROWS), 2), row=np.tile(np.arange(ROWS), 2 * RUNS),
+        channel=np.repeat([0, 1], COUNT), closing=np.zeros(2 * COUNT, dtype=bool),
+    )  # fmt: skip
+    return made(Fit, model=made(Model, campaign=campaign, entries=entries), z=np.zeros(4))
+
+
+@pytest.mark.parametrize("planted", PLANTED)
+def test_probabilities_add_up(planted: dict[tuple[str, int], float]) -> None:
+    posterior = posterior_of(searched(drawn(4, planted)))
+    assert posterior.share.sum() == pytest.approx(1)
+    assert sum(each.probability for each in posterior.evidence.explanations) == pytest.approx(1)
+    assert posterior.evidence.leading.kind == posterior.leading
+    assert {each.kind for each in posterior.evidence.explanations if each.log_odds == 0} == {posterior.leading}
+    every = list(dict.fromkeys(each.effect for each in posterior.of.variants))
+    effects = posterior.evidence.of("effects").probability
+    assert posterior.including(every) >= effects - 1e-9
+    for slot in posterior.slots:
+        shares = [each.share for each in slot.members]
+        assert all(a >= b for a, b in pairwise(shares))
+        assert 0.95 <= sum(shares) <= 1 + 1e-9
+        assert 0 <= slot.probability <= 1
+    assert all(posterior.including([each.effect]) == each.probability for each in posterior.evidence.inclusion)
+
+
+@pytest.mark.parametrize("planted", PLANTED)
+def test_the_ranking_is_in_order(planted: dict[tuple[str, int], float]) -> None:
+    posterior = posterior_of(searched(drawn(4, planted)))
+    found = ranking(posterior)
+    assert len({line.effect for line in found}) == len(found)
+    assert {line.effect for line in found} <= {each.effect for each in posterior.of.variants}
+    assert all(0 <= line.probability <= 1 for line in found)
+    order = [(-line.probability, -line.log_odds) for line in found]
+    assert order == sorted(order)
+    assert {line.effect for line in found[: len(planted)] if line.probability > 0.5} == {
+        effect for (effect, _), size in planted.items() if size > 0.1
+    }
+    for line in found:
+        assert line.delta_chi2 >= 0
+        assert all(each.sd is not None and each.sd > 0 for each in line.coefficients)
+
+
+def test_scatter_alone_makes_no_second_hypothesis() -> None:
+    posterior = posterior_of(searched(drawn(4, PLANTED[1])))
+    keys = [
+        (each.hypothesis.variants, each.hypothesis.form, tuple((n.rows, n.stated) for n in each.hypothesis.noise))
+        for each in posterior.distinct
+    ]
+    assert len(set(keys)) == len(keys) <= len(posterior.search.known)
+
+
+def formula_of(shape: np.ndarray, deg_h: float, seed: int = 11) -> Formula | None:
+    """Return the formula found where gx has so much of a shape in its residual, in deg/h at the input."""
+    residual = drawn(seed)
+    factor, unit = coefficient_unit("gyro", 1.0, 9.8)
+    assert unit == "deg/h"
+    residual[0] += deg_h * factor * shape
+    of = EvidenceOf(problem(residual))
+    at = of.evaluate(Hypothesis((), of.stated))
+    known = [covariates()[0], ResidualCovariate("temperature_degC", "degC", np.tile(WARMTH + 25, 2), "temperature")]
+    return find_formula(of, at, np.ones(2), the_fit(), known, 0)
+
+
+IN_NOISE = 1 / coefficient_unit("gyro", 1.0, 9.8)[0]
+"""deg/h of one standard deviation."""
+
+
+@pytest.mark.parametrize(
+    ("shape", "needs", "expression"),
+    [
+        (15 * RATE**3, "rate", "sample.rate[0] ** 3"),
+        (RATE * WARMTH / 10, "temperature", "sample.rate[0] ** 1 * (sample.ambient.temperature - 25.0) ** 1"),
+        ((WARMTH / 15) ** 2, "temperature", "(sample.ambient.temperature - 25.0) ** 2"),
+    ],
+    ids=["cube", "product", "square"],
+)
+def test_a_planted_term_is_found_with_its_coefficient(shape: np.ndarray, needs: str, expression: str) -> None:
+    found = formula_of(shape, IN_NOISE)
+    assert found is not None
+    assert (found.channel, found.kind) == ("gx", "gyro")
+    [term] = found.terms
+    assert needs in term.expression
+    assert term.expression == expression, term
+    assert term.log_odds > 10
+    assert term.sd is not None
+    whole = RATE**3 if needs == "rate" else RATE * WARMTH if "rate" in expression else WARMTH**2
+    size = IN_NOISE * float(shape @ whole / (whole @ whole))
+    assert abs(term.value - size) < 4 * term.sd < 0.5 * size
+    assert found.inclusion > 0.6
+
+
+def test_noise_has_no_formula() -> None:
+    found = [formula_of(RATE, 0.0, seed) for seed in range(20)]
+    assert sum(each is not None for each in found) <= 2
+
+
+def test_what_the_model_fits_needs_no_formula() -> None:
+    assert formula_of(RATE, 30 * IN_NOISE) is None
+
+
+def told_of(residual: np.ndarray) -> Any:
+    return outliers(ExplanationPosterior(searched(residual), the_fit()))
+
+
+def test_far_rows_are_told_with_their_distance() -> None:
+    residual = drawn(12)
+    residual[0, 33] += 15.0
+    residual[1, 64] -= 11.0
+    found = told_of(residual)
+    assert [(each.channel, each.run, each.row) for each in found] == [("gx", "run1", 14), ("gy", "run3", 5)]
+    assert [each.distance for each in found] == pytest.approx([15.0, -11.0], abs=3)
+    assert all(each.time_s is None for each in found)
+
+
+def test_white_noise_has_none() -> None:
+    """One in a hundred campaigns is expected to have one."""
+    assert sum(len(told_of(drawn(seed))) for seed in range(20)) <= 1
