@@ -10,10 +10,10 @@ from imubayes.batch.pooled_discovery import pooled_discovery
 from imubayes.batch.pooled_scores import PooledScores, pooled_scores
 from imubayes.batch.unit_scores import CandidateKey, scores_of
 from imubayes.campaign_data import Channel
-from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
 from imubayes.parameters.priors import Normal
 from imubayes.parameters.vector import Parameter
+from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
 
 ROWS, RUNS, OWN, UNITS = 60, 6, 2, 12
 RATE = np.tile(np.linspace(-1.0, 1.0, ROWS // RUNS), RUNS)

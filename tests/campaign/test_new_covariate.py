@@ -6,7 +6,6 @@ import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.covariates import COVARIATES, Covariate
-from imubayes.responses.residual_covariates import covariates
 from imubayes.criticism.term_library import library
 from imubayes.display.figures.panels import abscissa
 from imubayes.display.residual_columns import covariates_of, numbers
@@ -15,6 +14,7 @@ from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
+from imubayes.responses.residual_covariates import covariates
 from imubayes.results.residuals import residuals_of
 from imubayes.signal_path_state import Ambient
 from imubayes.units import same_dimension

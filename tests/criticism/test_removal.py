@@ -10,13 +10,10 @@ import pytest
 import imubayes.loop.refit as refit_module
 from imubayes.api import ModelChange, Result, add, fit, remove
 from imubayes.cli.main import run
-from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, RivalExplanation
 from imubayes.criticism.evidence.evidence_record import EffectSlot, Evidence, ProbableEffect
-from imubayes.criticism.verdict import EffectChoice, Suggestion
 from imubayes.display.change_report import change_lines
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
-from imubayes.loop.addition import simplest
 from imubayes.loop.cross_validation import objection, summarise_gains
 from imubayes.loop.not_distinguished import NotDistinguished, correlated_owners
 from imubayes.loop.removal import _among, _refuse_required, _without, reduce
@@ -220,7 +217,7 @@ def test_it_is_said_what_keeps_one_alone(third):
 def evidence(*slots: dict[str, float]) -> Evidence:
     def slot(shares: dict[str, float]) -> EffectSlot:
         candidates = [ProbableEffect(effect=name, channels=("gx",), probability=p) for name, p in shares.items()]
-        return EffectSlot(candidates=tuple(candidates), channels=("gx",), gain=8.0, coefficients=(), shape={})
+        return EffectSlot(candidates=tuple(candidates), gain=8.0, probability=0.999)
 
     return Evidence.model_construct(slots=tuple(map(slot, slots)))
 
@@ -232,19 +229,3 @@ def test_the_odds_of_a_removal_are_those_of_the_addition():
     assert removal_log_odds(found, ["a"], ["b"]) == pytest.approx(np.log(2))
     assert removal_log_odds(found, ["x"], []) is None
     assert removal_log_odds(found, ["a", "x"], []) is None
-
-
-def test_without_a_name_the_simplest_explanation_is_added():
-    group = EffectGroup.model_construct(effects=("a", "b", "c"), channels=("gx",), candidates=())
-    rival = RivalExplanation(effects=(EffectChoice(effect="d", channels=None),), log_odds=-1.0)
-    both = Diagnosis(verdict="equivalent_effects", rivals=(rival,)).model_copy(update={"groups": (group,)})
-
-    def chosen(*effects: str) -> tuple[str, ...]:
-        found = simplest(both.model_copy(update={"suggested": Suggestion(effects=effects, channels=("gx",))}))
-        assert found is not None
-        return found.effects
-
-    assert chosen("a", "b", "c", "d") == ("a",)
-    assert chosen("a") == ("a",)
-    assert chosen("d") == ("d",)  # a rival that is suggested alone
-    assert simplest(Diagnosis(verdict="adequate")) is None

@@ -11,6 +11,8 @@ from matplotlib.collections import LineCollection
 from rich.console import Console
 
 from display.made_diagnoses import ASYMMETRY, diagnosis, evidence, line
+from imubayes.adequacy.adequacy_record import ChannelRms, NoiseComparison
+from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import (
     AskedEffect,
@@ -21,13 +23,6 @@ from imubayes.criticism.diagnosis_record import (
 from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement
 from imubayes.criticism.evidence.evidence_record import FoundForm, FoundNoise
 from imubayes.criticism.formula_search import FormulaTerm
-from imubayes.loop.held_out_record import CrossValidation
-from imubayes.loop.injection_recovery import Size, Trial, Trials
-from imubayes.adequacy.known_noise import KnownNoise
-from imubayes.adequacy.adequacy_record import ChannelRms
-from imubayes.loop.model_history import ChiSquareDrop, Node, Tree, node_id
-from imubayes.adequacy.adequacy_record import NoiseComparison
-from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
 from imubayes.criticism.verdict import EffectChoice, Suggestion, Verdict
 from imubayes.display import diagnosis_report as shown
@@ -45,6 +40,10 @@ from imubayes.display.noise_violation_text import contradiction_text
 from imubayes.display.report_layout import print_report
 from imubayes.display.table_layout import terminal
 from imubayes.errors import InputError
+from imubayes.loop.held_out_record import CrossValidation
+from imubayes.loop.injection_recovery import Size, Trial, Trials
+from imubayes.loop.model_history import ChiSquareDrop, Node, Tree, node_id
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.results.loop_files import read_diagnosis, write_diagnosis
 
 PNG = b"\x89PNG"

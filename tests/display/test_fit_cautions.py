@@ -5,8 +5,7 @@ import json
 import pytest
 import synthetic_results as made
 
-from imubayes.adequacy.adequacy_record import KnownNoiseFit
-from imubayes.adequacy.adequacy_record import NoiseComparison, NoiseViolation
+from imubayes.adequacy.adequacy_record import KnownNoiseFit, NoiseComparison, NoiseViolation
 from imubayes.display.fit_cautions import alarm_of, next_command, notices
 from imubayes.display.fit_report import summary_report
 from imubayes.display.report_layout import report_text

@@ -10,14 +10,13 @@ from display.made_diagnoses import diagnosis
 from display.synthetic_results import summary_of, trihedral_residuals
 from display.test_diagnosis_report import residual_table, tree
 from display.test_first_screen import addition, screen
-from imubayes.adequacy.adequacy_record import ChannelRms
-from imubayes.adequacy.adequacy_record import KnownNoiseFit
-from imubayes.loop.model_history import Tree
+from imubayes.adequacy.adequacy_record import ChannelRms, KnownNoiseFit
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
 from imubayes.display.change_report import change_report
 from imubayes.display.figures.evidence_pictures import before_after
 from imubayes.display.figures.residual_evidence import evidence_figure
 from imubayes.display.history_table import history_report
+from imubayes.loop.model_history import Tree
 from imubayes.results.model_change import ModelChange, offsets_moved
 from imubayes.results.residual_table import Residuals
 from imubayes.results.summary import Summary

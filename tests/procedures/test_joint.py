@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.responses.residual_covariates import covariates
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
@@ -18,6 +17,7 @@ from imubayes.model.model_file import read_model
 from imubayes.model.problem import predict_many
 from imubayes.procedures.classical import classical
 from imubayes.procedures.textbook import Estimate
+from imubayes.responses.residual_covariates import covariates
 
 ROOT = Path(__file__).parents[2]
 

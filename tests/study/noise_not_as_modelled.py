@@ -19,8 +19,8 @@ import jax
 import numpy as np
 from scipy.stats import beta
 
-from imubayes.campaign import load_campaign
 from imubayes.adequacy.noise_assumptions import judged_noise
+from imubayes.campaign import load_campaign
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind

@@ -38,11 +38,11 @@ Line = dict[str, Any]
 
 def plants(fitted: Any, seed: int) -> Iterator[tuple[str, str, np.ndarray, float]]:
     """Yield effect, owner, shift of the readings (E,) and size over the largest typical one."""
-    from imubayes.responses.candidate_effects import candidate_responses
     from imubayes.criticism.detectability import AbsorbedResponses, deviations_needed
     from imubayes.criticism.evidence.effect_variants import effect_variants
     from imubayes.criticism.evidence.hypothesis import EvidenceOf
     from imubayes.criticism.evidence.linear_problem import linear_problem
+    from imubayes.responses.candidate_effects import candidate_responses
 
     responses, change = candidate_responses(fitted), whole_response(fitted)
     problem = linear_problem(fitted, responses)

@@ -12,9 +12,9 @@ import pytest
 from imubayes.api import fit
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
-from imubayes.loop.warm_start import extend
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.prior_agreement import PriorConflict, prior_conflicts
+from imubayes.loop.warm_start import extend
 from imubayes.model.bind import bind
 
 sys.path.insert(0, str(Path(__file__).parent))

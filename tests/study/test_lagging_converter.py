@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.responses import candidate_effects
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
+from imubayes.responses import candidate_effects
 
 sys.path.insert(0, str(Path(__file__).parent))
 from lagging_converter import drawn, lagged, write
