@@ -4,6 +4,7 @@ import itertools
 import math
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import linalg, stats
@@ -17,7 +18,9 @@ from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProble
 from imubayes.criticism.evidence.model_search import ModelSearch
 from imubayes.criticism.evidence.noise_structures import KNOWN, StateNoise, correlated, random_walk
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
+from imubayes.criticism.evidence.row_correlation import RowCorrelation
 from imubayes.inference.fitted_model import Fit
+from imubayes.model.noise_covariance import Series
 from imubayes.parameters.priors import Normal
 from imubayes.parameters.vector import Parameter
 from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
@@ -274,3 +277,51 @@ def test_free_forms_are_of_one_kind_and_have_the_prior_of_all() -> None:
     assert all(set(each.columns) <= {0, 1} for each in forms)
     assert replace(forms[0], log_prior=0.0).family == forms[0].family
     assert KNOWN.family == "known"
+
+
+def in_time(correlation: float, factor: float, log_prior: float) -> RowCorrelation:
+    """Return AR(1) from row to row of each run of a channel."""
+    place = np.arange(RUNS * ROWS)
+    first = place % ROWS == 0
+    rho = np.where(first, 0.0, correlation)
+    series = Series(jnp.asarray(np.where(first, len(place), place - 1)), jnp.asarray(rho))
+    log_variance = np.log1p(-(rho**2))
+    return RowCorrelation(factor, log_prior, -0.5 * float(log_variance.sum()), np.exp(-0.5 * log_variance), series)
+
+
+def autocorrelated(seed: int, correlation: float, sizes: tuple[RowCorrelation, ...]) -> LinearProblem:
+    """Return the problem with AR(1) noise, and a model that states it at some sizes."""
+    white = np.random.default_rng(seed).normal(size=(2, RUNS, ROWS))
+    for k in range(1, ROWS):
+        white[:, :, k] = correlation * white[:, :, k - 1] + math.sqrt(1 - correlation**2) * white[:, :, k]
+    made = problem(white.reshape(2, -1))
+    return replace(made, rows=tuple(replace(rows, correlations=sizes) for rows in made.rows))
+
+
+def test_correlation_that_the_model_states_is_no_other_noise() -> None:
+    sizes = (in_time(0.8, 1.0, math.log(0.5)), in_time(0.2, 0.25, math.log(0.5)))
+    made = autocorrelated(8, 0.8, sizes)
+    found = evidence_of(ModelSearch(made).run(free_forms(made, covariates())))
+    assert found.leading.kind == "nothing"
+    assert found.of("effects").probability < 0.3
+
+
+def test_correlation_in_time_whitens_as_its_covariance_does() -> None:
+    made = autocorrelated(9, 0.8, (in_time(0.8, 1.0, 0.0),))
+    rows = made.rows[0]
+    apart = np.abs(np.subtract.outer(np.arange(ROWS), np.arange(ROWS)))
+    own = linalg.block_diag(*[0.8**apart] * RUNS)
+    of = EvidenceOf(made)
+    gram = of.gram(Hypothesis((), of.stated), 0)
+    np.testing.assert_allclose(gram.products, rows.columns.T @ np.linalg.solve(own, rows.columns), rtol=1e-4, atol=0.1)
+    assert gram.log_det == pytest.approx(-0.5 * np.linalg.slogdet(own)[1], rel=1e-4)
+
+
+def test_gross_outliers_of_a_model_with_heavy_tails_are_no_cause() -> None:
+    residual = drawn(10)
+    residual[0, [7, 50]] = 1e4
+    made = problem(residual)
+    rows = tuple(replace(each, tails=((4.0, math.log(0.5)), (8.0, math.log(0.5)))) for each in made.rows)
+    made = replace(made, rows=rows)
+    found = evidence_of(ModelSearch(made).run(free_forms(made, covariates())))
+    assert found.of("nothing").probability + found.of("noise").probability > 0.5
