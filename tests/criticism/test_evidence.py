@@ -310,7 +310,7 @@ def test_correlation_in_time_whitens_as_its_covariance_does() -> None:
     made = autocorrelated(9, 0.8, (in_time(0.8, 1.0, 0.0),))
     rows = made.rows[0]
     apart = np.abs(np.subtract.outer(np.arange(ROWS), np.arange(ROWS)))
-    own = linalg.block_diag(*[0.8**apart] * RUNS)
+    own = np.asarray(linalg.block_diag(*[0.8**apart] * RUNS))
     of = EvidenceOf(made)
     gram = of.gram(Hypothesis((), of.stated), 0)
     np.testing.assert_allclose(gram.products, rows.columns.T @ np.linalg.solve(own, rows.columns), rtol=1e-4, atol=0.1)
