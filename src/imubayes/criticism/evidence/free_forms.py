@@ -228,16 +228,8 @@ def _thresholds(
 
 
 def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
-    scaled: dict[str, dict[int, np.ndarray]] = {}
     phrase = {covariate.name: covariate.phrase for covariate in known}
-    for covariate in known:
-        seen = {k: covariate.values[place.rows.entry] for k, place in places.items()}
-        seen = {k: np.nan_to_num(x) for k, x in seen.items() if _varies(x)}
-        if seen and not covariate.periodic:
-            every = np.concatenate(list(seen.values()))
-            centre = float(every.mean()) if covariate.name in _MEAN_FREE else 0.0
-            size = float(np.abs(every - centre).max()) or 1.0
-            scaled[covariate.name] = {k: (x - centre) / size for k, x in seen.items()}
+    scaled = {each.name: own for each in known if not each.periodic and (own := _scaled(each, places))}
     for one, other in combinations(scaled, 2):
         shapes = {}
         for k in scaled[one].keys() & scaled[other].keys():
@@ -248,6 +240,18 @@ def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) 
             shapes[k] = places[k].weighted(np.stack(terms, axis=1))
         if shapes:
             yield FormHypothesis("product", f"function of {phrase[one]} and {phrase[other]}", (one, other), shapes)
+
+
+def _scaled(covariate: ResidualCovariate, places: Mapping[int, _Place]) -> dict[int, np.ndarray]:
+    """Return a covariate on each channel that sees it vary, over its largest size; empty where none does."""
+    seen = {k: covariate.values[place.rows.entry] for k, place in places.items()}
+    seen = {k: np.nan_to_num(x) for k, x in seen.items() if _varies(x)}
+    if not seen:
+        return {}
+    every = np.concatenate(list(seen.values()))
+    centre = float(every.mean()) if covariate.name in _MEAN_FREE else 0.0
+    size = float(np.abs(every - centre).max()) or 1.0
+    return {k: (x - centre) / size for k, x in seen.items()}
 
 
 def _alike(one: np.ndarray, other: np.ndarray) -> bool:

@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -262,8 +263,7 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
 
 def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     own, kind = problem.rows[channels[0]], problem.kinds[channels[0]]
-    grows = kind == "gyro" and own.input_varies
-    others = [each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or grows)]
+    others = _others(kind == "gyro" and own.input_varies)
     # What the model leaves open is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
     sizes = tuple((k, each.log_prior) for k, each in enumerate(own.correlations)) or ((0, 0.0),)
@@ -271,11 +271,19 @@ def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     stated = [(HeavyTails("known", False, each), p) for each, p in own.tails] or [(KNOWN, 0.0)]
     scattered = _SCATTERS if len(own.series) > 1 and not own.run_scatter else ()
     believed = math.log(1 - OTHER_NOISE)
-    as_stated = [NoiseOfUnit(one, tau, believed + q + p, True, k) for tau, k, p in opened for one, q in stated]
-    beside = [NoiseOfUnit(one, tau, q + p, False, k) for tau in scattered for _, k, p in opened for one, q in stated]
+    open_and_stated = [(*one, *other) for one, other in product(opened, stated)]
+    as_stated = [NoiseOfUnit(rows, tau, believed + p + q, True, k) for tau, k, p, rows, q in open_and_stated]
+    beside = [
+        NoiseOfUnit(rows, tau, p + q, False, k) for tau, (_, k, p, rows, q) in product(scattered, open_and_stated)
+    ]
     whole = len(sizes) - 1 if any(each.whole for each in own.correlations) else None
     other = _other_noise(others, scatters, opened, whole, beside, len(scattered))
     return NoiseUnit(channels, kind, (*as_stated, *other), tuple(each.factor for each in own.correlations))
+
+
+def _others(grows: bool) -> list[NoiseStructure]:
+    """Return the structures other than stated; noise may grow with an input that varies."""
+    return [each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or grows)]
 
 
 def _other_noise(

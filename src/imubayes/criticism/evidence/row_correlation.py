@@ -81,17 +81,25 @@ def correlations_of(fitted: Fit, h: np.ndarray, entries: Mapping[int, np.ndarray
     sizes = {k: each for k in entries if (each := list(_sizes(model, k, h)))}
     found: dict[int, list[RowCorrelation]] = {k: [] for k in sizes}
     for factor in _FACTORS if sizes else ():
-        moved, shares = h.copy(), dict[int, float]()
-        for k, members in sizes.items():
-            places = [(place, each.at(factor)) for place, each in members]
-            if all(z is not None for _, z in places):
-                moved[[place for place, _ in places]] = [z for _, z in places]
-                shares[k] = sum(each.log_share(factor) for _, each in members)
+        moved, shares = _moved(h, sizes, factor)
         series = _series_at(model.problem, jnp.asarray(moved), own)
         assert series is not None
         for k, share in shares.items():
             found[k].append(_of_channel(series, factor, share, entries[k]))
     return {k: _normalised(each) for k, each in found.items()}
+
+
+def _moved(
+    h: np.ndarray, sizes: Mapping[int, Sequence[tuple[int, "_Size"]]], factor: float
+) -> tuple[np.ndarray, dict[int, float]]:
+    """Return noise scales with the correlations of every channel at a multiple, and the log share of each channel."""
+    moved, shares = h.copy(), dict[int, float]()
+    for k, members in sizes.items():
+        places = [(place, each.at(factor)) for place, each in members]
+        if all(z is not None for _, z in places):
+            moved[[place for place, _ in places]] = [z for _, z in places]
+            shares[k] = sum(each.log_share(factor) for _, each in members)
+    return moved, shares
 
 
 @dataclass(frozen=True)
