@@ -268,7 +268,7 @@ def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     scatters = own.run_scatter or ((0.0, 0.0),)
     sizes = tuple((k, each.log_prior) for k, each in enumerate(own.correlations)) or ((0, 0.0),)
     opened = [(tau, k, p + q) for tau, p in scatters for k, q in sizes]
-    stated = [(HeavyTails("known", False, each), p) for each, p in own.tails] or [(KNOWN, 0.0)]
+    stated = _stated(own)
     scattered = _SCATTERS if len(own.series) > 1 and not own.run_scatter else ()
     believed = math.log(1 - OTHER_NOISE)
     open_and_stated = [(*one, *other) for one, other in product(opened, stated)]
@@ -279,6 +279,11 @@ def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     whole = len(sizes) - 1 if any(each.whole for each in own.correlations) else None
     other = _other_noise(others, scatters, opened, whole, beside, len(scattered))
     return NoiseUnit(channels, kind, (*as_stated, *other), tuple(each.factor for each in own.correlations))
+
+
+def _stated(rows: ChannelRows) -> Sequence[tuple[NoiseStructure, float]]:
+    """Return the structures of rows that a model states, with the logarithms of their probabilities."""
+    return [(HeavyTails("known", False, degrees), p) for degrees, p in rows.tails] or [(KNOWN, 0.0)]
 
 
 def _others(grows: bool) -> list[NoiseStructure]:
