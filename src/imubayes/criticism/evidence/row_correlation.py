@@ -5,7 +5,7 @@ channel change together: their ratios stay as fitted, and the common size has th
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
