@@ -18,7 +18,7 @@ from imubayes.procedures.nominal_stimulus import Stimulus
 _NODES_VERTICAL, _NODES_INCLINED = 4, 12
 _VERTICAL_WITHIN = math.radians(1.0)
 # A partial turn is integrated by Gauss–Legendre quadrature: exact for polynomials of degree 9 over the arc.
-_NODES_ARC = 5
+_ARC_POINTS, _ARC_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 def _angle_nodes(angle: float, span: float, whole_turn_nodes: int) -> tuple[np.ndarray, np.ndarray]:
@@ -27,8 +27,7 @@ def _angle_nodes(angle: float, span: float, whole_turn_nodes: int) -> tuple[np.n
         count = whole_turn_nodes
         return 2 * math.pi * np.arange(count) / count, np.full(count, 1 / count)
     if abs(span) > 0:
-        points, weights = np.polynomial.legendre.leggauss(_NODES_ARC)
-        return angle + 0.5 * span * points, weights / 2
+        return angle + 0.5 * span * _ARC_POINTS, _ARC_WEIGHTS / 2
     return np.array([angle]), np.ones(1)
 
 
