@@ -66,7 +66,7 @@ def _detail(found: Evidence, kind: Explanation) -> str:
         told = [each for each in found.inclusion if each.probability >= _LEAST_TOLD][:2]
         return ", ".join(f"{each.effect} {probability(each.probability)}" for each in told)
     if found.form is not None and found.form.wrong == (kind == "input") and kind in ("input", "outside"):
-        beside = " and ".join(map(_slot, found.slots)) if leads else ""
+        beside = " and ".join([*map(_slot, found.slots), *([noise] if noise else [])]) if leads else ""
         return form_text(found.form) + (f", beside {beside}" if beside else "")
     return ""
 
