@@ -62,7 +62,7 @@ def test_the_loop(place, capsys):
     nodes = json.loads(out)["nodes"]
     assert [one["selected"] for one in nodes] == [False, True]
     # What is predicted, observed and drawn is one figure: χ² at the noise known beforehand.
-    drops = found["groups"][0]["delta_chi2_known"], added["predicted"]["delta_chi2"], added["observed"]["delta_chi2"]
+    drops = found["groups"][0]["delta_chi2"], added["predicted"]["delta_chi2"], added["observed"]["delta_chi2"]
     assert drops == pytest.approx([nodes[0]["chi2"] - nodes[1]["chi2"]] * 3, rel=0.05)
     predicted, channel = found["groups"][0]["residual"], added["channels"][0]
     assert predicted["before"] == pytest.approx(1e6 * channel["before"], rel=0.05)

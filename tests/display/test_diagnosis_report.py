@@ -75,7 +75,12 @@ def test_the_answer_comes_first(capsys):
     ("verdict", "probability", "said", "command"),
     [
         ("adequate", 0.998, "The model explains the data: no effect of the catalogue is missing", "plant --result R"),
-        ("adequate", 0.62, "The model probably explains the data (probability 0.62): no other", "plant --result R"),
+        (
+            "adequate",
+            0.62,
+            "The model probably explains the data (probability 0.62): that nothing is missing",
+            "plant --result R",
+        ),
         ("missing_effect", 0.62, "gyro_scale_asymmetry is probably missing on gx (probability 0.62).", "add"),
         ("missing_effect", 0.42, "gyro_scale_asymmetry is possibly missing on gx (probability 0.42).", "add"),
         ("noise_model", 0.998, "The noise is not as modelled: heavy tails on gx. No effect explains it.", "compare R"),
@@ -304,7 +309,7 @@ def test_what_an_undetectable_effect_would_do_is_told(in_sd, told):
     said = shown.sentence(diagnosis("adequate").model_copy(update={"undetectable": (hidden,)}))
     sentence = (
         "No interval includes it: gravity_anomaly.anomaly[all] of 300 µg, the largest typical size, would bias "
-        "accel_bias.bias[ax] by 663 of its sd."
+        "accel_bias.bias[ax] by 663 times its sd."
     )
     assert (sentence in said) == told
     assert "1 effect of the catalogue is undetectable in these runs." in said

@@ -67,7 +67,7 @@ def _adequate_sentence(found: Diagnosis) -> str:
         said = "The model explains the data: no effect of the catalogue is missing as far as these runs can show."
     else:
         adverb, chance = likely(nothing)
-        said = f"The model{adverb} explains the data{chance}: no other explanation is likelier."
+        said = f"The model{adverb} explains the data{chance}: that nothing is missing is the likeliest explanation."
     return said + _undetectable_sentence(found)
 
 
@@ -140,7 +140,7 @@ def _neglected_sentence(found: Diagnosis) -> str:
     return (
         f" No interval includes {effects}, which the model takes as exact: the uncertainty that the campaign states of "
         f"{worst.parameter}, {significant(worst.value)} {pretty(worst.unit)}, shifts {worst.shifts} by "
-        f"{significant(worst.in_sd)} of its sd."
+        f"{significant(worst.in_sd)} times its sd."
     )
 
 
@@ -160,7 +160,7 @@ def bias_clause(bias: ParameterBias) -> str:
     size = f"{significant(bias.size)} {pretty(bias.size_unit)}"
     return (
         f"{bias.coefficient} of {size}, the largest typical size, would bias {bias.parameter} by "
-        f"{significant(abs(bias.in_sd))} of its sd"
+        f"{significant(abs(bias.in_sd))} times its sd"
     )
 
 

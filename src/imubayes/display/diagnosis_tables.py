@@ -31,15 +31,18 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         mark, on, size = Cell(group.get(line.effect, "")), Cell(listed(shown.channels, 3)), Cell(_coefficient(shown))
         rows.append((name, on, size, drop, odds, likely, mark))
         slim.append((name, Cell(_coefficient(shown, short=True)), drop, likely, mark))
-    note = _more(len(found.ranking) - len(rows)) + (
-        "Δχ²: predicted drop if the effect is added alone, at the noise known beforehand; log odds: natural logarithm "
-        "of the odds of the effect alone against nothing missing; probability: that it is missing, of all explanations "
-        "that contain it. These runs cannot distinguish the effects of one group."
+    before = _more(len(found.ranking) - len(rows)) + (
+        "Δχ²: predicted drop if the effect is added alone, at the noise known beforehand; "
+    )
+    odds = "log odds: natural logarithm of the odds of the effect alone against nothing missing; "
+    after = (
+        "probability: that it is missing, of all explanations that contain it. These runs cannot distinguish the "
+        "effects of one group."
     )
     head = ("effect", "on", "coefficient", "Δχ²", "log odds", "probability", "group")
     title = "Effects by the probability that they are missing"
-    narrow = Sheet(title, ("effect", "coefficient", "Δχ²", "probability", "group"), slim, (0, 1), "", note)
-    return Sheet(title, head, rows, (0, 1, 2), "", note, narrow=narrow)
+    narrow = Sheet(title, ("effect", "coefficient", "Δχ²", "probability", "group"), slim, (0, 1), "", before + after)
+    return Sheet(title, head, rows, (0, 1, 2), "", before + odds + after, narrow=narrow)
 
 
 def _more(count: int) -> str:

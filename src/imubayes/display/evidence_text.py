@@ -64,7 +64,8 @@ def _detail(found: Evidence, kind: Explanation) -> str:
         return _effects(found, leads)
     if found.form is None or found.form.wrong != (kind == "input") or kind == "nothing":
         return ""
-    beside = " and ".join(map(_slot, found.slots)) if leads else ""
+    noise = noise_text(found.noise)
+    beside = " and ".join([*map(_slot, found.slots), *([noise] if noise else [])]) if leads else ""
     return form_text(found.form) + (f", beside {beside}" if beside else "")
 
 

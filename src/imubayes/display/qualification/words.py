@@ -36,8 +36,8 @@ OBSTACLES: dict[Obstacle, str] = {
 VERDICTS: dict[Verdict, str] = {
     "adequate": "adequate: no effect of the catalogue is missing as far as these runs can show",
     "missing_effect": "inadequate: an effect is missing",
-    "equivalent_effects": "inadequate: one of several effects, which these runs cannot distinguish, is missing",
-    "unexplained_structure": "inadequate: residuals show structure that no effect of the catalogue explains",
+    "equivalent_effects": "inadequate: one of several indistinguishable effects is missing, or one is probably missing",
+    "unexplained_structure": "inadequate: the data show a cause that no effect of the catalogue explains",
     "noise_model": "inadequate: the noise is not what the model assumes",
     "run_disagrees": "inadequate: one run does not agree with the others, and its record is to be checked",
     "undetectable": "undetectable: the runs cannot show the effect that was asked about",
