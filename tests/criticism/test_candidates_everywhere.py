@@ -47,9 +47,8 @@ PLANS = {
 }
 RATE = "temperature_rate"
 AT_ONCE = ("geographic-tumble", "accel-channel")
-
-RESPONSE_MIN = 1e-6
-"""Share of the noise of all samples below which a response is the rounding of a derivative."""
+LEAST_FELT = 1e-6
+"""Standard deviations of noise that the shifts of all readings together make, below which they show nothing."""
 
 
 def felt(plan, seed: int = 1) -> dict[str, float]:
@@ -82,7 +81,7 @@ def declared(name: str) -> Model:
 def test_an_effect_is_a_candidate_where_readings_feel_it(name):
     model, shifts = declared(name), felt(PLANS[name][0](1))
     candidates, unobservable = _candidates(model)
-    _assert_felt(model, shifts, candidates, RESPONSE_MIN)
+    _assert_felt(model, shifts, candidates, LEAST_FELT)
     # The noise of a thermometer is a rate of the temperature, although that is steady.
     rates = {effect for effect in shifts if RATE in model.registry.effects[effect].needs and _recorded(model, effect)}
     silent = {effect for effect, shift in shifts.items() if shift == 0} - _whole(model) - rates

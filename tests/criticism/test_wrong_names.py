@@ -152,6 +152,25 @@ def test_a_step_in_one_run_gets_no_name() -> None:
         effect_source(found)
 
 
+def test_a_narrow_bump_over_temperature_gets_no_name() -> None:
+    """A feature of a twentieth of the range, for which a smooth curve is too stiff."""
+    entries, campaign = converter().model.entries, converter().model.campaign
+    warmth = np.full(len(entries), np.nan)
+    for place, run in enumerate(campaign.runs):
+        here = (entries.run == place) & ~entries.closing
+        warmth[here] = run.covariates["converter_temperature"][entries.row[here]]
+    low, high = np.nanmin(warmth), np.nanmax(warmth)
+    bump = np.exp(-(((np.nan_to_num(warmth, nan=1e6) - low - 0.42 * (high - low)) / (0.04 * (high - low))) ** 2))
+    sd = noise_of(converter(), ~entries.closing)
+    found = judge(planted(converter(), 2, 20 * sd * bump / np.linalg.norm(bump)))
+    doubted(found)
+    assert probability(found, "outside") > 0.9, told(found)
+    assert found.explanations is not None
+    form = found.explanations.form
+    assert form is not None
+    assert "converter_temperature_degC" in form.covariates, told(found)
+
+
 @pytest.mark.parametrize("shape", [np.sin, np.cos], ids=["odd", "even"])
 def test_a_wave_of_the_input_is_outside_of_the_catalogue(shape: np.ufunc) -> None:
     """Several periods over the range of the rate of gx."""
@@ -170,4 +189,5 @@ def test_a_wave_of_the_input_is_outside_of_the_catalogue(shape: np.ufunc) -> Non
 
 def noise_of(fitted: Fit, here: Sequence[bool] | np.ndarray) -> float:
     """Return the standard deviation of rows, as the residuals show it."""
-    return float(np.std(candidate_responses(fitted, ["gyro_scale_asymmetry"]).misfit[np.asarray(here)]))
+    effect = "gyro_scale_asymmetry" if fitted.model.campaign.channels[0].kind == "gyro" else "accel_quadratic"
+    return float(np.std(candidate_responses(fitted, [effect]).misfit[np.asarray(here)]))
