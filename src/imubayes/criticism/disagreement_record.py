@@ -12,7 +12,7 @@ class AgreeingInput(Record):
     ----------
     form : an ``offset`` or a ``factor`` of a column; the attitude of the ``seat``; an ``output_offset`` of each channel
         or an ``output_factor`` of all.
-    quantity : the column; ``mounting`` or ``outputs``.
+    quantity : the column; ``mounting``; ``outputs``, or the channel of the only output.
     unit : of the values; of a factor 1, of outputs the unit of the first channel.
     recorded : what the record says: the value of the row, the mean of the column, or 0 for the attitude and offsets and
         1 for a factor.

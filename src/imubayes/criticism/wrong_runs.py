@@ -74,7 +74,10 @@ def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -
         quantity, unit, factor = column.column, column.unit, column.factor(campaign.site.gravity)
         recorded = float(np.nanmean(values) if wrong.row is None else values[wrong.row]) / factor
     else:
-        quantity, unit, recorded, factor = "outputs", campaign.channels[0].output_unit, 0.0, 1.0
+        # The outputs of all channels, or of one.
+        channel = campaign.channels[wrong.channel or 0]
+        quantity = "outputs" if wrong.channel is None else channel.name
+        unit, recorded, factor = channel.output_unit, 0.0, 1.0
     return AgreeingInput(
         form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
         agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),

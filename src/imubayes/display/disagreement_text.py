@@ -43,8 +43,8 @@ def _cause(each: AgreeingInput, found: Disagreement) -> str:
     if each.form == "seat":
         return f"the unit turned in its mounting by ({sizes}){unit} about its axes"
     if each.form == "output_offset":
-        which = "outputs" if len(pairs) > 1 else "output"
-        return f"its {which} {'of every channel ' if len(pairs) > 1 else ''}changed by ({sizes}){unit}"
+        which = "outputs of every channel" if len(pairs) > 1 else f"output of {each.quantity}"
+        return f"its {which} changed by ({sizes}){unit}"
     if each.form == "factor":
         return f"{each.quantity} times {sizes}, all rows alike"
     if each.form == "output_factor":

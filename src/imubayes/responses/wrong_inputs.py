@@ -49,12 +49,14 @@ class WrongInput:
     run : place of the run.
     covariate : the column; empty for seat and outputs.
     row : the only row concerned, from 0; None for all of the run.
+    channel : place of the only channel whose outputs are off; None for all.
     """
 
     run: int
     form: Form
     covariate: str = ""
     row: int | None = None
+    channel: int | None = None
 
     def corrected(self, campaign: Campaign, size: np.ndarray) -> Campaign:
         """Return the campaign with a size, (d,), added to the record."""
@@ -78,6 +80,9 @@ class WrongInput:
     def _outputs(self, campaign: Campaign, run: Run, size: np.ndarray) -> np.ndarray:
         observed = run.observed.copy()
         here = slice(None) if self.row is None else slice(self.row, self.row + 1)
+        if self.channel is not None:
+            observed[here, self.channel] += size[0]
+            return observed
         offsets = np.array([channel.offset for channel in campaign.channels])
         change = size if self.form == "output_offset" else size[0] * (observed[here] - offsets)
         observed[here] = observed[here] + change
@@ -85,6 +90,8 @@ class WrongInput:
 
     def freedom(self, campaign: Campaign) -> int:
         """Return the number of components of a size."""
+        if self.channel is not None:
+            return 1
         return {"seat": 3, "output_offset": len(campaign.channels)}.get(self.form, 1)
 
     def possible(self, campaign: Campaign, size: np.ndarray) -> bool:
@@ -192,7 +199,9 @@ class Predictions:
         entries, count = self.model.entries, wrong.freedom(campaign)
         own = (entries.run == wrong.run) & ~entries.closing & ((entries.row == wrong.row) | (wrong.row is None))
         found = np.zeros((len(entries), count))
-        if wrong.form == "output_offset":
+        if wrong.channel is not None:
+            found[own & (entries.channel == wrong.channel), 0] = -1.0
+        elif wrong.form == "output_offset":
             found[own, entries.channel[own]] = -1.0
         else:
             offsets = np.array([channel.offset for channel in campaign.channels])

@@ -29,7 +29,7 @@ _SMOOTH, _ROUGH = (0.25, 7), (0.06, 16)
 """Length of a Gaussian process over the range of its covariate, and its columns."""
 _HARMONICS, _FIRST_HARMONIC = 12, 3
 _SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
-_MOST_LEVELS, _LEAST_ROWS, _STEPS = 40, 8, 10
+_MOST_LEVELS, _LEAST_AT_LEVEL, _LEAST_ROWS, _STEPS = 40, 2, 8, 10
 _POWERS = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (3, 1))
 _APART = 1e-6
 """Share of a covariate that another has to leave, for both to be two.  Numerical."""
@@ -201,9 +201,10 @@ def _levels(
     filled = {k: np.nan_to_num(x) for k, x in seen.items()}
     top = max(float(np.abs(x).max()) for x in filled.values())
     level = {k: np.round(np.abs(x) / top * 50) for k, x in filled.items()}
-    levels = np.unique(np.concatenate(list(level.values())))
+    levels, rows = np.unique(np.concatenate(list(level.values())), return_counts=True)
     if 2 < len(levels) <= _MOST_LEVELS:
-        for one in levels[1:].tolist():
+        # Two rows of a channel would be matched whatever they are.
+        for one in levels[1:][rows[1:] > _LEAST_AT_LEVEL * len(level)].tolist():
             both = {
                 k: places[k].weighted(np.stack([at == one, (at == one) * np.sign(filled[k])], axis=1).astype(float))
                 for k, at in level.items()

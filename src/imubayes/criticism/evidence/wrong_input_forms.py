@@ -89,12 +89,14 @@ def _in_noise(problem: LinearProblem, response: np.ndarray, largest: float) -> d
 
 @dataclass(frozen=True, eq=False)
 class WrongRows:
-    """What may be wrong in one row of a run: one column of the record there.
+    """What may be wrong in one row of a run: one column of the record there, or the output of one channel.
 
     Attributes
     ----------
-    columns : column of the record → channel → (n,), the response of each row to its own value, its largest 1.
-    unit : column of the record → (rows,), error of the row for a coefficient of 1.
+    columns : column of the record, or channel → channel → (n,), the response of each row to its own value, its largest
+        1.
+    unit : column of the record, or channel → (rows,), error of the row for a coefficient of 1.
+    outputs : channel → its place.
     row : channel → (n,), row of each entry, counted over all runs.
     run, place : shape (rows,), run of each row, and its place there.
     """
@@ -104,6 +106,7 @@ class WrongRows:
     row: Mapping[int, np.ndarray]
     run: np.ndarray
     place: np.ndarray
+    outputs: Mapping[str, int]
     amplitudes: tuple[float, ...] = _ERRORS
 
     @property
@@ -116,29 +119,25 @@ class WrongRows:
         shape = {k: np.where(self.row[k] == row, x, 0.0)[:, None] for k, x in self.columns[column].items()}
         shape = {k: x for k, x in shape.items() if np.any(x)}
         run, place = int(self.run[row]), int(self.place[row])
+        channel = self.outputs.get(column)
         wrong = WrongInput(run, "offset", column, place)
-        return FormHypothesis(
-            "input",
-            f"offset of {column}",
-            (),
-            shape,
-            _ERRORS,
-            self.log_prior,
-            run,
-            place,
-            wrong,
-            float(self.unit[column][row]),
-        )
+        if channel is not None:
+            wrong = WrongInput(run, "output_offset", row=place, channel=channel)
+        name = f"offset of {column}" if channel is None else f"output of {column} off"
+        unit = float(self.unit[column][row])
+        return FormHypothesis("input", name, (), shape, _ERRORS, self.log_prior, run, place, wrong, unit)
 
 
 def _wrong_rows(problem: LinearProblem, fitted: Fit, columns: Mapping[str, np.ndarray]) -> WrongRows | None:
-    """Return what may be wrong in single rows; None where nothing is that a bench or an instrument says."""
+    """Return what may be wrong in single rows; None where there are none."""
     runs, entries = fitted.model.campaign.runs, fitted.model.entries
     first = np.cumsum([0, *(run.rows for run in runs)])
     row = {k: first[entries.run[rows.entry]] + entries.row[rows.entry] for k, rows in enumerate(problem.rows)}
     found: dict[str, dict[int, np.ndarray]] = {}
     units: dict[str, np.ndarray] = {}
-    for name, response in columns.items():
+    outputs = {channel.name: k for k, channel in enumerate(problem.channels) if len(problem.rows[k].entry)}
+    of_outputs = {name: np.where(entries.channel == k, -1.0, 0.0) for name, k in outputs.items()}
+    for name, response in {**columns, **of_outputs}.items():
         white = {k: problem.root[rows.entry] * response[rows.entry] for k, rows in enumerate(problem.rows)}
         largest = np.zeros(first[-1])
         for k, x in white.items():
@@ -149,4 +148,4 @@ def _wrong_rows(problem: LinearProblem, fitted: Fit, columns: Mapping[str, np.nd
     if not found:
         return None
     run = np.repeat(np.arange(len(runs)), [each.rows for each in runs])
-    return WrongRows(found, units, row, run, np.arange(first[-1]) - first[run])
+    return WrongRows(found, units, row, run, np.arange(first[-1]) - first[run], outputs)
