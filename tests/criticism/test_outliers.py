@@ -79,8 +79,8 @@ def test_readings_that_are_far_off_are_told(whole: Fit) -> None:
 
 @pytest.mark.xfail(
     strict=True,
-    reason="a response at one level of a rate leads with 0.83 and 0.97, before heavy tails and a wrong row; of the second "
-    "the reading is not told at all",
+    reason="a response at one level of a rate leads with 0.83 and 0.97, before heavy tails and a wrong row; of the "
+    "second the reading is not told at all",
 )
 @pytest.mark.parametrize("seed", [3, 8])
 def test_one_reading_that_is_far_off_is_told(whole: Fit, seed: int) -> None:
