@@ -55,7 +55,7 @@ def sized(effect: str, deviations: float, seed: int) -> None:
     assert not surely_wrong(found, effect), told(found)
 
 
-@pytest.mark.parametrize("effect", ["accel_quadratic", "converter_offset_temperature_rate"])
+@pytest.mark.parametrize("effect", ["converter_gain_temperature_rate", "converter_offset_temperature_rate"])
 def test_an_effect_is_found_with_its_size(effect: str) -> None:
     sized(effect, 10.0, 3)
 
@@ -184,7 +184,7 @@ def test_what_scatter_took_up_is_named_and_no_rest_of_it(tmp_path: Path) -> None
 
 def test_one_effect_asked_about() -> None:
     """Absent down to a size where nothing is missing, missing where it was planted."""
-    effect = "accel_quadratic"
+    effect = "converter_offset_temperature_rate"
     absent = judge(converter(), effect=effect)
     assert absent.verdict == "adequate", told(absent)
     assert absent.asked is not None

@@ -40,9 +40,8 @@ def is_noise(found: Diagnosis, *families: str) -> None:
     assert all(each.probability < 0.5 for each in found.ranking), told(found)
 
 
-def row_noise(fitted: Fit) -> float:
-    """Return the standard deviation of the noise of a row, from the residuals of its neighbours alone."""
-    return float(np.median(np.abs(np.diff(fitted.model.entries.value, 2))) / (0.6745 * np.sqrt(6)))
+ROW = 8.0 / np.sqrt(12)
+"""Standard deviation of the noise of a row of the converter, as its samples tell it."""
 
 
 def walk(fitted: Fit, seed: int, step: float) -> np.ndarray:
@@ -52,7 +51,7 @@ def walk(fitted: Fit, seed: int, step: float) -> np.ndarray:
     found = np.zeros(len(group))
     for each in np.unique(group):
         found[group == each] = np.cumsum(steps[group == each])
-    return step * row_noise(fitted) * found
+    return step * ROW * found
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -64,14 +63,17 @@ def test_correlated_noise(seed: int) -> None:
     assert next_command(found).startswith(f"imubayes add {found.suggested.effects[0]} ")
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_random_walk_is_no_drift(seed: int) -> None:
-    is_noise(judge(redrawn(converter(), seed, change=walk(converter(), seed, 0.5))), "wander", "correlated")
+    """It resembles a drift or a hysteresis of this one record: they may be in doubt, but the noise is what leads."""
+    found = judge(redrawn(converter(), seed, change=walk(converter(), seed, 0.8)))
+    is_noise(found, "wander", "correlated")
+    assert not surely_wrong(found), told(found)
 
 
 def test_noise_of_another_size() -> None:
     """Samples within rows tell what the noise is; the rows scatter more."""
-    more = 1.2 * row_noise(converter()) * np.random.default_rng(3).normal(size=len(converter().model.entries))
+    more = 1.2 * ROW * np.random.default_rng(3).normal(size=len(converter().model.entries))
     found = judge(redrawn(converter(), 3, change=more))
     is_noise(found, "scale")
     assert [each.channel for each in found.disagreeing_noise] == ["ax"]
@@ -156,7 +158,7 @@ def test_a_drift_that_wandering_noise_explains_as_well_is_told_beside_it(tmp_pat
 
 def test_the_rows_told_against_the_samples_stay_with_the_noise() -> None:
     """A diagnosis keeps the rows' scatter for pictures, and the sentence tells the ratio."""
-    more = 1.2 * row_noise(converter()) * np.random.default_rng(3).normal(size=len(converter().model.entries))
+    more = 1.2 * ROW * np.random.default_rng(3).normal(size=len(converter().model.entries))
     fitted = with_values(converter(), np.asarray(converter().model.problem.observations.value) + more)
     found = judge(fitted)
     assert found.scatter is not None
