@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from display.made_diagnoses import ASYMMETRY, QUADRATIC, diagnosis
 from imubayes.cli.main import run
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.verdict import Verdict
@@ -174,6 +175,15 @@ def test_an_inadequate_model_cannot_pass(result, tmp_path, verdict):
     assert (status, record.conformity.outcome) == (1, "withheld")
     assert all(limit.outcome == "pass" for limit in record.conformity.limits)
     assert "The model is inadequate" in visible(page)[:1500]
+
+
+def test_the_probabilities_of_the_diagnosis_stand_in_the_record_and_on_the_page(result, tmp_path):
+    write_diagnosis(result, diagnosis())
+    _, record, page = written(result, tmp_path)
+    assert record.adequacy.explanations is not None
+    assert record.adequacy.explanations.of("effects").probability == 0.998
+    assert record.adequacy.missing == (ASYMMETRY, QUADRATIC)
+    assert f"Probability: an effect missing 0.998 ({ASYMMETRY} 0.54 or {QUADRATIC} 0.46 on gx)" in visible(page)
 
 
 def test_a_fit_that_did_not_converge_says_so_and_cannot_pass(result, tmp_path):

@@ -32,7 +32,8 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         rows.append((name, on, size, drop, odds, likely, mark))
         slim.append((name, Cell(_coefficient(shown, short=True)), drop, likely, mark))
     before = _more(len(found.ranking) - len(rows)) + (
-        "Δχ²: predicted drop if the effect is added alone, at the noise known beforehand; "
+        "Coefficient: the most significant one, at the likeliest shape, such as a time constant; Δχ²: predicted drop "
+        "if the effect is added alone, at the noise known beforehand; "
     )
     odds = "log odds: natural logarithm of the odds of the effect alone against nothing missing; "
     after = (
