@@ -144,7 +144,7 @@ def singles(bench: Bench, random: np.random.Generator) -> Iterator[Case]:
 
 
 def several(bench: Bench, random: np.random.Generator) -> Iterator[Case]:
-    """Yield a pair and a triple: each is detectable beside the others."""
+    """Yield a pair and a triple: each is detectable beside the others; `seen` as of single ones."""
     for count in (2, 3):
         for _ in range(8):
             names = random.permutation(bench.missing)[:count].tolist()
@@ -156,6 +156,8 @@ def several(bench: Bench, random: np.random.Generator) -> Iterator[Case]:
             for place, each in enumerate(planted):
                 beside = np.concatenate([x for other, x in enumerate(columns) if other != place], axis=1)
                 each["s"] = float(bench.sight.detectability(each["values"], beside))
+                past_noise = seen_past_noise(bench.sight, each["values"])
+                each["seen"] = float(min(bench.sight.seen(each["values"], beside), past_noise))
             if min(each["s"] for each in planted) >= SEEN:
                 yield Case("b", str(count), tuple(planted))
                 break
