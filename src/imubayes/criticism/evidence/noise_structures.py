@@ -179,8 +179,8 @@ class NoiseUnit:
         return [each for each in self.choices if each.scatter == at.scatter]
 
     def scatters(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
-        """Return all scatters between runs, with the structure of rows that is there."""
-        return [each for each in self.choices if each.rows == at.rows]
+        """Return all scatters between runs with the structure that is there, and those that a model does not have."""
+        return [each for each in self.choices if each.rows == at.rows or (each.rows == KNOWN and not each.stated)]
 
 
 def noise_units(problem: LinearProblem) -> tuple[NoiseUnit, ...]:
