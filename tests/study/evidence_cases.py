@@ -6,7 +6,7 @@ S is that of `detectability`: linear algebra at the truth, which shares no line 
 
 import csv
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import chain
@@ -57,13 +57,17 @@ class Bench:
 
 @dataclass(frozen=True)
 class Case:
-    """A campaign to be written: planted effects with S, and what is done to the outputs (rows, K) afterwards."""
+    """A campaign to be written: planted effects with S, and what is done to the outputs (rows, K) afterwards.
+
+    `explained` tells which share of S of a cause some effects of the catalogue explain together.
+    """
 
     part: str
     label: str
     planted: tuple[dict[str, Any], ...] = ()
     edit: Callable[[np.ndarray], np.ndarray] | None = None
     cause: dict[str, Any] = field(default_factory=dict)
+    explained: Callable[[Iterable[str]], float] = lambda effects: 0.0
 
 
 def settings() -> Iterator[Setting]:
@@ -207,7 +211,14 @@ def foreign(bench: Bench, random: np.random.Generator, setting: Setting) -> Iter
         if not s > 0.01 * np.sum(shift**2) or s == 0 or not np.isfinite(s):
             continue
         around = hidden.rivals(sight, tuple(plan.channels[each].name for each in where))
-        share = {each: 1 - float(np.sum(sight.left(shift, x) ** 2)) / s for each, x in around.items()}
+
+        def explained(
+            effects: Iterable[str], around: dict[str, np.ndarray] = around, shift: np.ndarray = shift, s: float = s
+        ) -> float:
+            columns = [around[each] for each in effects if each in around]
+            return 1 - float(np.sum(sight.left(shift, np.concatenate(columns, axis=1)) ** 2)) / s if columns else 0.0
+
+        share = {each: explained([each]) for each in around}
         past = s * (1 - max(x for x in share.values() if x < EQUAL)) if max(share.values()) < EQUAL else s
         factor = np.sqrt(np.exp(random.uniform(np.log(100), np.log(1500))) / past)
         if factor > 100:
@@ -215,7 +226,9 @@ def foreign(bench: Bench, random: np.random.Generator, setting: Setting) -> Iter
         told = {"name": name, "words": cause.words, "run": plan.runs[cause.run].name if cause.run is not None else ""}
         told |= {"s": s * factor**2, "equal": [e for e, x in share.items() if x >= EQUAL], "past": past * factor**2}
         told |= {"channels": [plan.channels[each].name for each in where], "largest": max(share.values())}
-        yield Case("d", name, edit=lambda outputs, moved=factor * delta: outputs + moved, cause=told)
+        yield Case(
+            "d", name, edit=lambda outputs, moved=factor * delta: outputs + moved, cause=told, explained=explained
+        )
         if (made := made + 1) == 2:
             return
 

@@ -26,7 +26,7 @@ from scipy.stats import beta
 
 sys.path.insert(0, str(Path(__file__).parent))
 from blind import mode_of, start_worker
-from evidence_cases import SEEN, Bench, Case, Setting, bench_of, cases, settings, write_case
+from evidence_cases import EQUAL, SEEN, Bench, Case, Setting, bench_of, cases, settings, write_case
 
 Line = dict[str, Any]
 SURE, OPEN, SHARE = 0.9, 0.5, 0.05
@@ -61,6 +61,7 @@ def examine(bench: Bench, case: Case, place: Path, keep: Path | None = None) -> 
     line["form"] = found.form.model_dump(mode="json") if found.form else None
     line["noise"] = [each.model_dump(mode="json") for each in found.noise]
     line |= {"part": case.part, "label": case.label, "planted": list(case.planted), "cause": case.cause}
+    line["joint"] = case.explained({each["effect"] for each, _ in named(line)})
     if keep is not None and verdict(line) not in GOOD:
         (keep / f"{place.name}.pkl").write_bytes(pickle.dumps((case.planted or case.cause, case.label, fitted, *known)))
     return line
@@ -142,7 +143,8 @@ def _of_outside(line: Line) -> str:
     if kind == "effects":
         sure = [each for each, p in named(line) if p > SURE]
         if sure:
-            return "equal" if all(planted(line, each) for each in sure) else "wrong"
+            same = line.get("joint", 0.0) >= EQUAL or all(planted(line, each) for each in sure)
+            return "equal" if same else "wrong"
         return "open"
     if kind not in ("outside", "input") or form is None:
         return "silent"

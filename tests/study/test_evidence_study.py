@@ -52,6 +52,7 @@ def line(part: str, label: str = "1", planted: tuple = (), slots: tuple = (), **
         ("open", line("d", effects=0.8, slots=(slot(("gyro_dead_zone", 1.0)),))),
         ("wrong", line("d", effects=1.0, slots=(slot(("gyro_dead_zone", 1.0)),))),
         ("equal", line("d", effects=1.0, slots=(slot((WARM, 1.0)),))),
+        ("equal", line("d", effects=1.0, slots=(slot(("gyro_dead_zone", 1.0)),)) | {"joint": 0.995}),
     ],
 )  # fmt: skip
 def test_judgement(said: str, one: study.Line) -> None:
