@@ -209,8 +209,9 @@ class NoiseUnit:
         return [each for each in here if each.size == at.size or each.replaces]
 
     def scatters(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
-        """Return all scatters between runs, all else as it is."""
-        return [each for each in self.choices if (each.rows, each.size) == (at.rows, at.size)]
+        """Return all scatters between runs, all else as it is, and those that a model lacks beside stated rows."""
+        here = [each for each in self.choices if each.size == at.size]
+        return [each for each in here if each.rows == at.rows or each.family == "runs"]
 
     def sizes(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
         """Return all sizes of the correlation in time, all else as it is."""
