@@ -42,8 +42,8 @@ form outside the catalogue; equal, of the same shape as the cause; open, no name
 
 def examine(bench: Bench, case: Case, place: Path, keep: Path | None = None) -> Line:
     """Fit a campaign and weigh the explanations of what is left."""
-    from imubayes.responses.candidate_effects import candidate_responses
     from imubayes.criticism.evidence.explain import explain, weighs
+    from imubayes.responses.candidate_effects import candidate_responses
     from imubayes.responses.residual_covariates import covariates
 
     started = time.perf_counter()

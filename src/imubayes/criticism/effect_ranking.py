@@ -30,7 +30,7 @@ def _line(
 ) -> RankedEffect:
     of, variant = posterior.of, posterior.of.variants[n]
     places = np.array(variant.places)
-    covariance = inverse(alone.own[np.ix_(places, places)] + np.eye(len(places)) / max(variant.widths) ** 2)
+    covariance = inverse(_positive(alone.own[np.ix_(places, places)]) + np.eye(len(places)) / max(variant.widths) ** 2)
     mean, sizes = covariance @ alone.right[places], of.problem.sizes[places]
     own, right = as_known.own[np.ix_(places, places)], as_known.right[places]
     return RankedEffect(
@@ -50,3 +50,9 @@ def _line(
         ),
         log_odds=gain,
     )
+
+
+def _positive(own: np.ndarray) -> np.ndarray:
+    """Return a symmetric matrix without the negative eigenvalues that rounding gives it."""
+    squares, axes = np.linalg.eigh(0.5 * (own + own.T))
+    return (axes * np.maximum(squares, 0.0)) @ axes.T
