@@ -65,10 +65,15 @@ def _detail(found: Evidence, kind: Explanation) -> str:
     if kind == "effects":
         told = [each for each in found.inclusion if each.probability >= _LEAST_TOLD][:2]
         return ", ".join(f"{each.effect} {probability(each.probability)}" for each in told)
-    if found.form is not None and found.form.wrong == (kind == "input") and kind in ("input", "outside"):
-        beside = " and ".join([*map(_slot, found.slots), *([noise] if noise else [])]) if leads else ""
-        return form_text(found.form) + (f", beside {beside}" if beside else "")
-    return ""
+    if kind == "nothing" or found.form is None or found.form.wrong != (kind == "input"):
+        return ""
+    return form_text(found.form) + (_beside_form(found, noise) if leads else "")
+
+
+def _beside_form(found: Evidence, noise: str) -> str:
+    """Return what acts beside a form that leads: effects, and other noise."""
+    beside = [*map(_slot, found.slots), *([noise] if noise else [])]
+    return f", beside {' and '.join(beside)}" if beside else ""
 
 
 def noise_text(noise: Iterable[FoundNoise]) -> str:
