@@ -189,7 +189,7 @@ def test_runs_that_were_left_out_are_predicted_better(mended: tuple[Fit, Fit]) -
 
 @pytest.mark.xfail(
     strict=True,
-    reason="accel_scale_temperature is named alone with 0.99 beside heavy tails, with a predicted fall of chi squared of 5",
+    reason="accel_scale_temperature is named alone with 0.99 beside heavy tails, at a predicted drop of 5",
 )
 def test_a_reading_that_the_model_leans_on_is_seen(whole: Fit) -> None:
     """The reading of the largest force along ax, whose neighbours share most of its leverage, 20 deviations off."""

@@ -61,7 +61,6 @@ def _detail(found: Evidence, kind: Explanation) -> str:
     if kind == "noise":
         return noise_text(found.noise) if leads else ""
     if kind == "effects":
-<<<<<<< HEAD
         return _effects(found, leads)
     if found.form is None or found.form.wrong != (kind == "input") or kind == "nothing":
         return ""
@@ -77,19 +76,6 @@ def _effects(found: Evidence, leads: bool) -> str:
         return "; ".join(map(_slot, found.slots)) + (f"; beside {noise}" if noise else "")
     told = [each for each in found.inclusion if each.probability >= _LEAST_TOLD][:2]
     return ", ".join(f"{each.effect} {probability(each.probability)}" for each in told)
-=======
-        told = [each for each in found.inclusion if each.probability >= _LEAST_TOLD][:2]
-        return ", ".join(f"{each.effect} {probability(each.probability)}" for each in told)
-    if kind == "nothing" or found.form is None or found.form.wrong != (kind == "input"):
-        return ""
-    return form_text(found.form) + (_beside_form(found, noise) if leads else "")
-
-
-def _beside_form(found: Evidence, noise: str) -> str:
-    """Return what acts beside a form that leads: effects, and other noise."""
-    beside = [*map(_slot, found.slots), *([noise] if noise else [])]
-    return f", beside {' and '.join(beside)}" if beside else ""
->>>>>>> t2
 
 
 def noise_text(noise: Iterable[FoundNoise]) -> str:
