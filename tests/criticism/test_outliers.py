@@ -161,7 +161,7 @@ def mended(whole: Fit) -> tuple[Fit, Fit]:
 
 @pytest.mark.xfail(
     strict=True,
-    reason="with tails in the model a rough function of time on all accelerometers leads with 0.998, and 13 rows are told",
+    reason="with tails in the model a rough function of time on all accelerometers leads with 0.998; 13 rows are told",
 )
 def test_with_outliers_in_the_model_nothing_is_missing(whole: Fit, mended: tuple[Fit, Fit]) -> None:
     _, robust = mended
