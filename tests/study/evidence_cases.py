@@ -223,7 +223,11 @@ def foreign(bench: Bench, random: np.random.Generator, setting: Setting) -> Iter
         factor = np.sqrt(np.exp(random.uniform(np.log(100), np.log(1500))) / past)
         if factor > 100:
             continue
-        told = {"name": name, "words": cause.words, "run": plan.runs[cause.run].name if cause.run is not None else ""}
+        told = {
+            "name": name,
+            "words": list(cause.words),
+            "run": plan.runs[cause.run].name if cause.run is not None else "",
+        }
         told |= {"s": s * factor**2, "equal": [e for e, x in share.items() if x >= EQUAL], "past": past * factor**2}
         told |= {"channels": [plan.channels[each].name for each in where], "largest": max(share.values())}
         yield Case(
