@@ -115,7 +115,7 @@ class LinearisationPoint:
     Attributes
     ----------
     values : coefficient → its value, in its unit.
-    shapes : effect → field → value, in its unit; no other shape of that effect is scanned.
+    shapes : effect → field → value, in its unit; only shapes near it are scanned of that effect.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
@@ -123,6 +123,8 @@ class LinearisationPoint:
 
 
 _AT_NULLS = LinearisationPoint()
+_ABOUT_SHAPE = (1.0, 0.96, 1.04, 0.9, 1.11, 0.8, 1.25)
+"""Shapes that are scanned about one that was found: the response to its error would look like a cause of its own."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,8 @@ class _Extended:
     def grid(self, effect: BoundEffect) -> list[dict[str, float]]:
         """Return the shapes to scan; several shape parameters are scanned together, place by place."""
         if effect.name in self.about.shapes:
-            return [dict(self.about.shapes[effect.name])]
+            about = self.about.shapes[effect.name]
+            return [{name: value * factor for name, value in about.items()} for factor in _ABOUT_SHAPE]
         grids = {name: declared.shape for name, declared in effect.declared.items() if declared.shape}
         longest = max((len(grid) for grid in grids.values()), default=0)
         return [{name: grid[min(place, len(grid) - 1)] for name, grid in grids.items()} for place in range(longest)]

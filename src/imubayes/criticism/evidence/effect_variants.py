@@ -86,7 +86,7 @@ def effect_variants(problem: LinearProblem) -> tuple[EffectVariant, ...]:
 def visible(variants: Sequence[EffectVariant], information: np.ndarray) -> tuple[EffectVariant, ...]:
     """Return the variants that the runs can show, with the widths at which they would.
 
-    What the runs would not show at its largest typical size is no hypothesis at such sizes: its probability would remain
+    What the runs would not show at its largest typical size is no hypothesis at such sizes: its probability would stay
     that of the prior, and together such effects would outweigh that nothing is missing.  They are told as undetectable.
     Only sizes far beyond, at which they could not be overlooked, remain, with their share of the prior.
 

@@ -139,8 +139,8 @@ def _of_kind(
         if seen:
             yield from _of_covariate(covariate, seen, places)
     yield from _products(known, places)
-    yield FormHypothesis("memory", "input of the row before", (), {k: place.weighted(_row_before(place.rows))
-                                                              for k, place in places.items()})  # fmt: skip
+    before = {k: place.weighted(_rows_before(place.rows)) for k, place in places.items()}
+    yield FormHypothesis("memory", "memory of the input", (), before)
     yield from _steps(places)
 
 
@@ -261,10 +261,12 @@ def _alike(one: np.ndarray, other: np.ndarray) -> bool:
     return float(a @ b) ** 2 > (1 - _APART) * float(a @ a) * float(b @ b)
 
 
-def _row_before(rows: ChannelRows) -> np.ndarray:
-    found = np.zeros((len(rows.entry), 1))
+def _rows_before(rows: ChannelRows) -> np.ndarray:
+    """Return the input of the row before, and the sign of the change since, (n, 2)."""
+    found = np.zeros((len(rows.entry), 2))
     for start, length in rows.series:
-        found[start + 1 : start + length, 0] = rows.input[start : start + length - 1]
+        own = rows.input[start : start + length]
+        found[start + 1 : start + length] = np.stack([own[:-1], np.sign(np.diff(own))], axis=1)
     return found
 
 
