@@ -161,7 +161,8 @@ def mended(whole: Fit) -> tuple[Fit, Fit]:
 
 @pytest.mark.xfail(
     strict=True,
-    reason="with tails in the model a rough function of time on all accelerometers leads with 0.998, and 13 rows are told",
+    reason="with tails in the model a rough function of time on all accelerometers leads with 0.998, "
+    "and 13 rows are told",
 )
 def test_with_outliers_in_the_model_nothing_is_missing(whole: Fit, mended: tuple[Fit, Fit]) -> None:
     _, robust = mended
@@ -189,7 +190,8 @@ def test_runs_that_were_left_out_are_predicted_better(mended: tuple[Fit, Fit]) -
 
 @pytest.mark.xfail(
     strict=True,
-    reason="accel_scale_temperature is named alone with 0.99 beside heavy tails, with a predicted fall of chi squared of 5",
+    reason="accel_scale_temperature is named alone with 0.99 beside heavy tails, with a predicted "
+    "fall of chi squared of 5",
 )
 def test_a_reading_that_the_model_leans_on_is_seen(whole: Fit) -> None:
     """The reading of the largest force along ax, whose neighbours share most of its leverage, 20 deviations off."""
