@@ -73,7 +73,7 @@ def test_a_random_walk_is_no_drift(seed: int) -> None:
 
 def test_noise_of_another_size() -> None:
     """Samples within rows tell what the noise is; the rows scatter more."""
-    more = 1.2 * ROW * np.random.default_rng(3).normal(size=len(converter().model.entries))
+    more = 1.2 * ROW * np.random.default_rng(1003).normal(size=len(converter().model.entries))
     found = judge(redrawn(converter(), 3, change=more))
     is_noise(found, "scale")
     assert [each.channel for each in found.disagreeing_noise] == ["ax"]
@@ -158,7 +158,7 @@ def test_a_drift_that_wandering_noise_explains_as_well_is_told_beside_it(tmp_pat
 
 def test_the_rows_told_against_the_samples_stay_with_the_noise() -> None:
     """A diagnosis keeps the rows' scatter for pictures, and the sentence tells the ratio."""
-    more = 1.2 * ROW * np.random.default_rng(3).normal(size=len(converter().model.entries))
+    more = 1.2 * ROW * np.random.default_rng(1003).normal(size=len(converter().model.entries))
     fitted = with_values(converter(), np.asarray(converter().model.problem.observations.value) + more)
     found = judge(fitted)
     assert found.scatter is not None
