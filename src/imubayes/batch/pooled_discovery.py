@@ -33,7 +33,7 @@ from imubayes.batch.pooled_evidence import (
     probability_of_any,
 )
 from imubayes.batch.pooled_scores import PooledScores, pooled_scores
-from imubayes.criticism.evidence.evidence_record import LEAST_GAIN, NAMED
+from imubayes.criticism.evidence.evidence_record import NAMED
 from imubayes.errors import input_error
 from imubayes.json_record import finite
 
@@ -43,7 +43,9 @@ OF_EQUIPMENT = 0.3
 """Share of the prior of an effect for the units of one table, mounting or year alone, in equal parts: as for one
 channel alone in a single diagnosis."""
 _TOLD = 0.95
-_MOST_EFFECTS, _MOST_RANKED, _MOST_UNITS = 12, 12, 8
+_LEAST_GAIN = 1.5
+"""Natural logarithm of the odds that an effect needs by itself (calibrated on simulated campaigns)."""
+MOST_EFFECTS, _MOST_RANKED, _MOST_UNITS = 12, 12, 8
 
 
 def pooled_discovery(scores: pl.DataFrame, units: pl.DataFrame) -> PooledDiscovery:
@@ -191,7 +193,7 @@ class _PooledSearch:
 
 
 def _is_named(ranked: Sequence[PooledEvidence]) -> bool:
-    return probability_of_any(ranked) > NAMED and ranked[0].log_odds >= LEAST_GAIN
+    return probability_of_any(ranked) > NAMED and ranked[0].log_odds >= _LEAST_GAIN
 
 
 def _coefficients(at: PooledScores, places: Sequence[int], effect: EffectInUnits) -> Iterator[PooledCoefficient]:

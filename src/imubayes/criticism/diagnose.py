@@ -181,8 +181,6 @@ class _Judged:
         single = all(len(slot.members) == 1 and slot.probability >= NAMED for slot in self.posterior.slots)
         return "equivalent_effects" if found == "missing_effect" and not (certain and single) else found
 
-    # ---- effects ----
-
     @cached_property
     def _doubtful(self) -> MissingEffect | None:
         """The strongest of the slots whose effects the runs do not distinguish."""
@@ -245,8 +243,6 @@ class _Judged:
             if each.value is not None and abs(each.value) - _CERTAINLY * (each.sd or 0.0) > most
         )
 
-    # ---- what to add ----
-
     def _suggestions(self) -> tuple[Suggestion | None, Suggestion | None]:
         """Return the simplest explanation, and with all that fits as well where that is more."""
         if self.posterior.leading == "noise":
@@ -277,8 +273,6 @@ class _Judged:
         }
         on = tuple(name for name in names if name in here)
         return Suggestion(effects=effects, channels=None if here == screened or not on else on)
-
-    # ---- what no effect explains, and what cannot be shown ----
 
     def _formulas(self) -> list[ResidualFormula]:
         """Return the formula of each channel of a form that leads; what happens in one run alone has none."""

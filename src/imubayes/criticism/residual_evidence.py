@@ -89,7 +89,7 @@ def residual_evidence(
     columns = response @ sizes
     # The other parameters would change when the effect is added: what they absorb is subtracted.
     parts = columns - responses.jacobian @ absorbed.explained(member.found, of.variants[member.variant].places)
-    place = _dominant_channel(posterior, parts)
+    place = _dominant_channel(posterior, parts, of.variants[member.variant].owners)
     constants = model.campaign.channels[place]
     unit = INPUT_UNIT[constants.kind]
     here = np.flatnonzero((model.entries.channel == place) & ~model.entries.closing)
@@ -118,11 +118,12 @@ def residual_evidence(
     )
 
 
-def _dominant_channel(posterior: ExplanationPosterior, explained: np.ndarray) -> int:
-    """Return the channel in which a response, (E,), stands out of the noise most."""
+def _dominant_channel(posterior: ExplanationPosterior, explained: np.ndarray, owners: Sequence[str]) -> int:
+    """Return the channel in which a response, (E,), stands out of the noise most: one that the effect acts on."""
     problem = posterior.of.problem
-    squares = [np.sum((problem.root[rows.entry] * explained[rows.entry]) ** 2) for rows in problem.rows]
-    return int(np.argmax(squares))
+    squares = np.array([np.sum((problem.root[rows.entry] * explained[rows.entry]) ** 2) for rows in problem.rows])
+    own = np.array([channel.name in owners for channel in problem.channels])
+    return int(np.argmax(np.where(own | ~own.any(), squares, -1.0)))
 
 
 def _lies_within(explained: np.ndarray, runs: np.ndarray) -> bool:

@@ -19,7 +19,9 @@ from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProble
 from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.responses.wrong_inputs import WrongInput
 
-FormFamily = Literal["function", "gain", "level", "threshold", "harmonic", "product", "memory", "step", "input"]
+FormFamily = Literal[
+    "function", "vector", "gain", "level", "threshold", "harmonic", "product", "memory", "step", "input"
+]
 
 FREE_FORM, WRONG_INPUT = 0.05, 0.05
 """Prior probabilities of a form outside the catalogue and of a wrong input, in equal shares of families and members."""
@@ -33,6 +35,7 @@ _MOST_LEVELS, _LEAST_AT_LEVEL, _LEAST_ROWS, _STEPS = 40, 2, 8, 10
 _POWERS = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (3, 1))
 _APART = 1e-6
 """Share of a covariate that another has to leave, for both to be two.  Numerical."""
+_VECTORS = {"rate": "angular rate, as a vector", "force": "specific force, as a vector"}
 _MEAN_FREE = ("temperature_degC", "campaign_time_h", "time_s", "power_on_s")
 """Covariates that act by their change, not by their distance from zero."""
 
@@ -138,6 +141,7 @@ def _of_kind(
         seen = {k: x for k, x in values.items() if _varies(x)}
         if seen:
             yield from _of_covariate(covariate, seen, places)
+    yield from _vectors(known, places)
     yield from _products(known, places)
     before = {k: place.weighted(_rows_before(place.rows)) for k, place in places.items()}
     yield FormHypothesis("memory", "memory of the input", (), before)
@@ -226,6 +230,17 @@ def _thresholds(
             shape = {k: places[k].weighted(np.stack([x, np.abs(x)], axis=1)) for k, x in odd.items()}
             said = f"{what} of {covariate.phrase} at {share * top:.3g} {covariate.unit}"
             yield FormHypothesis("threshold", said, (covariate.name,), shape)
+
+
+def _vectors(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
+    """Yield responses that are linear in a vector: in all of its components that vary."""
+    for vector, said in _VECTORS.items():
+        own = [each for each in known if each.name.startswith(f"{vector}_")]
+        parts = [part for each in own if (part := _scaled(each, places))]
+        seen = [k for k in places if all(k in part for part in parts)]
+        if len(parts) > 1 and seen:
+            columns = {k: places[k].weighted(np.stack([part[k] for part in parts], axis=1)) for k in seen}
+            yield FormHypothesis("vector", f"linear response to the {said}", tuple(each.name for each in own), columns)
 
 
 def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:

@@ -70,9 +70,17 @@ class ExplanationPosterior:
 
     def __init__(self, search: ModelSearch, fitted: Fit):
         self.search, self.of, self.fitted = search, search.of, fitted
-        self.distinct = _distinct(search.known)
+        self.distinct = [each for each in _distinct(search.known) if self._possible(each)]
         self._logs = np.array([each.log_posterior for each in self.distinct])
         self.share = np.exp(self._logs - np.logaddexp.reduce(self._logs))
+
+    def _possible(self, found: Evaluated) -> bool:
+        """Whether a record can be wrong by what a hypothesis says."""
+        form = found.hypothesis.form
+        if form is None or form.form.wrong is None:
+            return True
+        size = found.mean[len(found.columns) :] * form.form.unit
+        return form.form.wrong.possible(self.fitted.model.campaign, size)
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -188,8 +196,6 @@ class ExplanationPosterior:
         near = sorted((each for each in found if each.log_posterior > best - _NEAR), key=lambda e: -e.log_posterior)
         mass = np.logaddexp.reduce([each.log_posterior for each in near]) if near else 0.0
         return tuple((float(np.exp(each.log_posterior - mass)), each) for each in near)
-
-    # ---- records ----
 
     def _slot_record(self, slot: MissingEffect) -> EffectSlot:
         return EffectSlot(
