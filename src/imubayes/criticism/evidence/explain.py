@@ -45,11 +45,16 @@ class _About:
 
     def stands_for(self, other: "_About") -> bool:
         """Tell whether this linearisation serves the other; about no mode, parameters lead on as well."""
-        before, now = self.point.values, other.point.values
-        same = before.keys() == now.keys() and self.point.shapes == other.point.shapes and self.wrong == other.wrong
+        before, now = ({**each.point.values, **_flat(each.point)} for each in (self, other))
+        same = before.keys() == now.keys() and self.wrong == other.wrong
         pairs = [*((x, now.get(name, 0.0)) for name, x in before.items()), *zip(self.size, other.size, strict=False)]
         here = self.fitted.optimised or float(np.max(np.abs(other.fitted.z - self.fitted.z), initial=0.0)) <= _NEAR
         return here and same and all(abs(new - old) <= _NEAR * abs(old) for old, new in pairs)
+
+
+def _flat(point: LinearisationPoint) -> dict[str, float]:
+    """Return the shapes of a point by effect and field."""
+    return {f"{effect}.{name}": x for effect, shape in point.shapes.items() for name, x in shape.items()}
 
 
 def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> ExplanationPosterior:
