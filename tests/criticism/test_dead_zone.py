@@ -35,7 +35,7 @@ def falls(lacking) -> tuple[float, float, float]:
     after = refitted(extension.model, extension.z, extension.h)
     (coefficient,) = extension.coefficients
     assert extension.delta_chi2 is not None
-    return extension.delta_chi2, observed_delta_chi2(lacking, extension, after), coefficient.value
+    return extension.delta_chi2, observed_delta_chi2(lacking, after), coefficient.value
 
 
 def test_what_is_expected_is_found(lacking):

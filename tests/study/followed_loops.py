@@ -56,14 +56,12 @@ def loop(fitted: Any, truth: dict[str, float], alone: bool) -> Line:
     for _ in range(MOST_STEPS):
         found = judge(fitted)
         verdicts.append(found.verdict)
-        choice = found.suggested
+        choice = found.suggested if alone or found.all_that_fit is None else found.all_that_fit
         if choice is None:
             break
         equivalent |= any(len(group.effects) > 1 for group in found.groups)
-        effects = choice.effects[:1] if alone and found.groups else choice.effects
-        channels = found.channels_for(effects[0]) if len(effects) == 1 else choice.channels
-        fitted = with_effects(fitted, effects, channels, found)
-        added.append(effects)
+        fitted = with_effects(fitted, choice.effects, choice.channels, found)
+        added.append(choice.effects)
     scores = scores_of(fitted, truth)
     worst = max(scores, key=lambda name: abs(scores[name]))
     return {
@@ -120,9 +118,9 @@ def table(lines: Sequence[Line]) -> list[str]:
     done = [line for line in lines if "error" not in line]
     several = [line for line in done if "alone" in line]
     for name, kind, own in (
-        ("as suggested", "suggested", done),
-        ("as suggested, where there are equivalents", "suggested", several),
-        ("the leader alone, in the same campaigns", "alone", several),
+        ("all that fit", "suggested", done),
+        ("all that fit, where there are equivalents", "suggested", several),
+        ("the simplest explanation, in the same campaigns", "alone", several),
     ):
         adequate = [line[kind]["verdicts"][-1] == "adequate" for line in own]
         has = [any(line["planted"] in effects for effects in line[kind]["added"]) for line in own]
