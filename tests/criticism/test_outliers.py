@@ -17,6 +17,7 @@ from imubayes.loop.cross_validation import groups, predict_left_out, whole_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec
 from imubayes.model.noise_covariance import noise_distribution
+from imubayes.responses.residual_covariates import covariates
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +70,8 @@ def test_readings_that_are_far_off_are_told(whole: Fit) -> None:
     assert found.suggested.effects == ("outliers",)
     assert "outlier" in sentence(found)
     assert any(one.table_angle_deg is not None for one in found.outliers)
-    assert all(6 < abs(one.distance) < 18 for one in found.outliers), told(found)
+    # In standard deviations of Student's t, whose scale is less than that of the noise.
+    assert all(6 < abs(one.distance) < 30 for one in found.outliers), told(found)
 
 
 @pytest.mark.parametrize("seed", [3, 8])
@@ -83,18 +85,11 @@ def test_white_noise_has_no_outliers(whole: Fit) -> None:
 
 
 def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole: Fit) -> None:
-    """All readings of the gyros at one rate, in all runs, are off alike: many that are far off, and one cause."""
+    """All readings of the gyros at one rate about their own axes are off alike: many outliers, and one cause."""
     model = whole.model
     gyros = [k for k, channel in enumerate(model.campaign.channels) if channel.kind == "gyro"]
-    rate = np.array(
-        [
-            model.campaign.runs[run].covariates["table_rate"][row]
-            for run, row in zip(model.entries.run, model.entries.row, strict=True)
-        ]
-    )
-    rates = np.unique(np.abs(rate[np.isin(model.entries.channel, gyros)]))
-    one = rates[len(rates) // 2]
-    here = np.isin(model.entries.channel, gyros) & (rate == one)
+    own = next(each.values for each in covariates(whole) if each.name == "rate_i")
+    here = np.isin(model.entries.channel, gyros) & (np.abs(np.abs(np.nan_to_num(own)) - 60.0) < 1.0)
     assert 0 < here.mean() < 0.2
     found = judge(redrawn(whole, 6, change=9.0 * here * deviations(whole)))
     assert found.verdict not in ("noise_model", "adequate"), told(found)

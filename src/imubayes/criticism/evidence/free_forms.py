@@ -207,8 +207,8 @@ def _levels(
     level = {k: np.round(np.abs(x) / top * 50) for k, x in filled.items()}
     levels, rows = np.unique(np.concatenate(list(level.values())), return_counts=True)
     if 2 < len(levels) <= _MOST_LEVELS:
-        # Two rows of a channel would be matched whatever they are.
-        for one in levels[1:][rows[1:] > _LEAST_AT_LEVEL * len(level)].tolist():
+        # One row of a channel would be matched whatever it is.
+        for one in levels[1:][rows[1:] >= _LEAST_AT_LEVEL * len(level)].tolist():
             both = {
                 k: places[k].weighted(np.stack([at == one, (at == one) * np.sign(filled[k])], axis=1).astype(float))
                 for k, at in level.items()
