@@ -109,8 +109,9 @@ def _is_large(search: ModelSearch, top: Evaluated) -> bool:
 
 
 def _is_input(each: Evaluated) -> bool:
+    """Tell whether a hypothesis is a wrong input that acts through the model: outputs that are off are linear."""
     form = each.hypothesis.form
-    return form is not None and form.form.wrong is not None
+    return form is not None and form.form.wrong is not None and not form.form.wrong.form.startswith("output")
 
 
 def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) -> _About | None:
