@@ -23,10 +23,9 @@ _REACH, _RATIO = 10.0, 4.0
 a ratio.  Derived: a coarser ratio costs more than a nat of Occam's factor; and of two effects with equal responses the
 one whose size is within its range would win by its range alone."""
 _LEAST_WIDTH, _MOST_LEAST = 1e-4, 0.1
-_SHOWN, _SEEN, _FAR = 3.0, 1.0, 10.0
+_SHOWN, _SEEN = 3.0, 1.0
 """Standard deviations at which an effect of its largest typical size would stand, to be looked for, and at which one of
-a width would, for that width to be told from nothing; of an effect that is not shown at its typical sizes, for a width
-at which it could not be overlooked."""
+a width would, for that width to be told from nothing."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ def visible(variants: Sequence[EffectVariant], information: np.ndarray) -> tuple
 
     What the runs would not show at its largest typical size is no hypothesis at such sizes: its probability would stay
     that of the prior, and together such effects would outweigh that nothing is missing.  They are told as undetectable.
-    Only sizes far beyond, at which they could not be overlooked, remain, with their share of the prior.
+    Only larger sizes, at which the runs would show them, remain, with their share of the prior.
 
     Parameters
     ----------
@@ -98,7 +97,7 @@ def visible(variants: Sequence[EffectVariant], information: np.ndarray) -> tuple
     for each in variants:
         size = float(np.sqrt(max(np.linalg.eigvalsh(information[np.ix_(each.places, each.places)])[-1], 0.0)))
         widths = tuple(width for width in each.widths if width * size >= _SEEN)
-        far = tuple(width for width in widths if width * size >= _FAR)
+        far = tuple(width for width in widths if width * size >= _SHOWN)
         if size >= _SHOWN and widths:
             found.append(replace(each, widths=widths))
         elif far:
