@@ -60,11 +60,6 @@ def test_an_effect_is_found_with_its_size(effect: str) -> None:
     sized(effect, 10.0, 3)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="an effect that the runs do not show at its typical sizes is no hypothesis, however large it is: the drift "
-    "passes for a cause outside the catalogue, with more than 0.999",
-)
 def test_an_effect_far_beyond_its_typical_size_is_found_with_its_size() -> None:
     """A drift of the bias over three runs, most of which offsets of runs take."""
     sized("accel_bias_drift", 10.0, 3)
@@ -113,14 +108,7 @@ def test_chains_that_did_not_converge_do_not_keep_effects_from_being_ranked() ->
     "share",
     [
         0.003,
-        pytest.param(
-            0.1,
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="what a large dead zone leaves by its curvature is named: gyro_magnetic_sensitivity or "
-                "gyro_misalignment with 0.99, beside a cause outside the catalogue with 0.51",
-            ),
-        ),
+        0.1,
     ],
 )
 def test_what_the_runs_do_not_distinguish_is_told_and_suggested_together(share: float) -> None:

@@ -81,11 +81,6 @@ def test_three_of_very_different_size_are_named_together() -> None:
     assert not surely_wrong(found, *PLANTED), told(found)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a wobble of ten times its largest typical size is no hypothesis, as the runs do not show it at that size: "
-    "correlated rows (0.54) or a harmonic of the table angle (0.46) stand for it",
-)
 def test_one_between_runs_and_one_within_are_both_named() -> None:
     polar = fitted_to("polar-tumble", "polar-tumble")
     change = of_typical(polar, "gyro_magnetic_sensitivity", 0.3) + of_typical(polar, "table_wobble", 10.0)

@@ -34,11 +34,6 @@ def doubted(found: Diagnosis, *alike: str) -> None:
     assert not surely_wrong(found, *alike), told(found)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="gyro_magnetic_sensitivity is named alone with more than 0.999; a cause outside the catalogue that is "
-    "linear in the same vectors is no hypothesis",
-)
 def test_a_misalignment_is_no_magnetic_sensitivity(monkeypatch: pytest.MonkeyPatch) -> None:
     """In positions of one gyro the one looks like the other."""
     fitted = planted(positions(), 7, of_typical(positions(), "gyro_misalignment", 6.0))
