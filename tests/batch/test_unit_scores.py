@@ -42,7 +42,7 @@ def linear(
     columns = np.column_stack([np.ones(ROWS), RATE, *(LARGEST * shape for shape in EFFECTS.values()), residual])
     rows = ChannelRows(
         np.arange(OWN + len(EFFECTS)), columns, np.arange(ROWS),
-        tuple((n * ROWS // RUNS, ROWS // RUNS) for n in range(RUNS)), np.ones(ROWS), np.ones(ROWS), RATE, 0.03, scatter,
+        tuple((n * ROWS // RUNS, ROWS // RUNS) for n in range(RUNS)), np.ones(ROWS), RATE, 0.03, scatter,
     )  # fmt: skip
     channel, run = Channel("g", "gyro", np.eye(3), "V", 1.0, "deg/s", 1.0), np.repeat(np.arange(RUNS), ROWS // RUNS)
     names, width = tuple(f"run{n}" for n in range(RUNS)), np.full(OWN, precision)
