@@ -45,7 +45,7 @@ channel alone in a single diagnosis."""
 _TOLD = 0.95
 _LEAST_GAIN = 1.5
 """Natural logarithm of the odds that an effect needs by itself (calibrated on simulated campaigns)."""
-MOST_EFFECTS, _MOST_RANKED, _MOST_UNITS = 12, 12, 8
+_MOST_EFFECTS, _MOST_RANKED, _MOST_UNITS = 12, 12, 8
 
 
 def pooled_discovery(scores: pl.DataFrame, units: pl.DataFrame) -> PooledDiscovery:
