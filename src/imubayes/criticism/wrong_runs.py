@@ -15,12 +15,7 @@ _TOLD = 0.02
 
 
 def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[Disagreement, ...]:
-    """Return the run or row whose record is wrong in the leading explanation; empty where it is another.
-
-    Parameters
-    ----------
-    campaign : as recorded.
-    """
+    """Return the run or row of a campaign as recorded that is wrong in the leading explanation; else none."""
     if posterior.leading != "input":
         return ()
     near = [(share, each, _wrong(each)) for share, each in posterior.wrong_inputs if share >= _TOLD]

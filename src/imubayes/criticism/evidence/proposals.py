@@ -127,11 +127,8 @@ class Screen:
             places = np.array([self.of.variants[n].places for n in members])
             own, right = at.own[places[:, :, None], places[:, None, :]], at.right[places]
             sign = self.of.problem.sign[places]
-            gains = [
-                gain_of_coefficients(own, right, np.repeat(self._widths[members, q][:, None], size, axis=1), sign)
-                + self._log_share[members, q]
-                for q in range(self._widths.shape[1])
-            ]
+            widths = np.repeat(self._widths[members].T[:, :, None], size, axis=2)
+            gains = _at_all(own, right, widths, sign) + self._log_share[members].T
             total = np.logaddexp.reduce(gains, axis=0)
             found += [(float(g) + self.of.variants[n].log_odds, n) for g, n in zip(total, members, strict=True)]
         return sorted(found, reverse=True)
@@ -157,10 +154,16 @@ class Screen:
         own, right = at.own[places[:, :, None], places[:, None, :]], at.right[places]
         sign = self.of.problem.sign[places]
         one, other = np.array(members).T
-        gains = []
-        for i in range(0, self._widths.shape[1], 2):
-            for j in range(0, self._widths.shape[1], 2):
-                both = np.stack([self._widths[one, i], self._widths[other, j]], axis=1)
-                share = self._log_share[one, i] + self._log_share[other, j] + 2 * math.log(2)
-                gains.append(gain_of_coefficients(own, right, np.repeat(both, size, axis=1), sign) + share)
+        every = range(0, self._widths.shape[1], 2)
+        chosen = [(i, j) for i in every for j in every]
+        widths = np.array([np.stack([self._widths[one, i], self._widths[other, j]], axis=1) for i, j in chosen])
+        share = np.array([self._log_share[one, i] + self._log_share[other, j] for i, j in chosen]) + 2 * math.log(2)
+        gains = _at_all(own, right, np.repeat(widths, size, axis=2), sign) + share
         return np.asarray(np.logaddexp.reduce(gains, axis=0))
+
+
+def _at_all(own: np.ndarray, right: np.ndarray, widths: np.ndarray, sign: np.ndarray) -> np.ndarray:
+    """Return the gains (Q, m) of m sets of k coefficients at Q choices of their widths, (Q, m, k), in one batch."""
+    count, sets, size = widths.shape
+    each = [np.broadcast_to(x, (count, *x.shape)).reshape(count * sets, *x.shape[1:]) for x in (own, right, sign)]
+    return gain_of_coefficients(each[0], each[1], widths.reshape(-1, size), each[2]).reshape(count, sets)
