@@ -33,7 +33,7 @@ def diagnose(
         Print an effect class for the pattern that no effect of the catalogue explains: save it in a file, and add that
         with `imubayes add FILE.py`.
     verbose
-        Print every table: all candidates, noise, outliers, structure and undetectable effects.
+        Print every table: all effects, noise, outliers, formulas and undetectable effects.
     """
     from imubayes.cli.session import progress, start_jax
 
