@@ -1,7 +1,7 @@
 """A model with effects added, and the start of its refit: the mode before, and one-step estimates of what is new.
 
 The model is linearised about the mode before.  With its columns projected out, the new coefficients follow from one
-small linear system (the one-step estimate of the score test).  The refit starts there, and its Δχ² and coefficients are
+small linear system (the one-step estimate).  The refit starts there, and its Δχ² and coefficients are
 predicted before it is made.
 """
 

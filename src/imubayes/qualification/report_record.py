@@ -113,7 +113,7 @@ class StandardEstimate(ReportedEstimate):
 
 
 class ScreenedCoefficient(Record):
-    """One-step estimate of a coefficient that the model lacks, from the score test of the diagnosis."""
+    """Estimate of a coefficient that the model lacks, from the linearised fit of the diagnosis."""
 
     name: str
     value: float

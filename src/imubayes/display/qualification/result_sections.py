@@ -117,9 +117,8 @@ def _not_estimated(lines: Sequence[NotEstimated]) -> ReportTable:
         head,
         rows,
         (0, 1, 2, 3, 4, 5),
-        "A quantity that is not estimated is not zero. The one-step estimate is what the score test of the diagnosis "
-        "predicts if the effect were added; an effect whose estimate is several times its uncertainty would have been "
-        "reported as missing.",
+        "A quantity that is not estimated is not zero. The one-step estimate is that of the linearised fit with the "
+        "effect added; an effect that is probably missing is reported as such.",
     )
 
 
