@@ -55,7 +55,15 @@ def _finding(found: Diagnosis) -> str:
         f"A cause outside the catalogue{adverb} acts{chance}: {form_text(evidence.form)}. No effect of the catalogue "
         "explains it."
     )
-    return f"{said} {beside}".strip()
+    return said + _beside_form(found)
+
+
+def _beside_form(found: Diagnosis) -> str:
+    """Return the effects beside a form outside the catalogue, which is crude: what it leaves looks like effects."""
+    if not found.groups:
+        return ""
+    each = [f"{' or '.join(group.effects[:2])} on {listed(group.channels)}" for group in found.groups]
+    return f" Beside it {' and '.join(each)} fit what it leaves: missing as well, or a part of that cause."
 
 
 def _adequate_sentence(found: Diagnosis) -> str:
