@@ -86,12 +86,6 @@ class NoiseComparison:
         return self.freedom > 0 and not self.between_runs and self.source != "sisters"
 
     @property
-    def excess_chi2(self) -> float:
-        """The χ² by which rows scatter more than known, at the noise that remains; 0 where that may be chance."""
-        told = self.excessive and self.of_rows
-        return self.freedom * (1 - (NOISE_AGREES / self.ratio) ** 2) if told else 0.0
-
-    @property
     def agrees(self) -> bool:
         """Whether fitted and known noise agree, but for chance or for less than is worth a word."""
         chance = NOISE_TOLD_SD * self.ratio_sd / self.ratio

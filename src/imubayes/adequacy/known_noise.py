@@ -365,7 +365,7 @@ def _within(projection: Projection, channel: int) -> tuple[float, float]:
 
 def _between_runs(projection: Projection) -> dict[int, _ScaleEstimate]:
     """Return the scatter of the means of the runs of each channel about the model."""
-    apart, _ = projection.offsets_apart
+    apart = projection.offsets_apart
     fitted, strata = projection.fitted, apart.strata
     problem, h = fitted.model.problem, jnp.asarray(fitted.h)
     precision = np.asarray(group_sum(whitener(problem, h).direction ** 2, problem.observations))

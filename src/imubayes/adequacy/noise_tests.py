@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.adequacy.gauss_markov import WHITE, InnovationsFilter, MarkovNoise, estimate_markov_noise
 from imubayes.adequacy.projection import Projection
 from imubayes.noise.components import Outliers
 from imubayes.tail_probabilities import chi2_survival, normal_survival
@@ -155,48 +154,6 @@ def _groups(projection: Projection, names: tuple[str, ...], effect: str) -> np.n
     if effect in present or not allowed or (effect == "run_scatter" and {"gyro_run_bias", "accel_run_bias"} & present):
         return np.zeros_like(chosen)
     return chosen
-
-
-@dataclass(frozen=True)
-class Prewhitening:
-    """Whitens entries further: first noise that grows with the input, then autocorrelated noise.
-
-    Attributes
-    ----------
-    weight : shape (E,), one over the standard deviation relative to the model's.
-    innovations : filter of the Markov noise in each record.
-    """
-
-    weight: np.ndarray
-    innovations: InnovationsFilter
-
-    def __call__(self, white: np.ndarray) -> np.ndarray:
-        return self.innovations(self.weight[:, None] * white)
-
-
-def prewhitening(projection: Projection, candidates: Sequence[NoiseCandidate]) -> Prewhitening:
-    """Return the whitening for the noise of some candidates.
-
-    Parameters
-    ----------
-    projection : with everything projected out that may be more than noise.
-    """
-    model, series = projection.fitted.model, projection.turn.series
-    names = [channel.name for channel in model.campaign.channels] + [""] * 3
-    markov: dict[int, MarkovNoise] = {}
-    weight = np.ones(len(model.entries))
-    for candidate in candidates:
-        here = np.isin(np.array(names)[model.entries.channel], candidate.channels)
-        if candidate.effect == "correlated_noise":
-            markov |= estimate_markov_noise(projection, [names.index(name) for name in candidate.channels])
-        if candidate.effect == "rate_proportional_noise":
-            relative = _relative_square(projection.input[here])
-            # e² follows 1 + k w about its mean: k from the slope over the mean.
-            slope = np.clip(candidate.value * (1 - candidate.value * relative.mean()) ** -1, 0, 1e6)
-            weight[here] = 1 / np.sqrt(1 + slope * relative)
-    each = [markov.get(place, WHITE) for place in model.entries.channel[series[:, 0]].tolist()]
-    share, correlation = (np.array([getattr(noise, field) for noise in each]) for field in ("share", "correlation"))
-    return Prewhitening(weight, InnovationsFilter(series, share, correlation))
 
 
 def _relative_square(values: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Residuals and candidate responses, whitened and projected on the complement of what the model can absorb.
+"""Residuals, whitened and projected on the complement of what the model can absorb.
 
 Rows are the measured entries, then one pseudo-entry per prior.  Where the offset of a run and channel is noise, a
 Householder reflection makes their common direction, the offset, a row of its own.  Rows fall into *strata*, each with
@@ -6,13 +6,11 @@ its own noise scale: the scatter within runs of a channel, the scatter between i
 has inflated the noise of the strata it acts in; judging it needs their scale without it.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept
@@ -26,7 +24,6 @@ _OFFSET_INFLATION = 1.2
 Convention: smaller makes more between-run strata, each with few degrees of freedom and little power."""
 
 PRIOR = -1
-Whitening = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -49,10 +46,6 @@ class Strata:
         np.add.at(result, self._place, squares)
         return result
 
-    def at_rows(self, values: np.ndarray) -> np.ndarray:
-        """Return values per stratum, prior rows last, (strata + 1, …), at each row, (R, …)."""
-        return values[self._place]
-
     @cached_property
     def _place(self) -> np.ndarray:
         return np.where(self.of_row == PRIOR, len(self.channel), self.of_row)
@@ -70,7 +63,6 @@ class Projection:
     residual : shape (R,), projected residual.
     strata : of the rows.
     freedom : shape (strata + 1,), degrees of freedom of the residual in each stratum.
-    jacobian, upper : shapes (R, P) and (P, P): the whitened Jacobian with the prior rows, and R of its QR.
     input : shape (E,), predicted output less the nominal offset, in nominal input units (SI).
     root : shape (E,), one over each entry's standard deviation, run offsets not counted.
     """
@@ -81,8 +73,6 @@ class Projection:
     residual: np.ndarray
     strata: Strata
     freedom: np.ndarray
-    jacobian: np.ndarray
-    upper: np.ndarray
     input: np.ndarray
     root: np.ndarray
 
@@ -93,43 +83,9 @@ class Projection:
         return measured & self.strata.between[np.where(measured, self.strata.of_row, 0)]
 
     @cached_property
-    def posterior_sd(self) -> np.ndarray:
-        """Posterior standard deviation of each parameter in z, (P,)."""
-        return np.linalg.norm(scipy.linalg.solve_triangular(self.upper, np.eye(len(self.upper))), axis=1)
-
-    @cached_property
-    def slopes(self) -> np.ndarray:
-        """SI value of one unit of z of each parameter, at the fit, (P,)."""
-        return np.asarray(self.fitted.model.problem.priors.slopes(jnp.asarray(self.fitted.z)))
-
-    @cached_property
-    def offsets_apart(self) -> "tuple[Projection, Whitening]":
-        """The projection with all run offsets apart, and the way of its rows there; see `with_run_offsets`."""
+    def offsets_apart(self) -> "Projection":
+        """The projection with all run offsets apart; see `with_run_offsets`."""
         return with_run_offsets(self)
-
-    def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """Return columns (E, C), in output units, as rows of the projection, (R, C)."""
-        return self.turn(columns)
-
-    def without(self, span: np.ndarray) -> "Projection":
-        """Return the projection with further orthonormal directions, (R, d), projected out."""
-        residual = self.residual - span @ (span.T @ self.residual)
-        freedom = self.freedom - self.strata.sums(np.sum(span**2, axis=1))
-        return replace(self, basis=np.concatenate([self.basis, span], axis=1), residual=residual, freedom=freedom)
-
-    def reweighted(self, root: np.ndarray) -> "Projection":
-        """Return the projection of rows that were multiplied by `root`, (R,); `whitened` remains that of the fit.
-
-        What was projected out of the residual stays projected out, since its directions are multiplied likewise.
-        """
-        basis, _ = np.linalg.qr(root[:, None] * self.basis)
-        residual = root * self.residual
-        freedom = self.freedom + self.strata.sums(np.sum(self.basis**2, axis=1) - np.sum(basis**2, axis=1))
-        return replace(self, basis=basis, residual=residual - basis @ (basis.T @ residual), freedom=freedom)
-
-    def absorb(self, rows: np.ndarray) -> np.ndarray:
-        """Return the shift of the model's parameters, in z, that fits whitened rows (R, C); shape (P, C)."""
-        return scipy.linalg.solve_triangular(self.upper, self.basis[:, : len(self.upper)].T @ rows)
 
     def project(self, rows: np.ndarray) -> np.ndarray:
         """Return the part of rows, (R, C), that the model's parameters cannot absorb."""
@@ -140,8 +96,7 @@ class Projection:
 class RowTransform:
     """From entries to rows: whiten, then reflect each group's common direction into its first row.
 
-    `members` are the groups' entries, `series` the same in the order of time, both (G, M) and padded with E; `extra`
-    (optional) is a further whitening of the entries, see `imubayes.adequacy.noise_tests`.
+    `members` are the groups' entries, `series` the same in the order of time, both (G, M) and padded with E.
     """
 
     problem: Problem
@@ -151,14 +106,10 @@ class RowTransform:
     sizes: np.ndarray
     reflectors: np.ndarray
     priors: int
-    extra: Whitening | None = None
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         flat = columns.reshape(len(columns), -1)
-        white = self.whiten(flat)
-        if self.extra is not None:
-            white = self.extra(white)
-        turned = self.reflect(white)
+        turned = self.reflect(self.whiten(flat))
         rows = np.concatenate([turned, np.zeros((self.priors, turned.shape[1]))])
         return rows.reshape(len(rows), *columns.shape[1:])
 
@@ -187,26 +138,22 @@ def _whiten(problem: Problem, h, columns):
 _pseudo_values = kept(pseudo_values)
 
 
-def project(
-    fitted: Fit, misfit: np.ndarray, jacobian: np.ndarray, extra: Whitening | None = None, offsets: bool = False
-) -> Projection:
+def project(fitted: Fit, misfit: np.ndarray, jacobian: np.ndarray) -> Projection:
     """Return the projection of a fit.
 
     Parameters
     ----------
     misfit, jacobian : shapes (E,) and (E, P), as of `imubayes.responses.candidate_effects.candidate_responses`.
-    extra : a further whitening of the entries.
-    offsets : whether run offsets count as noise although the model has none.
     """
     problem, observations = fitted.model.problem, fitted.model.problem.observations
     members = _seen_first(observations)
-    separate, reflectors = _reflectors(fitted, members, extra, offsets)
+    separate, reflectors = _reflectors(fitted, members, offsets=False)
     widths = np.asarray(prior_widths(problem, fitted.h))
     sizes, series = np.sum(members < len(misfit), axis=1), np.asarray(observations.in_time)
-    turn = RowTransform(problem, fitted.h, members, series, sizes, reflectors, len(widths), extra)
+    turn = RowTransform(problem, fitted.h, members, series, sizes, reflectors, len(widths))
     rows = turn(jacobian)
     rows[len(misfit) :] = np.diag(1 / widths)
-    basis, upper = np.linalg.qr(rows)
+    basis, _ = np.linalg.qr(rows)
     whole = turn(np.asarray(_pseudo_values(problem, fitted.h, misfit)))
     whole[len(misfit) :] = -fitted.z / widths
     strata = _strata(fitted, members, separate, len(widths))
@@ -217,25 +164,22 @@ def project(
         residual=whole - basis @ (basis.T @ whole),
         strata=strata,
         freedom=_freedom(problem, strata, basis),
-        jacobian=rows,
-        upper=upper,
         input=_input(fitted, misfit),
         root=np.asarray(whitener(problem, fitted.h).precision_root),
     )
 
 
-def with_run_offsets(projection: Projection) -> tuple[Projection, Whitening]:
+def with_run_offsets(projection: Projection) -> Projection:
     """Return the projection with every run offset that the model has a noise scale for in a stratum of its own.
 
-    A scale that these data put at zero would grow with an effect that acts between runs.  The second value takes rows,
-    (R, C), of the projection given to rows of that returned.
+    A scale that these data put at zero would grow with an effect that acts between runs.
     """
     fitted, turn, problem = projection.fitted, projection.turn, projection.fitted.model.problem
     now = projection.strata.between[projection.strata.of_row[turn.members[:, 0]]]
     new = _can_scatter(problem) & ~now
     if not new.any():
-        return projection, lambda rows: rows
-    _, reflectors = _reflectors(fitted, turn.members, turn.extra, offsets=True)
+        return projection
+    _, reflectors = _reflectors(fitted, turn.members, offsets=True)
     added = replace(turn, reflectors=np.where(new[:, None], reflectors, 0.0))
 
     def turned(rows: np.ndarray) -> np.ndarray:
@@ -252,7 +196,7 @@ def with_run_offsets(projection: Projection) -> tuple[Projection, Whitening]:
         residual=turned(projection.residual),
         strata=strata,
         freedom=_freedom(problem, strata, basis),
-    ), turned
+    )
 
 
 def _can_scatter(problem: Problem) -> np.ndarray:
@@ -270,14 +214,12 @@ def _freedom(problem: Problem, strata: Strata, basis: np.ndarray) -> np.ndarray:
     return strata.sums(used.astype(float)) - strata.sums(np.sum(basis**2, axis=1))
 
 
-def _reflectors(
-    fitted: Fit, members: np.ndarray, extra: Whitening | None, offsets: bool
-) -> tuple[np.ndarray, np.ndarray]:
+def _reflectors(fitted: Fit, members: np.ndarray, offsets: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return which groups have an offset that is noise, (G,) bool, and their Householder vectors, (G, M)."""
     problem, count = fitted.model.problem, len(fitted.model.entries)
     # The whitened offset of a run is its direction in the group's rows.
     offset = np.asarray(_whiten(problem, fitted.h, np.ones((count, 1))))
-    offset = np.concatenate([(extra(offset) if extra is not None else offset)[:, 0], [0.0]])[members]
+    offset = np.concatenate([offset[:, 0], [0.0]])[members]
     length = np.linalg.norm(offset, axis=1)
     several = np.sum(members < count, axis=1) > 1
     separate = (1 / _noise_of_mean(fitted, members) > _OFFSET_INFLATION) | (offsets & several)
@@ -293,21 +235,6 @@ def _noise_of_mean(fitted: Fit, members: np.ndarray) -> np.ndarray:
     direction = np.concatenate([np.asarray(by.direction), [0.0]])[members]
     # It is (1 − κ)², κ = shrink · |u|².
     return (1 - np.asarray(by.shrink) * np.sum(direction**2, axis=1)) ** 2
-
-
-def noise_of_run_means(projection: Projection) -> tuple[np.ndarray, np.ndarray]:
-    """Return the stratum within runs beside each stratum, and the share of its variance that the noise there makes.
-
-    Shapes (strata + 1,), the rows of the priors last; the share is 0 for all but run offsets.
-    """
-    strata, members = projection.strata, projection.turn.members
-    of_group, noise = strata.of_row[members[:, 0]], _noise_of_mean(projection.fitted, members)
-    within, share = np.arange(len(strata.channel) + 1), np.zeros(len(strata.channel) + 1)
-    for place in np.flatnonzero(strata.between).tolist():
-        inside = np.flatnonzero((strata.channel == strata.channel[place]) & ~strata.between)
-        if inside.size:
-            within[place], share[place] = inside[0], np.mean(noise[of_group == place])
-    return within, share
 
 
 def _seen_first(observations: Observations) -> np.ndarray:
@@ -333,22 +260,3 @@ def _strata(fitted: Fit, members: np.ndarray, separate: np.ndarray, priors: int)
     names, of_entry = np.unique(key, return_inverse=True)
     of_row = np.concatenate([of_entry, np.full(priors, PRIOR)])
     return Strata(of_row, names // 2, names % 2 == 1)
-
-
-def orthonormal(columns: np.ndarray, original: np.ndarray, least: float) -> np.ndarray:
-    """Return an orthonormal basis of projected columns, without directions that the projection has annihilated.
-
-    Parameters
-    ----------
-    columns : shape (R, C), projected.
-    original : shape (C,), lengths before projection.
-    least : share of the squared length below which a direction counts as annihilated.
-    """
-    kept = original > 0
-    if not kept.any():
-        return np.zeros((len(columns), 0))
-    scaled = columns[:, kept] / original[kept]
-    # Through the Gram matrix: its eigenvalues are shares of squared lengths, and `least` is far above their rounding.
-    squares, axes = np.linalg.eigh(scaled.T @ scaled)
-    retained = squares > least
-    return scaled @ (axes[:, retained] / np.sqrt(squares[retained]))
