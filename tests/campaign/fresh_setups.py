@@ -71,7 +71,7 @@ def write_campaign(folder: Path, bench: str, seed: int) -> None:
     }  # fmt: skip
     runs = _plan(bench, draw)
     used = {seat for _, _, seat, _, _ in runs}
-    seats = {seat: SEATS[seat] @ rotation(draw.normal(0, 5 * ARCMIN, 3)) for seat in used}
+    seats = {seat: SEATS[seat] @ rotation(draw.normal(0, 5 * ARCMIN, 3)) for seat in sorted(used)}
     document["mounting"] = [
         {"name": seat, "body_to_table": SEATS[seat].tolist(), "uncertainty_arcmin": 10.0} for seat in sorted(used)
     ]

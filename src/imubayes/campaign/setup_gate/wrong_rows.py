@@ -28,6 +28,7 @@ of a diagnosis, at the noise of the unit."""
 MOST_ROWS = 3
 _MOST_LEFT_OUT = 6
 _STEPS = 5
+_STARTS = np.linspace(-np.pi / 2, np.pi, 4)
 _NORMAL_MAD = 0.6745
 _STEP = 1e-4
 
@@ -148,19 +149,26 @@ def _better(
     if not np.isfinite(recorded):
         return None
     least = LEAST_ANGLE if column == "angle" else LEAST_RATE * float(np.abs(view.rate).max())
-    step = _STEP * (1.0 if column == "angle" else float(np.abs(view.rate).max()))
-    value, sd = recorded, np.inf
-    for _ in range(_STEPS):
-        at, ahead = (error(place, _set(view, column, row, one))[:, row] for one in (value, value + step))
-        rate = (ahead - at) / step
-        if not rate @ rate > 0:
-            return None
-        value, sd = value - float(rate @ at / (rate @ rate)), float(1 / np.sqrt(rate @ rate))
-    left = float(np.sqrt(np.mean(error(place, _set(view, column, row, value))[:, row] ** 2)))
-    far = abs(value - recorded) > least and (column != "angle" or abs(value - recorded) < np.pi)
-    if not far or left > max(LEFT * size, 3.0):
+    # Outputs go around a circle with the angle: a search that starts a quarter of a turn away may end beside it.
+    starts = recorded + (_STARTS if column == "angle" else np.zeros(1))
+    left, value, sd = min(_agreeing(lambda at: error(place, _set(view, column, row, at))[:, row], at) for at in starts)
+    if column == "angle":
+        value = recorded + float((value - recorded + np.pi) % (2 * np.pi) - np.pi)
+    if abs(value - recorded) <= least or left > max(LEFT * size, 3.0):
         return None
     return left, WrongRow(view.name, row, column, recorded, value, sd, size)
+
+
+def _agreeing(error: Callable[[float], np.ndarray], value: float) -> tuple[float, float, float]:
+    """Return what is left of the error at the value where Gauss–Newton ends, that value, and its standard deviation."""
+    sd = np.inf
+    for _ in range(_STEPS):
+        at = error(value)
+        rate = (error(value + _STEP) - at) / _STEP
+        if not rate @ rate > 0:
+            break
+        value, sd = value - float(rate @ at / (rate @ rate)), float(1 / np.sqrt(rate @ rate))
+    return float(np.sqrt(np.mean(error(value) ** 2))), value, sd
 
 
 def _set(view: RunView, column: str, row: int, value: float) -> RunView:
