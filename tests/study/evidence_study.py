@@ -28,6 +28,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from blind import mode_of, start_worker
 from evidence_cases import EQUAL, SEEN, Bench, Case, Setting, bench_of, cases, settings, write_case
 
+from imubayes.errors import InputError
+
 Line = dict[str, Any]
 SURE, OPEN, SHARE = 0.9, 0.5, 0.05
 """Probability of what is told as certain, of what is told at all, and the least share of a candidate that counts."""
@@ -42,18 +44,21 @@ form outside the catalogue; equal, of the same shape as the cause; open, no name
 
 def examine(bench: Bench, case: Case, place: Path, keep: Path | None = None) -> Line:
     """Fit a campaign and weigh the explanations of what is left."""
-    from imubayes.criticism.evidence.explain import explain, weighs
+    from imubayes.criticism.evidence.explain import explain
     from imubayes.responses.candidate_effects import candidate_responses
     from imubayes.responses.residual_covariates import covariates
 
     started = time.perf_counter()
-    fitted = mode_of(place, bench.model)
-    if not (fitted.converged and weighs(fitted)):
-        return {"status": "not weighed" if fitted.converged else "not converged"}
+    try:
+        fitted = mode_of(place, bench.model)
+    except InputError as error:
+        return {"status": f"refused: {error.issues[0].what[:40]}"}
+    if not fitted.converged:
+        return {"status": "not converged"}
     known = candidate_responses(fitted), covariates(fitted)
     before, searching = _resident("VmRSS"), time.perf_counter()
     Path("/proc/self/clear_refs").write_text("5")
-    found = explain(fitted, *known)
+    found = explain(fitted, *known).evidence
     line: Line = {"status": "done", "seconds": time.perf_counter() - searching, "fit": searching - started}
     line |= {"megabytes": _resident("VmHWM") - before, "hypotheses": found.hypotheses}
     line["kinds"] = {each.kind: each.probability for each in found.explanations}

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
-from imubayes.criticism.evidence.evidence_record import NAMED
+from imubayes.criticism.evidence.evidence_record import NAMED_ODDS
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis, inverse
 from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import Record
@@ -262,4 +262,4 @@ def deviations_needed(variant: EffectVariant) -> float:
     """
     z = np.linspace(1.0, 20.0, 1901)
     gain = 0.5 * (z**2 - 1) - np.log(z) - math.log(len(variant.widths)) + variant.log_odds
-    return float(z[np.argmax(gain >= math.log(NAMED / (1 - NAMED)))]) + NormalDist().inv_cdf(DETECTION_POWER)
+    return float(z[np.argmax(gain >= NAMED_ODDS)]) + NormalDist().inv_cdf(DETECTION_POWER)

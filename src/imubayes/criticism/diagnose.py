@@ -26,6 +26,7 @@ from imubayes.criticism.diagnosis_record import (
 )
 from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.effect_ranking import ranking
+from imubayes.criticism.evidence.effect_variants import SHOWN
 from imubayes.criticism.evidence.evidence_record import NAMED, Explanation
 from imubayes.criticism.evidence.explain import explain
 from imubayes.criticism.evidence.hypothesis import Hypothesis
@@ -45,8 +46,6 @@ from imubayes.responses.candidate_effects import Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate, covariates
 from imubayes.step_counter import Tell, silent
 
-_CERTAINLY = 3.0
-"""Standard deviations by which a coefficient has to exceed the typical range, to be said to (convention)."""
 _MISSING_NOISE: dict[Family, str] = {
     "tails": "outliers", "runs": "run_scatter", "correlated": "correlated_noise", "wander": "random_walk_noise",
     "rate": "rate_proportional_noise",
@@ -240,7 +239,7 @@ class _Judged:
         return tuple(
             UntypicalSize(name=each.name, value=each.value, largest=most, unit=each.unit)
             for each, most in zip(estimates, largest, strict=True)
-            if each.value is not None and abs(each.value) - _CERTAINLY * (each.sd or 0.0) > most
+            if each.value is not None and abs(each.value) - SHOWN * (each.sd or 0.0) > most
         )
 
     def _suggestions(self) -> tuple[Suggestion | None, Suggestion | None]:

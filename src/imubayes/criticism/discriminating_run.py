@@ -4,11 +4,16 @@ Were the leader the truth with the coefficients found, a refit with another memb
 all runs, the new one included; the run that makes the smallest of these largest distinguishes them.
 """
 
+import math
+from statistics import NormalDist
+
 import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise import known_scales
 from imubayes.adequacy.known_noise_fit import whitened_rows
+from imubayes.criticism.detectability import DETECTION_POWER
+from imubayes.criticism.evidence.evidence_record import NAMED_ODDS
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
@@ -16,8 +21,9 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.model.problem import prior_widths
 from imubayes.responses.candidate_effects import candidate_responses
 
-_DISTINGUISHED = 16.0
-"""χ² by which a planned run has to distinguish the members of a slot: four standard deviations (convention)."""
+_POWER = NormalDist().inv_cdf(DETECTION_POWER)
+_DISTINGUISHED = (_POWER + math.sqrt(_POWER**2 + 2 * NAMED_ODDS)) ** 2
+"""χ² by which a planned run has to distinguish the members of a slot, so that one will be named.  Derived: 9.6."""
 
 
 def discriminating_run(fitted: Fit, posterior: ExplanationPosterior, slot: MissingEffect) -> RunDesign | None:

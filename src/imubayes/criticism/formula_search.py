@@ -6,25 +6,23 @@ how often a term is selected first when whole runs are resampled, says how far t
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.evidence.evidence_record import NAMED
+from imubayes.criticism.evidence.evidence_record import NAMED_ODDS, NEAR
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
+from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE
 from imubayes.criticism.evidence.proposals import base_columns
 from imubayes.criticism.term_library import Term, library
 from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import Record, finite
 from imubayes.responses.residual_covariates import ResidualCovariate
 
-_ELABORATE, _PENALTY = ("product", "wave"), 4.5
-"""Sorts of terms that are chosen from many, and the nats by which they are penalised against plain ones."""
-_MOST_TERMS, _NEAR, _RESAMPLES = 3, 4.0, 200
-"""Terms of a formula at most; nats within which another term is told; times that runs are resampled."""
-_LEAST_RETAINED = 1e-6
-"""Share of a term below which what the model fits explains it."""
+_MOST_TERMS, _RESAMPLES = 3, 200
+"""Terms of a formula at most; times that runs are resampled."""
 
 
 class FormulaTerm(Record):
@@ -84,7 +82,7 @@ class _Pursuit:
     def drops(self, whole: np.ndarray) -> np.ndarray:
         """Return the drop of χ² by each term, of squared length `whole` at first, (T,)."""
         left = np.diag(self.own)
-        told = left > _LEAST_RETAINED * whole
+        told = left > NEGLIGIBLE * whole
         return np.where(told, self.right**2 / np.where(told, left, 1.0), 0.0)
 
     def without(self, place: int) -> "_Pursuit":
@@ -138,7 +136,7 @@ def find_formula(
         near=tuple(
             term.text
             for place, (term, drop) in enumerate(zip(terms, drops, strict=True))
-            if drop > drops[places[0]] - 2 * _NEAR and place != places[0]
+            if drop > drops[places[0]] - 2 * NEAR and place != places[0]
         ),
     )
 
@@ -150,13 +148,15 @@ def coefficient_unit(kind: str, scale: float, gravity: float) -> tuple[float, st
 
 def _pursue(at: _Pursuit, terms: Sequence[Term], whole: np.ndarray, rows: int) -> list[tuple[int, float, float]]:
     """Return the places of the terms selected, with the drop of χ² and log odds of each (Schwarz's criterion)."""
-    cost = np.array([_PENALTY * (term.sort in _ELABORATE) for term in terms]) + math.log(len(terms))
+    # Sorts are equally likely, and so are the terms of each: what is chosen from many pays for it.
+    members = Counter(term.sort for term in terms)
+    cost = np.log([len(members) * members[term.sort] for term in terms])
     selected: list[tuple[int, float, float]] = []
     while len(selected) < _MOST_TERMS:
         drops = at.drops(whole)
         odds = 0.5 * drops - 0.5 * math.log(rows) - cost
         best = int(np.argmax(odds))
-        if odds[best] < math.log(NAMED / (1 - NAMED)):
+        if odds[best] < NAMED_ODDS:
             break
         selected.append((best, float(drops[best]), float(odds[best])))
         at = at.without(best)

@@ -7,6 +7,7 @@ import numpy as np
 
 from imubayes.campaign_data import INPUT_UNIT, Kind
 from imubayes.criticism.detectability import AbsorbedResponses
+from imubayes.criticism.evidence.free_forms import HIGHEST_POWER
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, SlotMember
 from imubayes.group_means import group_means
 from imubayes.responses.candidate_effects import Responses
@@ -15,10 +16,7 @@ from imubayes.responses.residual_covariates import ResidualCovariate, as_read
 from imubayes.units import to_si
 
 COVARIATE_SHARE = 0.9
-"""Share of the squares of what an effect explains that a function of a covariate gives, to be said to follow it."""
-_DEGREE = 5
-"""Degree of the polynomial that stands for any function of a covariate: it follows what a term of the catalogue may be.
-"""
+"""Share of the squares of what an effect explains that a polynomial of a covariate gives, to be said to follow it."""
 
 
 @dataclass(frozen=True)
@@ -162,9 +160,9 @@ def _share(response: np.ndarray, stimulus: np.ndarray, values: np.ndarray) -> fl
     """Return the share of the squares of a response that the input times a polynomial of a covariate gives."""
     good = np.isfinite(values) & np.isfinite(stimulus)
     whole = float(response @ response)
-    if good.sum() <= 2 * _DEGREE or whole == 0 or np.ptp(values[good]) == 0:
+    if good.sum() <= 2 * HIGHEST_POWER or whole == 0 or np.ptp(values[good]) == 0:
         return 0.0
     middle, half = np.mean([values[good].min(), values[good].max()]), np.ptp(values[good]) / 2
-    design = stimulus[good, None] * np.vander((values[good] - middle) / half, _DEGREE + 1)
+    design = stimulus[good, None] * np.vander((values[good] - middle) / half, HIGHEST_POWER + 1)
     left = response[good] - design @ np.linalg.lstsq(design, response[good])[0]
     return (float(response[good] @ response[good]) - float(left @ left)) / whole

@@ -11,13 +11,11 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.covariates import Covariate, regressors
+from imubayes.criticism.evidence.free_forms import HARMONICS, HIGHEST_POWER, PLACES
+from imubayes.criticism.evidence.linear_problem import SAME_LEVEL
 from imubayes.responses.residual_covariates import ResidualCovariate
 
-_MAX_POWER, _HARMONICS, _BUMP_CENTRES, _MAX_WAVES = 5, 6, 9, 16
-"""Powers, harmonics of the table angle, centres of bumps, waves through the range (convention)."""
 _TIME_CONSTANTS_MIN = (2.0, 5.0, 10.0, 30.0, 60.0)
-_SAME_LEVEL = 0.02
-"""Share of the range of a covariate within which values are one level: the scatter about a set point (convention)."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +29,7 @@ class Term:
     expression : the same in Python, for `sample`, in SI.
     needs : covariates that a run has to supply.
     values : shape (E,), in datasheet units, 0 where not known.
-    covariates : one or two.
     sort : power, harmonic, bump, wave or product; bumps, waves and products are chosen from many.
-    family : in brief; terms that are one dependence have one: sine and cosine of one wave.
-    plain : whether it is of second order at most, as most causes are.
     """
 
     text: str
@@ -42,10 +37,7 @@ class Term:
     expression: str
     needs: tuple[str, ...]
     values: np.ndarray = field(repr=False)
-    covariates: tuple[ResidualCovariate, ...]
     sort: str
-    family: str
-    plain: bool = False
 
 
 @dataclass(frozen=True)
@@ -54,20 +46,9 @@ class _Base:
 
     entry: Covariate
     values: np.ndarray
-    covariate: ResidualCovariate
 
-    def term(
-        self,
-        text: str,
-        divisor: str,
-        expression: str,
-        values: np.ndarray,
-        sort: str,
-        family: str = "",
-        plain: bool = False,
-    ) -> Term:
-        covariates, named = (self.covariate,), family or text
-        return Term(text, divisor, expression, self.entry.needed, _filled(values), covariates, sort, named, plain)
+    def term(self, text: str, divisor: str, expression: str, values: np.ndarray, sort: str) -> Term:
+        return Term(text, divisor, expression, self.entry.needed, _filled(values), sort)
 
 
 def library(covariates: Sequence[ResidualCovariate], rows: np.ndarray, gravity: float) -> list[Term]:
@@ -80,7 +61,7 @@ def library(covariates: Sequence[ResidualCovariate], rows: np.ndarray, gravity: 
         values = np.where(rows & np.isfinite(covariate.values), covariate.values, np.nan)
         if entry is None or np.isfinite(values).sum() < 4 or np.nanmax(values) - np.nanmin(values) <= 0:
             continue
-        base = _Base(entry, values - entry.centre if entry.centre else values, covariate)
+        base = _Base(entry, values - entry.centre if entry.centre else values)
         if entry.periodic:
             terms.extend(_harmonics(base, gravity))
         elif entry.symbol:
@@ -98,7 +79,7 @@ def levels(values: np.ndarray) -> np.ndarray:
     ----------
     values : shape (n,), finite.
     """
-    least = _SAME_LEVEL * np.ptp(values)
+    least = SAME_LEVEL * np.ptp(values)
     order = np.argsort(values)
     gaps = np.diff(values[order]) > least
     level = np.empty(len(values), dtype=int)
@@ -115,10 +96,8 @@ def _filled(values: np.ndarray) -> np.ndarray:
 def _harmonics(base: _Base, gravity: float) -> list[Term]:
     symbol, code, angle = base.entry.symbol, base.entry.python, base.values * base.entry.factor(gravity)
     return [
-        base.term(
-            f"{name} {k}{symbol}", "", f"jnp.{name}({k} * {code})", f(k * angle), "harmonic", f"{k}{symbol}", k <= 2
-        )
-        for k in range(1, _HARMONICS + 1)
+        base.term(f"{name} {k}{symbol}", "", f"jnp.{name}({k} * {code})", f(k * angle), "harmonic")
+        for k in range(1, HARMONICS + 1)
         for name, f in (("sin", np.sin), ("cos", np.cos))
     ]
 
@@ -127,14 +106,9 @@ def _of_one(base: _Base, gravity: float) -> list[Term]:
     symbol, expression, unit, values = base.entry.symbol, base.entry.python, base.entry.unit, base.values
     found = [
         base.term(
-            _power_text(symbol, power),
-            _power_unit(unit, power),
-            f"{expression} ** {power}",
-            values**power,
-            "power",
-            plain=power <= 2,
+            _power_text(symbol, power), _power_unit(unit, power), f"{expression} ** {power}", values**power, "power"
         )
-        for power in range(1, _MAX_POWER + 1)
+        for power in range(1, HIGHEST_POWER + 1)
     ]
     if base.entry.si == "s":
         found += [
@@ -155,7 +129,7 @@ def _of_one(base: _Base, gravity: float) -> list[Term]:
         ),
         (f"sgn {symbol}", "", f"jnp.sign({expression})", np.sign),
     )
-    found += [base.term(text, below, code, f(values), "power", plain=f is np.abs) for text, below, code, f in signed]
+    found += [base.term(text, below, code, f(values), "power") for text, below, code, f in signed]
     return found + _bumps(base, gravity) + _waves(base, gravity)
 
 
@@ -172,19 +146,18 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
         return []
     unit, factor = base.entry.unit, base.entry.factor(gravity)
     found = []
-    for centre in np.linspace(low, high, _BUMP_CENTRES + 2)[1:-1].tolist():
+    for centre in np.linspace(low, high, PLACES + 2)[1:-1].tolist():
         for width in ((high - low) / 16, (high - low) / 8, (high - low) / 4):
             formula = f"1/(1 + (({text} − {centre:.3g})/{width:.3g})²) with {base.entry.symbol} in {unit}"
             python = f"1 / (1 + (({code} - {centre * factor:.6g}) / {width * factor:.6g}) ** 2)"
-            brief = f"at {text} = {centre:.3g} {unit}, width {width:.3g} {unit}"
-            found.append(base.term(formula, "", python, 1 / (1 + ((size - centre) / width) ** 2), "bump", brief))
+            found.append(base.term(formula, "", python, 1 / (1 + ((size - centre) / width) ** 2), "bump"))
     return found
 
 
 def _waves(base: _Base, gravity: float) -> list[Term]:
     """Return waves along a covariate, from one period over its range to as many as its levels resolve."""
     finite = base.values[np.isfinite(base.values)]
-    most = min(_MAX_WAVES, len(np.unique(levels(finite))) // 3)
+    most = min(HARMONICS, len(np.unique(levels(finite))) // 3)
     unit, factor = base.entry.unit, base.entry.factor(gravity)
     found = []
     for half_turns in range(2, 2 * most + 1):
@@ -194,7 +167,7 @@ def _waves(base: _Base, gravity: float) -> list[Term]:
                 base.term(
                     f"{name}(2π {base.entry.symbol}/{period:.3g} {unit})", "",
                     f"jnp.{name}({2 * np.pi / (period * factor):.6g} * {base.entry.python})",
-                    f(2 * np.pi * base.values / period), "wave", f"of {base.entry.symbol}, period {period:.3g} {unit}",
+                    f(2 * np.pi * base.values / period), "wave",
                 )
             )  # fmt: skip
     return found
@@ -209,9 +182,7 @@ def _of_two(one: _Base, other: _Base) -> list[Term]:
             code = f"{x.python} ** {a} * {y.python} ** {b}"
             needs = tuple(dict.fromkeys((*x.needed, *y.needed)))
             values = _filled(one.values**a * other.values**b)
-            found.append(
-                Term(text, below, code, needs, values, (one.covariate, other.covariate), "product", text, a == b == 1)
-            )
+            found.append(Term(text, below, code, needs, values, "product"))
     return found
 
 

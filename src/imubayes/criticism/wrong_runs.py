@@ -10,15 +10,12 @@ from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.responses.wrong_inputs import WrongInput
 from imubayes.units import to_si
 
-_TOLD = 0.02
-"""Probability among wrong inputs from which another one is told."""
-
 
 def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[Disagreement, ...]:
     """Return the run or row of a campaign as recorded that is wrong in the leading explanation; else none."""
     if posterior.leading != "input":
         return ()
-    near = [(share, each, _wrong(each)) for share, each in posterior.wrong_inputs if share >= _TOLD]
+    near = [(share, each, _wrong(each)) for share, each in posterior.wrong_inputs]
     _, best, first = near[0]
     same = [(share, each) for share, each, wrong in near if (wrong.run, wrong.row) == (first.run, first.row)]
     causes = {(cause.form, cause.quantity): cause for share, each in reversed(same)

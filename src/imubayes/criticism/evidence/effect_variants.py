@@ -10,20 +10,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imubayes.criticism.evidence.linear_problem import LinearProblem, typical_sizes
+from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, LinearProblem, typical_sizes
 from imubayes.responses.candidate_effects import Response
 
 EXPECTED = 1.0
-"""Expected number of missing effects, in equal shares of the catalogue; most of `LARGEST` each."""
-LARGEST = 0.2
-ONE_PARAMETER, ONE_OWNER = 0.5, 0.3
-"""Shares of the prior of an effect for one of its parameters, and for one channel, mounting or table alone."""
-_REACH, _RATIO = 10.0, 4.0
+"""Expected number of missing effects, in equal shares of the catalogue."""
+SPECIAL = 0.5
+"""Share of the prior of an effect for one of its parameters, and for one channel, mounting or table alone: as likely as
+the whole."""
+_REACH, WIDTH_RATIO = 10.0, 4.0
 """Widths of the prior of coefficients: from a tenth of the smallest to ten times the largest typical size, in steps of
 a ratio.  Derived: a coarser ratio costs more than a nat of Occam's factor; and of two effects with equal responses the
 one whose size is within its range would win by its range alone."""
-_LEAST_WIDTH, _MOST_LEAST = 1e-4, 0.1
-_SHOWN, _SEEN = 3.0, 1.0
+SHOWN, _SEEN = 3.0, 1.0
 """Standard deviations at which an effect of its largest typical size would stand, to be looked for, and at which one of
 a width would, for that width to be told from nothing."""
 
@@ -73,11 +72,11 @@ def effect_variants(problem: LinearProblem) -> tuple[EffectVariant, ...]:
         first += len(response.coefficients)
     causes = {(effect, name) for effect, name, _ in shares}
     effects = [effect for effect, _ in causes]
-    odds = min(LARGEST, EXPECTED / max(len(set(effects)), 1))
+    odds = EXPECTED / max(len(set(effects)), 1)
     shapes = {cause: sum((effect, name) == cause for effect, name, _ in shares) for cause in causes}
     found: list[EffectVariant] = []
     for effect, name, share in shares:
-        log_odds = math.log(odds / (1 - odds) / effects.count(effect) / shapes[effect, name])
+        log_odds = math.log(odds / effects.count(effect) / shapes[effect, name])
         found += _variants(problem, problem.candidates[share.response], share, log_odds)
     return tuple(found)
 
@@ -97,8 +96,8 @@ def visible(variants: Sequence[EffectVariant], information: np.ndarray) -> tuple
     for each in variants:
         size = float(np.sqrt(max(np.linalg.eigvalsh(information[np.ix_(each.places, each.places)])[-1], 0.0)))
         widths = tuple(width for width in each.widths if width * size >= _SEEN)
-        far = tuple(width for width in widths if width * size >= _SHOWN)
-        if size >= _SHOWN and widths:
+        far = tuple(width for width in widths if width * size >= SHOWN)
+        if size >= SHOWN and widths:
             found.append(replace(each, widths=widths))
         elif far:
             share = math.log(len(far) / len(each.widths))
@@ -121,16 +120,16 @@ def _variants(problem: LinearProblem, response: Response, share: _Share, log_odd
     for k in share.places:
         fields.setdefault(problem.coefficients[k].parameter.field, []).append(k)
         owners.setdefault(problem.coefficients[k].owner, []).append(k)
-    several = math.log(1 - ONE_OWNER) if len(owners) > 1 else 0.0
-    whole = math.log(1 - ONE_PARAMETER) if len(fields) > 1 else 0.0
+    several = math.log(1 - SPECIAL) if len(owners) > 1 else 0.0
+    whole = math.log(1 - SPECIAL) if len(fields) > 1 else 0.0
     found = [variant(share.places, whole + several)]
     if len(fields) > 1:
-        part = math.log(ONE_PARAMETER / len(fields))
+        part = math.log(SPECIAL / len(fields))
         for places in fields.values():
             shared = len({problem.coefficients[k].owner for k in places}) > 1
-            found.append(variant(places, part + (math.log(1 - ONE_OWNER) if shared else 0.0)))
+            found.append(variant(places, part + (math.log(1 - SPECIAL) if shared else 0.0)))
     if len(owners) > 1:
-        alone = math.log(ONE_OWNER / len(owners))
+        alone = math.log(SPECIAL / len(owners))
         found += [variant(places, whole + alone) for places in owners.values()]
     return found
 
@@ -138,6 +137,6 @@ def _variants(problem: LinearProblem, response: Response, share: _Share, log_odd
 def _widths(problem: LinearProblem, places: list[int]) -> tuple[float, ...]:
     typical = np.array([typical_sizes(problem.coefficients[k]) for k in places])
     least = float(np.exp(np.mean(np.log(np.maximum(typical[:, 0], 1e-300) / typical[:, 1]))))
-    least = min(max(least / _REACH, _LEAST_WIDTH), _MOST_LEAST)
-    count = 1 + max(2, round(math.log(_REACH / least) / math.log(_RATIO)))
+    least = max(least / _REACH, NEGLIGIBLE)
+    count = 1 + max(2, round(math.log(_REACH / least) / math.log(WIDTH_RATIO)))
     return tuple(np.geomspace(least, _REACH, count).tolist())

@@ -6,7 +6,7 @@ anew where the leader puts parameters, coefficients and record, at the price of 
 Gauss–Newton step).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from imubayes.responses.candidate_effects import LinearisationPoint, Responses, 
 from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, problem_of
 
-LARGE = 500.0
+GROSS = 500.0
 """Nats of an effect above which the campaign is linearised anew about it.  Derived: where it stands out of the noise by
 thirty standard deviations, a curvature of a tenth of it does by three."""
 _NEAR, _ROUNDS = 0.1, 3
@@ -69,10 +69,25 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
         moved = _linearised(problem, large) if large is not None else None
         if large is not None and moved is not None:
             about, search = large, ModelSearch(moved)
-    search = _run(search, about, covariates)
+    begun = _run(search, about, covariates), about
+    leads = (_leader, _gross_input) if fitted.optimised else (_leader,)
+    found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
+    search, about = max(found, key=lambda each: each[0].best().log_posterior)
+    return ExplanationPosterior(search, about.fitted)
+
+
+def _followed(
+    search: ModelSearch,
+    about: _About,
+    fitted: Fit,
+    covariates: Sequence[ResidualCovariate],
+    lead: Callable[[ModelSearch, Fit], Evaluated | None],
+) -> tuple[ModelSearch, _About]:
+    """Return the likeliest of the linearisations that lead from one to the next; about no mode the last."""
     best = search, about
     for _ in range(_ROUNDS):
-        moved = _leading_to(search, about, fitted)
+        leading = lead(search, fitted)
+        moved = _moved(search, about, leading, fitted) if leading is not None else None
         if moved is None or about.stands_for(moved):
             break
         problem = _linearised(search.of.problem, moved)
@@ -81,7 +96,7 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
         about, search = moved, _run(ModelSearch(problem), moved, covariates)
         further = [(search, about)] if not fitted.optimised else [best, (search, about)]
         best = max(further, key=lambda each: each[0].best().log_posterior)
-    return ExplanationPosterior(best[0], best[1].fitted)
+    return best
 
 
 def _run(search: ModelSearch, about: _About, covariates: Sequence[ResidualCovariate]) -> ModelSearch:
@@ -90,22 +105,26 @@ def _run(search: ModelSearch, about: _About, covariates: Sequence[ResidualCovari
     return search.run((*free_forms(problem, covariates), *wrong.of_runs), wrong.of_rows)
 
 
-def _leading_to(search: ModelSearch, about: _About, recorded: Fit) -> _About | None:
-    """Return the linearisation that a search calls for: a gross wrong input, large effects, or no mode; else None.
-
-    What the curvature of a wrong input leaves excludes it as long as it is not corrected, so that it need not lead.
-    """
-    inputs = [each for each in search.known if _is_input(each)]
-    wrong = max(inputs, key=lambda each: each.log_posterior, default=None)
-    if wrong is not None and wrong.log_posterior > search.best(states_noise).log_posterior + LARGE:
-        return _moved(search, about, wrong, recorded)
+def _leader(search: ModelSearch, fitted: Fit) -> Evaluated | None:
+    """Return the likeliest hypothesis where its effects are large, or there is no mode: a linearisation about it."""
     top = search.best()
-    return _moved(search, about, top, recorded) if not recorded.optimised or _is_large(search, top) else None
+    return top if not fitted.optimised or _is_large(search, top) else None
+
+
+def _gross_input(search: ModelSearch, fitted: Fit) -> Evaluated | None:
+    """Return the likeliest wrong input where it is gross.
+
+    What its curvature leaves excludes it as long as it is not corrected, so that it need not lead.
+    """
+    wrong = max(filter(_is_input, search.known), key=lambda each: each.log_posterior, default=None)
+    if wrong is None or wrong is _leader(search, fitted):
+        return None
+    return wrong if wrong.log_posterior > search.best(states_noise).log_posterior + GROSS else None
 
 
 def _is_large(search: ModelSearch, top: Evaluated) -> bool:
     without = [search.of.evaluate(top.hypothesis.without(each), top) for each in top.hypothesis.variants]
-    return max((top.log_posterior - each.log_posterior for each in without), default=0.0) > LARGE
+    return max((top.log_posterior - each.log_posterior for each in without), default=0.0) > GROSS
 
 
 def _is_input(each: Evaluated) -> bool:

@@ -12,12 +12,12 @@ import numpy as np
 
 from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Solved
+from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE
 from imubayes.criticism.evidence.proposals import base_columns
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
-_EXACT, _TOGETHER = 160, 256
-_LEAST_RETAINED = 1e-9
-"""Share of a direction below which what takes part explains it to rounding: a large misfit would make it a gain."""
+_AT_ONCE = 160
+"""Forms that are decomposed together, and the likeliest ones whose gain is exact."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class _Grams:
         """Return the log evidence of coefficients with standard deviations `amplitudes`, (m, A)."""
         squares, axes = np.linalg.eigh(self.own - self.across @ self.across.swapaxes(1, 2))
         whole = np.trace(self.own, axis1=1, axis2=2)[:, None]
-        told = squares > _LEAST_RETAINED * np.maximum(whole, np.finfo(float).tiny)
+        told = squares > NEGLIGIBLE * np.maximum(whole, np.finfo(float).tiny)
         along = np.where(told, (axes.swapaxes(1, 2) @ self.right[:, :, None])[:, :, 0] ** 2, 0.0)[:, None, :]
         squares = np.where(told, squares, 0.0)[:, None, :]
         variance = np.square(amplitudes)[None, :, None]
@@ -62,7 +62,7 @@ class FormScan:
             if len(parts) > 1 and form.wrong is None:
                 quick += [_likeliest(form, (k,), part) for k, part in parts.items()]
         quick.sort(key=lambda each: -each[0])
-        exact = [(gain if len(form.channels) == 1 else self._exact(form), form) for gain, form in quick[:_EXACT]]
+        exact = [(gain if len(form.channels) == 1 else self._exact(form), form) for gain, form in quick[:_AT_ONCE]]
         return sorted(exact, key=lambda each: -each[0])
 
     def _gains(self, forms: Sequence[FormHypothesis]) -> dict[tuple[int, int], np.ndarray]:
@@ -74,8 +74,8 @@ class FormScan:
                 if k in form.columns:
                     alike.setdefault((form.columns[k].shape[1], form.amplitudes), []).append(n)
             for (_, amplitudes), members in alike.items():
-                for first in range(0, len(members), _TOGETHER):
-                    some = members[first : first + _TOGETHER]
+                for first in range(0, len(members), _AT_ONCE):
+                    some = members[first : first + _AT_ONCE]
                     each = self._grams([forms[n].columns[k] for n in some], k).gains(amplitudes)
                     found.update({(n, k): gain for n, gain in zip(some, each, strict=True)})
         return found

@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from imubayes.criticism.evidence.effect_variants import ONE_OWNER
-from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
+from imubayes.criticism.evidence.effect_variants import SPECIAL, WIDTH_RATIO
+from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, UNEXPECTED, ChannelRows, LinearProblem
 from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.responses.wrong_inputs import WrongInput
 
@@ -23,18 +23,19 @@ FormFamily = Literal[
     "function", "vector", "gain", "level", "threshold", "harmonic", "product", "memory", "step", "input"
 ]
 
-FREE_FORM, WRONG_INPUT = 0.05, 0.05
-"""Prior probabilities of a form outside the catalogue and of a wrong input, in equal shares of families and members."""
-AMPLITUDES = (1.0, 4.0, 16.0, 64.0)
+AMPLITUDES = tuple((WIDTH_RATIO ** np.arange(7)).tolist())
 """Standard deviations of the coefficients of a form, in units of the noise of a row; equally likely."""
+HIGHEST_POWER, HARMONICS, PLACES = 5, 12, 10
+"""Powers of a covariate; harmonics of an angle, and waves through a range; places at which something local may sit."""
 _SMOOTH, _ROUGH = (0.25, 7), (0.06, 16)
 """Length of a Gaussian process over the range of its covariate, and its columns."""
-_HARMONICS, _FIRST_HARMONIC = 12, 3
-_SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
-_MOST_LEVELS, _LEAST_AT_LEVEL, _LEAST_ROWS, _STEPS = 40, 2, 8, 10
-_POWERS = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (3, 1))
-_APART = 1e-6
-"""Share of a covariate that another has to leave, for both to be two.  Numerical."""
+_FIRST_HARMONIC = 3
+"""The first that the catalogue does not have."""
+_SHARES = tuple(2.0**-k for k in range(1, 7))
+"""Of the largest input, at which a response sets in or saturates."""
+_LEAST_ROWS = 8
+"""Rows for a free function of a covariate."""
+_POWERS = tuple((p, q) for p in range(1, HIGHEST_POWER) for q in range(1, HIGHEST_POWER - p))
 _VECTORS = {"rate": "angular rate, as a vector", "force": "specific force, as a vector"}
 _MEAN_FREE = ("temperature_degC", "campaign_time_h", "time_s", "power_on_s")
 """Covariates that act by their change, not by their distance from zero."""
@@ -79,17 +80,14 @@ class ChosenForm:
         """Logarithm of the prior probability."""
         several = len(self.form.columns)
         alone = len(self.channels) == 1 and several > 1
-        share = math.log(ONE_OWNER / several) if alone else math.log(1 - ONE_OWNER) if several > 1 else 0.0
+        share = math.log(SPECIAL / several) if alone else math.log(1 - SPECIAL) if several > 1 else 0.0
         return self.form.log_prior + (share if self.form.wrong is None else 0.0) - math.log(len(self.form.amplitudes))
 
     def span(self, channel: int) -> slice:
         """Return the places of a channel's coefficients: each its own, but a wrong input has the same for all."""
         own = self.form.columns[channel].shape[1]
-        before = (
-            0
-            if self.form.wrong is not None
-            else sum(self.form.columns[k].shape[1] for k in self.channels if k < channel)
-        )
+        earlier = () if self.form.wrong is not None else (k for k in self.channels if k < channel)
+        before = sum(self.form.columns[k].shape[1] for k in earlier)
         return slice(before, before + own)
 
     @property
@@ -107,7 +105,7 @@ def free_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tu
     forms: list[FormHypothesis] = []
     for kind in dict.fromkeys(problem.kinds):
         forms += _of_kind(problem, known, [k for k, each in enumerate(problem.kinds) if each == kind])
-    return with_prior(forms, FREE_FORM)
+    return with_prior(forms, UNEXPECTED / 2)
 
 
 def with_prior(forms: Sequence[FormHypothesis], whole: float) -> tuple[FormHypothesis, ...]:
@@ -150,7 +148,7 @@ def _of_kind(
 
 def _varies(values: np.ndarray) -> bool:
     told = values[np.isfinite(values)]
-    return len(told) >= _LEAST_ROWS and float(np.ptp(told)) > 1e-9 * (1 + float(np.abs(told).max()))
+    return len(told) >= _LEAST_ROWS and float(np.ptp(told)) > NEGLIGIBLE * (1 + float(np.abs(told).max()))
 
 
 def _of_covariate(
@@ -160,7 +158,7 @@ def _of_covariate(
     if covariate.periodic:
         angle = {k: np.radians(x) for k, x in seen.items()}
         basis = {k: 0.5 * _harmonics(x, range(1, 7)) for k, x in angle.items()}
-        for order in range(_FIRST_HARMONIC, _HARMONICS + 1):
+        for order in range(_FIRST_HARMONIC, HARMONICS + 1):
             shape = {k: places[k].weighted(_harmonics(x, [order])) for k, x in angle.items()}
             yield FormHypothesis("harmonic", f"harmonic {order} of {said}", own, shape)
     else:
@@ -206,9 +204,9 @@ def _levels(
     top = max(float(np.abs(x).max()) for x in filled.values())
     level = {k: np.round(np.abs(x) / top * 50) for k, x in filled.items()}
     levels, rows = np.unique(np.concatenate(list(level.values())), return_counts=True)
-    if 2 < len(levels) <= _MOST_LEVELS:
+    if len(levels) > 2:
         # One row of a channel would be matched whatever it is.
-        for one in levels[1:][rows[1:] >= _LEAST_AT_LEVEL * len(level)].tolist():
+        for one in levels[1:][rows[1:] >= 2 * len(level)].tolist():
             both = {
                 k: places[k].weighted(np.stack([at == one, (at == one) * np.sign(filled[k])], axis=1).astype(float))
                 for k, at in level.items()
@@ -273,7 +271,7 @@ def _scaled(covariate: ResidualCovariate, places: Mapping[int, _Place]) -> dict[
 def _alike(one: np.ndarray, other: np.ndarray) -> bool:
     """Tell whether two covariates are one, as the times of a run and of the campaign where there is one run."""
     a, b = one - one.mean(), other - other.mean()
-    return float(a @ b) ** 2 > (1 - _APART) * float(a @ a) * float(b @ b)
+    return float(a @ b) ** 2 > (1 - NEGLIGIBLE) * float(a @ a) * float(b @ b)
 
 
 def _rows_before(rows: ChannelRows) -> np.ndarray:
@@ -291,7 +289,7 @@ def _steps(places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
     for run in runs:
         rank = {k: np.where(place.run == run, np.cumsum(place.run == run), 0) for k, place in places.items()}
         rows = max(int(at.max()) for at in rank.values())
-        for row in range(2, rows, max(1, rows // _STEPS)):
+        for row in range(2, rows, max(1, rows // PLACES)):
             within = {k: at > row for k, at in rank.items()}
             onward = {k: here | (places[k].run > run) for k, here in within.items()}
             for name, where in (("step within the run", within), ("step of the bias", onward)):

@@ -15,9 +15,9 @@ import numpy as np
 import scipy.linalg
 
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
-from imubayes.criticism.evidence.free_forms import FREE_FORM, WRONG_INPUT, ChosenForm
+from imubayes.criticism.evidence.free_forms import ChosenForm
 from imubayes.criticism.evidence.heavy_tails import tail_bound, tail_weights
-from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
+from imubayes.criticism.evidence.linear_problem import UNEXPECTED, ChannelRows, LinearProblem
 from imubayes.criticism.evidence.noise_structures import (
     HeavyTails,
     NoiseOfUnit,
@@ -29,12 +29,11 @@ from imubayes.criticism.evidence.noise_structures import (
 from imubayes.criticism.evidence.whitened_rows import GramMatrix, WhitenedRows, offsets_of_runs
 from imubayes.criticism.evidence.width_sums import summed_over_widths
 
-_ROUNDS, _ROUNDS_TAILED = 6, 30
-"""Steps to the mode of the scales, and with weights of heavy tails, which move together.  Numerical."""
-_SETTLED, _SETTLED_WEIGHT = 1e-3, 0.03
+ROUNDS = 30
+"""Steps to a mode of scales and weights at most.  Numerical."""
+_SETTLED, SETTLED_WEIGHT = 1e-3, 0.03
 """Change of the logarithm of a scale and of a weight within which they have settled.  Derived: errors of the evidence
 are of second order in it."""
-_LOG_SCALES = (-6.0, 12.0)
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ class EvidenceOf:
             self._of_sisters[hypothesis.noise] = told
         found += self._of_sisters[hypothesis.noise]
         form = hypothesis.form
-        return found + (form.log_prior if form is not None else math.log(1 - FREE_FORM - WRONG_INPUT))
+        return found + (form.log_prior if form is not None else math.log(1 - UNEXPECTED))
 
     # ---- Gram matrices ----
 
@@ -313,12 +312,12 @@ class _Evaluation:
     def _settle(self, precision: np.ndarray, pull: np.ndarray) -> None:
         """Find the mode of the noise scales, σ² = RSS/(n − γ) drawn towards what is known (MacKay 1992)."""
         moved = math.inf if self.weight else 0.0
-        for _ in range(_ROUNDS_TAILED if self.weight else _ROUNDS):
+        for _ in range(ROUNDS):
             self._solve(precision, pull)
             before = self.scale
             self._rescale()
             settled = float(np.max(np.abs(np.log(self.scale / before)))) < _SETTLED
-            if settled and moved < _SETTLED_WEIGHT:
+            if settled and moved < SETTLED_WEIGHT:
                 break
             if self.weight:
                 moved = self._reweigh()
@@ -402,12 +401,11 @@ def _widths_before(start: Evaluated | None) -> dict[int, float]:
 def scale_mode(rest: float, freedom: float, sd: float) -> tuple[float, float]:
     """Return the mode of −ν x − RSS e^(−2x)/2 − x²/2s² in x = log σ, and its prior with the Laplace term."""
     x, curvature = 0.5 * math.log(rest / freedom), 1.0
-    for _ in range(12):
+    for _ in range(ROUNDS):
         gradient = -freedom + rest * math.exp(-2 * x) - x / sd**2
         curvature = 2 * rest * math.exp(-2 * x) + 1 / sd**2
         step = max(-1.0, min(1.0, gradient / curvature))
         x += step
-        if abs(step) < 1e-6:
+        if abs(step) < 0.01 * _SETTLED:
             break
-    x = max(min(x, _LOG_SCALES[1]), _LOG_SCALES[0])
     return x, -0.5 * (x / sd) ** 2 - math.log(sd) - 0.5 * math.log(curvature)

@@ -37,10 +37,14 @@ UNKNOWN = 0.7
 """The same of a scale that nothing tells: a factor of two either way."""
 _PRIOR_Z = np.array([-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0])
 """Places of the prior of a noise scale, in its standard deviations, that stand for it.  Numerical."""
-_LEAST_LENGTH = 1e-6
-"""Length of a response to its largest typical size, in units of noise, below which no run shows it.  Numerical."""
-_STEADY_INPUT = 0.05
-"""Variation of the magnitude of the input over its largest below which it is constant, as at rest.  Numerical."""
+UNEXPECTED = 0.1
+"""Prior probability of what neither model nor catalogue foresees: in a kind of channel other noise than stated, or
+scatter unlike that of sister channels; a form outside the catalogue or a wrong input, half each.  Calibrated: complete
+models keep "nothing missing", and foreign causes are told as such."""
+SAME_LEVEL = 0.02
+"""Share of its range, or of its largest size, within which a covariate is at one level: scatter about a set point."""
+NEGLIGIBLE = float(np.sqrt(np.finfo(float).eps))
+"""What rounding leaves of a sum of squares, as a share.  Derived."""
 
 Grid = tuple[tuple[float, float], ...]
 """Sizes that a prior allows, with the logarithm of the probability of each."""
@@ -81,7 +85,7 @@ class ChannelRows:
     def input_varies(self) -> bool:
         """Whether what depends on the input can be told from what does not."""
         size = np.abs(self.input)
-        return len(size) > 0 and float(np.ptp(size)) > _STEADY_INPUT
+        return len(size) > 0 and float(np.ptp(size)) > SAME_LEVEL
 
 
 @dataclass(frozen=True)
@@ -209,7 +213,7 @@ def _rows_of(
     ends = np.cumsum([0, *map(len, parts)]).tolist()
     misfit = at.columns[entry, -1]
     own = root[:, None] * at.columns[entry]
-    live = np.flatnonzero(np.linalg.norm(own[:, :-1], axis=0) > _LEAST_LENGTH)
+    live = np.flatnonzero(np.linalg.norm(own[:, :-1], axis=0) > NEGLIGIBLE)
     noise = 1 / float(np.median(root)) if len(entry) else 1.0
     value = model.entries.value[entry] - misfit - model.campaign.channels[channel].offset
     scatter = [(tau / noise, log_p) for tau, log_p in _prior_grid(at, channel, SharedNoise)]

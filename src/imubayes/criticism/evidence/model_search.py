@@ -1,6 +1,6 @@
 """Best-first search: effects are added, removed and swapped, noise and forms varied, until no hypothesis is near.
 
-Every hypothesis within `EXPANDED` nats of the best of its kind is expanded: with and without a form.  Members are
+Every hypothesis within `NEAR` nats of the best of its kind is expanded: with and without a form.  Members are
 swapped at the noise of the full hypothesis, since a missing effect inflates the noise of what lacks it.
 """
 
@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import visible
+from imubayes.criticism.evidence.evidence_record import NEAR
 from imubayes.criticism.evidence.form_scan import FormScan
 from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
@@ -21,12 +22,12 @@ from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
 LARGE = 50.0
 """Nats of an effect that is taken before any other is looked for."""
-EXPANDED, PROPOSED = 3.0, 9.0
-"""Nats below the best within which hypotheses are expanded, and within which quick gains are worth an evaluation."""
-_QUICK_NOISE = 2.0
-"""Nats that a structure may lose at the parameters of another, and still be tried."""
-_SINGLES, _PAIRS, _POOL, _SWAPS, _FORMS = 7, 5, 28, 8, 4
-_MOST_EXPANDED, _MOST_KNOWN, _PAIRED_UP_TO = 24, 3000, 2
+PROPOSED = 3 * NEAR
+"""Nats below the best within which quick gains are worth an evaluation: they are within a few nats of it."""
+_BREADTH, _FORMS = 7, 4
+"""Additions, pairs, swaps and forms that are evaluated about a hypothesis."""
+_MOST_EXPANDED, _PAIRED_UP_TO = 24, 2
+"""Hypotheses that are expanded, and effects of those to which pairs are added."""
 
 
 class ModelSearch:
@@ -140,7 +141,7 @@ class ModelSearch:
         present, worse = at.hypothesis.noise[place], set[str]()
         own = quick.get(present, max(quick.values()))
         for choice in sorted(quick, key=lambda each: -quick[each]):
-            if quick[choice] < own - _QUICK_NOISE:
+            if quick[choice] < own - NEAR:
                 break
             if choice == present or choice.family in worse:
                 continue
@@ -178,10 +179,10 @@ class ModelSearch:
         likelihood = conditional(self.of, self.of.solved(at))
         singles = [each for each in self._screen.singles(likelihood) if each[0] > -PROPOSED]
         allowed = [each for each in singles if self._allowed(at.hypothesis.including(each[1]))]
-        for _, variant in allowed[:_SINGLES]:
+        for _, variant in allowed[:_BREADTH]:
             self._get(at.hypothesis.including(variant), at)
         if len(at.hypothesis.variants) < _PAIRED_UP_TO:
-            for gain, pair in self._screen.pairs(likelihood, [n for _, n in allowed[:_POOL]])[:_PAIRS]:
+            for gain, pair in self._screen.pairs(likelihood, [n for _, n in allowed[: 4 * _BREADTH]])[:_BREADTH]:
                 if gain > -PROPOSED:
                     self._try(at.hypothesis.including(*pair), at)
         for variant in at.hypothesis.variants:
@@ -193,20 +194,18 @@ class ModelSearch:
             return
         likelihood = conditional(self.of, self.of.solved(less, at.scale))
         singles = self._screen.singles(likelihood)
-        for _, other in singles[:_SWAPS]:
+        for _, other in singles[:_BREADTH]:
             self._try(less.hypothesis.including(other), at)
         if len(less.hypothesis.variants) < _PAIRED_UP_TO:
-            for _, pair in self._screen.pairs(likelihood, [n for _, n in singles[:_POOL]])[: _PAIRS - 1]:
+            for _, pair in self._screen.pairs(likelihood, [n for _, n in singles[: 4 * _BREADTH]])[:_BREADTH]:
                 self._try(less.hypothesis.including(*pair), at)
 
     def _grow(self, which: Callable[[Evaluated], bool], most: int) -> None:
         for _ in range(most):
             mine = [each for each in self.known if which(each)]
             top = max(each.log_posterior for each in mine)
-            todo = [
-                each for each in mine if each.hypothesis not in self._expanded and each.log_posterior > top - EXPANDED
-            ]
-            if not todo or len(self.of.known) > _MOST_KNOWN:
+            todo = [each for each in mine if each.hypothesis not in self._expanded and each.log_posterior > top - NEAR]
+            if not todo:
                 return
             self._expand(max(todo, key=lambda each: each.log_posterior))
             new = self.best(which)

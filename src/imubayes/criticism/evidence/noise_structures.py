@@ -17,24 +17,18 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 from typing import Literal
 
 import numpy as np
-import scipy.linalg
 
 from imubayes.adequacy.known_noise import SISTERS_LOG_SD
-from imubayes.criticism.evidence.linear_problem import UNKNOWN, ChannelRows, Grid, LinearProblem
+from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, UNEXPECTED, UNKNOWN, ChannelRows, Grid, LinearProblem
 
+_BLOCK = 64
+"""Rows that are filtered by one matrix.  Numerical: a compromise of loops and products."""
 Family = Literal["known", "scale", "correlated", "wander", "rate", "tails", "runs"]
-
-_STEADY = 1e-12
-UNLIKE_SISTERS = 0.1
-"""Probability that the scatter of a channel has nothing in common with that of its sister channels."""
-_LEAST_SCATTER = 1e-3
-OTHER_NOISE = 0.1
-"""Prior probability that a kind of channel has other noise than stated, in equal shares of the families."""
 
 
 @dataclass(frozen=True)
@@ -77,30 +71,46 @@ class StateNoise(NoiseStructure):
         found, log_det = np.empty_like(columns), 0.0
         for length in {each for _, each in rows.series}:
             places = np.array([start for start, each in rows.series if each == length])[:, None] + np.arange(length)
-            state, variance = np.zeros((len(places), columns.shape[1])), self.start
-            for k in range(length):
-                own, total = columns[places[:, k]], variance + self.white
-                gain = variance / total
-                after = self.phi**2 * variance * (1 - gain) + self.drive
-                if abs(after - variance) < _STEADY * variance and k > 0:
-                    rest = places[:, k:]
-                    found[rest] = self._steady(columns[rest], state, gain) / math.sqrt(total)
-                    log_det -= 0.5 * rest.size * math.log(total)
-                    break
-                found[places[:, k]] = (own - state) / math.sqrt(total)
-                log_det -= 0.5 * len(places) * math.log(total)
-                state = self.phi * (state + gain * (own - state))
-                variance = after
+            state, variance = np.zeros((len(places), 1, columns.shape[1])), self.start
+            for first in range(0, length, _BLOCK):
+                here = places[:, first : first + _BLOCK]
+                block = _filter_block(self, here.shape[1], variance)
+                joined = np.concatenate([columns[here], state], axis=1)
+                found[here], state = block.innovations @ joined, block.state @ joined
+                log_det, variance = log_det + len(places) * block.log_det, block.variance
         return found, log_det
 
-    def _steady(self, columns: np.ndarray, state: np.ndarray, gain: float) -> np.ndarray:
-        """Return the innovations of rows, (runs, n, C), once the gain is constant: a bidiagonal system."""
-        length, apart = columns.shape[1], np.ones((2, columns.shape[1]))
-        apart[1] = -self.phi * (1 - gain)
-        right = np.empty((length, *state.shape))
-        right[0], right[1:] = state, self.phi * gain * columns[:, :-1].swapaxes(0, 1)
-        predicted = scipy.linalg.solve_banded((1, 0), apart, right.reshape(length, -1)).reshape(right.shape)
-        return columns - predicted.swapaxes(0, 1)
+
+@dataclass(frozen=True)
+class _FilterBlock:
+    """A Kalman filter over n rows as a linear map of these and of the state before, (n + 1,).
+
+    Attributes
+    ----------
+    innovations, state : shapes (n, n + 1) and (1, n + 1): innovations over their standard deviations; the state after.
+    log_det : of the whitening.
+    variance : of the state after.
+    """
+
+    innovations: np.ndarray
+    state: np.ndarray
+    log_det: float
+    variance: float
+
+
+@lru_cache(maxsize=64)
+def _filter_block(noise: StateNoise, length: int, variance: float) -> _FilterBlock:
+    unit = np.eye(length + 1)
+    found, state, log_det = np.empty((length, length + 1)), unit[-1], 0.0
+    for k in range(length):
+        total = variance + noise.white
+        gain = variance / total
+        apart = unit[k] - state
+        found[k] = apart / math.sqrt(total)
+        log_det -= 0.5 * math.log(total)
+        state = noise.phi * (state + gain * apart)
+        variance = noise.phi**2 * variance * (1 - gain) + noise.drive
+    return _FilterBlock(found, state[None], log_det, variance)
 
 
 def correlated(phi: float, share: float) -> StateNoise:
@@ -254,9 +264,9 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
         ]
         each = np.zeros(len(grids[0]))
         for place, grid in zip(places, grids, strict=True):
-            prior, size = np.exp([p for _, p in grid]), np.log([max(tau, _LEAST_SCATTER) for tau, _ in grid])
+            prior, size = np.exp([p for _, p in grid]), np.log([max(tau, NEGLIGIBLE) for tau, _ in grid])
             near = np.exp(-0.5 * ((size[:, None] - size) / SISTERS_LOG_SD) ** 2)
-            about = UNLIKE_SISTERS * prior[:, None] + (1 - UNLIKE_SISTERS) * near / near.sum(axis=0)
+            about = UNEXPECTED * prior[:, None] + (1 - UNEXPECTED) * near / near.sum(axis=0)
             each += np.log(about[place]) - math.log(prior[place])
         found += float(np.logaddexp.reduce(each + [p for _, p in grids[0]]))
     return found
@@ -271,7 +281,7 @@ def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     opened = [(tau, k, p + q) for tau, p in scatters for k, q in sizes]
     stated = _stated(own)
     scattered = _SCATTERS if len(own.series) > 1 and not own.run_scatter else ()
-    believed = math.log(1 - OTHER_NOISE)
+    believed = math.log(1 - UNEXPECTED)
     open_and_stated = [(*one, *other) for one, other in product(opened, stated)]
     as_stated = [NoiseOfUnit(rows, tau, believed + p + q, True, k) for tau, k, p, rows, q in open_and_stated]
     beside = [
@@ -309,7 +319,7 @@ def _other_noise(
     beside : stated noise with scatters that the model does not have, of which there are `scattered`.
     """
     families = Counter(each.family for each in structures)
-    each_family = math.log(OTHER_NOISE / (len(families) + bool(scattered)))
+    each_family = math.log(UNEXPECTED / (len(families) + bool(scattered)))
     for each in structures:
         share = each_family - math.log(families[each.family])
         if whole is not None and isinstance(each, StateNoise):

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from imubayes.criticism.evidence.evidence_record import (
+    NEAR,
     EffectSlot,
     Evidence,
     Explanation,
@@ -27,8 +28,8 @@ from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import Responses
 
-_TOLD, _SHOWN, _NEAR = 0.95, 8, 5.0
-"""Share of a slot whose members are told; effects in the table of inclusion; nats within which a form is told."""
+_TABLED = 8
+"""Effects in the table of inclusion."""
 _KINDS: tuple[Explanation, ...] = ("nothing", "noise", "effects", "input", "outside")
 
 
@@ -88,7 +89,7 @@ class ExplanationPosterior:
         return Evidence(
             explanations=self._explanations,
             slots=tuple(map(self._slot_record, self.slots)),
-            inclusion=self._inclusion[:_SHOWN],
+            inclusion=self._inclusion[:_TABLED],
             form=self._form_record(),
             noise=tuple(self._noise_records()),
             noise_known=max(self.of.problem.rows[k].scale_sd for k in self.of.unit_of),
@@ -138,7 +139,7 @@ class ExplanationPosterior:
         mass = {e: float(np.logaddexp.reduce([one.log_posterior for one in every])) for e, every in inside.items()}
         whole, members = np.logaddexp.reduce(list(mass.values())), list[SlotMember]()
         for effect in sorted(mass, key=lambda each: -mass[each]):
-            if sum(each.share for each in members) >= _TOLD:
+            if sum(each.share for each in members) >= 1 - math.exp(-NEAR):
                 break
             best = max(inside[effect], key=lambda each: each.log_posterior)
             own = next(iter(set(best.hypothesis.variants) - rest))
@@ -193,7 +194,7 @@ class ExplanationPosterior:
         """Wrong inputs near the likeliest, with their probabilities among them; empty without one."""
         found = [each for each in self.distinct if kind_of(each.hypothesis) == "input"]
         best = max((each.log_posterior for each in found), default=-math.inf)
-        near = sorted((each for each in found if each.log_posterior > best - _NEAR), key=lambda e: -e.log_posterior)
+        near = sorted((each for each in found if each.log_posterior > best - NEAR), key=lambda e: -e.log_posterior)
         mass = np.logaddexp.reduce([each.log_posterior for each in near]) if near else 0.0
         return tuple((float(np.exp(each.log_posterior - mass)), each) for each in near)
 
@@ -211,7 +212,7 @@ class ExplanationPosterior:
         without = max(each.log_posterior for each in self.distinct if each.hypothesis.form is None)
         formed = [each for each in self.distinct if each.hypothesis.form is not None]
         best = max(formed, key=lambda each: each.log_posterior, default=None)
-        if best is None or best.log_posterior < without - _NEAR:
+        if best is None or best.log_posterior < without - NEAR:
             return None
         chosen, problem = best.hypothesis.form, self.of.problem
         assert chosen is not None

@@ -12,13 +12,11 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.criticism.evidence.heavy_tails import tail_log_density, tail_weights
-from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Solved, scale_mode
+from imubayes.criticism.evidence.hypothesis import ROUNDS, SETTLED_WEIGHT, Evaluated, EvidenceOf, Solved, scale_mode
 from imubayes.criticism.evidence.linear_problem import ChannelRows
 from imubayes.criticism.evidence.noise_structures import HeavyTails, NoiseOfUnit
 from imubayes.criticism.evidence.whitened_rows import WhitenedColumns, offsets_of_runs, with_scatter
 from imubayes.criticism.evidence.width_sums import gain_of_coefficients
-
-_TAIL_ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -98,11 +96,14 @@ def log_likelihood(
 def _under_tails(rows: ChannelRows, white: WhitenedColumns, scatter: float, degrees: float, sd: float) -> float:
     """Return the log likelihood of a residual under Student's t beside offsets of runs at their means."""
     own, rest, term, log_scale, offsets = white.columns[:, 0], white.columns[:, 0], 0.0, 0.0, 0.0
-    for _ in range(_TAIL_ROUNDS):
-        weight = tail_weights((rest / math.exp(log_scale)) ** 2, degrees)
+    weight = np.ones(len(own))
+    for _ in range(ROUNDS):
+        before, weight = weight, tail_weights((rest / math.exp(log_scale)) ** 2, degrees)
         runs = offsets_of_runs(rows, own, white.offset, weight, scatter)
         rest, offsets = own - runs.taken, runs.log_density(math.exp(log_scale))
         log_scale, term = scale_mode(max(float(weight @ rest**2), 1e-12), len(own), sd)
+        if float(np.max(np.abs(np.log(weight / before)))) < SETTLED_WEIGHT:
+            break
     return tail_log_density(rest / math.exp(log_scale), degrees) - len(own) * log_scale + term + offsets
 
 

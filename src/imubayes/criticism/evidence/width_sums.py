@@ -7,8 +7,6 @@ import numpy as np
 
 from imubayes.tail_probabilities import normal_log_survival
 
-_WIDTH_SWEEPS = 3
-
 
 def gain_of_coefficients(own: np.ndarray, right: np.ndarray, widths: np.ndarray, sign: np.ndarray) -> np.ndarray:
     """Return the log evidence of coefficients b, exp(uᵀb − bᵀVb/2), under normal priors of given widths.
@@ -45,13 +43,12 @@ def summed_over_widths(
 ) -> tuple[list[float], float]:
     """Return the likeliest width of each variant and the log evidence summed over all, one variant after the other."""
     best, each = list(start), [np.zeros(1)] * len(grids)
-    for _ in range(_WIDTH_SWEEPS):
+    before: list[float] = []
+    while best != before:
         before = list(best)
         for n, grid in enumerate(grids):
             tried = np.array([[width if j == n else best[j] for j in owner] for width in grid])
             each[n] = gain_of_coefficients(own, right, tried, sign)
             best[n] = grid[int(np.argmax(each[n]))]
-        if best == before:
-            break
     means = [float(np.logaddexp.reduce(one)) - math.log(len(one)) for one in each]
     return best, sum(means) - sum(float(one.max()) for one in each[1:])

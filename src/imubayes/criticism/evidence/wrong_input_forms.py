@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.evidence.free_forms import WRONG_INPUT, FormHypothesis, with_prior
-from imubayes.criticism.evidence.linear_problem import LinearProblem
+from imubayes.criticism.evidence.free_forms import AMPLITUDES, FormHypothesis, with_prior
+from imubayes.criticism.evidence.linear_problem import UNEXPECTED, LinearProblem
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, suspected
 
-_ERRORS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 """Standard deviations of what is wrong, by its largest response in units of noise: a mistake is no small effect."""
 
 
@@ -32,7 +31,7 @@ def wrong_inputs(problem: LinearProblem, fitted: Fit) -> WrongInputs:
     predictions = Predictions(fitted.model, fitted.z)
     columns = predictions.responses_of_columns(fitted.model.campaign)
     of_runs = list(_of_runs(problem, fitted, predictions, columns))
-    return WrongInputs(with_prior(of_runs, WRONG_INPUT / 2), _wrong_rows(problem, fitted, columns))
+    return WrongInputs(with_prior(of_runs, UNEXPECTED / 4), _wrong_rows(problem, fitted, columns))
 
 
 def _of_runs(
@@ -48,7 +47,7 @@ def _of_runs(
             if response is not None and np.isfinite(largest) and largest > 0:
                 shape = _in_noise(problem, response, largest)
                 name = f"{wrong.form} of {wrong.covariate or 'outputs'}" if wrong.form != "seat" else "attitude"
-                yield FormHypothesis("input", name, (), shape, _ERRORS, run=run, wrong=wrong, unit=1 / largest)
+                yield FormHypothesis("input", name, (), shape, AMPLITUDES, run=run, wrong=wrong, unit=1 / largest)
 
 
 def _of_run(
@@ -107,12 +106,12 @@ class WrongRows:
     run: np.ndarray
     place: np.ndarray
     outputs: Mapping[str, int]
-    amplitudes: tuple[float, ...] = _ERRORS
+    amplitudes: tuple[float, ...] = AMPLITUDES
 
     @property
     def log_prior(self) -> float:
         """Logarithm of the prior probability of each: as likely together as a run that is wrong."""
-        return math.log(WRONG_INPUT / 2 / max(len(self.columns), 1) / max(len(self.run), 1))
+        return math.log(UNEXPECTED / 4 / max(len(self.columns), 1) / max(len(self.run), 1))
 
     def form(self, column: str, row: int) -> FormHypothesis:
         """Return one of them as a form."""
@@ -125,7 +124,7 @@ class WrongRows:
             wrong = WrongInput(run, "output_offset", row=place, channel=channel)
         name = f"offset of {column}" if channel is None else f"output of {column} off"
         unit = float(self.unit[column][row])
-        return FormHypothesis("input", name, (), shape, _ERRORS, self.log_prior, run, place, wrong, unit)
+        return FormHypothesis("input", name, (), shape, AMPLITUDES, self.log_prior, run, place, wrong, unit)
 
 
 def _wrong_rows(problem: LinearProblem, fitted: Fit, columns: Mapping[str, np.ndarray]) -> WrongRows | None:
