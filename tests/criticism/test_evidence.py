@@ -173,7 +173,7 @@ def test_variants_share_the_prior_of_their_effect() -> None:
     of_effect: dict[str, float] = {}
     for each in effect_variants(problem(drawn(1))):
         of_effect[each.effect] = of_effect.get(each.effect, 0.0) + math.exp(each.log_odds)
-    assert list(of_effect.values()) == pytest.approx([0.25] * len(EFFECTS))
+    assert list(of_effect.values()) == pytest.approx([1 / len(EFFECTS)] * len(EFFECTS))
 
 
 def test_a_missing_effect_is_named_on_its_channel_with_its_coefficient() -> None:

@@ -146,7 +146,7 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
         return []
     unit, factor = base.entry.unit, base.entry.factor(gravity)
     found = []
-    for centre in np.linspace(low, high, PLACES + 2)[1:-1].tolist():
+    for centre in np.linspace(low, high, PLACES + 1)[1:-1].tolist():
         for width in ((high - low) / 16, (high - low) / 8, (high - low) / 4):
             formula = f"1/(1 + (({text} − {centre:.3g})/{width:.3g})²) with {base.entry.symbol} in {unit}"
             python = f"1 / (1 + (({code} - {centre * factor:.6g}) / {width * factor:.6g}) ** 2)"

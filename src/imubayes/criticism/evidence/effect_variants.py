@@ -15,9 +15,8 @@ from imubayes.responses.candidate_effects import Response
 
 EXPECTED = 1.0
 """Expected number of missing effects, in equal shares of the catalogue."""
-SPECIAL = 0.5
-"""Share of the prior of an effect for one of its parameters, and for one channel, mounting or table alone: as likely as
-the whole."""
+ONE_PARAMETER, ONE_OWNER = 0.5, 0.3
+"""Shares of the prior of an effect for one of its parameters, and for one channel, mounting or table alone."""
 _REACH, WIDTH_RATIO = 10.0, 4.0
 """Widths of the prior of coefficients: from a tenth of the smallest to ten times the largest typical size, in steps of
 a ratio.  Derived: a coarser ratio costs more than a nat of Occam's factor; and of two effects with equal responses the
@@ -120,16 +119,16 @@ def _variants(problem: LinearProblem, response: Response, share: _Share, log_odd
     for k in share.places:
         fields.setdefault(problem.coefficients[k].parameter.field, []).append(k)
         owners.setdefault(problem.coefficients[k].owner, []).append(k)
-    several = math.log(1 - SPECIAL) if len(owners) > 1 else 0.0
-    whole = math.log(1 - SPECIAL) if len(fields) > 1 else 0.0
+    several = math.log(1 - ONE_OWNER) if len(owners) > 1 else 0.0
+    whole = math.log(1 - ONE_PARAMETER) if len(fields) > 1 else 0.0
     found = [variant(share.places, whole + several)]
     if len(fields) > 1:
-        part = math.log(SPECIAL / len(fields))
+        part = math.log(ONE_PARAMETER / len(fields))
         for places in fields.values():
             shared = len({problem.coefficients[k].owner for k in places}) > 1
-            found.append(variant(places, part + (math.log(1 - SPECIAL) if shared else 0.0)))
+            found.append(variant(places, part + (math.log(1 - ONE_OWNER) if shared else 0.0)))
     if len(owners) > 1:
-        alone = math.log(SPECIAL / len(owners))
+        alone = math.log(ONE_OWNER / len(owners))
         found += [variant(places, whole + alone) for places in owners.values()]
     return found
 

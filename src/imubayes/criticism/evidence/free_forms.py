@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from imubayes.criticism.evidence.effect_variants import SPECIAL, WIDTH_RATIO
+from imubayes.criticism.evidence.effect_variants import ONE_OWNER, WIDTH_RATIO
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, UNEXPECTED, ChannelRows, LinearProblem
 from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.responses.wrong_inputs import WrongInput
@@ -23,10 +23,11 @@ FormFamily = Literal[
     "function", "vector", "gain", "level", "threshold", "harmonic", "product", "memory", "step", "input"
 ]
 
-AMPLITUDES = tuple((WIDTH_RATIO ** np.arange(7)).tolist())
-"""Standard deviations of the coefficients of a form, in units of the noise of a row; equally likely."""
+AMPLITUDES = tuple((WIDTH_RATIO ** np.arange(4)).tolist())
+"""Standard deviations of the coefficients of a form, in units of the noise of a row; equally likely.  A gross form
+would stand in the place of large effects, about which the campaign is not linearised yet."""
 HIGHEST_POWER, HARMONICS, PLACES = 5, 12, 10
-"""Powers of a covariate; harmonics of an angle, and waves through a range; places at which something local may sit."""
+"""Powers of a covariate; harmonics of an angle, and waves through a range; steps between places of what is local."""
 _SMOOTH, _ROUGH = (0.25, 7), (0.06, 16)
 """Length of a Gaussian process over the range of its covariate, and its columns."""
 _FIRST_HARMONIC = 3
@@ -80,7 +81,7 @@ class ChosenForm:
         """Logarithm of the prior probability."""
         several = len(self.form.columns)
         alone = len(self.channels) == 1 and several > 1
-        share = math.log(SPECIAL / several) if alone else math.log(1 - SPECIAL) if several > 1 else 0.0
+        share = math.log(ONE_OWNER / several) if alone else math.log(1 - ONE_OWNER) if several > 1 else 0.0
         return self.form.log_prior + (share if self.form.wrong is None else 0.0) - math.log(len(self.form.amplitudes))
 
     def span(self, channel: int) -> slice:

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.evidence.free_forms import AMPLITUDES, FormHypothesis, with_prior
+from imubayes.criticism.evidence.effect_variants import WIDTH_RATIO
+from imubayes.criticism.evidence.free_forms import FormHypothesis, with_prior
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED, LinearProblem
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, suspected
 
+_ERRORS = tuple((WIDTH_RATIO ** np.arange(7)).tolist())
 """Standard deviations of what is wrong, by its largest response in units of noise: a mistake is no small effect."""
 
 
@@ -47,7 +49,7 @@ def _of_runs(
             if response is not None and np.isfinite(largest) and largest > 0:
                 shape = _in_noise(problem, response, largest)
                 name = f"{wrong.form} of {wrong.covariate or 'outputs'}" if wrong.form != "seat" else "attitude"
-                yield FormHypothesis("input", name, (), shape, AMPLITUDES, run=run, wrong=wrong, unit=1 / largest)
+                yield FormHypothesis("input", name, (), shape, _ERRORS, run=run, wrong=wrong, unit=1 / largest)
 
 
 def _of_run(
@@ -106,7 +108,7 @@ class WrongRows:
     run: np.ndarray
     place: np.ndarray
     outputs: Mapping[str, int]
-    amplitudes: tuple[float, ...] = AMPLITUDES
+    amplitudes: tuple[float, ...] = _ERRORS
 
     @property
     def log_prior(self) -> float:
@@ -124,7 +126,7 @@ class WrongRows:
             wrong = WrongInput(run, "output_offset", row=place, channel=channel)
         name = f"offset of {column}" if channel is None else f"output of {column} off"
         unit = float(self.unit[column][row])
-        return FormHypothesis("input", name, (), shape, AMPLITUDES, self.log_prior, run, place, wrong, unit)
+        return FormHypothesis("input", name, (), shape, _ERRORS, self.log_prior, run, place, wrong, unit)
 
 
 def _wrong_rows(problem: LinearProblem, fitted: Fit, columns: Mapping[str, np.ndarray]) -> WrongRows | None:
