@@ -9,6 +9,7 @@ import pytest
 
 from imubayes.cli.main import run
 from imubayes.inference.checkpoint import steps_in
+from kept_results import listed
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGN, MODEL = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"
@@ -172,8 +173,10 @@ def test_a_model_that_was_edited_is_noticed(result, refused):
     text = model.read_text()
     assert "normal(0, " in text
     model.write_text(text.replace("normal(0, ", "normal(0, 2", 1))
-    assert "no longer the one that was fitted" in refused("diagnose", result)
+    assert "model.toml has" in refused("diagnose", result)
+    assert "no longer the one that was fitted" in refused("diagnose", listed(result))
     model.write_text(text)
+    listed(result)
     assert run(["diagnose", str(result), "--effect", "accel_quadratic"]) == 0
 
 
@@ -181,7 +184,7 @@ def test_a_damaged_record_is_named(result, refused):
     record = json.loads((result / "fit.json").read_text())
     for key, value in (("z", [1.0]), ("campaign", "x"), ("format", 99)):
         (result / "fit.json").write_text(json.dumps(record | {key: value}))
-        assert "fit.json" in refused("diagnose", result)
+        assert f"key {key}" in refused("diagnose", listed(result))
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """`imubayes fit`: the main job."""
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -53,19 +54,23 @@ def fit(
     """
     from imubayes.cli.beside import inspecting
 
-    with progress() as tell, inspecting(campaign) as inspected:
-        start_jax()
-        from imubayes.api import fit as fit_campaign
-        from imubayes.display.check_report import usable, warning_lines
+    with ExitStack() as held:
+        with progress() as tell, inspecting(campaign) as inspected:
+            from imubayes.results.folder_state import claimed
 
-        tell("reading the campaign")
-        recorded = usable(inspection := inspected())
-    print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
-    with progress("compiling") as tell:
-        result = fit_campaign(
-            recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
-            until_digits=until_digits, progress=tell,
-        )  # fmt: skip
+            held.enter_context(claimed(out, resume, replace))  # what cannot be written is said at once
+            start_jax()
+            from imubayes.api import fit as fit_campaign
+            from imubayes.display.check_report import usable, warning_lines
+
+            tell("reading the campaign")
+            recorded = usable(inspection := inspected())
+        print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
+        with progress("compiling") as tell:
+            result = fit_campaign(
+                recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
+                until_digits=until_digits, progress=tell,
+            )  # fmt: skip
     if as_json:
         print_json(result.summary.model_dump(mode="json"))
     else:

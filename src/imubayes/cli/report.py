@@ -29,13 +29,13 @@ def report(result: Path, *, out: Out, spec: Path | None = None) -> int:
     with progress() as tell:
         start_jax()
         from imubayes.api import report as make_report
-        from imubayes.display.qualification.report_files import check_places, write_report
+        from imubayes.display.qualification.report_files import places_held, write_report
 
-        check_places(out)
-        tell("evaluating the posterior")
-        found = make_report(result, spec)
-        tell("drawing")
-        write_report(found, out)
+        with places_held(out):
+            tell("evaluating the posterior")
+            found = make_report(result, spec)
+            tell("drawing")
+            write_report(found, out)
     from imubayes.display.qualification.first_page import alarms, banner
 
     said = banner(found)
