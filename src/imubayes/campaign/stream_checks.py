@@ -9,7 +9,7 @@ import numpy as np
 
 from imubayes.campaign.findings import Finding, Severity
 from imubayes.campaign.reduction import sampling_interval
-from imubayes.campaign.run_tables import RowBatch, TableSource
+from imubayes.campaign.run_tables import ABSURD, RowBatch, TableSource
 
 GAP_STEPS = 10.0  # a time step of this many sampling intervals is a gap
 STUCK_RUN = 300  # raw samples of one value; coarse converters repeat tens of times at rest
@@ -195,8 +195,8 @@ class Monitor:
     def _cell_findings(self) -> list[Finding]:
         found = []
         for name, tally in self._not_finite.items():
-            what = f"{_count(tally, 'cell')} of '{name}' NaN or infinite"
-            allowed = "a finite number, or an empty cell where the value is missing"
+            what = f"{_count(tally, 'cell')} of '{name}' NaN, infinite or beyond {ABSURD:g}"
+            allowed = "a number that the instrument can read, or an empty cell where the value is missing"
             found += self._at("nan_values", tally, name, what, allowed, "empty or correct the cell")
         for name, tally in self._empty.items():
             what = f"{_count(tally, 'cell')} of '{name}' empty"

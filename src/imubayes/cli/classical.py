@@ -2,11 +2,16 @@
 
 from pathlib import Path
 
-from imubayes.cli.options import Json, print_json
+from imubayes.cli.options import Json, Trust, print_json
 
 
 def classical(
-    campaign: Path, *, result: Path | None = None, delta_k_threshold: float | None = None, as_json: Json = False
+    campaign: Path,
+    *,
+    result: Path | None = None,
+    delta_k_threshold: float | None = None,
+    as_json: Json = False,
+    trust: Trust = False,
 ) -> int:
     """Evaluate each run by the classical method of its procedure, and compare with the joint fit.
 
@@ -23,10 +28,13 @@ def classical(
         fitted model, then that of the campaign, then 10.
     as_json
         Print one JSON object on standard output.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress
+    from imubayes.cli.session import progress, trusting
 
     with progress() as tell:
+        trusting(result, trust)
         from imubayes.campaign import load_campaign
         from imubayes.display.classical_comparison import classical_json, compare_classical
         from imubayes.display.classical_of_prediction import of_prediction

@@ -5,8 +5,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from imubayes.cli.options import Flag, Json, print_json
-from imubayes.cli.session import progress, start_jax
+from imubayes.cli.options import Flag, Json, Trust, print_json
+from imubayes.cli.session import progress, start_jax, trusting
 
 if TYPE_CHECKING:
     from imubayes.results.summary import Summary
@@ -24,6 +24,7 @@ def fit(
     until_digits: Literal[1, 2] | None = None,
     as_json: Json = False,
     verbose: bool = False,
+    trust: Trust = False,
 ) -> int:
     """Fit all runs of a campaign jointly, sample the posterior, and write the result folder.
 
@@ -51,6 +52,8 @@ def fit(
         Print summary.json on standard output.
     verbose
         Print every table: all parameters with intervals, runs, combinations, contributions of procedures.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
     from imubayes.cli.beside import inspecting
 
@@ -60,6 +63,7 @@ def fit(
 
             held.enter_context(claimed(out, resume, replace))  # what cannot be written is said at once
             start_jax()
+            trusting(model, trust)
             from imubayes.api import fit as fit_campaign
             from imubayes.display.check_report import usable, warning_lines
 
