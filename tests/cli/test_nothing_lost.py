@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import threading
 from pathlib import Path
 
 import h5py
@@ -9,6 +10,7 @@ import pytest
 
 from imubayes.cli.main import run
 from imubayes.inference.checkpoint import steps_in
+from imubayes.process_lock import only_writer
 from kept_results import listed
 
 ROOT = Path(__file__).parents[2]
@@ -96,6 +98,44 @@ def test_a_file_is_no_place_for_a_result(tmp_path, refused, below):
     (tmp_path / "file").write_text("mine")
     assert str(tmp_path / "file") in refused(*fit_into(tmp_path / "file" / below))
     assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fit", CAMPAIGN, "--model", MODEL, "--out", "OUT", "--no-sample"),
+        ("add", "accel_quadratic", "--to", "RESULT", "--out", "OUT"),
+        ("remove", "accel_bias", "--from", "RESULT", "--out", "OUT"),
+        ("report", "RESULT", "--out", "OUT.html"),
+        ("batch", CAMPAIGN.parent, "--model", MODEL, "--out", "OUT"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_what_another_process_writes_is_refused_at_once(once, tmp_path, refused, monkeypatch, words):
+    out = tmp_path / ("out.html" if "OUT.html" in words else "out")
+    if out.suffix == "":
+        out.mkdir()
+    for name in ("imubayes.api.fitting.joint_fit", "imubayes.api.model_changes.refit_with",
+                 "imubayes.api.model_changes.refit_without", "imubayes.api.calibrated_unit.report_of"):  # fmt: skip
+        monkeypatch.setattr(name, lambda *_, **__: pytest.fail("it began"))
+    held, done = threading.Event(), threading.Event()
+
+    def other() -> None:
+        with only_writer(out):
+            held.set()
+            done.wait()
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    held.wait()
+    try:
+        given = [once if word == "RESULT" else out if str(word).startswith("OUT") else word for word in words]
+        err = refused(*given)
+    finally:
+        done.set()
+        thread.join()
+    assert "another process is writing here" in err
+    assert not out.is_dir() or not any(out.iterdir())
 
 
 def test_a_result_is_replaced_and_what_stands_beside_it_stays(result):

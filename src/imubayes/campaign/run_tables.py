@@ -36,8 +36,8 @@ class RowBatch:
     rows : number of rows.
     numbers : column → float64 values, NaN where the cell is empty.
     texts : column → list of str or None.
-    not_finite : column → indices within the batch of cells that hold NaN, infinity or an absurd number, which are NaN in
-        `numbers`.
+    not_finite : column → indices within the batch of cells that hold NaN, infinity or an absurd number; they are NaN
+        in `numbers`.
     """
 
     first: int
