@@ -1,5 +1,6 @@
 """A result folder is one thing: at every instant the old result, the new one, or a folder that is refused."""
 
+import errno
 import json
 import shutil
 import subprocess
@@ -16,7 +17,7 @@ from imubayes.errors import InputError
 from imubayes.results import manifest
 from imubayes.results.loop_files import read_diagnosis, write_diagnosis
 from imubayes.results.manifest import add_to, added, checked, replacing_result
-from imubayes.results.record_names import BUDGETS, DIAGNOSIS, MANIFEST, POSTERIOR, RESIDUALS, SUMMARY
+from imubayes.results.record_names import BUDGETS, DIAGNOSIS, MANIFEST, PAGE, POSTERIOR, RESIDUALS, SUMMARY
 from imubayes.results.result import read_result
 from kept_results import listed
 
@@ -173,6 +174,27 @@ def test_a_whole_result_may_be_moved_and_read_only(result, tmp_path):
         assert read_result(moved).summary.sampled
     finally:
         moved.chmod(0o755)
+
+
+def test_a_disk_that_is_full_leaves_the_old_result(place, result):
+    def full() -> None:
+        with replacing_result(result, 0) as scratch:
+            (scratch / SUMMARY).write_text("half")
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left"):
+        full()
+    assert content(result) == content(place / "old")
+    assert read_result(result).summary.sampled
+    assert not [file for file in result.iterdir() if file.name.startswith(".")]
+
+
+def test_no_page_of_the_result_before_stays(place, result):
+    compare(result)
+    with replacing_result(result, 0) as scratch:
+        for name in (SUMMARY, RESIDUALS):
+            shutil.copyfile(place / "new" / name, scratch / name)
+    assert not (result / PAGE).exists()
 
 
 def test_digests_are_computed_once(result, monkeypatch):

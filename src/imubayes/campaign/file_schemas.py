@@ -10,6 +10,7 @@ from datetime import date, datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from imubayes.parameters.unit_grades import Grade
 
@@ -28,12 +29,27 @@ Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 _LEAST_LENGTH = 1e-9
+ABSURD = 1e30  # no instrument reads as much, and squares of more than 1e154 overflow
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 TemperatureUncertainty = Annotated[float, Field(ge=0, le=100)]
 
 
+def _numbers_in(value: Any) -> list[float]:
+    if isinstance(value, list):
+        return [number for each in value for number in _numbers_in(each)]
+    return [value] if isinstance(value, float) else []
+
+
 class _Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+    @field_validator("*")
+    @classmethod
+    def _measurable(cls, value: Any) -> Any:
+        numbers = [each for each in _numbers_in(value) if each and not 1 / ABSURD <= abs(each) <= ABSURD]
+        if numbers:
+            raise PydanticCustomError("absurd", "{number} is no size that anything has", {"number": f"{numbers[0]:g}"})
+        return value
 
 
 class SiteEntry(_Entry):

@@ -16,6 +16,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
 from imubayes.campaign.csv_errors import csv_faults
+from imubayes.campaign.file_schemas import ABSURD
 from imubayes.campaign.run_columns import ColumnLayout
 from imubayes.errors import InputError, Issue, input_error
 
@@ -23,7 +24,6 @@ BATCH_ROWS = 65536
 BLOCK_BYTES = 1 << 20
 KEEP_ROWS = 200_000  # at most this many rows of a table stay in memory (10 columns: 16 MB)
 MOST_CELLS = 1 << 26  # of a table that is in memory as a whole: 0.5 GiB
-ABSURD = 1e30  # no instrument reads as much, and squares of more than 1e154 overflow
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from imubayes.campaign.file_schemas import ABSURD
 from imubayes.campaign.findings import Finding, Severity
 from imubayes.campaign.reduction import sampling_interval
-from imubayes.campaign.run_tables import ABSURD, RowBatch, TableSource
+from imubayes.campaign.run_tables import RowBatch, TableSource
 
 GAP_STEPS = 10.0  # a time step of this many sampling intervals is a gap
 STUCK_RUN = 300  # raw samples of one value; coarse converters repeat tens of times at rest

@@ -1,6 +1,7 @@
 """`imubayes fit`: the main job."""
 
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -9,6 +10,7 @@ from imubayes.cli.options import Flag, Json, Trust, print_json
 from imubayes.cli.session import progress, start_jax, trusting
 
 if TYPE_CHECKING:
+    from imubayes.campaign_data import Campaign
     from imubayes.results.summary import Summary
 
 
@@ -55,21 +57,17 @@ def fit(
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.beside import inspecting
-
     with ExitStack() as held:
-        with progress() as tell, inspecting(campaign) as inspected:
+
+        def claim() -> None:
             from imubayes.results.folder_state import claimed
 
-            held.enter_context(claimed(out, resume, replace))  # what cannot be written is said at once
-            start_jax()
-            trusting(model, trust)
-            from imubayes.api import fit as fit_campaign
-            from imubayes.display.check_report import usable, warning_lines
+            held.enter_context(claimed(out, resume, replace))
 
-            tell("reading the campaign")
-            recorded = usable(inspection := inspected())
-        print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
+        recorded = _read(campaign, claim)
+        trusting(model, trust)
+        from imubayes.api import fit as fit_campaign
+
         with progress("compiling") as tell:
             result = fit_campaign(
                 recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
@@ -80,6 +78,21 @@ def fit(
     else:
         _print_summary(result.summary, verbose, campaign, out)
     return 0 if result.converged else 1
+
+
+def _read(campaign: Path, claim: Callable[[], None]) -> "Campaign":
+    """Return the campaign, after its warnings are printed; where the result cannot be written, that is said first."""
+    from imubayes.cli.beside import inspecting
+
+    with progress() as tell, inspecting(campaign) as inspected:
+        claim()
+        start_jax()
+        from imubayes.display.check_report import usable, warning_lines
+
+        tell("reading the campaign")
+        recorded = usable(inspection := inspected())
+    print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
+    return recorded
 
 
 def _print_summary(summary: "Summary", verbose: bool, campaign: Path, out: Path) -> None:

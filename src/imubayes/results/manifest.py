@@ -20,7 +20,7 @@ from imubayes.errors import InputError, Issue, input_error
 from imubayes.json_record import Record
 from imubayes.process_lock import only_writer
 from imubayes.results.record_files import AGAIN, damaged
-from imubayes.results.record_names import BY_OTHER_COMMANDS, MANIFEST, POSTERIOR, RESIDUALS, SUMMARY, missing
+from imubayes.results.record_names import BY_OTHER_COMMANDS, MANIFEST, PAGE, POSTERIOR, RESIDUALS, SUMMARY, missing
 
 
 class KeptFile(Record):
@@ -194,8 +194,8 @@ def _sha256(file: Path, state: tuple[int, int, int]) -> str:
 
 
 def _names(folder: Path) -> Iterable[str]:
-    """Return the names of all files of an earlier result, whole or not."""
-    known = (SUMMARY, RESIDUALS, POSTERIOR, *BY_OTHER_COMMANDS)
+    """Return the names of all files that tell of an earlier result, whole or not."""
+    known = (SUMMARY, RESIDUALS, POSTERIOR, PAGE, *BY_OTHER_COMMANDS)
     try:
         manifest = _read(folder)
     except InputError:
