@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -58,13 +59,7 @@ def fit(
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
     with ExitStack() as held:
-
-        def claim() -> None:
-            from imubayes.results.folder_state import claimed
-
-            held.enter_context(claimed(out, resume, replace))
-
-        recorded = _read(campaign, claim)
+        recorded = _read(campaign, partial(_claim, held, out, resume, replace))
         trusting(model, trust)
         from imubayes.api import fit as fit_campaign
 
@@ -78,6 +73,12 @@ def fit(
     else:
         _print_summary(result.summary, verbose, campaign, out)
     return 0 if result.converged else 1
+
+
+def _claim(held: ExitStack, out: Path, resume: bool, replace: bool) -> None:
+    from imubayes.results.folder_state import claimed
+
+    held.enter_context(claimed(out, resume, replace))
 
 
 def _read(campaign: Path, claim: Callable[[], None]) -> "Campaign":

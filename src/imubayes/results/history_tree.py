@@ -65,8 +65,9 @@ def _below(place: Path) -> Iterator[tuple[Path, Node]]:
 
 
 def _selected(tree: Tree, root: str) -> str:
-    """Return the place of the model that was selected last in the tree below a root."""
-    return max(tree.together_with(root), key=_selection)
+    """Return the place of the model that was selected last in the tree below a root; the root where none was."""
+    together = tree.together_with(root)
+    return max((place for _, place in tree.in_order() if place in together), key=_selection)
 
 
 def _selection(place: str) -> int:
