@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -46,8 +47,13 @@ def test_a_second_process_is_refused_until_the_first_dies(place, command_environ
     assert [file for file in (place if place.is_dir() else place.parent).iterdir() if "lock" in file.name] == []
 
 
+def _held_after(place: Path, patience: float) -> bool:
+    with only_writer(place, patience):
+        return True
+
+
 def test_who_holds_a_place_may_hold_it_again_and_another_thread_not(place):
-    refused = []
+    refused, waited = [], []
 
     def other() -> None:
         try:
@@ -60,6 +66,12 @@ def test_who_holds_a_place_may_hold_it_again_and_another_thread_not(place):
         thread = threading.Thread(target=other)
         thread.start()
         thread.join()
+        patient = threading.Thread(target=lambda: waited.append(_held_after(place, 5.0)))
+        patient.start()
+        time.sleep(0.2)
+        assert waited == []
+    patient.join()
+    assert waited == [True]
     assert len(refused) == 1
     assert str(os.getpid()) in str(refused[0])
     other()

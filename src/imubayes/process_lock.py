@@ -6,6 +6,7 @@ The lock is on an open file: it ends with its process, however that ends, and wh
 import fcntl
 import os
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,17 +15,22 @@ from typing import IO
 from imubayes.errors import InputError, input_error
 
 _LOCK = ".lock"
+_PAUSE = 0.05
 _held: set[tuple[Path, int]] = set()
 
 
 @contextmanager
-def only_writer(place: Path) -> Iterator[None]:
+def only_writer(place: Path, patience: float = 0.0) -> Iterator[None]:
     """Hold a folder, or a file to be written, for writing; what holds it already may hold it again.
+
+    Parameters
+    ----------
+    patience : seconds to wait for another one to end.
 
     Raises
     ------
     InputError
-        at once where another process, or another thread of this one, holds it.
+        where another process, or another thread of this one, holds it.
     """
     file = place / _LOCK if place.is_dir() else place.with_name(f".{place.name}{_LOCK}")
     key = (file.resolve(), threading.get_ident())
@@ -32,7 +38,7 @@ def only_writer(place: Path) -> Iterator[None]:
         yield
         return
     file.parent.mkdir(parents=True, exist_ok=True)
-    stream = _locked(file, place)
+    stream = _locked(file, place, time.monotonic() + patience)
     _held.add(key)
     try:
         yield
@@ -42,7 +48,7 @@ def only_writer(place: Path) -> Iterator[None]:
         stream.close()
 
 
-def _locked(file: Path, place: Path) -> IO[str]:
+def _locked(file: Path, place: Path, until: float) -> IO[str]:
     while True:
         stream = file.open("a+", encoding="ascii")
         try:
@@ -50,7 +56,10 @@ def _locked(file: Path, place: Path) -> IO[str]:
         except OSError as error:
             refusal = _refusal(stream, place, error)
             stream.close()
-            raise refusal from error
+            if not isinstance(error, BlockingIOError) or time.monotonic() >= until:
+                raise refusal from error
+            time.sleep(_PAUSE)
+            continue
         if _still_there(file, stream):
             stream.truncate(0)
             stream.write(f"{os.getpid()}\n")

@@ -68,7 +68,7 @@ def budgets_of(result: Result, unit: TestedUnit | None) -> UncertaintyBudgets | 
         return kept.budgets
     budgets = _computed(result, unit)
     text = KeptBudgets(method=_METHOD, budgets=budgets).model_dump_json() + "\n"
-    with suppress(OSError):  # a result that cannot be written to has its budgets computed every time
+    with suppress(OSError, InputError):  # a result that cannot be written to has its budgets computed every time
         add_to(result.folder, BUDGETS, text, result.identity)
     return budgets
 

@@ -22,6 +22,9 @@ from imubayes.process_lock import only_writer
 from imubayes.results.record_files import AGAIN, damaged
 from imubayes.results.record_names import BY_OTHER_COMMANDS, MANIFEST, PAGE, POSTERIOR, RESIDUALS, SUMMARY, missing
 
+# Seconds that a file waits to be added: another one is added in less, a fit takes longer.
+_PATIENCE = 5.0
+
 
 class KeptFile(Record):
     """A file of a result folder: its name, size in bytes and SHA-256."""
@@ -118,7 +121,7 @@ def add_to(folder: Path, name: str, text: str, identity: str = "") -> None:
     InputError
         where there is no whole result, or another one by now.
     """
-    with only_writer(folder):
+    with only_writer(folder, _PATIENCE):
         manifest = same_fit(folder, identity)
         with replacing_files(folder, MANIFEST) as scratch:
             write_text(scratch / name, text)
@@ -128,7 +131,7 @@ def add_to(folder: Path, name: str, text: str, identity: str = "") -> None:
 
 def mark_selected(folder: Path, selection: int) -> None:
     """Keep the number of the selection that made this the selected model of its history."""
-    with only_writer(folder):
+    with only_writer(folder, _PATIENCE):
         manifest = checked(folder)
         with replacing_files(folder, MANIFEST) as scratch:
             write_text(scratch / MANIFEST, manifest.model_copy(update={"selection": selection}).json_text())
