@@ -21,6 +21,7 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 os.environ["IMUBAYES_KEEP_PROGRAMS"] = "0"
 # Everything compiled is kept, for tests and for the commands they run alike, so that it is paid for once.
 os.environ["XDG_CACHE_HOME"] = str(Path(__file__).parents[1] / ".cache" / "commands")
+os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parents[1] / ".cache" / "configuration")
 jax.config.update("jax_compilation_cache_dir", str(Path(os.environ["XDG_CACHE_HOME"]) / "imubayes" / "compiled"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -23,6 +23,7 @@ FLOORS = (
         "json_record",
         "representation",
         "atomic_files",
+        "process_lock",
         "step_counter",
         "tail_probabilities",
     ),

@@ -28,6 +28,7 @@ from .model.bind import Model, bind
 from .model.model_file import load_model
 from .noise.base import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
 from .parameters.parameter_declarations import option, parameter, reference_temperature, time_constant
+from .results.carried_effects import trust
 from .rotations import compose, cross, exponential, rotate
 from .signal_path_state import Ambient, Experience, Motion, Sample
 from .units import dimension, to_si
@@ -91,5 +92,6 @@ __all__ = [
     "sample",
     "time_constant",
     "to_si",
+    "trust",
     "vector3",
 ]

@@ -1,15 +1,18 @@
 """Files and folders that appear as a whole or not at all: written beside their place, then renamed."""
 
+import glob
 import json
 import os
+import re
 import shutil
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from imubayes.errors import input_error
+
+_WRITING = ".writing-"
 
 
 @contextmanager
@@ -21,8 +24,7 @@ def replacing(file: Path, durable: bool = False) -> Iterator[Path]:
     durable : whether to force the content to the disk, so that a power failure leaves the old or the new file.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
-    scratch = file.with_name(f".{file.name}.{os.getpid()}.part")
-    scratch.unlink(missing_ok=True)
+    scratch = _scratch_of(file)
     try:
         yield scratch
         if durable:
@@ -32,6 +34,35 @@ def replacing(file: Path, durable: bool = False) -> Iterator[Path]:
             _synchronise(file.parent)
     finally:
         scratch.unlink(missing_ok=True)
+
+
+def _scratch_of(place: Path) -> Path:
+    """Return a free name beside a place; what a process that died left there is removed."""
+    scratch = place.with_name(f".{place.name}.{os.getpid()}.part")
+    leftover = re.compile(rf"\.{re.escape(place.name)}\.(\d+)\.part")
+    for found in place.parent.glob(f".{glob.escape(place.name)}.*.part"):
+        by = leftover.fullmatch(found.name)
+        if by is not None and (found == scratch or not _alive(int(by.group(1)))):
+            remove(found)
+    return scratch
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # of another user
+        return True
+    return True
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder with all that is in it."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _synchronise(path: Path) -> None:
@@ -64,12 +95,10 @@ def new_folder(folder: Path, durable: bool = False) -> Iterator[Path]:
     durable : whether to force the content to the disk, so that a power failure leaves the whole folder or none.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    scratch = _scratch_of(folder)
+    scratch.mkdir()
     try:
         yield scratch
-        mask = os.umask(0)
-        os.umask(mask)
-        scratch.chmod(0o777 & ~mask)
         if durable:
             for place in (*scratch.iterdir(), scratch):
                 _synchronise(place)
@@ -81,23 +110,41 @@ def new_folder(folder: Path, durable: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing_files(folder: Path, last: str) -> Iterator[Path]:
+def replacing_files(folder: Path, last: str, without: Callable[[], Iterable[str]] = tuple) -> Iterator[Path]:
     """Give a scratch folder whose files replace those of `folder` when the block ends; its other files stay.
+
+    The file named `last` commits the change: before it is put in place, all others are on the disk.
 
     Parameters
     ----------
-    last : name of the file that is put in place last: where it is new, the others are.
+    last : name of the file that is put in place last.
+    without : gives the names of files that are removed before that, unless they are written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    scratch = folder / f".writing-{os.getpid()}"
-    shutil.rmtree(scratch, ignore_errors=True)
+    for left in folder.glob(f"{_WRITING}*"):  # by a process that died: the caller holds the folder
+        remove(left)
+    scratch = folder / f"{_WRITING}{os.getpid()}"
     scratch.mkdir()
     try:
         yield scratch
-        for file in sorted(scratch.iterdir(), key=lambda file: file.name == last):
-            os.replace(file, folder / file.name)
+        written = sorted(scratch.iterdir())
+        for file in written:
+            _synchronise(file)
+        for file in written:
+            if file.name != last:
+                os.replace(file, folder / file.name)
+        for name in set(without()) - {file.name for file in written}:
+            (folder / name).unlink(missing_ok=True)
+        _synchronise(folder)
+        os.replace(scratch / last, folder / last)
+        _synchronise(folder)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def interrupted(folder: Path) -> bool:
+    """Tell whether a process died, or is at work, while it wrote files of a folder."""
+    return any(folder.glob(f"{_WRITING}*"))
 
 
 def refuse_existing(file: Path, but: Callable[[bytes], bool] = lambda content: False) -> None:

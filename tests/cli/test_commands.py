@@ -212,6 +212,7 @@ def test_fit_writes_the_contract(tmp_path, capsys):
     assert all({"name", "channel", "n", "chi2", "rms", "unit"} <= set(one) for one in summary["runs"])
     names = {
         "summary.json",
+        "manifest.json",
         "fit.json",
         "history.json",
         "budgets.json",

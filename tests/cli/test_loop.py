@@ -34,6 +34,12 @@ def said(capsys, *words: str | Path) -> tuple[int, str, str]:
     return status, captured.out, re.sub(r"^.* · \d+ s\n", "", captured.err, flags=re.MULTILINE)
 
 
+def state_of(folder: Path) -> dict[str, tuple[int, bytes]]:
+    """Return time and content of everything in a folder; its own time tells of files that came and went."""
+    files = (folder, *folder.rglob("*"))
+    return {str(file): (file.stat().st_mtime_ns, file.read_bytes() if file.is_file() else b"") for file in files}
+
+
 def test_the_loop(place, capsys):
     first, second = place / "first", place / "second"
     status, out, err = said(capsys, "diagnose", first, "--json")
@@ -49,8 +55,10 @@ def test_the_loop(place, capsys):
     assert (status, out) == (2, "")
     assert "there is no effect class to print" in err
 
+    before = state_of(first)
     status, out, _ = said(capsys, "add", LACKING, "--to", first, "--out", second, "--channels", "ax", "--json")
     assert status == 0
+    assert state_of(first) == before, "the parent may be read-only"
     added = json.loads(out)
     assert added["taken"]
     assert added["held_out"]["verdict"] == "helps"

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import threading
 from pathlib import Path
 
 import h5py
@@ -9,6 +10,8 @@ import pytest
 
 from imubayes.cli.main import run
 from imubayes.inference.checkpoint import steps_in
+from imubayes.process_lock import only_writer
+from kept_results import listed
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGN, MODEL = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"
@@ -97,6 +100,44 @@ def test_a_file_is_no_place_for_a_result(tmp_path, refused, below):
     assert (tmp_path / "file").read_text() == "mine"
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fit", CAMPAIGN, "--model", MODEL, "--out", "OUT", "--no-sample"),
+        ("add", "accel_quadratic", "--to", "RESULT", "--out", "OUT"),
+        ("remove", "accel_bias", "--from", "RESULT", "--out", "OUT"),
+        ("report", "RESULT", "--out", "OUT.html"),
+        ("batch", CAMPAIGN.parent, "--model", MODEL, "--out", "OUT"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_what_another_process_writes_is_refused_at_once(once, tmp_path, refused, monkeypatch, words):
+    out = tmp_path / ("out.html" if "OUT.html" in words else "out")
+    if out.suffix == "":
+        out.mkdir()
+    for name in ("imubayes.api.fitting.joint_fit", "imubayes.api.model_changes.refit_with",
+                 "imubayes.api.model_changes.refit_without", "imubayes.api.calibrated_unit.report_of"):  # fmt: skip
+        monkeypatch.setattr(name, lambda *_, **__: pytest.fail("it began"))
+    held, done = threading.Event(), threading.Event()
+
+    def other() -> None:
+        with only_writer(out):
+            held.set()
+            done.wait()
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    held.wait()
+    try:
+        given = [once if word == "RESULT" else out if str(word).startswith("OUT") else word for word in words]
+        err = refused(*given)
+    finally:
+        done.set()
+        thread.join()
+    assert "another process is writing here" in err
+    assert not out.is_dir() or not any(out.iterdir())
+
+
 def test_a_result_is_replaced_and_what_stands_beside_it_stays(result):
     (result / "notes.txt").write_text("mine")
     assert run([str(word) for word in fit_into(result)]) == 0
@@ -172,8 +213,10 @@ def test_a_model_that_was_edited_is_noticed(result, refused):
     text = model.read_text()
     assert "normal(0, " in text
     model.write_text(text.replace("normal(0, ", "normal(0, 2", 1))
-    assert "no longer the one that was fitted" in refused("diagnose", result)
+    assert "model.toml has" in refused("diagnose", result)
+    assert "no longer the one that was fitted" in refused("diagnose", listed(result))
     model.write_text(text)
+    listed(result)
     assert run(["diagnose", str(result), "--effect", "accel_quadratic"]) == 0
 
 
@@ -181,7 +224,7 @@ def test_a_damaged_record_is_named(result, refused):
     record = json.loads((result / "fit.json").read_text())
     for key, value in (("z", [1.0]), ("campaign", "x"), ("format", 99)):
         (result / "fit.json").write_text(json.dumps(record | {key: value}))
-        assert "fit.json" in refused("diagnose", result)
+        assert f"key {key}" in refused("diagnose", listed(result))
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from imubayes.qualification import report_budgets
 from imubayes.qualification.report_record import QualificationReport
 from imubayes.results.loop_files import write_diagnosis
 from imubayes.results.result import read_result
+from kept_results import listed
 
 ROOT = Path(__file__).parents[2]
 WIDE = '[[limit]]\nquantity = "accel_bias.bias"\nlower = -100\nupper = 100\nunit = "mg"\n'
@@ -152,10 +153,14 @@ def test_budgets_that_are_kept_are_those_of_the_result(result, tmp_path):
     kept = json.loads(file.read_text())
     kept["budgets"]["quantities"] = kept["budgets"]["quantities"][:1]
     file.write_text(json.dumps(kept))
+    listed(result)
     again = written(result, tmp_path)[1].budgets
     assert again is not None
     assert len(again.quantities) == 1, "what is kept is not computed again"
-    file.write_text(json.dumps(kept | {"sha256": "of another result"}))
+    file.write_text(json.dumps(kept | {"method": 0}))
+    listed(result)
+    assert written(result, tmp_path)[1] == first
+    file.write_text(json.dumps(kept))  # of another result, by its manifest
     assert written(result, tmp_path)[1] == first
 
 
@@ -193,6 +198,7 @@ def test_a_fit_that_did_not_converge_says_so_and_cannot_pass(result, tmp_path):
     for line in (*summary["parameters"], *summary["derived"]):
         line |= dict.fromkeys(("mean", "sd", "q025", "q975", "from_data"))
     file.write_text(json.dumps(summary | {"converged": False, "message": "The gradient did not vanish.", "chi2": None}))
+    listed(result)
     status, record, page = written(result, tmp_path, "--spec", specification(tmp_path))
     assert (status, record.accepted) == (1, False)
     assert record.conformity is not None

@@ -19,6 +19,7 @@ from imubayes.results.summary import (
     Summary,
     WeakDirection,
 )
+from kept_results import listed
 
 GYROS, ACCELEROMETERS = ("gx", "gy", "gz"), ("ax", "ay", "az")
 CHANNELS = (*GYROS, *ACCELEROMETERS)
@@ -307,7 +308,7 @@ def write_folder(folder: Path, residuals: pl.DataFrame, summary: Summary, poster
     residuals.write_parquet(folder / "residuals.parquet")
     if posterior is not None:
         posterior.to_netcdf(folder / "posterior.nc", engine="h5netcdf")
-    return folder
+    return listed(folder)
 
 
 def trihedral_folder(folder: Path, **more) -> Path:

@@ -20,6 +20,7 @@ from imubayes.display.model_against_measurement import Comparison
 from imubayes.display.model_against_measurement import compare as compare_first
 from imubayes.errors import InputError
 from imubayes.results.posterior_draws import draws_of
+from kept_results import listed
 
 compare = partial(compare_first, every=True)
 
@@ -162,6 +163,7 @@ def test_what_an_earlier_comparison_drew_goes_and_the_rest_stays(single: Path):
     (figures / "my-own.png").write_bytes(b"kept")
     shorter = pl.read_parquet(single / "residuals.parquet").drop("table_rate_deg_s")
     shorter.write_parquet(single / "residuals.parquet")
+    listed(single)
     compare(single)
     names = {path.name for path in figures.iterdir()}
     assert "residuals-table-rate.png" not in names
@@ -271,14 +273,20 @@ SPOILERS = {
 @pytest.mark.parametrize("name", SPOILERS)
 def test_a_folder_that_cannot_be_used_is_said_in_four_parts(spoilt: Path, name: str):
     SPOILERS[name](spoilt)
+    _refused(spoilt)
+    if spoilt.is_dir():  # as if the fit had left it so
+        _refused(listed(spoilt))
+    assert not (spoilt / "figures").exists()
+
+
+def _refused(folder: Path) -> None:
     with pytest.raises(InputError) as caught:
-        compare(spoilt)
+        compare(folder)
     for problem in caught.value.issues:
         assert problem.what
         assert "spoilt" in problem.where
         assert problem.allowed
         assert problem.remedy
-    assert not (spoilt / "figures").exists()
 
 
 def test_the_nearest_result_is_named(trihedral: Path):

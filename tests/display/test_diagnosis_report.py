@@ -45,6 +45,8 @@ from imubayes.loop.injection_recovery import Size, Trial, Trials
 from imubayes.loop.model_history import ChiSquareDrop, Node, Tree, node_id
 from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.results.loop_files import read_diagnosis, write_diagnosis
+from imubayes.results.record_names import RESIDUALS, SUMMARY
+from kept_results import listed
 
 PNG = b"\x89PNG"
 TAILS = (FoundNoise(channels=("gx",), family="tails", scale=1.2),)
@@ -214,7 +216,9 @@ def test_the_class_of_a_cause_outside_the_catalogue_is_given_and_none_is_refused
 
 
 def test_a_kept_diagnosis_comes_back(tmp_path):
-    write_diagnosis(tmp_path, diagnosis())
+    for name in (SUMMARY, RESIDUALS):
+        (tmp_path / name).touch()
+    write_diagnosis(listed(tmp_path), diagnosis())
     kept = read_diagnosis(tmp_path)
     assert kept is not None
     assert kept.model_dump() == diagnosis().model_dump()
@@ -222,8 +226,8 @@ def test_a_kept_diagnosis_comes_back(tmp_path):
     assert best is not None
     assert best.delta_chi2 == 95.1
     assert kept.estimate("unknown") is None
-    (tmp_path / "diagnosis.json").write_text("{")
-    assert read_diagnosis(tmp_path) is None
+    (tmp_path / "diagnosis.json").write_text('{"format": 1}')  # of an earlier version
+    assert read_diagnosis(listed(tmp_path)) is None
 
 
 def test_the_json_has_the_sentence_and_the_next_command():

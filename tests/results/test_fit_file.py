@@ -17,6 +17,7 @@ from imubayes.inference.run_fit import model_hash
 from imubayes.model.likelihood import residuals
 from imubayes.results.residuals import residuals_of
 from imubayes.results.result import read_result
+from kept_results import listed
 
 ROOT = Path(__file__).parents[2]
 
@@ -42,6 +43,7 @@ def copy(place, result, tmp_path) -> Path:
     record = json.loads(file.read_text())
     record["campaign"]["absolute"] = record["campaign"]["given"] = str(tmp_path / "elsewhere")
     file.write_text(json.dumps(record))
+    listed(tmp_path / "result")
     return tmp_path
 
 
@@ -75,10 +77,12 @@ def test_the_set_up_is_judged_once(copy, monkeypatch):
     record = json.loads(file.read_text())
     record["campaign_notes"] = [*record["campaign_notes"], "what the gate said"]
     file.write_text(json.dumps(record))
+    listed(copy / "result")
     assert read_result(copy / "result").fit.model.campaign.notes[-1] == "what the gate said"
     assert not judged
     del record["campaign_notes"]  # of an earlier version
     file.write_text(json.dumps(record))
+    listed(copy / "result")
     assert read_result(copy / "result").fit.model.campaign.notes[-1:] != ("what the gate said",)
     assert len(judged) == 1
 
@@ -126,13 +130,14 @@ def test_a_campaign_that_is_gone_is_refused(copy):
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("{", "cannot be read: Invalid JSON"), ('{"format": 1}', "key data_hash"), (None, "holds no fit")],
+    [("{", "cannot be read: Invalid JSON"), ('{"format": 1}', "key data_hash"), (None, "fit.json cannot be read")],
 )
 def test_a_damaged_record_is_refused(copy, text, said):
     file = copy / "result" / "fit.json"
     file.unlink()
     if text is not None:
         file.write_text(text)
+    listed(copy / "result")
     assert said in refused(copy / "result")
 
 
@@ -141,4 +146,5 @@ def test_another_model_is_refused(copy):
     text = file.read_text()
     assert '\n[[effect]]\nname = "accel_bias"' in text
     file.write_text(text + '\n[[effect]]\nname = "accel_quadratic"\n')
+    listed(copy / "result")
     assert "other parameters" in refused(copy / "result")

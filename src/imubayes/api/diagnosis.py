@@ -36,5 +36,5 @@ def diagnose(
         read = result if isinstance(result, Result) else read_result(result)
         found = judge(read.fit, str(read.folder or "RESULT"), effect, tell)
     if read.folder is not None and not effect:
-        write_diagnosis(read.folder, found)
+        write_diagnosis(read.folder, found, read.identity)
     return found

@@ -16,11 +16,11 @@ from imubayes.model.model_spec import ModelSpec
 from imubayes.qualification.digits import Digits
 from imubayes.qualification.report_budgets import keep_budgets
 from imubayes.qualification.until_digits import fit_until_digits
-from imubayes.results.folder_state import claim
+from imubayes.results.folder_state import claimed
 from imubayes.results.history_file import first_node
-from imubayes.results.history_tree import write_node
 from imubayes.results.record_names import CHECKPOINT
 from imubayes.results.result import Result, read_result, result_of
+from imubayes.results.result_folder import write_result
 
 
 def fit(
@@ -62,10 +62,8 @@ def fit(
     load_seconds = time.perf_counter() - clock
     folder = Path(out) if out is not None else None
     checkpoint = folder / CHECKPOINT if folder is not None else None
-    if folder is not None:
-        claim(folder, resume, replace)
     sampling = with_fields(settings or Settings(), seed=seed) if sample else None
-    with progress_of(progress) as tell:
+    with claimed(folder, resume, replace), progress_of(progress) as tell:
         if until_digits is not None:
             fitted = fit_until_digits(declared, sampling, until_digits, checkpoint, resume, tell)
         else:
@@ -73,7 +71,7 @@ def fit(
         tell("summarising")
         result = result_of(fitted, folder, seed, load_seconds)
         if folder is not None:
-            write_node(folder, first_node(fitted.model, result.summary, seed))
+            result = write_result(result, first_node(fitted.model, result.summary, seed))
             if sample:  # a quick fit of the loop leaves them to its first report
                 tell("uncertainty budgets")
                 keep_budgets(result)

@@ -20,13 +20,14 @@ from imubayes.loop.removal import refit_without
 from imubayes.model.effect_registry import names_in
 from imubayes.model.model_file import read_model
 from imubayes.qualification.report_budgets import keep_budgets
-from imubayes.results.folder_state import claim_new
-from imubayes.results.history_file import remember
-from imubayes.results.history_tree import read_tree
-from imubayes.results.loop_files import log_odds_of_removal, read_diagnosis, write_change
+from imubayes.results.folder_state import claimed_new
+from imubayes.results.history_file import next_node
+from imubayes.results.history_tree import next_selection, read_tree
+from imubayes.results.loop_files import log_odds_of_removal, read_diagnosis
 from imubayes.results.model_change import ModelChange, added_variable, change_of
 from imubayes.results.record_names import CHECKPOINT
 from imubayes.results.result import Result, read_result, result_of
+from imubayes.results.result_folder import write_result
 
 
 def add(
@@ -136,20 +137,24 @@ def _changed(
     log_odds : of effects removed.
     """
     parent = before.folder
-    folder = claim_new(Path(out), parent) if out is not None else None
-    with progress_of(progress) as tell:
+    folder = Path(out) if out is not None else None
+    with claimed_new(folder, parent), progress_of(progress) as tell:
         refit = make(tell)
         if sampling is not None and not refit.objection:
             refit = _sampled(refit, folder, sampling, tell)
         tell("summarising")
-        after = result_of(refit.fit, folder, seed)
-    change = change_of(refit, before, after, log_odds)
-    if folder is not None:
-        write_change(folder, change, added_variable(refit.change) if change.added else None)
-        if parent is not None:
-            remember(parent, folder, change, diagnosis, seed)
-        _keep_budgets_of(after, refit)
-    return change
+        change = change_of(refit, before, result_of(refit.fit, folder, seed), log_odds)
+        if folder is None:
+            return change
+        written = write_result(
+            change.result,
+            next_node(parent, change, diagnosis, seed),
+            change=change,
+            added_variable=added_variable(refit.change) if change.added else None,
+            selection=next_selection(parent) if parent is not None and change.taken else 0,
+        )
+        _keep_budgets_of(written, refit)
+    return change.with_result(written)
 
 
 def _words(effects: Sequence[str]) -> list[str]:

@@ -5,7 +5,6 @@ a hidden folder, which the next one removes.  A unit without estimates has a par
 unit is to be tried again: its file has changed, or all failures are to be retried.
 """
 
-import fcntl
 import hashlib
 import shutil
 from collections.abc import Iterator, Sequence
@@ -27,9 +26,7 @@ from imubayes.batch.posterior_table import (
     unit_table,
 )
 from imubayes.batch.unit_sources import DIGITS, UnitSource
-from imubayes.errors import input_error
-
-_LOCK = ".lock"
+from imubayes.process_lock import only_writer
 
 
 @dataclass(frozen=True)
@@ -55,16 +52,7 @@ class PartFiles:
     def writing(self) -> Iterator[None]:
         """Hold the folder for writing; raises InputError where another process holds it."""
         self.results.mkdir(parents=True, exist_ok=True)
-        with (self.results / _LOCK).open("w") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise input_error(
-                    "another batch is writing to the results folder",
-                    str(self.results),
-                    "one batch at a time",
-                    "wait until it is done, or choose another folder with --out",
-                ) from error
+        with only_writer(self.results):
             for scratch in model_folder(self.results, self.key).glob(".part-*"):
                 shutil.rmtree(scratch)
             yield

@@ -21,7 +21,7 @@ from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue, input_error
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.model.model_file import read_model
+from imubayes.model.model_file import read_carried_model
 from imubayes.model.model_spec import ModelSpec
 
 _PREFIX, _CHUNK, _DIGITS = "scores-", 32, 16
@@ -55,7 +55,7 @@ def complete_scores(
     units = read_units(results, model).filter(pl.col("status") == "fitted")
     key = chosen_model(results, model)
     folder = model_folder(results, key)
-    spec, known = read_model(folder / MODEL_FILE), set(read_unit_scores(results, key)["digest"])
+    spec, known = read_carried_model(folder / MODEL_FILE), set(read_unit_scores(results, key)["digest"])
     missing = [row for row in units.iter_rows(named=True) if row["digest"] not in known]
     issues: list[Issue] = []
     for start in range(0, len(missing), _CHUNK):

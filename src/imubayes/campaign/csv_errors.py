@@ -7,6 +7,7 @@ from imubayes.campaign.run_columns import ColumnLayout
 from imubayes.errors import Issue
 
 MOST = 10  # faults of one file that are listed; the rest is counted
+_MOST_SHOWN = 60  # characters of a cell that are repeated
 
 
 def csv_faults(file: Path, layout: ColumnLayout) -> list[Issue]:
@@ -16,12 +17,15 @@ def csv_faults(file: Path, layout: ColumnLayout) -> list[Issue]:
     wanted = [(index, name) for index, name in enumerate(layout.header) if name in layout.numbers]
     with file.open(encoding="utf-8-sig", newline="", errors="replace") as stream:
         reader = csv.reader(stream)
-        next(reader, None)
-        for cells in reader:
-            found = _line_faults(cells, wanted, layout, f"{file}:{reader.line_num}")
-            room = MOST - len(issues)
-            issues += found[:room]
-            more += len(found[room:])
+        try:
+            next(reader, None)
+            for cells in reader:
+                found = _line_faults(cells, wanted, layout, f"{file}:{reader.line_num}")
+                room = MOST - len(issues)
+                issues += found[:room]
+                more += len(found[room:])
+        except csv.Error:
+            issues.append(_oversized(f"{file}:{reader.line_num}"))
     if more:
         issues.append(
             Issue(
@@ -32,6 +36,15 @@ def csv_faults(file: Path, layout: ColumnLayout) -> list[Issue]:
             )
         )
     return issues
+
+
+def _oversized(where: str) -> Issue:
+    return Issue(
+        f"a cell has more than {csv.field_size_limit()} characters",
+        where,
+        "a number with a decimal point, or an empty cell where the value is missing",
+        "correct the cell; a quotation mark that is not closed makes one cell of many lines",
+    )
 
 
 def _line_faults(cells: list[str], wanted: list[tuple[int, str]], layout: ColumnLayout, where: str) -> list[Issue]:
@@ -48,7 +61,7 @@ def _line_faults(cells: list[str], wanted: list[tuple[int, str]], layout: Column
         ]
     return [
         Issue(
-            f"'{cells[index]}' is not a number",
+            f"'{_shown(cells[index])}' is not a number",
             f"{where}, column '{name}'",
             "a number with a decimal point, or an empty cell where the value is missing",
             "correct the cell",
@@ -56,6 +69,10 @@ def _line_faults(cells: list[str], wanted: list[tuple[int, str]], layout: Column
         for index, name in wanted
         if not _is_number(cells[index])
     ]
+
+
+def _shown(cell: str) -> str:
+    return cell if len(cell) <= _MOST_SHOWN else f"{cell[:_MOST_SHOWN]}…"
 
 
 def _is_number(cell: str) -> bool:

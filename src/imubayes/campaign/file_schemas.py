@@ -10,22 +10,46 @@ from datetime import date, datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from imubayes.parameters.unit_grades import Grade
 
-_NAME, _COLUMN_NAME = r"^[^\s\[\],][^\[\],]*$", r"^[A-Za-z_][A-Za-z0-9_.\-]*$"
+# Characters that steer a terminal, or turn the direction of text, instead of being shown.
+_CONTROL = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069"
+_NAME, _COLUMN_NAME = rf"^[^\s\[\],{_CONTROL}][^\[\],{_CONTROL}]*$", r"^[A-Za-z_][A-Za-z0-9_.\-]*$"
+_TEXT = rf"^[^{_CONTROL}]*$"
+# A part of a path that does not lead upwards: no dot first, one alone or before another character, or more than two.
+_STEP = rf"(?:\.?[^/\\.{_CONTROL}][^/\\{_CONTROL}]*|\.|\.\.[^/\\{_CONTROL}]+)"
+_FILE_WITHIN = rf"^{_STEP}(?:/{_STEP})*$"
+Text = Annotated[str, Field(pattern=_TEXT)]
+FileWithin = Annotated[str, Field(pattern=_FILE_WITHIN)]
 Name = Annotated[str, Field(min_length=1, pattern=_NAME)]
 ColumnName = Annotated[str, Field(min_length=1, pattern=_COLUMN_NAME)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 _LEAST_LENGTH = 1e-9
+ABSURD = 1e30  # no instrument reads as much, and squares of more than 1e154 overflow
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 TemperatureUncertainty = Annotated[float, Field(ge=0, le=100)]
 
 
+def _numbers_in(value: Any) -> list[float]:
+    if isinstance(value, list):
+        return [number for each in value for number in _numbers_in(each)]
+    return [value] if isinstance(value, float) else []
+
+
 class _Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+    @field_validator("*")
+    @classmethod
+    def _measurable(cls, value: Any) -> Any:
+        numbers = [each for each in _numbers_in(value) if each and not 1 / ABSURD <= abs(each) <= ABSURD]
+        if numbers:
+            raise PydanticCustomError("absurd", "{number} is no size that anything has", {"number": f"{numbers[0]:g}"})
+        return value
 
 
 class SiteEntry(_Entry):
@@ -42,8 +66,8 @@ class SiteEntry(_Entry):
 class UnitEntry(_Entry):
     """The unit under test."""
 
-    serial: str = Field(default="", description="serial number, repeated in results and reports")
-    description: str = Field(default="", description="type of the unit, in words")
+    serial: Text = Field(default="", description="serial number, repeated in results and reports")
+    description: Text = Field(default="", description="type of the unit, in words")
     grade: Grade | None = Field(default=None, description="to which default priors belong; from the noise where absent")
 
 
@@ -58,7 +82,7 @@ class ChannelEntry(_Entry):
         description="nominal output axis in body axes, across the input axis; misalignments and cross terms count "
         "along it and along the third axis, input x output",
     )
-    output_unit: str = Field(description="of the column: pulse/s, V, mA, or what the readout gives")
+    output_unit: Text = Field(description="of the column: pulse/s, V, mA, or what the readout gives")
     scale: float = Field(
         description="nominal scale factor: output_unit per input; negative where the channel is reversed"
     )
@@ -164,7 +188,7 @@ class RunEntry(_Entry):
 
     name: Name = Field(description="of the run in results, unique in the campaign")
     procedure: str = Field(description="test procedure: rate_table, dividing_head, …; `imubayes check` lists them")
-    file: str = Field(min_length=1, description="CSV or Parquet file of the run table, beside campaign.toml")
+    file: FileWithin = Field(description="CSV or Parquet file of the run table, beside campaign.toml")
     table: str | None = Field(default=None, description="name of a [[table]]")
     mounting: str | None = Field(default=None, description="name of a [[mounting]]")
     temperature_degC: float | None = Field(
@@ -270,7 +294,7 @@ class ModelFile(_Entry):
 
     format: Literal[1] = Field(description="of this file")
     name: Name = Field(description="of the model")
-    files: list[str] = Field(default=[], description="Python files that define effects, beside the model file")
+    files: list[FileWithin] = Field(default=[], description="Python files that define effects, beside the model file")
     delta_k_threshold_percent: Positive | None = Field(default=None, description="as in the campaign, and before it")
     effect: list[EffectEntry] = Field(min_length=1, description="the signal path; its order does not matter")
     prior_correlation: list[PriorCorrelationEntry] = Field(default=[], description="of noise parameters")
@@ -280,7 +304,9 @@ class ModelFile(_Entry):
 
 
 PATTERNS = {
-    _NAME: "text without brackets and commas that does not begin with a blank",
+    _NAME: "text without brackets, commas and control characters that does not begin with a blank",
+    _TEXT: "text without control characters",
+    _FILE_WITHIN: "a file in the same folder or below, named from there without '..'",
     _COLUMN_NAME: "letters, digits, '_', '.' and '-', a letter or '_' first",
 }
 """Pattern of a name → its description."""

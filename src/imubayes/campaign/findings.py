@@ -20,7 +20,7 @@ FINDINGS: dict[str, str] = {
     "duplicate_row": "a row is identical to the one before, time included",
     "stuck_channel": "a channel keeps one value while its input varies",
     "saturated_channel": "a channel is clipped at its maximum or minimum",
-    "nan_values": "a cell holds NaN or infinity",
+    "nan_values": "a cell holds NaN, infinity or a number that no instrument reads",
     "missing_values": "a required cell is empty",
     "empty_run": "the run has no usable row",
     "rate_unit": "the rate column or the gyro is in another unit of rate",

@@ -27,7 +27,7 @@ from imubayes.campaign.reduction import (
     reduce_log,
 )
 from imubayes.campaign.run_columns import lay_out
-from imubayes.campaign.run_tables import TableSource, read_header
+from imubayes.campaign.run_tables import TableSource, read_header, refuse_long
 from imubayes.campaign.stream_checks import Monitor
 from imubayes.campaign_data import Channel, Mounting, Run, Site, Table
 from imubayes.errors import InputError, Issue, input_error
@@ -35,6 +35,8 @@ from imubayes.procedures import PROCEDURES, Reduction, procedure_named
 
 ANGLE_COLUMN = "table_angle_deg"
 _MOST_LEVELS = 2
+# Raw samples of one row: a thousand seconds at a gigahertz.
+_MOST_SAMPLES = 1e12
 """Unsteady levels that a warning names."""
 
 
@@ -158,7 +160,7 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     gravity = equipment.site.gravity
     bench = equipment.benches.get(entry.table or "", BenchSettings())
     if source.layout.reduced:
-        numbers = _from_zero(_whole(source), source, bench)
+        numbers = _from_zero(source.whole(), source, bench)
         attitude = _attitude(source, entry, equipment, range(survey.rows))
         run = build_run(entry, numbers, equipment.channels, gravity, attitude=attitude)
         return run, _check_counts(numbers, source, entry)
@@ -183,6 +185,8 @@ def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     monitor = Monitor(source, entry.name, all_move=poses)
     tracker = None if source.layout.reduced else _segment_tracker(source)
     builder = None if source.layout.reduced or poses else _block_builder(source)
+    if builder is None:
+        refuse_long(source.file, len(source.layout.numbers))
     consumers = [consumer for consumer in (monitor, builder, tracker) if consumer is not None]
     for batch in source:
         if batch.rows:
@@ -202,11 +206,6 @@ def _block_builder(source: TableSource) -> BlockBuilder:
     return BlockBuilder([name for name in source.layout.numbers if not name.endswith("_sd")])
 
 
-def _whole(source: TableSource) -> dict[str, np.ndarray]:
-    batches = list(source)
-    return {name: np.concatenate([batch.numbers[name] for batch in batches]) for name in source.layout.numbers}
-
-
 def _load_tumble(
     source: TableSource, entry: RunEntry, equipment: Equipment, limits: Limits
 ) -> tuple[Run, list[Finding]]:
@@ -219,7 +218,7 @@ def _load_tumble(
             "give the raw log of the whole recording",
         )
     reduced = reduce_tumble(
-        _whole(source), equipment.channels, equipment.site.gravity, entry.initial_rest_s, source.file, limits
+        source.whole(), equipment.channels, equipment.site.gravity, entry.initial_rest_s, source.file, limits
     )
     run = build_run(entry, reduced.numbers, equipment.channels, equipment.site.gravity, reduced.notes, reduced.tumble)
     findings = [replace(finding, run=entry.name) for finding in reduced.findings]
@@ -227,16 +226,21 @@ def _load_tumble(
 
 
 def _check_counts(numbers: dict[str, np.ndarray], source: TableSource, entry: RunEntry) -> list[Finding]:
-    wrong = {"samples": ~(numbers["samples"] >= 1)}
-    wrong |= {name: values < 0 for name, values in numbers.items() if name.endswith("_sd")}
+    count = numbers["samples"]
+    wrong = [
+        ("samples", ~(count >= 1), "are below 1", "1 or more"),
+        ("samples", count > _MOST_SAMPLES, f"are above {_MOST_SAMPLES:g}", "how many raw samples the row is a mean of"),
+        ("samples", (count >= 1) & (count != np.floor(count)), "are no whole number", "a whole number of raw samples"),
+    ]
+    spreads = [name for name in numbers if name.endswith("_sd")]
+    wrong += [(name, numbers[name] < 0, "are negative", "0 or more") for name in spreads]
     return [
         Finding(
             "bad_count", "error", entry.name,
-            f"{int(rows.sum())} cells of '{name}' are {'below 1' if name == 'samples' else 'negative'}",
-            f"{source.place(int(np.argmax(rows)))}, column '{name}'",
-            "1 or more" if name == "samples" else "0 or more", "correct the cell",
+            f"{int(rows.sum())} cells of '{name}' {what}, the first is {numbers[name][np.argmax(rows)]:.12g}",
+            f"{source.place(int(np.argmax(rows)))}, column '{name}'", allowed, "correct the cell",
         )
-        for name, rows in wrong.items() if rows.any()
+        for name, rows, what, allowed in wrong if rows.any()
     ]  # fmt: skip
 
 

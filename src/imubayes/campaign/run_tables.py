@@ -16,12 +16,14 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
 from imubayes.campaign.csv_errors import csv_faults
+from imubayes.campaign.file_schemas import ABSURD
 from imubayes.campaign.run_columns import ColumnLayout
 from imubayes.errors import InputError, Issue, input_error
 
 BATCH_ROWS = 65536
 BLOCK_BYTES = 1 << 20
 KEEP_ROWS = 200_000  # at most this many rows of a table stay in memory (10 columns: 16 MB)
+MOST_CELLS = 1 << 26  # of a table that is in memory as a whole: 0.5 GiB
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class RowBatch:
     rows : number of rows.
     numbers : column → float64 values, NaN where the cell is empty.
     texts : column → list of str or None.
-    not_finite : column → indices within the batch of cells that hold NaN or infinity.
+    not_finite : column → indices within the batch of cells that hold NaN, infinity or an absurd number; they are NaN
+        in `numbers`.
     """
 
     first: int
@@ -56,6 +59,15 @@ class TableSource:
         """Return the place of a row for messages: file and line (CSV) or row number (Parquet)."""
         return f"{self.file}:{row + 2}" if is_csv(self.file) else f"{self.file}, row {row + 1}"
 
+    def whole(self) -> dict[str, np.ndarray]:
+        """Return all numbers, by column; raises InputError for a table that is too long to be in memory."""
+        batches, cells = [], 0
+        for batch in self:
+            cells += batch.rows * len(batch.numbers)
+            refuse_too_large(self.file, cells)
+            batches.append(batch)
+        return {name: np.concatenate([batch.numbers[name] for batch in batches]) for name in self.layout.numbers}
+
     def __iter__(self) -> Iterator[RowBatch]:
         if self._kept is not None:
             yield from self._kept
@@ -69,6 +81,24 @@ class TableSource:
                 kept = [*kept, batch] if first <= KEEP_ROWS else None
             yield batch
         self._kept = kept
+
+
+def refuse_long(file: Path, columns: int) -> None:
+    """Raise InputError for a Parquet table that says of itself that so many of its columns do not fit in memory."""
+    if not is_csv(file):
+        with _parquet(file) as parquet:
+            refuse_too_large(file, parquet.metadata.num_rows * columns)
+
+
+def refuse_too_large(file: Path, cells: int) -> None:
+    """Raise InputError for more cells than are held in memory."""
+    if cells > MOST_CELLS:
+        raise input_error(
+            f"the table is too large: {cells:.3g} numbers or more are to be in memory at once",
+            str(file),
+            f"at most {MOST_CELLS:.3g} numbers, {MOST_CELLS * 8 >> 20} MiB",
+            "give fewer rows, or the raw log without a column 'samples', which is read piece by piece",
+        )
 
 
 def is_csv(file: Path) -> bool:
@@ -177,11 +207,12 @@ def _to_batch(records: pa.RecordBatch, layout: ColumnLayout, first: int) -> RowB
         column = records.column(name)
         values = np.array(np.from_dlpack(column.cast(pa.float64()).fill_null(_NAN)))
         numbers[name] = values
-        bad = ~np.isfinite(values)
+        bad = ~(np.abs(values) <= ABSURD)
         if column.null_count:
             bad &= np.array(column.is_valid().to_pylist())
         if bad.any():
             not_finite[name] = np.flatnonzero(bad)
+            values[bad] = math.nan
     texts = {name: records.column(name).cast(pa.string()).to_pylist() for name in layout.texts}
     return RowBatch(first, records.num_rows, numbers, texts, not_finite)
 

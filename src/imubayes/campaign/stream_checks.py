@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from imubayes.campaign.file_schemas import ABSURD
 from imubayes.campaign.findings import Finding, Severity
 from imubayes.campaign.reduction import sampling_interval
 from imubayes.campaign.run_tables import RowBatch, TableSource
@@ -195,8 +196,8 @@ class Monitor:
     def _cell_findings(self) -> list[Finding]:
         found = []
         for name, tally in self._not_finite.items():
-            what = f"{_count(tally, 'cell')} of '{name}' NaN or infinite"
-            allowed = "a finite number, or an empty cell where the value is missing"
+            what = f"{_count(tally, 'cell')} of '{name}' NaN, infinite or beyond {ABSURD:g}"
+            allowed = "a number that the instrument can read, or an empty cell where the value is missing"
             found += self._at("nan_values", tally, name, what, allowed, "empty or correct the cell")
         for name, tally in self._empty.items():
             what = f"{_count(tally, 'cell')} of '{name}' empty"

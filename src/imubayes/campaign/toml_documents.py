@@ -141,7 +141,7 @@ def _message(fault: Any, path: KeyPath, label: str, owner: type[BaseModel] | Non
         case "value_error":
             return str(context["error"]), ", ".join(fields), "correct this entry"
         case "string_pattern_mismatch":
-            return f"{spell(path)}: {given!r} is not a valid name", PATTERNS[context["pattern"]], "correct the name"
+            return f"{spell(path)}: {given!r} is not allowed here", PATTERNS[context["pattern"]], "correct it"
     return None
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import cyclopts
 
-from imubayes.cli.options import Flag, Json, Names, print_json, split
+from imubayes.cli.options import Flag, Json, Names, Trust, print_json, split
 
 if TYPE_CHECKING:
     from imubayes.results.model_change import ModelChange
@@ -21,6 +21,7 @@ def add(
     seed: int = 0,
     as_json: Json = False,
     verbose: Flag = False,
+    trust: Trust = False,
 ) -> int:
     """Add effects to the model of a result, fit again from there, and show what that brought.
 
@@ -45,11 +46,14 @@ def add(
         Print one JSON object on standard output.
     verbose
         List the residual rms of every channel and run, also where it did not change.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, start_jax
+    from imubayes.cli.session import progress, start_jax, trusting
 
     with progress() as tell:
         start_jax("add")
+        trusting(to, trust)
         from imubayes.api import add as add_effects
 
         change = add_effects(to, effects, out, split(channels), sample=sample, seed=seed, progress=tell)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imubayes.cli.options import Flag
+from imubayes.cli.options import Flag, Trust
 
 if TYPE_CHECKING:
     from imubayes.results.result import Result
@@ -18,6 +18,7 @@ def apply(
     temperature: float | None = None,
     converter_temperature: float | None = None,
     along_axes: Flag = False,
+    trust: Trust = False,
 ) -> int:
     """Correct a recording of a calibrated unit: outputs become rates and accelerations, with uncertainty.
 
@@ -46,7 +47,12 @@ def apply(
         Temperature of the converters in °C, where no column gives it.
     along_axes
         Treat every channel alone: there was no input across its axis.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
+    from imubayes.cli.session import trusting
+
+    trusting(result, trust)
     stated = {"temperature": temperature, "converter_temperature": converter_temperature}
     known = {name: value for name, value in stated.items() if value is not None}
     for line in (*_corrected(result, recording, out, run, known, along_axes), f"wrote {out}"):

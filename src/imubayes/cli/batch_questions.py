@@ -111,12 +111,12 @@ def prior(results: Path, *, out: Path, name: str = "", model_hash: str | None = 
     from imubayes.batch.posterior_table import MODEL_FILE, model_folder
     from imubayes.display.batch_questions import prior_report
     from imubayes.display.report_layout import print_report
-    from imubayes.model.model_file import read_model
+    from imubayes.model.model_file import read_carried_model
     from imubayes.results.result_folder import model_text
 
     found, _ = populations(*_tables(results, model_hash))
     folder, _ = _of_one_model(results, model_hash)
-    spec, replaced = next_unit_model(read_model(model_folder(folder, found.model) / MODEL_FILE), found, name)
+    spec, replaced = next_unit_model(read_carried_model(model_folder(folder, found.model) / MODEL_FILE), found, name)
     refuse_existing(out)
     write_text(out, model_text(spec))
     if as_json:

@@ -2,11 +2,17 @@
 
 from pathlib import Path
 
-from imubayes.cli.options import Json, print_json
+from imubayes.cli.options import Json, Trust, print_json
+from imubayes.errors import input_error
 
 
 def classical(
-    campaign: Path, *, result: Path | None = None, delta_k_threshold: float | None = None, as_json: Json = False
+    campaign: Path,
+    *,
+    result: Path | None = None,
+    delta_k_threshold: float | None = None,
+    as_json: Json = False,
+    trust: Trust = False,
 ) -> int:
     """Evaluate each run by the classical method of its procedure, and compare with the joint fit.
 
@@ -23,17 +29,19 @@ def classical(
         fitted model, then that of the campaign, then 10.
     as_json
         Print one JSON object on standard output.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress
+    from imubayes.cli.session import progress, trusting
 
     with progress() as tell:
+        trusting(result, trust)
         from imubayes.campaign import load_campaign
         from imubayes.display.classical_comparison import classical_json, compare_classical
         from imubayes.display.classical_of_prediction import of_prediction
         from imubayes.display.effects_behind import effects_behind
         from imubayes.display.fit_report import classical_report
         from imubayes.display.report_layout import print_report
-        from imubayes.errors import input_error
         from imubayes.procedures.classical import classical as evaluate
         from imubayes.results.fit_file import read_fit
         from imubayes.results.fit_record import refuse_other_data
@@ -41,10 +49,7 @@ def classical(
 
         tell("reading the campaign")
         loaded = load_campaign(campaign)
-    if delta_k_threshold is not None and not delta_k_threshold > 0:
-        raise input_error(
-            f"a threshold of {delta_k_threshold:g} %", "--delta-k-threshold", "a percentage above 0", "correct it"
-        )
+    _refuse_threshold(delta_k_threshold)
     summary = predicted = None
     if result is not None:
         refuse_other_data(result, loaded)
@@ -61,3 +66,8 @@ def classical(
     else:
         print_report(classical_report(comparison))
     return 0 if comparison.estimates else 1
+
+
+def _refuse_threshold(percent: float | None) -> None:
+    if percent is not None and not percent > 0:
+        raise input_error(f"a threshold of {percent:g} %", "--delta-k-threshold", "a percentage above 0", "correct it")

@@ -2,11 +2,16 @@
 
 from pathlib import Path
 
-from imubayes.cli.options import Flag
+from imubayes.cli.options import Flag, Trust
 
 
 def compare(
-    result: Path, *, parameters: list[str] | None = None, runs: list[str] | None = None, every: Flag = False
+    result: Path,
+    *,
+    parameters: list[str] | None = None,
+    runs: list[str] | None = None,
+    every: Flag = False,
+    trust: Trust = False,
 ) -> int:
     """Compare the model with the measurements: figures, and goodness of fit per run and channel.
 
@@ -22,10 +27,13 @@ def compare(
         Runs that have a figure of their own, or 'all'; with --every the six that fit worst.
     every
         Draw all figures; by default the five that matter most are drawn, and those asked for.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress
+    from imubayes.cli.session import progress, trusting
 
     with progress() as tell:
+        trusting(result, trust)
         from imubayes.display.model_against_measurement import compare as compare_result
         from imubayes.display.model_against_measurement import print_comparison
 

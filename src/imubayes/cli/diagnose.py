@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imubayes.cli.options import Flag, Json, print_json
+from imubayes.cli.options import Flag, Json, Trust, print_json
 
 if TYPE_CHECKING:
     from imubayes.criticism.diagnosis_record import Diagnosis
@@ -16,6 +16,7 @@ def diagnose(
     as_json: Json = False,
     python: Flag = False,
     verbose: Flag = False,
+    trust: Trust = False,
 ) -> int:
     """Say which effect the model lacks, from one pass and without a refit.
 
@@ -34,11 +35,14 @@ def diagnose(
         with `imubayes add FILE.py`.
     verbose
         Print every table: all effects, noise, outliers, formulas and undetectable effects.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, start_jax
+    from imubayes.cli.session import progress, start_jax, trusting
 
     with progress() as tell:
         start_jax("diagnose")
+        trusting(result, trust)
         from imubayes.api import diagnose as find_missing
         from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
         from imubayes.display.report_layout import print_report

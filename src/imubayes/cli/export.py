@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from imubayes.cli.options import Flag
+from imubayes.cli.options import Flag, Trust
 
 
 def export(
@@ -15,6 +15,7 @@ def export(
     rate_hz: float | None = None,
     topic: str = "/imu0",
     accept_loss: Flag = False,
+    trust: Trust = False,
 ) -> int:
     """Write the constants of a unit in the format of the program that will use them.
 
@@ -40,10 +41,13 @@ def export(
         ROS topic, for kalibr.
     accept_loss
         Leave out what the format cannot hold; the file says what and how large.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import start_jax
+    from imubayes.cli.session import start_jax, trusting
 
     start_jax()
+    trusting(result, trust)
     from imubayes import api
     from imubayes.display.onboard.losses_in_words import in_words
     from imubayes.errors import input_error

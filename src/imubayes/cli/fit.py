@@ -1,13 +1,17 @@
 """`imubayes fit`: the main job."""
 
 import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from imubayes.cli.options import Flag, Json, print_json
-from imubayes.cli.session import progress, start_jax
+from imubayes.cli.options import Flag, Json, Trust, print_json
+from imubayes.cli.session import progress, start_jax, trusting
 
 if TYPE_CHECKING:
+    from imubayes.campaign_data import Campaign
     from imubayes.results.summary import Summary
 
 
@@ -23,6 +27,7 @@ def fit(
     until_digits: Literal[1, 2] | None = None,
     as_json: Json = False,
     verbose: bool = False,
+    trust: Trust = False,
 ) -> int:
     """Fit all runs of a campaign jointly, sample the posterior, and write the result folder.
 
@@ -50,27 +55,45 @@ def fit(
         Print summary.json on standard output.
     verbose
         Print every table: all parameters with intervals, runs, combinations, contributions of procedures.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.beside import inspecting
-
-    with progress() as tell, inspecting(campaign) as inspected:
-        start_jax()
+    with ExitStack() as held:
+        recorded = _read(campaign, partial(_claim, held, out, resume, replace))
+        trusting(model, trust)
         from imubayes.api import fit as fit_campaign
-        from imubayes.display.check_report import usable, warning_lines
 
-        tell("reading the campaign")
-        recorded = usable(inspection := inspected())
-    print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
-    with progress("compiling") as tell:
-        result = fit_campaign(
-            recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
-            until_digits=until_digits, progress=tell,
-        )  # fmt: skip
+        with progress("compiling") as tell:
+            result = fit_campaign(
+                recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
+                until_digits=until_digits, progress=tell,
+            )  # fmt: skip
     if as_json:
         print_json(result.summary.model_dump(mode="json"))
     else:
         _print_summary(result.summary, verbose, campaign, out)
     return 0 if result.converged else 1
+
+
+def _claim(held: ExitStack, out: Path, resume: bool, replace: bool) -> None:
+    from imubayes.results.folder_state import claimed
+
+    held.enter_context(claimed(out, resume, replace))
+
+
+def _read(campaign: Path, claim: Callable[[], None]) -> "Campaign":
+    """Return the campaign, after its warnings are printed; where the result cannot be written, that is said first."""
+    from imubayes.cli.beside import inspecting
+
+    with progress() as tell, inspecting(campaign) as inspected:
+        claim()
+        start_jax()
+        from imubayes.display.check_report import usable, warning_lines
+
+        tell("reading the campaign")
+        recorded = usable(inspection := inspected())
+    print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
+    return recorded
 
 
 def _print_summary(summary: "Summary", verbose: bool, campaign: Path, out: Path) -> None:

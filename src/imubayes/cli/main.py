@@ -1,7 +1,9 @@
 """The command `imubayes`: its subcommands, error messages and exit status."""
 
 import atexit
+import errno
 import gc
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -33,6 +35,9 @@ from imubayes.cli.simulate import simulate
 from imubayes.errors import InputError, Issue, closest_first
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# Characters that steer a terminal: they come from names in files, and are shown as numbers.
+_CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
 _COLLECTION_THRESHOLD = 2_000_000
 _COMMANDS = (
     check, fit, compare, classical, noise, carrier, apply, export, diagnose, add, remove, history, plant, report,
@@ -61,6 +66,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     gc.set_threshold(_COLLECTION_THRESHOLD)
     # The matrices are small: threads of OpenBLAS wait for each other, on the cores that compiled code needs.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A terminal that lacks a character shows another one in its place.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     _leave(run(arguments))
 
 
@@ -80,6 +89,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status."""
     try:
         status = app(arguments, exit_on_error=False, print_error=False)
+        sys.stdout.flush()
     except InputError as error:
         return _refuse(*error.issues)
     except cyclopts.CycloptsError as error:
@@ -92,12 +102,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("IMUBAYES_TRACEBACK"):
             raise
-        return _refuse(_of_file(error) if isinstance(error, OSError) and error.filename else _unforeseen(error))
+        return _refuse(_issue_of(error))
     return status if isinstance(status, int) else DONE
 
 
 def _refuse(*issues: Issue) -> int:
-    print("\n\n".join(str(issue) for issue in issues), file=sys.stderr)
+    print("\n\n".join(str(issue) for issue in issues).translate(_CONTROL), file=sys.stderr)
     if len(issues) > 1:
         print(f"\n{len(issues)} problems found; nothing was written", file=sys.stderr)
     return UNUSABLE
@@ -113,10 +123,38 @@ def _of_command_line(error: cyclopts.CycloptsError) -> Issue:
     )
 
 
+def _issue_of(error: Exception) -> Issue:
+    """Return what is said of an error that no command foresaw."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if getattr(cause, "errno", None) in _FULL or os.strerror(errno.ENOSPC) in str(cause):
+            return _full(getattr(cause, "filename", None))
+        cause = cause.__cause__ or cause.__context__
+    if isinstance(error, MemoryError):
+        return _out_of_memory()
+    return _of_file(error) if isinstance(error, OSError) else _unforeseen(error)
+
+
+def _full(file: str | None) -> Issue:
+    return Issue(
+        "the disk is full",
+        str(file or "where this command writes, its temporary folder, or standard output"),
+        "a disk with room for what is written",
+        "make room, or choose another place with --out or TMPDIR; an earlier result is as it was",
+    )
+
+
+def _out_of_memory() -> Issue:
+    return Issue(
+        "there is not enough memory", "this command", "memory for all that is fitted jointly",
+        "fit fewer runs or rows at once, or use a machine with more memory",
+    )  # fmt: skip
+
+
 def _of_file(error: OSError) -> Issue:
     return Issue(
         f"file system error: {error.strerror or error}",
-        str(error.filename2 or error.filename),
+        str(error.filename2 or error.filename or "a file or stream of this command"),
         "an existing file to read, or a writable folder",
         "choose another path, or correct its permissions",
     )

@@ -12,6 +12,9 @@ Json = Annotated[bool, cyclopts.Parameter(name=("--json", "--json-output"), nega
 Flag = Annotated[bool, cyclopts.Parameter(negative="")]
 """A switch without a negative form."""
 
+Trust = Annotated[bool, cyclopts.Parameter(negative="")]
+"""Run the effect files that come along, now and later: they are code."""
+
 Names = Annotated[list[str] | None, cyclopts.Parameter(consume_multiple=True, negative="")]
 """Several names after one option, separated by blanks or commas."""
 
@@ -25,5 +28,6 @@ def split(names: list[str] | None) -> list[str] | None:
 
 def print_json(value: Any) -> None:
     """Print a JSON value as one line on standard output."""
-    json.dump(value, sys.stdout, ensure_ascii=False)
+    plain = (sys.stdout.encoding or "utf-8").lower().replace("-", "") != "utf8"
+    json.dump(value, sys.stdout, ensure_ascii=plain)
     print()

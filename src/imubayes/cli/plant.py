@@ -5,7 +5,7 @@ from typing import Annotated
 
 import cyclopts
 
-from imubayes.cli.options import Json, Names, print_json, split
+from imubayes.cli.options import Json, Names, Trust, print_json, split
 
 
 def plant(
@@ -19,6 +19,7 @@ def plant(
     draws: int = 20,
     seed: int = 0,
     as_json: Json = False,
+    trust: Trust = False,
 ) -> int:
     """Plant effects into data simulated from the fit, and see which the diagnosis would have found.
 
@@ -44,11 +45,14 @@ def plant(
         Seed of the simulations.
     as_json
         Print one JSON object on standard output.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, start_jax
+    from imubayes.cli.session import progress, start_jax, trusting
 
     with progress() as tell:
         start_jax()
+        trusting(result, trust)
         from imubayes.api import plant as plant_effects
         from imubayes.display.injection_report import injection_json, injection_report
         from imubayes.display.report_layout import print_report

@@ -6,7 +6,7 @@ from typing import Annotated
 import cyclopts
 
 from imubayes.cli.add import print_change
-from imubayes.cli.options import Flag, Json
+from imubayes.cli.options import Flag, Json, Trust
 
 
 def remove(
@@ -17,6 +17,7 @@ def remove(
     seed: int = 0,
     as_json: Json = False,
     verbose: Flag = False,
+    trust: Trust = False,
 ) -> int:
     """Remove effects from the model of a result, fit again from there, and show what that costs.
 
@@ -38,14 +39,17 @@ def remove(
         Print one JSON object on standard output.
     verbose
         List the residual rms of every channel and run, also where it did not change.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, start_jax
+    from imubayes.cli.session import progress, start_jax, trusting
     from imubayes.errors import input_error
 
     if not effects:
         raise input_error("no effect is named", "command line", "effects of the model", "name one")
     with progress() as tell:
         start_jax("remove")
+        trusting(source, trust)
         from imubayes.api import remove as remove_effects
 
         change = remove_effects(source, effects, out, sample=sample, seed=seed, progress=tell)

@@ -16,6 +16,7 @@ _RECORDS = {
     "history": ("imubayes.loop.model_history", "Node"),
     "fit": ("imubayes.results.fit_file", "FitRecord"),
     "report": ("imubayes.qualification.report_record", "QualificationReport"),
+    "manifest": ("imubayes.results.manifest", "Manifest"),
     "summary": ("imubayes.results.summary", "Summary"),
 }
 """Kind of file → module and name of its pydantic record."""
@@ -30,7 +31,7 @@ def schema(kind: str) -> int:
     ----------
     kind
         campaign (campaign.toml), model, plan; report; constants (of `imubayes export`); summary, fit, diagnosis,
-        change, or history (JSON files of a result).
+        change, history or manifest (JSON files of a result).
     """
     if kind not in _RECORDS:
         allowed = closest_first(kind, _RECORDS)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from pathlib import Path
 
 from imubayes.display.terminal_progress import terminal_progress
 
@@ -11,6 +12,14 @@ def start_jax(command: str = "") -> None:
     from imubayes.jax_settings import prepare_jax
 
     prepare_jax(command)
+
+
+def trusting(place: Path | None, trust: bool) -> None:
+    """Remember the effect files that come along with a result, model or plan as trusted, where the user says so."""
+    if trust and place is not None:
+        from imubayes.results.carried_effects import trust as remember
+
+        remember(place)
 
 
 def progress(text: str = "loading") -> AbstractContextManager[Callable[[str], None]]:

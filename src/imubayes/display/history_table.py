@@ -31,7 +31,7 @@ def history_json(tree: Tree) -> dict[str, Any]:
     for depth, place in tree.in_order():
         parent = tree.parents[place]
         where = {"folder": shown_place(place), "depth": depth}
-        content = tree.nodes[place].model_dump(mode="json", exclude={"format", "children"})
+        content = tree.nodes[place].model_dump(mode="json", exclude={"format"})
         nodes.append(where | content | {"parent": None if parent is None else shown_place(parent)})
     return {"format": 2, "nodes": nodes, "selected": [shown_place(place) for place in tree.selected]}
 

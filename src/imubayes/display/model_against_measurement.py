@@ -38,7 +38,7 @@ from imubayes.results.fit_record import campaign_of
 from imubayes.results.posterior_draws import draws_of
 from imubayes.results.read_folder import read_summary_and_residuals
 from imubayes.results.record_files import damaged
-from imubayes.results.record_names import MODEL, POSTERIOR
+from imubayes.results.record_names import MODEL, PAGE, POSTERIOR
 from imubayes.results.summary import Summary
 from imubayes.step_counter import Tell, counted
 
@@ -48,7 +48,6 @@ fit_file: Any = lazy_loader.load("imubayes.results.fit_file", suppress_warning=T
 
 _MOST_COLUMNS = 9
 _INDEX = "captions.json"
-PAGE = "compare.html"
 
 
 @dataclass(frozen=True)

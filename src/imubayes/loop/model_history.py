@@ -1,7 +1,8 @@
 """The models tried, as a tree: what each was made from, what that brought, and which one is selected.
 
-A node is what `history.json` of a result folder says; parents and children are named by their folders, relative to the
-node's own, so that results may move together.  Of a tree one node is selected: the one that is exported.
+A node is what `history.json` of a result folder says; its parent is named by its folder, relative to the node's own, so
+that results may move together.  It is written with the fit and never again: a model made from it leaves it as it is.
+Of a tree one node is selected: the one that is exported.
 """
 
 import hashlib
@@ -35,7 +36,6 @@ class Node(Record):
     id : of twelve characters, from data, model, seed and parent.
     model : name of the model.
     parent : folder of the model it was made from, relative to its own; None for the first.
-    children : folders of the models made from it, relative to its own.
     added, removed : effects that it has more and less than its parent.
     verdict : of the diagnosis that led here; None where there was none.
     chi2, dof, rms : χ², its degrees of freedom and the residual rms of each channel, at the noise known beforehand.
@@ -44,14 +44,13 @@ class Node(Record):
     held_out : cross-validation against its parent; None where there was none.
     data_hash, model_hash, seed : what was fitted.
     taken, message : whether the fit may be used, and why not.
-    selected : whether this is the model that counts.
+    selected : whether this is the model that counts, as its tree says; not kept in the file.
     """
 
-    format: Literal[2] = 2
+    format: Literal[3] = 3
     id: str
     model: str
     parent: str | None = None
-    children: tuple[str, ...] = ()
     added: tuple[EffectChoice, ...] = ()
     removed: tuple[EffectChoice, ...] = ()
     verdict: Verdict | None = None
@@ -66,7 +65,11 @@ class Node(Record):
     seed: int
     taken: bool = True
     message: str = ""
-    selected: bool = True
+    selected: bool = False
+
+    def file_text(self) -> str:
+        """Return the text of `history.json`."""
+        return self.model_dump_json(indent=1, exclude={"selected"}) + "\n"
 
     @property
     def title(self) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from imubayes.effects import EFFECTS, Effect
 from imubayes.effects.base import MotionEffect
 from imubayes.errors import InputError, closest_first, input_error
+from imubayes.model.trusted_effects import note_run
 from imubayes.noise import NOISES, Noise
 from imubayes.parameters.parameter_declarations import declared_parameters
 
@@ -83,6 +84,7 @@ def _members_of(file: Path) -> list[EffectClass]:
         raise refuse("the file is not Python")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
+    note_run(file)
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:

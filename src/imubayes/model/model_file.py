@@ -5,6 +5,7 @@ from pathlib import Path
 from imubayes.campaign.campaign_reader import read_model_file
 from imubayes.campaign.file_schemas import ModelFile
 from imubayes.model.model_spec import EffectSpec, ModelSpec, PriorCorrelation
+from imubayes.model.trusted_effects import refuse_untrusted
 
 
 def read_model(path: str | Path) -> ModelSpec:
@@ -58,6 +59,19 @@ def spec_of_file(file: ModelFile, path: Path) -> ModelSpec:
 def _noise_priors(path: Path) -> ModelSpec:
     """Read the noise of static records; it names no further file of its kind."""
     return spec_of_file(read_model_file(path).model_copy(update={"noise_priors": None}), path)
+
+
+def read_carried_model(path: Path) -> ModelSpec:
+    """Read a model file that comes along with something else: its own effects must be trusted.
+
+    Raises
+    ------
+    InputError
+        with everything that is wrong with the file, and for effect files that are not trusted.
+    """
+    spec = read_model(path)
+    refuse_untrusted(spec.files)
+    return spec
 
 
 load_model = read_model  # the public name

@@ -11,7 +11,6 @@ import polars as pl
 from imubayes.campaign_data import Campaign
 from imubayes.covariates import shown
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.errors import InputError
 from imubayes.loop.model_history import Tree
 from imubayes.qualification.assess import Assessment, assess, standards_input, tested_unit
 from imubayes.qualification.conformance import ProbabilityByTwoMethods
@@ -51,7 +50,9 @@ from imubayes.qualification.subject_and_provenance import omitted_values, proven
 from imubayes.results.estimates import is_constant
 from imubayes.results.history_tree import read_tree
 from imubayes.results.loop_files import read_diagnosis
+from imubayes.results.manifest import checked
 from imubayes.results.posterior_draws import draws_of
+from imubayes.results.record_names import HISTORY
 from imubayes.results.result import Result, read_result
 from imubayes.results.summary import ParameterSummary, Quantity
 
@@ -101,10 +102,7 @@ def report_of(result: Result | str | Path, specification: str | Path | None = No
 
 def _tree(folder: Path) -> tuple[Tree, str] | None:
     """Return the history with the place of a result in it; None where there is none."""
-    try:
-        return read_tree([folder]), str(folder.resolve())
-    except InputError:
-        return None
+    return (read_tree([folder]), str(folder.resolve())) if checked(folder).holds(HISTORY) else None
 
 
 def convergence_of(result: Result) -> ReportedConvergence:

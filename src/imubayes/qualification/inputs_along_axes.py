@@ -17,6 +17,7 @@ import numpy as np
 import polars as pl
 
 from imubayes.array_shapes import Array, Float
+from imubayes.campaign.run_tables import refuse_too_large
 from imubayes.campaign_data import Campaign, Channel
 from imubayes.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.errors import InputError, Issue, closest_first
@@ -146,7 +147,11 @@ def read_readings(file: Path) -> pl.DataFrame:
         where the file is missing or no such table.
     """
     try:
-        return pl.read_parquet(file) if file.suffix == ".parquet" else pl.read_csv(file, infer_schema_length=None)
+        if file.suffix != ".parquet":
+            return pl.read_csv(file, infer_schema_length=None)
+        scanned = pl.scan_parquet(file)
+        refuse_too_large(file, scanned.select(pl.len()).collect().item() * len(scanned.collect_schema()))
+        return scanned.collect()
     except (OSError, pl.exceptions.PolarsError) as error:
         fault = "there is no such file" if not file.is_file() else f"the file is no table: {str(error).splitlines()[0]}"
         raise InputError(

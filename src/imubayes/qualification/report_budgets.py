@@ -1,6 +1,5 @@
 """From the budgets of a result to the records of the report; they are kept in its folder, as they take seconds."""
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -9,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from imubayes.atomic_files import write_text
+from imubayes.errors import InputError
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import expected_deviations
 from imubayes.json_record import Record, finite
@@ -38,10 +37,10 @@ from imubayes.qualification.uncertainty_budget import (
     nuisance_groups,
 )
 from imubayes.results.estimates import is_constant
-from imubayes.results.record_names import FIT, POSTERIOR
+from imubayes.results.manifest import add_to, added
+from imubayes.results.record_names import BUDGETS
 from imubayes.results.result import Result
 
-BUDGETS = "budgets.json"
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
 _METHOD = 7
 _MOST_HALVED = 3
@@ -51,10 +50,9 @@ _NORMAL = "normal"
 
 
 class KeptBudgets(Record):
-    """Budgets in a result folder, with the method and a hash of the files that they were computed from."""
+    """Budgets in a result folder, with the method that they were computed by."""
 
     method: int
-    sha256: str
     budgets: UncertaintyBudgets
 
 
@@ -65,13 +63,13 @@ def budgets_of(result: Result, unit: TestedUnit | None) -> UncertaintyBudgets | 
     """
     if unit is None or result.folder is None:
         return None
-    file, sha256 = result.folder / BUDGETS, _hash(result.folder)
-    kept = _kept(file)
-    if kept is not None and (kept.method, kept.sha256) == (_METHOD, sha256):
+    kept = _kept(result.folder)
+    if kept is not None and kept.method == _METHOD:
         return kept.budgets
     budgets = _computed(result, unit)
-    with suppress(OSError):  # a result that cannot be written to has its budgets computed every time
-        write_text(file, KeptBudgets(method=_METHOD, sha256=sha256, budgets=budgets).model_dump_json() + "\n")
+    text = KeptBudgets(method=_METHOD, budgets=budgets).model_dump_json() + "\n"
+    with suppress(OSError, InputError):  # a result that cannot be written to has its budgets computed every time
+        add_to(result.folder, BUDGETS, text, result.identity)
     return budgets
 
 
@@ -84,17 +82,12 @@ def keep_budgets(result: Result) -> None:
         budgets_of(result, tested_unit(result))
 
 
-def _hash(folder: Path) -> str:
-    found = hashlib.sha256()
-    for name in (FIT, POSTERIOR):
-        found.update((folder / name).read_bytes())
-    return found.hexdigest()
-
-
-def _kept(file: Path) -> KeptBudgets | None:
+def _kept(folder: Path) -> KeptBudgets | None:
+    """Return the budgets that a folder keeps of its fit; None where there are none as they were written."""
     try:
-        return KeptBudgets.model_validate_json(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        file = added(folder, BUDGETS)
+        return KeptBudgets.model_validate_json(file.read_bytes()) if file is not None else None
+    except (InputError, OSError, ValueError):
         return None
 
 

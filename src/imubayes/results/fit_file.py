@@ -18,7 +18,7 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import data_hash, model_hash
 from imubayes.json_record import finite
 from imubayes.model.bind import Model, bind
-from imubayes.model.model_file import read_model
+from imubayes.model.model_file import read_carried_model
 from imubayes.parameters.vector import Layout
 from imubayes.results.fit_record import (
     CampaignPlaces,
@@ -77,11 +77,11 @@ def read_fit(folder: str | Path) -> Fit:
         where the folder holds no fit, the campaign is gone, or campaign or model are not those that were fit.
     """
     folder = Path(folder)
-    record = read_fit_record(folder)
+    record, spec = read_fit_record(folder), read_carried_model(folder / MODEL)
     # The fit has held the same outputs against the same set-up.
     found = load_campaign(_folder(record.campaign, folder), judge_setup=record.campaign_notes is None)
     found = replace(found, notes=record.campaign_notes or found.notes)
-    model = bind(read_model(folder / MODEL), found)
+    model = bind(spec, found)
     if campaign_hash(model) != record.data_hash:
         raise InputError(
             Issue(

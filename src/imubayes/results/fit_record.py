@@ -7,8 +7,9 @@ from imubayes.campaign import load_campaign
 from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue, input_error
 from imubayes.json_record import Record
+from imubayes.results.manifest import checked
 from imubayes.results.record_files import read_record
-from imubayes.results.record_names import FIT, way_back
+from imubayes.results.record_names import FIT
 
 
 class CampaignPlaces(Record):
@@ -47,10 +48,9 @@ class FitRecord(Record):
 
 
 def read_fit_record(folder: str | Path) -> FitRecord:
-    """Return `fit.json` of a result folder; raises InputError where there is none or it is damaged."""
-    file = Path(folder) / FIT
-    allowed = "a folder written by `imubayes fit … --out FOLDER`"
-    return read_record(file, FitRecord, Issue("this result holds no fit", str(file), allowed, way_back(Path(folder))))
+    """Return `fit.json` of a result folder; raises InputError where that is not whole."""
+    checked(Path(folder))
+    return read_record(Path(folder) / FIT, FitRecord)
 
 
 def refuse_other_data(folder: str | Path, campaign: Campaign) -> None:

@@ -1,16 +1,39 @@
 """What a result folder holds: names of its files, whether it can take a result, and what is wrong with one."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import steps_in
-from imubayes.results.record_names import (
-    CHECKPOINT,
-    FIT,
-    POSTERIOR,
-    SUMMARY,
-)
+from imubayes.process_lock import only_writer
+from imubayes.results.record_names import CHECKPOINT, FIT, POSTERIOR, SUMMARY
+
+
+@contextmanager
+def claimed(folder: Path | None, resume: bool = False, replace: bool = False) -> Iterator[None]:
+    """Hold a folder for a result until the block ends; without a folder there is nothing to hold.
+
+    Raises
+    ------
+    InputError
+        as for `claim`, and where another process writes to it.
+    """
+    if folder is None:
+        yield
+        return
+    claim(folder, resume, replace)
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with only_writer(folder):
+            claim(folder, resume, replace)  # as it is now, after whoever held it
+            yield
+    finally:
+        with suppress(OSError):  # nothing was written
+            for place in made:
+                place.rmdir()
 
 
 def claim(folder: Path, resume: bool = False, replace: bool = False) -> None:
@@ -51,12 +74,22 @@ def claim(folder: Path, resume: bool = False, replace: bool = False) -> None:
                     f"choose another --out, or add --replace (in Python replace=True) to lose {folder / POSTERIOR}",
                 )
             )
-    if not resume:
-        folder.mkdir(parents=True, exist_ok=True)
 
 
-def claim_new(folder: Path, parent: Path | None) -> Path:
-    """Return a folder for the model after `parent`; raises InputError where it holds a result."""
+@contextmanager
+def claimed_new(folder: Path | None, parent: Path | None) -> Iterator[None]:
+    """Hold a folder for the model after `parent`; raises InputError where it holds a result."""
+    if folder is None:
+        yield
+        return
+    refuse_taken(folder, parent)
+    with claimed(folder, resume=True):
+        refuse_taken(folder, parent)
+        yield
+
+
+def refuse_taken(folder: Path, parent: Path | None) -> None:
+    """Raise InputError where a folder holds a result."""
     if (folder / FIT).exists() or (parent is not None and folder.resolve() == parent.resolve()):
         raise InputError(
             Issue(
@@ -66,8 +99,6 @@ def claim_new(folder: Path, parent: Path | None) -> Path:
                 "choose another --out, or remove the folder",
             )
         )
-    claim(folder, resume=True)
-    return folder
 
 
 def _sampled(folder: Path) -> bool:

@@ -1,17 +1,15 @@
-"""`history.json`: the models tried, read from and written to the result folders that hold them."""
+"""What `history.json` of a result says: the model, and what it was made from."""
 
 import os
 from pathlib import Path
 
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.errors import InputError
 from imubayes.inference.run_fit import model_hash
 from imubayes.loop.model_history import ChiSquareDrop, Node, node_id
 from imubayes.model.bind import Model
 from imubayes.results.fit_file import campaign_hash
-from imubayes.results.history_tree import read_node, select, write_node
+from imubayes.results.history_tree import read_node
 from imubayes.results.model_change import ModelChange
-from imubayes.results.result import read_result
 from imubayes.results.summary import Summary
 
 
@@ -33,20 +31,25 @@ def first_node(model: Model, summary: Summary, seed: int) -> Node:
     )
 
 
-def remember(parent: Path, folder: Path, change: ModelChange, diagnosis: Diagnosis | None, seed: int) -> None:
-    """Write the node of a changed model below that of the result it was made from, which is begun where it has none."""
-    model = change.result.fit.model
-    try:
-        above = read_node(parent)
-    except InputError:
-        before = read_result(parent)
-        above = first_node(before.fit.model, before.summary, seed)
-        write_node(parent, above)
+def next_node(parent: Path | None, change: ModelChange, diagnosis: Diagnosis | None, seed: int) -> Node:
+    """Return the node of a changed model; of one that was made from no folder, a first one.
+
+    Parameters
+    ----------
+    parent : result folder that it was made from.
+    change : what was done, with the refit, whose folder is known.
+    diagnosis : that led to it.
+    """
+    refitted = change.result
+    if parent is None or refitted.folder is None:
+        return first_node(refitted.fit.model, refitted.summary, seed)
+    model, above = refitted.fit.model, read_node(parent)
     data, made, held_out = campaign_hash(model), model_hash(model), change.held_out
-    known = change.result.summary.known_noise if change.taken else None
-    node = Node(
+    known = refitted.summary.known_noise if change.taken else None
+    return Node(
         id=node_id(data, made, seed, above.id),
         model=model.spec.name,
+        parent=os.path.relpath(parent.resolve(), refitted.folder.resolve()),
         added=change.added,
         removed=change.removed,
         verdict=diagnosis.verdict if diagnosis is not None else None,
@@ -61,22 +64,4 @@ def remember(parent: Path, folder: Path, change: ModelChange, diagnosis: Diagnos
         seed=seed,
         taken=change.taken,
         message=change.message,
-        selected=change.taken,
     )
-    join(parent, folder, node)
-
-
-def join(parent: Path, child: Path, node: Node) -> None:
-    """Write a node below its parent; where it is selected, no other of the tree is.
-
-    Parameters
-    ----------
-    parent, child : result folders.
-    node : of the child; its `parent` is set here.
-    """
-    above = read_node(parent)
-    place = os.path.relpath(child.resolve(), parent.resolve())
-    write_node(child, node.model_copy(update={"parent": os.path.relpath(parent.resolve(), child.resolve())}))
-    write_node(parent, above.model_copy(update={"children": tuple(dict.fromkeys((*above.children, place)))}))
-    if node.selected:
-        select(child)

@@ -1,55 +1,83 @@
-"""The tree of models tried, read from and written to the `history.json` of result folders."""
+"""The tree of models tried, read from the `history.json` of result folders.
+
+A node names its parent, so that a parent is never written to; children are looked for in the folders beside it.
+"""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
-from imubayes.atomic_files import write_text
-from imubayes.errors import Issue, input_error
+from imubayes.errors import InputError, input_error
 from imubayes.loop.model_history import Node, Tree
-from imubayes.results.record_files import read_record
-
-HISTORY = "history.json"
-
-
-def write_node(folder: Path, node: Node) -> None:
-    """Write `history.json` of a result folder."""
-    write_text(folder / HISTORY, node.json_text())
+from imubayes.results.manifest import checked, mark_selected
+from imubayes.results.record_files import AGAIN, read_record
+from imubayes.results.record_names import HISTORY
 
 
 def read_node(folder: Path) -> Node:
-    """Return the node of a result folder; raises InputError where there is none or it is damaged."""
-    file = folder / HISTORY
-    allowed = "a folder written by `imubayes fit`, `imubayes add` or `imubayes remove`"
-    remedy = "correct the path, or run the fit again"
-    return read_record(file, Node, Issue("this result has no history", str(file), allowed, remedy))
+    """Return the node of a result folder; raises InputError where that is not whole or has none."""
+    if not checked(folder).holds(HISTORY):
+        allowed = "a folder written by `imubayes fit`, `imubayes add` or `imubayes remove`"
+        raise input_error("this result has no history", str(folder / HISTORY), allowed, AGAIN)
+    return read_record(folder / HISTORY, Node)
 
 
 def read_tree(folders: Sequence[str | Path]) -> Tree:
-    """Return the trees that result folders stand in, with all ancestors and descendants that are still there.
+    """Return the trees that result folders stand in, with all ancestors that are still there, and descendants beside.
 
     Raises
     ------
     InputError
-        where one of the folders has no history.
+        where one of the folders, or an ancestor of one, is no whole result.
     """
     nodes = {str(Path(folder).resolve()): read_node(Path(folder)) for folder in folders}
     waiting = list(nodes)
     while waiting:
         place = Path(waiting.pop(0))
-        for found in _around(place, nodes[str(place)]):
-            if str(found) not in nodes and (found / HISTORY).is_file():
-                nodes[str(found)] = read_node(found)
+        for found, node in (*_above(place, nodes[str(place)]), *_below(place)):
+            if str(found) not in nodes:
+                nodes[str(found)] = node
                 waiting.append(str(found))
-    parents = {}
-    for place, node in nodes.items():
-        above = str((Path(place) / node.parent).resolve()) if node.parent else None
-        parents[place] = above if above in nodes else None
-    return Tree(nodes, parents)
+    parents = {place: _parent_place(Path(place), node) for place, node in nodes.items()}
+    tree = Tree(nodes, {place: above if above in nodes else None for place, above in parents.items()})
+    chosen = {_selected(tree, root) for root in tree.roots}
+    marked = {place: node.model_copy(update={"selected": place in chosen}) for place, node in nodes.items()}
+    return Tree(marked, tree.parents)
 
 
-def _around(place: Path, node: Node) -> Iterable[Path]:
-    return [(place / other).resolve() for other in (*([node.parent] if node.parent else []), *node.children)]
+def _parent_place(place: Path, node: Node) -> str | None:
+    return str((place / node.parent).resolve()) if node.parent else None
+
+
+def _above(place: Path, node: Node) -> Iterator[tuple[Path, Node]]:
+    parent = _parent_place(place, node)
+    if parent is not None and (Path(parent) / HISTORY).is_file():
+        yield Path(parent), read_node(Path(parent))
+
+
+def _below(place: Path) -> Iterator[tuple[Path, Node]]:
+    """Yield whole results in the folders beside one that were made from it."""
+    for file in sorted(place.parent.glob(f"*/{HISTORY}")):
+        with suppress(InputError):
+            if _parent_place(file.parent, read_record(file, Node)) == str(place):
+                yield file.parent.resolve(), read_node(file.parent)
+
+
+def _selected(tree: Tree, root: str) -> str:
+    """Return the place of the model that was selected last in the tree below a root; the root where none was."""
+    together = tree.together_with(root)
+    return max((place for _, place in tree.in_order() if place in together), key=_selection)
+
+
+def _selection(place: str) -> int:
+    return checked(Path(place)).selection
+
+
+def next_selection(folder: Path) -> int:
+    """Return the number that selects a model of the tree that a folder stands in, or one to be made from it."""
+    place = str(folder.resolve())
+    return 1 + max(map(_selection, read_tree([folder]).together_with(place)))
 
 
 def select(folder: str | Path) -> Tree:
@@ -62,17 +90,16 @@ def select(folder: str | Path) -> Tree:
     """
     place = str(Path(folder).resolve())
     tree = read_tree([folder])
-    together = tree.together_with(place)
     if not tree.nodes[place].taken:
+        together = tree.together_with(place)
         raise input_error(
             f"this model was not taken: {tree.nodes[place].message}",
             str(folder),
             ", ".join(shown_place(other) for other in together if tree.nodes[other].taken) or "a fit that converged",
             "select one of these",
         )
-    for other in together:
-        if tree.nodes[other].selected != (other == place):
-            write_node(Path(other), tree.nodes[other].model_copy(update={"selected": other == place}))
+    if not tree.nodes[place].selected:
+        mark_selected(Path(folder), next_selection(Path(folder)))
     return read_tree([folder])
 
 

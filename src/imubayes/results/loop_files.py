@@ -1,4 +1,4 @@
-"""`diagnosis.json`, `change.json` and `added_variable.parquet` of a result folder, and the steps they document."""
+"""`diagnosis.json` and `change.json` of a result folder, and the steps that they document."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -7,39 +7,37 @@ from pathlib import Path
 
 import polars as pl
 
-from imubayes.atomic_files import write_text
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup
 from imubayes.errors import InputError
 from imubayes.json_record import Record
 from imubayes.loop.model_history import Node, Tree
 from imubayes.loop.removal_odds import removal_log_odds
 from imubayes.results.history_tree import read_tree
+from imubayes.results.manifest import add_to, added, checked
 from imubayes.results.model_change import ModelChange
-from imubayes.results.record_names import RESIDUALS
-
-DIAGNOSIS, CHANGE, ADDED_VARIABLE = "diagnosis.json", "change.json", "added_variable.parquet"
+from imubayes.results.record_names import ADDED_VARIABLE, CHANGE, DIAGNOSIS, RESIDUALS
 
 
-def write_diagnosis(folder: Path, diagnosis: Diagnosis) -> None:
-    """Keep a diagnosis in the folder of the result that was diagnosed."""
-    write_text(folder / DIAGNOSIS, diagnosis.json_text())
+def write_diagnosis(folder: Path, diagnosis: Diagnosis, identity: str = "") -> None:
+    """Keep a diagnosis in the folder of the result that was diagnosed; `identity` is that of its fit."""
+    add_to(folder, DIAGNOSIS, diagnosis.json_text(), identity)
 
 
 def read_diagnosis(folder: Path) -> Diagnosis | None:
-    """Return the diagnosis that a result folder holds; None where there is none that can be read."""
-    return _read(folder / DIAGNOSIS, Diagnosis)
+    """Return the diagnosis that a result folder holds; None where there is none of this version.
 
-
-def write_change(folder: Path, change: ModelChange, added_variable: pl.DataFrame | None) -> None:
-    """Keep the record of a change, and of an addition its added-variable plot, in the folder of the refit."""
-    if added_variable is not None:
-        added_variable.write_parquet(folder / ADDED_VARIABLE)
-    write_text(folder / CHANGE, change.json_text())
+    Raises
+    ------
+    InputError
+        where the result is not whole, or the diagnosis is altered or of another fit.
+    """
+    file = added(folder, DIAGNOSIS)
+    return _read(file, Diagnosis) if file is not None else None
 
 
 def read_change(folder: Path) -> ModelChange | None:
-    """Return the change that made a result; None for a folder that holds none that can be read."""
-    return _read(folder / CHANGE, ModelChange)
+    """Return the change that made a result; None for a folder that holds none of this version."""
+    return _read(folder / CHANGE, ModelChange) if checked(folder).holds(CHANGE) else None
 
 
 def log_odds_of_removal(folder: Path, removed: Collection[str], kept: Collection[str]) -> float | None:
@@ -107,7 +105,7 @@ def read_steps(tree: Tree, place: str) -> tuple[HistoryStep, ...]:
                 group=diagnosis.groups[0] if diagnosis is not None and diagnosis.groups else None,
                 before=_table(before / RESIDUALS),
                 after=_table(after / RESIDUALS),
-                added_variable=_table(after / ADDED_VARIABLE),
+                added_variable=_table(after / ADDED_VARIABLE) if checked(after).holds(ADDED_VARIABLE) else None,
             )
         )
     return tuple(steps)

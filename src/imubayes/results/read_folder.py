@@ -5,8 +5,9 @@ from pathlib import Path
 import polars as pl
 
 from imubayes.errors import InputError, Issue
+from imubayes.results.manifest import checked
 from imubayes.results.record_files import AGAIN, damaged, read_record
-from imubayes.results.record_names import POSTERIOR, RESIDUALS, SUMMARY, missing
+from imubayes.results.record_names import POSTERIOR, RESIDUALS, SUMMARY
 from imubayes.results.residual_table import COLUMNS, Residuals
 from imubayes.results.summary import Summary
 
@@ -17,17 +18,15 @@ def read_summary_and_residuals(folder: Path) -> tuple[Summary, Residuals]:
     Raises
     ------
     InputError
-        if it is missing, incomplete or damaged; every issue is in it.
+        if it is missing, incomplete, altered or damaged; every issue is in it.
     """
-    issues = missing(folder)
-    if issues:
-        raise InputError(issues)
+    manifest, issues = checked(folder), []
     try:
         summary = read_record(folder / SUMMARY, Summary)
     except InputError as error:
         summary, issues = None, [*error.issues]
     residuals = _read_residuals(folder / RESIDUALS, issues)
-    if summary is not None and summary.sampled and not (folder / POSTERIOR).is_file():
+    if summary is not None and summary.sampled and not manifest.holds(POSTERIOR):
         where = str(folder / POSTERIOR)
         issues.append(Issue("the posterior is missing", where, f"{POSTERIOR}, as written by the fit", AGAIN))
     if issues or summary is None or residuals is None:

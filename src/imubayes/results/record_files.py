@@ -7,7 +7,7 @@ from pydantic import ValidationError
 from imubayes.errors import InputError, Issue
 from imubayes.json_record import Record
 
-AGAIN = "run `imubayes fit` again with this folder as --out"
+AGAIN = "run `imubayes fit` again with this folder as --out and --replace"
 
 
 # Faults of a damaged record that are listed.

@@ -11,6 +11,13 @@ MODEL = "model.toml"
 RESIDUALS = "residuals.parquet"
 POSTERIOR = "posterior.nc"
 CHECKPOINT = "checkpoint.h5"
+MANIFEST = "manifest.json"
+HISTORY = "history.json"
+CHANGE, ADDED_VARIABLE = "change.json", "added_variable.parquet"
+DIAGNOSIS, BUDGETS = "diagnosis.json", "budgets.json"
+PAGE = "compare.html"
+BY_OTHER_COMMANDS = {DIAGNOSIS: "diagnose", BUDGETS: "report"}
+"""File that is made of a finished fit → the command that makes it."""
 _NEEDED = (SUMMARY, RESIDUALS)
 
 

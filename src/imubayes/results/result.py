@@ -13,6 +13,7 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_groups import posterior_groups
 from imubayes.representation import Presented
 from imubayes.results.fit_file import read_fit
+from imubayes.results.manifest import checked, same_fit
 from imubayes.results.posterior_draws import Draws, draws_of
 from imubayes.results.posterior_tree import posterior_tree
 from imubayes.results.read_folder import read_summary_and_residuals
@@ -20,7 +21,6 @@ from imubayes.results.record_files import damaged
 from imubayes.results.record_names import POSTERIOR
 from imubayes.results.residual_table import Residuals
 from imubayes.results.residuals import residuals_of
-from imubayes.results.result_folder import write_result
 from imubayes.results.summarise import summarise
 from imubayes.results.summary import Quantity, Summary
 
@@ -39,12 +39,14 @@ class Result(Presented):
     ----------
     summary : every number that is reported, as in `summary.json`.
     residuals : one row per run, row and channel.
-    folder : the result folder; None where none was written.
+    folder : the result folder; None for none.
+    identity : of the fit in the folder, by its manifest; empty where none was written yet.
     """
 
     summary: Summary
     residuals: Residuals
     folder: Path | None = None
+    identity: str = ""
     _fit: Fit | None = field(default=None, repr=False)
 
     @property
@@ -64,13 +66,21 @@ class Result(Presented):
         if self._fit is not None:
             return self._fit
         assert self.folder is not None
+        same_fit(self.folder, self.identity)
         return read_fit(self.folder)
 
     @property
     def posterior_file(self) -> Path | None:
-        """The file with the posterior draws; None where there is none."""
-        file = self.folder / POSTERIOR if self.folder is not None else None
-        return file if file is not None and file.is_file() else None
+        """The file with the posterior draws; None where there is none.
+
+        Raises
+        ------
+        InputError
+            where the folder no longer holds the result as it was read.
+        """
+        if self.folder is None or not self.identity:
+            return None
+        return self.folder / POSTERIOR if same_fit(self.folder, self.identity).holds(POSTERIOR) else None
 
     @cached_property
     def posterior(self) -> "xarray.DataTree":
@@ -149,12 +159,9 @@ class Result(Presented):
 
 
 def result_of(fit: Fit, folder: Path | None = None, seed: int = 0, load_seconds: float = 0.0) -> Result:
-    """Return everything that is reported of a fit, and write the result folder where one is given."""
+    """Return everything that is reported of a fit; `folder` is where it is to be written."""
     residuals = residuals_of(fit)
-    summary = summarise(fit, residuals, load_seconds, seed)
-    if folder is not None:
-        write_result(folder, fit, summary, residuals, seed)
-    return Result(summary, residuals, folder, fit)
+    return Result(summarise(fit, residuals, load_seconds, seed), residuals, folder, _fit=fit)
 
 
 def read_result(folder: str | Path) -> Result:
@@ -163,7 +170,8 @@ def read_result(folder: str | Path) -> Result:
     Raises
     ------
     InputError
-        if it is missing, incomplete or damaged; every issue is in it.
+        if it is missing, incomplete, altered or damaged; every issue is in it.
     """
     folder = Path(folder)
-    return Result(*read_summary_and_residuals(folder), folder)
+    identity = checked(folder).identity
+    return Result(*read_summary_and_residuals(folder), folder, identity)

@@ -1,40 +1,70 @@
-"""The result folder: its one writer and its one reader.
+"""The writer of the result folder.
 
-A result is written to a scratch folder and put in place as a whole, so that there is never half a result.
+A result is written to a scratch folder and put in place as a whole, its manifest last (see `manifest`).
 """
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import polars as pl
 import tomlkit
 
-from imubayes.atomic_files import replacing_files
-from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_groups import posterior_groups
+from imubayes.loop.model_history import Node
 from imubayes.model.model_spec import ModelSpec
 from imubayes.results.fit_file import fit_record
+from imubayes.results.manifest import checked, replacing_result
+from imubayes.results.model_change import ModelChange
 from imubayes.results.posterior_file import write_posterior
-from imubayes.results.record_names import FIT, MODEL, POSTERIOR, RESIDUALS, SUMMARY
-from imubayes.results.residual_table import Residuals
-from imubayes.results.summary import Summary
+from imubayes.results.record_names import (
+    ADDED_VARIABLE,
+    CHANGE,
+    FIT,
+    HISTORY,
+    MODEL,
+    POSTERIOR,
+    RESIDUALS,
+    SUMMARY,
+)
+from imubayes.results.result import Result
 
 
-def write_result(folder: Path, fit: Fit, summary: Summary, residuals: Residuals, seed: int = 0) -> None:
-    """Write `summary.json`, `fit.json`, `posterior.nc`, `residuals.parquet`, `model.toml` and the user's effect files.
+def write_result(
+    result: Result,
+    node: Node,
+    *,
+    change: ModelChange | None = None,
+    added_variable: pl.DataFrame | None = None,
+    selection: int = 0,
+) -> Result:
+    """Write a fit to its folder, and return it with what identifies it there.
 
-    What an earlier fit wrote is replaced; other files of the folder stay.
+    Everything of an earlier result is replaced; other files of the folder stay.
+
+    Parameters
+    ----------
+    node : of the model in its history.
+    change, added_variable : how it was made from another model; None for the first.
+    selection : number of the selection in its history (see `Manifest`).
     """
-    with replacing_files(folder, last=SUMMARY) as scratch:
-        (scratch / SUMMARY).write_text(summary.json_text(), encoding="utf-8")
-        (scratch / FIT).write_text(fit_record(fit, folder, seed).json_text(), encoding="utf-8")
-        residuals.table.write_parquet(scratch / RESIDUALS)
+    fit, folder = result.fit, result.folder
+    assert folder is not None
+    with replacing_result(folder, selection) as scratch:
+        (scratch / SUMMARY).write_text(result.summary.json_text(), encoding="utf-8")
+        (scratch / FIT).write_text(fit_record(fit, folder, node.seed).json_text(), encoding="utf-8")
+        (scratch / HISTORY).write_text(node.file_text(), encoding="utf-8")
+        result.residuals.table.write_parquet(scratch / RESIDUALS)
         (scratch / MODEL).write_text(model_text(fit.model.spec), encoding="utf-8")
         for file in fit.model.spec.files:
             shutil.copyfile(file, scratch / Path(file).name)
         if fit.posterior is not None:
             write_posterior(posterior_groups(fit), scratch / POSTERIOR)
-        else:
-            (folder / POSTERIOR).unlink(missing_ok=True)
+        if change is not None:
+            (scratch / CHANGE).write_text(change.json_text(), encoding="utf-8")
+        if added_variable is not None:
+            added_variable.write_parquet(scratch / ADDED_VARIABLE)
+    return replace(result, identity=checked(folder).identity)
 
 
 def model_text(spec: ModelSpec) -> str:

@@ -19,7 +19,7 @@ from imubayes.campaign.convert.campaign_writer import refuse_occupied
 from imubayes.campaign.servo_angle import ANGLE
 from imubayes.errors import InputError
 from imubayes.model.bind import Model, bind
-from imubayes.model.model_file import read_model
+from imubayes.model.model_file import read_carried_model
 from imubayes.procedures import PROCEDURES
 from imubayes.simulation.planned_campaign import Plan, read_plan, recorded
 from imubayes.simulation.simulate import Simulated, simulate
@@ -43,7 +43,7 @@ def simulate_plan(plan: Path, out: Path, seed: int | None = None) -> Path:
     """
     refuse_occupied(out)
     read = read_plan(plan)
-    model = bind(read_model(read.model), read.campaign, single_runs=True)
+    model = bind(read_carried_model(read.model), read.campaign, single_runs=True)
     chosen = read.file.seed if seed is None else seed
     done = simulate(model, chosen, read.file.truth, f"{read.path}, [truth]")
     _write(out, read, model, done, chosen)

@@ -1,6 +1,7 @@
 """The files of a report, by their endings."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from imubayes.display.qualification.html_page import html_page
 from imubayes.display.qualification.pdf_file import pdf_file
 from imubayes.display.qualification.report_document import report_document
 from imubayes.errors import InputError, Issue, closest_first
+from imubayes.process_lock import only_writer
 from imubayes.qualification.report_record import QualificationReport
 
 
@@ -32,14 +34,23 @@ _WRITERS: dict[str, tuple[Callable[[QualificationReport], bytes], bytes]] = {
 """Ending → what makes the file, and how such a file begins."""
 
 
-def check_places(files: Sequence[Path]) -> None:
-    """Make sure before anything is computed that files can be written.
+@contextmanager
+def places_held(files: Sequence[Path]) -> Iterator[None]:
+    """Hold files for a report until the block ends, before anything is computed.
 
     Raises
     ------
     InputError
-        for an ending that is unknown, and a file that exists and is no report.
+        for an ending that is unknown, a file that exists and is no report, and one that another process writes.
     """
+    _check_places(files)
+    with ExitStack() as held:
+        for file in dict.fromkeys(file.resolve() for file in files):
+            held.enter_context(only_writer(file))
+        yield
+
+
+def _check_places(files: Sequence[Path]) -> None:
     issues = []
     for file in files:
         if file.suffix.lower() not in _WRITERS:
