@@ -54,6 +54,6 @@ def planted(
         for p, value in zip(model.hyper_layout.parameters, scales, strict=True)
     ]
     summary = Summary.model_construct(parameters=tuple(own), derived=(), converged=True)
-    result = Result(summary, Residuals.__new__(Residuals), None, fit)
+    result = Result(summary, Residuals.__new__(Residuals), None, _fit=fit)
     result.__dict__["draws"] = dict(zip(layout.names, draws.T, strict=True))
     return result
