@@ -35,9 +35,9 @@ from imubayes.procedures import PROCEDURES, Reduction, procedure_named
 
 ANGLE_COLUMN = "table_angle_deg"
 _MOST_LEVELS = 2
-# Raw samples of one row: a thousand seconds at a gigahertz.
-_MOST_SAMPLES = 1e12
 """Unsteady levels that a warning names."""
+_MOST_SAMPLES = 1e12
+"""Raw samples of one row: a thousand seconds at a gigahertz."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,7 @@
 """`imubayes fit`: the main job."""
 
 import sys
-from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -59,7 +57,7 @@ def fit(
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
     with ExitStack() as held:
-        recorded = _read(campaign, partial(_claim, held, out, resume, replace))
+        recorded = _read(campaign, held, out, resume, replace)
         trusting(model, trust)
         from imubayes.api import fit as fit_campaign
 
@@ -75,18 +73,14 @@ def fit(
     return 0 if result.converged else 1
 
 
-def _claim(held: ExitStack, out: Path, resume: bool, replace: bool) -> None:
-    from imubayes.results.folder_state import claimed
-
-    held.enter_context(claimed(out, resume, replace))
-
-
-def _read(campaign: Path, claim: Callable[[], None]) -> "Campaign":
-    """Return the campaign, after its warnings are printed; where the result cannot be written, that is said first."""
+def _read(campaign: Path, held: ExitStack, out: Path, resume: bool, replace: bool) -> "Campaign":
+    """Return the campaign, after its warnings are printed; the folder of the result is held before, in `held`."""
     from imubayes.cli.beside import inspecting
 
     with progress() as tell, inspecting(campaign) as inspected:
-        claim()
+        from imubayes.results.folder_state import claimed
+
+        held.enter_context(claimed(out, resume, replace))
         start_jax()
         from imubayes.display.check_report import usable, warning_lines
 

@@ -23,7 +23,7 @@ from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 LARGE = 50.0
 """Nats of an effect that is taken before any other is looked for."""
 PROPOSED = 3 * NEAR
-"""Nats below the best within which quick gains are worth an evaluation: they are within a few nats of it."""
+"""Nats below the best within which a quick gain is worth an evaluation, which differs from it by a few nats."""
 _BREADTH, _FORMS = 7, 4
 """Additions, pairs, swaps and forms that are evaluated about a hypothesis."""
 _MOST_EXPANDED, _PAIRED_UP_TO = 24, 2
