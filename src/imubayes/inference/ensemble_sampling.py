@@ -8,6 +8,9 @@ How long a chain has to be follows from the importance weights of its proposal: 
 weight of its place, so the chain takes several times the largest weight found (`imubayes.inference.proposal_weights`);
 and from the tails of the posterior, whose standard deviations and intervals are to have small Monte Carlo errors
 (`imubayes.inference.monte_carlo_error`).
+
+Without good independent proposals a walker that begins far off a narrow ridge may never arrive, while the others move
+along it.  Such walkers are drawn anew in the burn-in, from those in the bulk of their ensemble.
 """
 
 import math
@@ -20,7 +23,7 @@ import lazy_loader
 import numpy as np
 
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.convergence import EFFECTIVE_SIZE, MOST_DRAWS, STAYS, Convergence, diagnose
+from imubayes.inference.convergence import MOST_DRAWS, STAYS, Convergence, diagnose
 from imubayes.inference.laplace_move import LaplaceMove
 from imubayes.inference.monte_carlo_error import normal_length
 from imubayes.inference.proposal_weights import BatchedDensity, WeighedProposal
@@ -46,6 +49,11 @@ _LEAST_DRAWS, _LEAST_STEPS = 6000, 10
 _MARGIN, _MOST_LONGER = 1.1, 4.0
 # Of a chain longer than this without good independent proposals a quarter is left out, and so much of one with them.
 _LONG, _LONG_BURN_IN = 60, 15
+# Until a walker is drawn anew it has been far below the bulk for so many steps.
+_WATCHED = 15
+# A density may fall off exponentially in its logarithm, as that of a Cauchy distribution.  In the steps from the median
+# of the log density down to its quartile, ln 2 of such a scale, so many draws go twice as far as any of them would.
+_FAR_DRAWS = 1e5
 # Largest size of all chains together, in numbers: 400 MB.
 _MOST_NUMBERS = 50_000_000
 # What is kept of them: 80 MB, but never fewer draws than the second.
@@ -138,6 +146,9 @@ def sample(
                 return chains
             least = min(taken + _lacking(chains), most)
         steps = min(max(_BLOCK, taken // 4), (least if taken < least else most) - taken)
+        if not (weighed is not None and not hard) and _WATCHED <= taken <= burn_in(least, weighed):
+            for ensemble, backend in zip(ensembles, checkpoint.read(), strict=True):
+                ensemble.state = without_strays(ensemble.state, np.asarray(backend.get_log_prob())[-_WATCHED:])
         with checkpoint.block() as backends:
             for ensemble, backend in zip(ensembles, backends, strict=True):
                 ensemble.advance(steps, backend)
@@ -145,6 +156,29 @@ def sample(
         each = (time.monotonic() - clock) / (taken - begun)
         left = f" of {least}, about {duration(each * (least - taken))} left" if taken < least else ""
         tell(f"sampling: step {taken}{left}{mixing}")
+
+
+def without_strays(state: "emcee.State", log_density: np.ndarray) -> "emcee.State":
+    """Return the state of an ensemble with walkers that stay far below its bulk drawn anew from those that do not.
+
+    A place that holds a share of the posterior, however low its density, widens the quartiles or is left by its walkers
+    now and then; only one that does neither is given up.
+
+    Parameters
+    ----------
+    log_density : shape (steps, walkers), of the latest steps.
+    """
+    median, quartile = np.quantile(log_density, (0.5, 0.25))
+    far = 2 * np.log(_FAR_DRAWS) / np.log(2) * (median - quartile)
+    stray = log_density.max(axis=0) < median - far
+    if not stray.any() or not np.isfinite(far):
+        return state
+    random = np.random.RandomState()
+    random.set_state(state.random_state)
+    chosen = random.choice(np.flatnonzero(~stray), size=int(stray.sum()))
+    coords, height = state.coords.copy(), state.log_prob.copy()
+    coords[stray], height[stray] = coords[chosen], height[chosen]
+    return emcee.State(coords, log_prob=height, random_state=random.get_state())
 
 
 def _lacking(chains: Chains) -> int:
@@ -159,8 +193,7 @@ def _mixing(found: Convergence, weighed: WeighedProposal | None) -> str:
     r_hat = f"nested R-hat {np.nanmax(found.r_hat, initial=1.0):.3f}"
     if weighed is not None:
         return f"; {r_hat}"
-    size = np.nanmin(np.concatenate([found.ess_bulk, found.ess_tail]), initial=EFFECTIVE_SIZE)
-    return f"; effective size {size:.0f} of {EFFECTIVE_SIZE:.0f}, {r_hat}"
+    return f"; effective size {min(found.least_size, found.needed_size):.0f} of {found.needed_size:.0f}, {r_hat}"
 
 
 def _lengths(
