@@ -37,6 +37,9 @@ else:
 NESTED_R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
 # Effective draws that each walker gives at least; one that stands still gives 1.
 _PER_WALKER = 3.0
+# A density may fall off exponentially in its logarithm, as that of a Cauchy distribution.  In the steps from the median
+# of the log density down to its quartile, ln 2 of such a scale, so many draws go twice as far as any of them would.
+_FAR_DRAWS = 1e5
 LOG_DENSITY = "the log density"
 BLIND = (
     "The verdict is about the places where the ensembles were: it does not see a mode that no walker came near, nor a "
@@ -100,7 +103,7 @@ def diagnose(
         judged, labels = np.concatenate([chain, log_density[..., None]], axis=-1), [*names, LOG_DENSITY]
     sizes, r_hat = _effective_sizes(judged), nested_r_hat(_halves(judged))
     needed = max(EFFECTIVE_SIZE, _PER_WALKER * len(flat))
-    faults = [*_immobile(flat, log_density, names), *_too_few(r_hat, sizes, needed, labels)]
+    faults = [*_immobile(flat, log_density, names), *_strays(log_density), *_too_few(r_hat, sizes, needed, labels)]
     bulk, tail = sizes["bulk"][:dimensions], sizes["tail"][:dimensions]
     least = float(min(np.min(np.where(np.isnan(size), 0.0, size)) for size in sizes.values()))
     missed, inexact, longer = [], [], 1.0
@@ -133,6 +136,26 @@ def _immobile(flat: np.ndarray, log_density: np.ndarray, names: Sequence[str]) -
     if stuck.any():
         faults.append(f"{int(stuck.sum())} of {len(flat)} walkers never moved")
     return faults
+
+
+def far_below(log_density: np.ndarray) -> float:
+    """Return the log density below which no draw is expected to be, from those of all draws; −∞ where they do not tell.
+
+    A place that holds a share of the posterior, however low its density, widens the quartiles.
+    """
+    median, quartile = np.quantile(log_density, (0.5, 0.25))
+    spread = median - quartile
+    return float(median - 2 * np.log(max(_FAR_DRAWS, log_density.size)) / np.log(2) * spread) if spread > 0 else -np.inf
+
+
+def _strays(log_density: np.ndarray) -> list[str]:
+    """Return how many walkers began far below the bulk where none went from it; shape (ensembles, steps, walkers)."""
+    far = log_density < far_below(log_density)
+    entered = far[:, 1:] & ~far[:, :-1]
+    strays = int(far.any(axis=1).sum())
+    if not strays or entered.any():
+        return []
+    return [f"{strays} walkers began far below the log density of the others, where none came later"]
 
 
 def _effective_sizes(chain: np.ndarray) -> dict[str, np.ndarray]:

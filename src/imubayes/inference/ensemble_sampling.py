@@ -23,7 +23,7 @@ import lazy_loader
 import numpy as np
 
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.convergence import MOST_DRAWS, STAYS, Convergence, diagnose
+from imubayes.inference.convergence import MOST_DRAWS, STAYS, Convergence, diagnose, far_below
 from imubayes.inference.laplace_move import LaplaceMove
 from imubayes.inference.monte_carlo_error import normal_length
 from imubayes.inference.proposal_weights import BatchedDensity, WeighedProposal
@@ -49,11 +49,9 @@ _LEAST_DRAWS, _LEAST_STEPS = 6000, 10
 _MARGIN, _MOST_LONGER = 1.1, 4.0
 # Of a chain longer than this without good independent proposals a quarter is left out, and so much of one with them.
 _LONG, _LONG_BURN_IN = 60, 15
-# Until a walker is drawn anew it has been far below the bulk for so many steps.
-_WATCHED = 15
-# A density may fall off exponentially in its logarithm, as that of a Cauchy distribution.  In the steps from the median
-# of the log density down to its quartile, ln 2 of such a scale, so many draws go twice as far as any of them would.
-_FAR_DRAWS = 1e5
+# Until a walker is drawn anew it has been far below the bulk for so many steps; and for so many steps it is looked for,
+# all left out: by then ensembles that began a thousand standard deviations off a ridge have their quartiles on it.
+_WATCHED, _SETTLING = 15, 150
 # Largest size of all chains together, in numbers: 400 MB.
 _MOST_NUMBERS = 50_000_000
 # What is kept of them: 80 MB, but never fewer draws than the second.
@@ -146,7 +144,7 @@ def sample(
                 return chains
             least = min(taken + _lacking(chains), most)
         steps = min(max(_BLOCK, taken // 4), (least if taken < least else most) - taken)
-        if not (weighed is not None and not hard) and _WATCHED <= taken <= burn_in(least, weighed):
+        if not (weighed is not None and not hard) and _WATCHED <= taken <= min(_SETTLING, burn_in(least, weighed)):
             for ensemble, backend in zip(ensembles, checkpoint.read(), strict=True):
                 ensemble.state = without_strays(ensemble.state, np.asarray(backend.get_log_prob())[-_WATCHED:])
         with checkpoint.block() as backends:
@@ -168,10 +166,8 @@ def without_strays(state: "emcee.State", log_density: np.ndarray) -> "emcee.Stat
     ----------
     log_density : shape (steps, walkers), of the latest steps.
     """
-    median, quartile = np.quantile(log_density, (0.5, 0.25))
-    far = 2 * np.log(_FAR_DRAWS) / np.log(2) * (median - quartile)
-    stray = log_density.max(axis=0) < median - far
-    if not stray.any() or not np.isfinite(far):
+    stray = log_density.max(axis=0) < far_below(log_density)
+    if not stray.any():
         return state
     random = np.random.RandomState()
     random.set_state(state.random_state)
@@ -252,10 +248,10 @@ def burn_in(steps: int, weighed: WeighedProposal | None) -> int:
     """Return how many of the first steps are left out: the first few, more of a long chain.
 
     With good independent proposals a walker has forgotten its start after a few steps, and a longer chain is one that
-    needs many draws; others may have begun where they should not.
+    needs many draws; others may have begun where they should not, and settle first.
     """
     good = weighed is not None and weighed.acceptance >= _HARD_ACCEPTANCE
-    long = 0 if steps <= _LONG else _LONG_BURN_IN if good else steps // 4
+    long = 0 if steps <= _LONG else _LONG_BURN_IN if good else max(steps // 4, min(_SETTLING, steps // 2))
     return min(max(_BURN_IN, long), max(steps - 2, 0))
 
 
