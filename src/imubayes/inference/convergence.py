@@ -18,6 +18,7 @@ chains are as long as the standard deviations and intervals of all parameters ne
 (`imubayes.inference.monte_carlo_error`).
 """
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -40,6 +41,8 @@ _PER_WALKER = 3.0
 # A density may fall off exponentially in its logarithm, as that of a Cauchy distribution.  In the steps from the median
 # of the log density down to its quartile, ln 2 of such a scale, so many draws go twice as far as any of them would.
 _FAR_DRAWS = 1e5
+# Steps that are judged, evenly spaced, of longer chains: those that need so many move little in as few as are left out.
+_MOST_JUDGED = 1000
 LOG_DENSITY = "the log density"
 BLIND = (
     "The verdict is about the places where the ensembles were: it does not see a mode that no walker came near, nor a "
@@ -101,6 +104,7 @@ def diagnose(
     judged, labels = chain, [*names]
     if np.ptp(log_density) > 0:  # it is not where the density is uniform
         judged, labels = np.concatenate([chain, log_density[..., None]], axis=-1), [*names, LOG_DENSITY]
+    judged = judged[:, :: math.ceil(steps / _MOST_JUDGED)]
     sizes, r_hat = _effective_sizes(judged), nested_r_hat(_halves(judged))
     needed = max(EFFECTIVE_SIZE, _PER_WALKER * len(flat))
     faults = [*_immobile(flat, log_density, names), *_strays(log_density), *_too_few(r_hat, sizes, needed, labels)]
@@ -171,7 +175,7 @@ def _effective_sizes(chain: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _halves(chain: np.ndarray) -> np.ndarray:
-    """Return the halves of chains (ensembles, steps, …) as ensembles of their own; as they are where a half is short."""
+    """Return the halves of chains (ensembles, steps, …) as ensembles of their own; of short ones, the chains."""
     half = chain.shape[1] // 2
     return np.concatenate([chain[:, :half], chain[:, half : 2 * half]]) if half > 1 else chain
 

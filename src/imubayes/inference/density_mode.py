@@ -1,8 +1,8 @@
 """The mode of a differentiable log density and the normal distribution about it: a proposal for the ensembles.
 
-Strongly correlated parameters make a ridge; starts of the right standard deviations without the correlations lie far off
-it, and walkers that begin there may never arrive.  A JAX function tells its gradient, so the mode is found by Newton
-steps and the correlations come with it.
+Strongly correlated parameters make a ridge; starts of the right standard deviations without the correlations lie far
+off it, and walkers that begin there may never arrive.  A JAX function tells its gradient, so the mode is found by
+Newton steps and the correlations come with it.
 """
 
 from collections.abc import Callable

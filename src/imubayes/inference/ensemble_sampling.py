@@ -167,7 +167,7 @@ def without_strays(state: "emcee.State", log_density: np.ndarray) -> "emcee.Stat
     log_density : shape (steps, walkers), of the latest steps.
     """
     stray = log_density.max(axis=0) < far_below(log_density)
-    if not stray.any():
+    if not stray.any() or state.log_prob is None or state.random_state is None:
         return state
     random = np.random.RandomState()
     random.set_state(state.random_state)

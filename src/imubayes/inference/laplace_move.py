@@ -6,7 +6,7 @@ has the posterior as its stationary distribution; the quality decides the accept
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -84,6 +84,7 @@ class LogDensity:
         return np.where(np.isnan(values), -np.inf, values)
 
 
+@runtime_checkable
 class Proposal(Protocol):
     """A map from standard normal vectors to points and back, with the log density of the points."""
 

@@ -47,7 +47,7 @@ class WeighedProposal:
     points : shape (pools, n, D), independent draws of the proposal.
     weight : shape (pools, n), posterior over proposal, of mean 1; 0 where the posterior density is 0.
     pareto_k : tail index of the weights.
-    log_mass : logarithm of the mean weight before it was made 1: the integral of the posterior density where it was met.
+    log_mass : logarithm of the mean weight before it was made 1, the integral of the density where draws met it.
     """
 
     proposal: Proposal
@@ -105,9 +105,7 @@ def weigh_tail(
     return weigh(log_density, proposal, pools, _MORE * count, seed)
 
 
-def weigh(
-    log_density: BatchedDensity, proposal: Proposal, pools: int, count: int, seed: int
-) -> WeighedProposal | None:
+def weigh(log_density: BatchedDensity, proposal: Proposal, pools: int, count: int, seed: int) -> WeighedProposal | None:
     """Return `count` weighted draws of a proposal in each of several pools.
 
     None where no draw of a pool is possible.

@@ -32,8 +32,10 @@ else:
 
 # Starts are wider than the target is said to be, so that a second mode nearby is met by one of the ensembles.
 _OVERDISPERSION = 2.0
-# Without a Laplace proposal the starts are no draws of the target: a quarter of this many steps is left out as burn-in.
-_LEAST_STEPS = 300
+# Without a Laplace proposal the starts are no draws of the target: 150 of these steps are left out as burn-in.
+_LEAST_STEPS = 400
+# Walkers that give less than some effective draws in so many steps will mostly never do.
+_MOST_STEPS = 5000
 # Draws whose importance weights judge a proposal, of all ensembles together.
 _TRIAL = 4000
 # A proposal that is taken less often is no help, and one that misses this share of the mass, and more than so many
@@ -99,7 +101,8 @@ def sample(
 
     A function that JAX can differentiate is sampled from its mode and Laplace covariance, where these hold it.  The
     ensembles run until nested R̂ and the effective sample sizes of all parameters and of the log density are sufficient,
-    or `settings.most_steps` is reached.  A mode that no walker came near is not seen.
+    or `settings.most_steps` (5000 where it is 0 and there is no proposal) is reached.  A mode that no walker came near
+    is not seen.
 
     Parameters
     ----------
@@ -135,7 +138,8 @@ def sample(
     density = _without_nan(log_density)
     weighed = _weighed(density, normal_about_mode(log_density, centre, np.diag(wide.axes) / 2), wide, settings)
     if weighed is None:
-        settings = replace(settings, least_steps=settings.least_steps or _LEAST_STEPS)
+        least, most = settings.least_steps or _LEAST_STEPS, settings.most_steps or _MOST_STEPS
+        settings = replace(settings, least_steps=least, most_steps=max(least, most))
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(checkpoint) if checkpoint is not None else Path(folder) / "checkpoint.h5"
@@ -144,9 +148,7 @@ def sample(
             file.check()
         else:
             file.create()
-        return Samples(
-            names, sample_ensembles(density, starts, names, settings, file, weighed, progress=progress)
-        )
+        return Samples(names, sample_ensembles(density, starts, names, settings, file, weighed, progress=progress))
 
 
 def _starts(wide: NormalProposal, settings: Settings) -> list[np.ndarray]:
