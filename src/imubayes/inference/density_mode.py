@@ -59,7 +59,7 @@ class NormalProposal:
 def normal_about_mode(log_density: BatchedDensity, start: np.ndarray, scale: np.ndarray) -> NormalProposal | None:
     """Return the Laplace approximation of a log density, from Newton steps with the absolute values of its curvatures.
 
-    None where JAX cannot differentiate the function, and where no mode is found.
+    None where JAX cannot differentiate the function or runs in single precision, and where no mode is found.
 
     Parameters
     ----------
@@ -100,14 +100,16 @@ def _gradients(log_density: BatchedDensity, start: np.ndarray, scale: np.ndarray
         return jnp.asarray(log_density(jnp.asarray(start + scale * scaled)[None]))[0]  # pyright: ignore
 
     whole = jax.jit(jax.vmap(jax.value_and_grad(single)))
-    try:
-        jax.eval_shape(whole, jnp.zeros((1, len(start))))
-    # Whatever the function does not take: it is of NumPy, it branches on values, it calls other programs.
-    except Exception:
-        return None
 
     def gradients(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         value, slope = whole(jnp.asarray(scaled))
         return np.asarray(value), np.asarray(slope)
 
+    if not jax.config.jax_enable_x64:
+        return None  # differences of gradients of single precision tell no curvature
+    try:
+        gradients(np.zeros((2 * len(start) + 1, len(start))))
+    # Whatever the function does not take: it is of NumPy, it branches on values, it calls other programs.
+    except Exception:
+        return None
     return gradients

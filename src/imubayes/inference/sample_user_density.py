@@ -99,10 +99,10 @@ def sample(
 ) -> Samples:
     """Sample a log density of your own by independent ensembles of stretch and differential-evolution moves.
 
-    A function that JAX can differentiate is sampled from its mode and Laplace covariance, where these hold it.  The
-    ensembles run until nested R̂ and the effective sample sizes of all parameters and of the log density are sufficient,
-    or `settings.most_steps` (5000 where it is 0 and there is no proposal) is reached.  A mode that no walker came near
-    is not seen.
+    A function that JAX can differentiate, in double precision, is sampled from its mode and Laplace covariance, where
+    these hold it.  The ensembles run until nested R̂ and the effective sample sizes of all parameters and of the log
+    density are sufficient, or `settings.most_steps` (5000 where it is 0 and there is no proposal) is reached.  A mode
+    that no walker came near is not seen.
 
     Parameters
     ----------
@@ -132,12 +132,14 @@ def sample(
     settings = settings or Settings()
     centre = np.atleast_1d(np.asarray(start, dtype=float))
     wide = NormalProposal(centre, np.diag(_OVERDISPERSION * np.broadcast_to(np.asarray(scale, float), centre.shape)))
-    starts = _starts(wide, settings)
+    starts = _starts(wide, None, settings)
     names = tuple(names) or tuple(f"x{place}" for place in range(starts[0].shape[1]))
     _check(log_density, starts[0], names)
     density = _without_nan(log_density)
     weighed = _weighed(density, normal_about_mode(log_density, centre, np.diag(wide.axes) / 2), wide, settings)
-    if weighed is None:
+    if weighed is not None:
+        starts = _starts(wide, weighed, settings)
+    else:
         least, most = settings.least_steps or _LEAST_STEPS, settings.most_steps or _MOST_STEPS
         settings = replace(settings, least_steps=least, most_steps=max(least, most))
 
@@ -151,10 +153,17 @@ def sample(
         return Samples(names, sample_ensembles(density, starts, names, settings, file, weighed, progress=progress))
 
 
-def _starts(wide: NormalProposal, settings: Settings) -> list[np.ndarray]:
-    """Return the first points of each ensemble, (walkers, D)."""
-    size = (settings.ensembles * walkers_for(wide.dimensions, settings), wide.dimensions)
-    return np.split(wide.to_point(np.random.default_rng([settings.seed, 1]).normal(size=size))[0], settings.ensembles)
+def _starts(wide: NormalProposal, weighed: WeighedProposal | None, settings: Settings) -> list[np.ndarray]:
+    """Return the first points of each ensemble, (walkers, D): about the start, or of a proposal by its weights.
+
+    A walker that begins where a proposal is next to impossible would stay there for as long as its weight is large.
+    """
+    walkers, random = walkers_for(wide.dimensions, settings), np.random.default_rng([settings.seed, 1])
+    if weighed is not None:
+        state = np.random.RandomState(random.integers(2**32, size=4))
+        return [weighed.resampled(ensemble, walkers, state) for ensemble in range(settings.ensembles)]
+    size = (settings.ensembles * walkers, wide.dimensions)
+    return np.split(wide.to_point(random.normal(size=size))[0], settings.ensembles)
 
 
 def _weighed(
