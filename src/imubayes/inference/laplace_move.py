@@ -107,11 +107,7 @@ class LaplaceProposal:
 
     def __init__(self, approximation: NestedLaplace, problem: Problem):
         self.approximation, self.problem = approximation, problem
-
-    @property
-    def dimensions(self) -> int:
-        """Number P + H of parameters."""
-        return sum(self.problem.size)
+        self.dimensions = sum(problem.size)
 
     def to_point(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the points of standard normal vectors, (n, P + H), and the log density of the proposal, (n,)."""
