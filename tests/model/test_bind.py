@@ -149,7 +149,7 @@ def test_names_and_units_are_those_of_the_interface():
     assert units["accel_misalignment.toward_p[ax]"] == "arcsec"
     assert units["gyro_misalignment.toward_s[gz]"] == "arcsec"
     assert units["converter_offset_drift.slope[ax]"] == "output/degC"
-    assert model.hyper_layout.names[0] == "white_noise.sigma[gx]"
+    assert model.hyper_layout.names[0] == "white_noise.sigma[ax]"
 
 
 def test_a_free_tumble_adds_its_nuisance_parameters():

@@ -125,15 +125,10 @@ def sample(
     weighed : the Laplace proposal with its importance weights; None for stretch and DE moves alone.
     progress : called with a line on the steps done, the time left, and how far the chains are from their goals.
     """
-    hard = weighed is not None and weighed.acceptance < _HARD_ACCEPTANCE
-    short_share = _SHORT_SHARE_HARD if hard else _SHORT_SHARE
+    ensembles = _ensembles(log_density, starts, settings, checkpoint, weighed)
     walkers, dimensions = starts[0].shape
-    ensembles = []
-    for number, start in enumerate(starts):
-        move = LaplaceMove(weighed.proposal, _SHORT_STEP, short_share) if weighed is not None else None
-        state = _state(number, start, settings, checkpoint)
-        ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move), move, state))
     least, most = _lengths(len(starts), walkers, dimensions, settings, weighed)
+    settled = 0 if _good(weighed) else min(_SETTLING, burn_in(least, weighed))
     tell, clock, begun = progress or silent, time.monotonic(), checkpoint.steps
     taken, mixing = begun, ""
     while True:
@@ -144,9 +139,8 @@ def sample(
                 return chains
             least = min(taken + _lacking(chains), most)
         steps = min(max(_BLOCK, taken // 4), (least if taken < least else most) - taken)
-        if not (weighed is not None and not hard) and _WATCHED <= taken <= min(_SETTLING, burn_in(least, weighed)):
-            for ensemble, backend in zip(ensembles, checkpoint.read(), strict=True):
-                ensemble.state = without_strays(ensemble.state, np.asarray(backend.get_log_prob())[-_WATCHED:])
+        if _WATCHED <= taken <= settled:
+            _redraw_strays(ensembles, checkpoint)
         with checkpoint.block() as backends:
             for ensemble, backend in zip(ensembles, backends, strict=True):
                 ensemble.advance(steps, backend)
@@ -154,6 +148,12 @@ def sample(
         each = (time.monotonic() - clock) / (taken - begun)
         left = f" of {least}, about {duration(each * (least - taken))} left" if taken < least else ""
         tell(f"sampling: step {taken}{left}{mixing}")
+
+
+def _redraw_strays(ensembles: "Sequence[_Ensemble]", checkpoint: Checkpoint) -> None:
+    """Draw walkers anew that were far below their ensemble in the latest steps."""
+    for ensemble, backend in zip(ensembles, checkpoint.read(), strict=True):
+        ensemble.state = without_strays(ensemble.state, np.asarray(backend.get_log_prob())[-_WATCHED:])
 
 
 def without_strays(state: "emcee.State", log_density: np.ndarray) -> "emcee.State":
@@ -224,6 +224,29 @@ class _Ensemble:
             self.state = state
 
 
+def _ensembles(
+    log_density: BatchedDensity,
+    starts: Sequence[np.ndarray],
+    settings: Settings,
+    checkpoint: Checkpoint,
+    weighed: WeighedProposal | None,
+) -> list[_Ensemble]:
+    """Return the ensembles at their starts or where the checkpoint left them."""
+    short_share = _SHORT_SHARE if _good(weighed) else _SHORT_SHARE_HARD
+    ensembles = []
+    for number, start in enumerate(starts):
+        move = LaplaceMove(weighed.proposal, _SHORT_STEP, short_share) if weighed is not None else None
+        state = _state(number, start, settings, checkpoint)
+        walkers, dimensions = start.shape
+        ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move), move, state))
+    return ensembles
+
+
+def _good(weighed: WeighedProposal | None) -> bool:
+    """Tell whether there are independent proposals that are mostly taken."""
+    return weighed is not None and weighed.acceptance >= _HARD_ACCEPTANCE
+
+
 def _sampler(
     log_density: BatchedDensity, walkers: int, dimensions: int, move: LaplaceMove | None
 ) -> "emcee.EnsembleSampler":
@@ -250,8 +273,8 @@ def burn_in(steps: int, weighed: WeighedProposal | None) -> int:
     With good independent proposals a walker has forgotten its start after a few steps, and a longer chain is one that
     needs many draws; others may have begun where they should not, and settle first.
     """
-    good = weighed is not None and weighed.acceptance >= _HARD_ACCEPTANCE
-    long = 0 if steps <= _LONG else _LONG_BURN_IN if good else max(steps // 4, min(_SETTLING, steps // 2))
+    settling = max(steps // 4, min(_SETTLING, steps // 2))
+    long = 0 if steps <= _LONG else _LONG_BURN_IN if _good(weighed) else settling
     return min(max(_BURN_IN, long), max(steps - 2, 0))
 
 

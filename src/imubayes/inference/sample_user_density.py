@@ -131,26 +131,25 @@ def sample(
     """
     settings = settings or Settings()
     centre = np.atleast_1d(np.asarray(start, dtype=float))
-    wide = NormalProposal(centre, np.diag(_OVERDISPERSION * np.broadcast_to(np.asarray(scale, float), centre.shape)))
-    starts = _starts(wide, None, settings)
-    names = tuple(names) or tuple(f"x{place}" for place in range(starts[0].shape[1]))
-    _check(log_density, starts[0], names)
-    density = _without_nan(log_density)
-    weighed = _weighed(density, normal_about_mode(log_density, centre, np.diag(wide.axes) / 2), wide, settings)
-    if weighed is not None:
-        starts = _starts(wide, weighed, settings)
-    else:
-        least, most = settings.least_steps or _LEAST_STEPS, settings.most_steps or _MOST_STEPS
-        settings = replace(settings, least_steps=least, most_steps=max(least, most))
+    widths = np.broadcast_to(np.asarray(scale, dtype=float), centre.shape)
+    names = tuple(names) or tuple(f"x{place}" for place in range(len(centre)))
+    wide = NormalProposal(centre, np.diag(_OVERDISPERSION * widths))
+    _check(log_density, _starts(wide, None, settings)[0], names)
+    density, laplace = _without_nan(log_density), normal_about_mode(log_density, centre, widths)
+    weighed = _weighed(density, laplace, wide, settings)
+    starts = _starts(wide, weighed, settings)
+    settings = settings if weighed is not None else _of_some_length(settings)
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(checkpoint) if checkpoint is not None else Path(folder) / "checkpoint.h5"
-        file = _checkpoint(path, starts[0].shape, names, settings)
-        if resume:
-            file.check()
-        else:
-            file.create()
+        file = _checkpoint(path, starts[0].shape, names, settings, resume)
         return Samples(names, sample_ensembles(density, starts, names, settings, file, weighed, progress=progress))
+
+
+def _of_some_length(settings: Settings) -> Settings:
+    """Return the settings with lengths for chains without a proposal where they state none."""
+    least = settings.least_steps or _LEAST_STEPS
+    return replace(settings, least_steps=least, most_steps=settings.most_steps or max(least, _MOST_STEPS))
 
 
 def _starts(wide: NormalProposal, weighed: WeighedProposal | None, settings: Settings) -> list[np.ndarray]:
@@ -184,13 +183,21 @@ def _weighed(
     return weighed
 
 
-def _checkpoint(path: Path, shape: tuple[int, ...], names: Sequence[str], settings: Settings) -> Checkpoint:
+def _checkpoint(
+    path: Path, shape: tuple[int, ...], names: Sequence[str], settings: Settings, resume: bool
+) -> Checkpoint:
+    """Return a checkpoint for ensembles of a shape (walkers, D): one that is to be continued, or a new one."""
     walkers, dimensions = shape
     fingerprints = {
         "parameters": hashlib.sha256("\n".join(names).encode()).hexdigest(),
         "sampler": f"seed {settings.seed}, {settings.ensembles} ensembles of {walkers} walkers",
     }
-    return Checkpoint(path, settings.ensembles, walkers, dimensions, fingerprints)
+    file = Checkpoint(path, settings.ensembles, walkers, dimensions, fingerprints)
+    if resume:
+        file.check()
+    else:
+        file.create()
+    return file
 
 
 def _without_nan(log_density: BatchedDensity) -> BatchedDensity:
