@@ -1,6 +1,9 @@
 """`imubayes.sample`: the sampler on a log density of the user's own."""
 
 import arviz_plots
+import emcee
+import jax
+import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -8,6 +11,8 @@ import pytest
 import imubayes
 from imubayes.errors import InputError
 from imubayes.inference.convergence import nested_r_hat
+from imubayes.inference.density_mode import normal_about_mode
+from imubayes.inference.ensemble_sampling import Settings, without_strays
 
 COVARIANCE = np.array([[4.0, 1.2], [1.2, 1.0]])
 MEAN = np.array([10.0, -3.0])
@@ -64,3 +69,110 @@ def test_a_checkpoint_is_continued_and_one_of_other_names_refused(samples):
 def test_what_cannot_be_sampled_is_refused(density, names, complaint):
     with pytest.raises(InputError, match=complaint):
         imubayes.sample(density, [0.0, 0.0], names=names)
+
+
+YEARS = np.arange(1952.0, 2014.0)
+TEMPERATURES = -60 + 0.035 * YEARS + 1.1 * np.random.default_rng(5).normal(size=len(YEARS))
+
+
+def log_ridge(point, xp=jnp):
+    """Return the log density of intercept, slope and log σ of a line far from the origin; points (…, 3)."""
+    scatter = xp.exp(point[..., 2:])
+    away = (TEMPERATURES - point[..., :1] - point[..., 1:2] * YEARS) / scatter
+    return -0.5 * xp.sum(away**2, axis=-1) - len(YEARS) * point[..., 2]
+
+
+RIDGE = ([-60.0, 0.035, 0.1], [15.0, 0.0075, 0.1], ["intercept", "slope", "log_sd"])
+
+
+def require_ridge(found):
+    """Require the exact marginal of the slope: Student's t with n − 2 degrees of freedom for a flat prior of log σ."""
+    assert found.converged, found.message
+    centred = YEARS - YEARS.mean()
+    slope = centred @ TEMPERATURES / (centred @ centred)
+    residual = TEMPERATURES - TEMPERATURES.mean() - slope * centred
+    freedom = len(YEARS) - 2
+    sd = np.sqrt(residual @ residual / (centred @ centred) / (freedom - 2))
+    draws = found.draws[:, 1]
+    np.testing.assert_allclose((draws.mean(), draws.std()), (slope, sd), atol=0.15 * sd)
+    assert np.exp(found.draws[:, 2]).max() < 3
+
+
+def test_a_ridge_is_sampled_from_its_mode_and_covariance():
+    require_ridge(imubayes.sample(jax.jit(jax.vmap(log_ridge)), *RIDGE))
+
+
+@pytest.mark.slow
+def test_a_ridge_that_jax_cannot_differentiate_leaves_no_walker_behind():
+    require_ridge(imubayes.sample(lambda points: log_ridge(points, np), *RIDGE))
+
+
+@pytest.mark.parametrize("dimensions", [2, 10, 50])
+def test_normal_densities_converge(dimensions):
+    scale = np.arange(1.0, dimensions + 1)
+    found = imubayes.sample(lambda points: -0.5 * ((points / scale[None]) ** 2).sum(axis=1), 0.3 * scale, scale)
+    assert found.converged, found.message
+    np.testing.assert_allclose(found.draws.mean(axis=0) / scale, 0, atol=0.05)
+    np.testing.assert_allclose(found.draws.std(axis=0) / scale, 1, atol=0.05)
+
+
+def log_funnel(points):
+    """Return the log density of Neal's funnel in ten dimensions; its neck is a thousandth as wide as its mouth."""
+    neck = points[:, :1]
+    return -(neck[:, 0] ** 2) / 18 - 0.5 * (points[:, 1:] ** 2 * jnp.exp(-neck)).sum(axis=1) - 4.5 * neck[:, 0]
+
+
+def log_banana(points):
+    """Return the log density of a normal one that is bent along a parabola (Haario et al. 1999)."""
+    return -0.5 * (points[:, 0] ** 2 / 100 + (points[:, 1] + 0.1 * points[:, 0] ** 2 - 10) ** 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("density", "start", "scale"),
+    [(log_funnel, np.zeros(10), 3.0), (log_banana, [0.0, 10.0], [10.0, 14.0])],
+    ids=["funnel", "banana"],
+)
+def test_shapes_that_the_moves_cannot_follow_do_not_converge(density, start, scale):
+    found = imubayes.sample(jax.jit(density), start, scale, settings=Settings(most_steps=1200))
+    assert not found.converged
+
+
+def test_two_modes_within_the_starts_are_both_sampled():
+    def density(points):
+        return jnp.logaddexp(-0.5 * (points**2).sum(axis=1), -0.5 * ((points - 5) ** 2).sum(axis=1))
+
+    assert normal_about_mode(density, np.zeros(2), np.ones(2)) is not None
+    found = imubayes.sample(jax.jit(density), [0.0, 0.0])
+    assert found.converged, found.message
+    assert 0.4 < np.mean(found.draws[:, 0] > 2.5) < 0.6
+    assert "a mode that no walker came near" in found.blind_to
+
+
+def test_the_normal_about_a_mode_has_its_covariance():
+    precision = jnp.asarray(np.linalg.inv(COVARIANCE))
+
+    def density(points):
+        away = points - MEAN[None]
+        return -0.5 * jnp.einsum("ni,ij,nj->n", away, precision, away)
+
+    laplace = normal_about_mode(density, MEAN + 30, np.array([100.0, 0.01]))
+    np.testing.assert_allclose(laplace.centre, MEAN, atol=1e-6)
+    np.testing.assert_allclose(laplace.axes @ laplace.axes.T, COVARIANCE, rtol=1e-6)
+    normal = np.random.default_rng(0).normal(size=(5, 2))
+    points, height = laplace.to_point(normal)
+    np.testing.assert_allclose(laplace.to_normal(points)[0], normal, atol=1e-9)
+    np.testing.assert_allclose(np.ptp(height - np.asarray(density(points))), 0, atol=1e-6)
+    assert normal_about_mode(log_normal, MEAN, np.ones(2)) is None
+
+
+def test_only_walkers_that_stay_far_below_are_drawn_anew():
+    random = np.random.RandomState(0)
+    height = -random.chisquare(2, size=(15, 64))
+    height[:, 3], height[:-1, 5] = -300, -300
+    state = emcee.State(random.normal(size=(64, 2)), log_prob=height[-1].copy(), random_state=random.get_state())
+    found = without_strays(state, height)
+    moved = np.flatnonzero(np.any(found.coords != state.coords, axis=1))
+    assert moved.tolist() == [3]
+    assert np.any(np.all(state.coords == found.coords[3], axis=1))
+    assert found.log_prob[3] > -50

@@ -104,6 +104,38 @@ class TestFalseConvergence:
         density[0, 0, 0] = np.nan
         assert "not finite" in diagnose(chain, density, NAMES).message
 
+    def test_ensembles_that_drift_alike(self):
+        chain = self.good()
+        chain[..., 1] += np.linspace(-0.4, 0.4, self.steps)[:, None]
+        assert "on b, or with themselves later" in self.verdict(chain).message
+
+    def test_walkers_that_hardly_move(self):
+        """Each stands at a draw of its own: as many effective draws as walkers."""
+        random = np.random.default_rng(3)
+        chain = random.normal(size=(4, 1, 120, 2)) + 0.01 * random.normal(size=(4, self.steps, 120, 2))
+        assert "effective size" in self.verdict(chain).message
+
+    def test_a_few_walkers_far_away(self):
+        """They are too few to change a rank, and ruin mean and standard deviation."""
+        chain = self.good()
+        chain[:, :, 3, 0] += 500
+        message = self.verdict(chain).message
+        assert "mean effective size of a" in message
+        assert "bulk effective size" not in message
+
+    def test_a_log_density_that_does_not_mix(self):
+        density = -np.random.default_rng(4).chisquare(2, size=(4, self.steps, self.walkers))
+        assert diagnose(self.good(), density, NAMES).converged
+        walkers = density[:, :1] + 0.01 * density
+        assert "of the log density" in diagnose(self.good(), walkers, NAMES).message
+
+    def test_walkers_that_began_far_below_the_others(self):
+        density = -np.random.default_rng(4).chisquare(2, size=(4, self.steps, self.walkers))
+        density[1, :4, 7] -= 200
+        assert "1 walkers began far below" in diagnose(self.good(), density, NAMES).message
+        density[1, 20, 9] -= 200
+        assert "began far below" not in diagnose(self.good(), density, NAMES).message
+
     def test_two_hundred_faulty_runs(self):
         """Not one of 200 runs with a fault drawn at random is called converged."""
         random = np.random.default_rng(7)

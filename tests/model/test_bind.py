@@ -149,7 +149,7 @@ def test_names_and_units_are_those_of_the_interface():
     assert units["accel_misalignment.toward_p[ax]"] == "arcsec"
     assert units["gyro_misalignment.toward_s[gz]"] == "arcsec"
     assert units["converter_offset_drift.slope[ax]"] == "output/degC"
-    assert model.hyper_layout.names[0] == "white_noise.sigma[gx]"
+    assert model.hyper_layout.names[0] == "white_noise.sigma[ax]"
 
 
 def test_a_free_tumble_adds_its_nuisance_parameters():
@@ -174,3 +174,13 @@ def test_output_units_are_shown_and_not_written_into_priors():
     parameters = bind(spec("gyro_bias"), campaign()).hyper_layout.parameters
     found = {parameter.name: (parameter.unit, parameter.shown_unit) for parameter in parameters}
     assert found["white_noise.sigma[gx]"] == ("output", "pulse/s")
+
+
+def test_the_order_of_runs_and_channels_does_not_order_the_parameters():
+    """Random draws and triangular factors go by the order of the parameters."""
+    listed = spec("accel_misalignment", "gyro_run_bias", "mounting_error", "table_axis_tilt")
+    here = campaign()
+    turned = replace(here, runs=here.runs[::-1], channels=here.channels[::-1])
+    model, other = bind(listed, here), bind(listed, turned)
+    assert model.parameter_names == other.parameter_names
+    assert len(set(model.parameter_names)) == len(model.parameter_names)

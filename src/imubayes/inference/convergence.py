@@ -1,9 +1,15 @@
 """Has it converged?  Judged on independent ensembles, never on the walkers of one.
 
 Walkers of one ensemble move together: R̂ over walkers stays small with a frozen walker and misses a lost mode.
-Nested R̂ (Margossian et al. 2024) treats each ensemble as a superchain.  Effective sizes are the rank-normalised
-bulk and tail ones of Vehtari et al. 2021, the latter at the ends of the 95 % interval.  A verdict of "no" names the
-parameter.
+Nested R̂ (Margossian et al. 2024) treats each half of an ensemble's steps as a superchain, so that ensembles which
+agree because all drift alike do not pass.  Effective sizes are the rank-normalised bulk and tail ones of Vehtari et
+al. 2021, the latter at the ends of the 95 % interval, and those of mean and standard deviation as they are, which ranks
+do not tell: a few walkers that stay far away spoil both.  The log density is judged like a parameter.  A verdict of
+"no" names the parameter.
+
+Walkers that stand still have an effective size, too: their number.  So sizes have to exceed it several times.
+
+What no walker has come near is not seen: a distant mode, or a narrow place that few steps lead to (`BLIND`).
 
 A chain that has not yet been where its proposal is too thin agrees with itself.  So chains of a proposal are also held
 against draws of that proposal weighted by the posterior, which reach farther than the chain does: the weights must have
@@ -12,8 +18,9 @@ chains are as long as the standard deviations and intervals of all parameters ne
 (`imubayes.inference.monte_carlo_error`).
 """
 
+import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,6 +36,19 @@ else:
     arviz_stats = lazy_loader.load("arviz_stats")  # takes long to import, and only sampling needs it
 
 NESTED_R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
+# Effective draws that each walker gives at least; one that stands still gives 1.
+_PER_WALKER = 3.0
+# A density may fall off exponentially in its logarithm, as that of a Cauchy distribution.  In the steps from the median
+# of the log density down to its quartile, ln 2 of such a scale, so many draws go twice as far as any of them would.
+_FAR_DRAWS = 1e5
+# Steps that are judged, evenly spaced, of longer chains: those that need so many move little in as few as are left out.
+_MOST_JUDGED = 1000
+LOG_DENSITY = "the log density"
+BLIND = (
+    "The verdict is about the places where the ensembles were: it does not see a mode that no walker came near, nor a "
+    "place so narrow that no step led there."
+)
+"""What a verdict of convergence cannot see."""
 # A standard deviation that asks for more draws than this is of a parameter of which the interval tells more.
 MOST_DRAWS = 100_000
 # Where the weights have a heavy tail a chain has to leave the place of the largest weight several times to be believed;
@@ -52,6 +72,7 @@ class Convergence:
     settled : whether all bars are met that more steps could meet.
     message : what is not, in one sentence; empty when converged.
     longer : how many times the length the Monte Carlo errors ask for; at most 1 where they are small enough.
+    least_size, needed_size : smallest effective size of all, the log density included, and the one asked for.
     """
 
     r_hat: np.ndarray
@@ -62,6 +83,8 @@ class Convergence:
     pareto_k: float | None = None
     settled: bool = False
     longer: float = 1.0
+    least_size: float = 0.0
+    needed_size: float = EFFECTIVE_SIZE
 
 
 def diagnose(
@@ -78,14 +101,15 @@ def diagnose(
     """
     ensembles, steps, walkers, dimensions = chain.shape
     flat = chain.transpose(0, 2, 1, 3).reshape(ensembles * walkers, steps, dimensions)
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        bulk = np.asarray(arviz_stats.sampling_diagnostics.ess(flat, chain_axis=0, draw_axis=1, method="bulk"))
-        tail = np.asarray(
-            arviz_stats.sampling_diagnostics.ess(flat, chain_axis=0, draw_axis=1, method="tail", prob=INTERVAL)
-        )
-    r_hat = nested_r_hat(chain)
-    faults = [*_immobile(flat, log_density, names), *_too_few(r_hat, bulk, tail, names)]
+    judged, labels = chain, [*names]
+    if np.ptp(log_density) > 0:  # it is not where the density is uniform
+        judged, labels = np.concatenate([chain, log_density[..., None]], axis=-1), [*names, LOG_DENSITY]
+    judged = judged[:, :: math.ceil(steps / _MOST_JUDGED)]
+    sizes, r_hat = _effective_sizes(judged), nested_r_hat(_halves(judged))
+    needed = max(EFFECTIVE_SIZE, _PER_WALKER * len(flat))
+    faults = [*_immobile(flat, log_density, names), *_strays(log_density), *_too_few(r_hat, sizes, needed, labels)]
+    bulk, tail = sizes["bulk"][:dimensions], sizes["tail"][:dimensions]
+    least = float(min(np.min(np.where(np.isnan(size), 0.0, size)) for size in sizes.values()))
     missed, inexact, longer = [], [], 1.0
     if weighed is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -100,7 +124,8 @@ def diagnose(
     faults += inexact + missed
     message = "The sampling did not converge: " + "; ".join(faults) + "." if faults else ""
     pareto_k = None if weighed is None else weighed.pareto_k
-    return Convergence(r_hat, bulk, tail, not faults, message, pareto_k, settled, longer)
+    r_hat = r_hat[:dimensions]
+    return Convergence(r_hat, bulk, tail, not faults, message, pareto_k, settled, longer, least, needed)
 
 
 def _immobile(flat: np.ndarray, log_density: np.ndarray, names: Sequence[str]) -> list[str]:
@@ -117,16 +142,55 @@ def _immobile(flat: np.ndarray, log_density: np.ndarray, names: Sequence[str]) -
     return faults
 
 
-def _too_few(r_hat: np.ndarray, bulk: np.ndarray, tail: np.ndarray, names: Sequence[str]) -> list[str]:
-    """Return where ensembles disagree, and where effective sizes are too small."""
+def far_below(log_density: np.ndarray) -> float:
+    """Return the log density below which no draw is expected to be, from those of all draws; −∞ where they do not tell.
+
+    A place that holds a share of the posterior, however low its density, widens the quartiles.
+    """
+    median, quartile = np.quantile(log_density, (0.5, 0.25))
+    spread = median - quartile
+    return float(median - 2 * np.log(max(_FAR_DRAWS, log_density.size)) / np.log(2) * spread) if spread > 0 else -np.inf
+
+
+def _strays(log_density: np.ndarray) -> list[str]:
+    """Return how many walkers began far below the bulk where none went from it; shape (ensembles, steps, walkers)."""
+    far = log_density < far_below(log_density)
+    entered = far[:, 1:] & ~far[:, :-1]
+    strays = int(far.any(axis=1).sum())
+    if not strays or entered.any():
+        return []
+    return [f"{strays} walkers began far below the log density of the others, where none came later"]
+
+
+def _effective_sizes(chain: np.ndarray) -> dict[str, np.ndarray]:
+    """Return effective sizes (D,) of chains (ensembles, steps, walkers, D), by what they are effective for."""
+    ensembles, steps, walkers, dimensions = chain.shape
+    flat = chain.transpose(0, 2, 1, 3).reshape(ensembles * walkers, steps, dimensions)
+    ess = arviz_stats.sampling_diagnostics.ess
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        sizes = {what: np.asarray(ess(flat, chain_axis=0, draw_axis=1, method=what)) for what in ("bulk", "mean", "sd")}
+        sizes["tail"] = np.asarray(ess(flat, chain_axis=0, draw_axis=1, method="tail", prob=INTERVAL))
+    return sizes
+
+
+def _halves(chain: np.ndarray) -> np.ndarray:
+    """Return the halves of chains (ensembles, steps, …) as ensembles of their own; of short ones, the chains."""
+    half = chain.shape[1] // 2
+    return np.concatenate([chain[:, :half], chain[:, half : 2 * half]]) if half > 1 else chain
+
+
+def _too_few(r_hat: np.ndarray, sizes: Mapping[str, np.ndarray], needed: float, names: Sequence[str]) -> list[str]:
+    """Return where ensembles or their halves disagree, and where effective sizes are too small."""
     faults = []
     worst = int(np.argmax(np.where(np.isnan(r_hat), np.inf, r_hat)))
     if not r_hat[worst] <= NESTED_R_HAT:
-        faults.append(f"the ensembles disagree on {names[worst]} (nested R-hat {r_hat[worst]:.3f} > {NESTED_R_HAT})")
-    for size, what in ((bulk, "bulk"), (tail, "tail")):
+        words = f"nested R-hat {r_hat[worst]:.3f} > {NESTED_R_HAT}"
+        faults.append(f"the ensembles disagree on {names[worst]}, or with themselves later ({words})")
+    for what, size in sizes.items():
         least = int(np.argmin(np.where(np.isnan(size), -np.inf, size)))
-        if not size[least] >= EFFECTIVE_SIZE:
-            faults.append(f"{what} effective size of {names[least]} is {size[least]:.0f}, below {EFFECTIVE_SIZE:.0f}")
+        if not size[least] >= needed:
+            faults.append(f"{what} effective size of {names[least]} is {size[least]:.0f}, below {needed:.0f}")
     return faults
 
 

@@ -8,6 +8,9 @@ How long a chain has to be follows from the importance weights of its proposal: 
 weight of its place, so the chain takes several times the largest weight found (`imubayes.inference.proposal_weights`);
 and from the tails of the posterior, whose standard deviations and intervals are to have small Monte Carlo errors
 (`imubayes.inference.monte_carlo_error`).
+
+Without good independent proposals a walker that begins far off a narrow ridge may never arrive, while the others move
+along it.  Such walkers are drawn anew in the burn-in, from those in the bulk of their ensemble.
 """
 
 import math
@@ -20,7 +23,7 @@ import lazy_loader
 import numpy as np
 
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.convergence import EFFECTIVE_SIZE, MOST_DRAWS, STAYS, Convergence, diagnose
+from imubayes.inference.convergence import MOST_DRAWS, STAYS, Convergence, diagnose, far_below
 from imubayes.inference.laplace_move import LaplaceMove
 from imubayes.inference.monte_carlo_error import normal_length
 from imubayes.inference.proposal_weights import BatchedDensity, WeighedProposal
@@ -46,6 +49,9 @@ _LEAST_DRAWS, _LEAST_STEPS = 6000, 10
 _MARGIN, _MOST_LONGER = 1.1, 4.0
 # Of a chain longer than this without good independent proposals a quarter is left out, and so much of one with them.
 _LONG, _LONG_BURN_IN = 60, 15
+# Until a walker is drawn anew it has been far below the bulk for so many steps; and for so many steps it is looked for,
+# all left out: by then ensembles that began a thousand standard deviations off a ridge have their quartiles on it.
+_WATCHED, _SETTLING = 15, 150
 # Largest size of all chains together, in numbers: 400 MB.
 _MOST_NUMBERS = 50_000_000
 # What is kept of them: 80 MB, but never fewer draws than the second.
@@ -119,15 +125,10 @@ def sample(
     weighed : the Laplace proposal with its importance weights; None for stretch and DE moves alone.
     progress : called with a line on the steps done, the time left, and how far the chains are from their goals.
     """
-    hard = weighed is not None and weighed.acceptance < _HARD_ACCEPTANCE
-    short_share = _SHORT_SHARE_HARD if hard else _SHORT_SHARE
+    ensembles = _ensembles(log_density, starts, settings, checkpoint, weighed)
     walkers, dimensions = starts[0].shape
-    ensembles = []
-    for number, start in enumerate(starts):
-        move = LaplaceMove(weighed.proposal, _SHORT_STEP, short_share) if weighed is not None else None
-        state = _state(number, start, settings, checkpoint)
-        ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move), move, state))
     least, most = _lengths(len(starts), walkers, dimensions, settings, weighed)
+    settled = 0 if _good(weighed) else min(_SETTLING, burn_in(least, weighed))
     tell, clock, begun = progress or silent, time.monotonic(), checkpoint.steps
     taken, mixing = begun, ""
     while True:
@@ -138,6 +139,8 @@ def sample(
                 return chains
             least = min(taken + _lacking(chains), most)
         steps = min(max(_BLOCK, taken // 4), (least if taken < least else most) - taken)
+        if _WATCHED <= taken <= settled:
+            _redraw_strays(ensembles, checkpoint)
         with checkpoint.block() as backends:
             for ensemble, backend in zip(ensembles, backends, strict=True):
                 ensemble.advance(steps, backend)
@@ -145,6 +148,33 @@ def sample(
         each = (time.monotonic() - clock) / (taken - begun)
         left = f" of {least}, about {duration(each * (least - taken))} left" if taken < least else ""
         tell(f"sampling: step {taken}{left}{mixing}")
+
+
+def _redraw_strays(ensembles: "Sequence[_Ensemble]", checkpoint: Checkpoint) -> None:
+    """Draw walkers anew that were far below their ensemble in the latest steps."""
+    for ensemble, backend in zip(ensembles, checkpoint.read(), strict=True):
+        ensemble.state = without_strays(ensemble.state, np.asarray(backend.get_log_prob())[-_WATCHED:])
+
+
+def without_strays(state: "emcee.State", log_density: np.ndarray) -> "emcee.State":
+    """Return the state of an ensemble with walkers that stay far below its bulk drawn anew from those that do not.
+
+    A place that holds a share of the posterior, however low its density, widens the quartiles or is left by its walkers
+    now and then; only one that does neither is given up.
+
+    Parameters
+    ----------
+    log_density : shape (steps, walkers), of the latest steps.
+    """
+    stray = log_density.max(axis=0) < far_below(log_density)
+    if not stray.any() or state.log_prob is None or state.random_state is None:
+        return state
+    random = np.random.RandomState()
+    random.set_state(state.random_state)
+    chosen = random.choice(np.flatnonzero(~stray), size=int(stray.sum()))
+    coords, height = state.coords.copy(), state.log_prob.copy()
+    coords[stray], height[stray] = coords[chosen], height[chosen]
+    return emcee.State(coords, log_prob=height, random_state=random.get_state())
 
 
 def _lacking(chains: Chains) -> int:
@@ -159,8 +189,7 @@ def _mixing(found: Convergence, weighed: WeighedProposal | None) -> str:
     r_hat = f"nested R-hat {np.nanmax(found.r_hat, initial=1.0):.3f}"
     if weighed is not None:
         return f"; {r_hat}"
-    size = np.nanmin(np.concatenate([found.ess_bulk, found.ess_tail]), initial=EFFECTIVE_SIZE)
-    return f"; effective size {size:.0f} of {EFFECTIVE_SIZE:.0f}, {r_hat}"
+    return f"; effective size {min(found.least_size, found.needed_size):.0f} of {found.needed_size:.0f}, {r_hat}"
 
 
 def _lengths(
@@ -195,6 +224,29 @@ class _Ensemble:
             self.state = state
 
 
+def _ensembles(
+    log_density: BatchedDensity,
+    starts: Sequence[np.ndarray],
+    settings: Settings,
+    checkpoint: Checkpoint,
+    weighed: WeighedProposal | None,
+) -> list[_Ensemble]:
+    """Return the ensembles at their starts or where the checkpoint left them."""
+    short_share = _SHORT_SHARE if _good(weighed) else _SHORT_SHARE_HARD
+    ensembles = []
+    for number, start in enumerate(starts):
+        move = LaplaceMove(weighed.proposal, _SHORT_STEP, short_share) if weighed is not None else None
+        state = _state(number, start, settings, checkpoint)
+        walkers, dimensions = start.shape
+        ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move), move, state))
+    return ensembles
+
+
+def _good(weighed: WeighedProposal | None) -> bool:
+    """Tell whether there are independent proposals that are mostly taken."""
+    return weighed is not None and weighed.acceptance >= _HARD_ACCEPTANCE
+
+
 def _sampler(
     log_density: BatchedDensity, walkers: int, dimensions: int, move: LaplaceMove | None
 ) -> "emcee.EnsembleSampler":
@@ -219,10 +271,10 @@ def burn_in(steps: int, weighed: WeighedProposal | None) -> int:
     """Return how many of the first steps are left out: the first few, more of a long chain.
 
     With good independent proposals a walker has forgotten its start after a few steps, and a longer chain is one that
-    needs many draws; others may have begun where they should not.
+    needs many draws; others may have begun where they should not, and settle first.
     """
-    good = weighed is not None and weighed.acceptance >= _HARD_ACCEPTANCE
-    long = 0 if steps <= _LONG else _LONG_BURN_IN if good else steps // 4
+    settling = max(steps // 4, min(_SETTLING, steps // 2))
+    long = 0 if steps <= _LONG else _LONG_BURN_IN if _good(weighed) else settling
     return min(max(_BURN_IN, long), max(steps - 2, 0))
 
 

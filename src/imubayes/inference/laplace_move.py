@@ -6,7 +6,7 @@ has the posterior as its stationary distribution; the quality decides the accept
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -84,6 +84,24 @@ class LogDensity:
         return np.where(np.isnan(values), -np.inf, values)
 
 
+@runtime_checkable
+class Proposal(Protocol):
+    """A map from standard normal vectors to points and back, with the log density of the points."""
+
+    @property
+    def dimensions(self) -> int:
+        """Number D of parameters."""
+        ...
+
+    def to_point(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points of standard normal vectors, (n, D), and the log density of the proposal, (n,)."""
+        ...
+
+    def to_normal(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the standard normal vectors of points, (n, D), and the log density of the proposal, (n,)."""
+        ...
+
+
 class LaplaceProposal:
     """The nested Laplace approximation for whole ensembles: a map from standard normal vectors and back."""
 
@@ -116,7 +134,7 @@ class LaplaceMove:
 
     Parameters
     ----------
-    proposal : map and log density, see `LaplaceProposal`.
+    proposal : map and log density.
     short_step : β of the short steps, above 0, at most 1.
     short_share : share of walkers that take a short step.
 
@@ -125,7 +143,7 @@ class LaplaceMove:
     proposed, taken : numbers of independent draws proposed and accepted.
     """
 
-    def __init__(self, proposal: LaplaceProposal, short_step: float, short_share: float):
+    def __init__(self, proposal: Proposal, short_step: float, short_share: float):
         self.proposal, self.short_step, self.short_share = proposal, short_step, short_share
         self.proposed = self.taken = 0
         self.forget()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import lazy_loader
 import numpy as np
 
-from imubayes.inference.laplace_move import LaplaceProposal
+from imubayes.inference.laplace_move import Proposal
 
 if TYPE_CHECKING:
     import arviz_stats.base.array
@@ -47,17 +47,24 @@ class WeighedProposal:
     points : shape (pools, n, D), independent draws of the proposal.
     weight : shape (pools, n), posterior over proposal, of mean 1; 0 where the posterior density is 0.
     pareto_k : tail index of the weights.
+    log_mass : logarithm of the mean weight before it was made 1, the integral of the density where draws met it.
     """
 
-    proposal: LaplaceProposal
+    proposal: Proposal
     points: np.ndarray
     weight: np.ndarray
     pareto_k: float
+    log_mass: float = 0.0
 
     @property
     def largest(self) -> float:
         """The largest weight: the steps for which a walker stays at that point."""
         return float(self.weight.max())
+
+    @property
+    def mass_error(self) -> float:
+        """Relative standard error of the mass that was found."""
+        return float(self.weight.std() / np.sqrt(self.weight.size))
 
     @property
     def heavy_tailed(self) -> bool:
@@ -89,7 +96,7 @@ class WeighedProposal:
 
 
 def weigh_tail(
-    log_density: BatchedDensity, proposal: LaplaceProposal, pools: int, count: int, seed: int
+    log_density: BatchedDensity, proposal: Proposal, pools: int, count: int, seed: int
 ) -> WeighedProposal | None:
     """Return weighted draws as `weigh` does, more of them where their weights have a heavy tail."""
     weighed = weigh(log_density, proposal, pools, count, seed)
@@ -98,9 +105,7 @@ def weigh_tail(
     return weigh(log_density, proposal, pools, _MORE * count, seed)
 
 
-def weigh(
-    log_density: BatchedDensity, proposal: LaplaceProposal, pools: int, count: int, seed: int
-) -> WeighedProposal | None:
+def weigh(log_density: BatchedDensity, proposal: Proposal, pools: int, count: int, seed: int) -> WeighedProposal | None:
     """Return `count` weighted draws of a proposal in each of several pools.
 
     None where no draw of a pool is possible.
@@ -118,7 +123,9 @@ def weigh(
     weight = np.exp(log_weight - best) if np.isfinite(best) else np.zeros_like(log_weight)
     if not weight.any(axis=1).all():
         return None
-    return WeighedProposal(proposal, np.stack(points), weight / weight.mean(), pareto_k(log_weight.reshape(-1)))
+    mean = float(weight.mean())
+    index, log_mass = pareto_k(log_weight.reshape(-1)), float(best) + float(np.log(mean))
+    return WeighedProposal(proposal, np.stack(points), weight / mean, index, log_mass)
 
 
 def systematic(share: np.ndarray, count: int, random: np.random.RandomState) -> np.ndarray:

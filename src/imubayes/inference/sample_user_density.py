@@ -1,4 +1,9 @@
-"""Sampling of any log density with the sampler of the fit: independent ensembles that run until they agree."""
+"""Sampling of any log density with the sampler of the fit: independent ensembles that run until they agree.
+
+Where JAX can differentiate the density, the ensembles have the Laplace approximation about its mode as a proposal, if
+its importance weights show that it holds the posterior.  It does not where a mode is a spike that holds next to nothing
+(a funnel), a tail is heavy, or draws about the user's start find more mass elsewhere (a second mode).
+"""
 
 import hashlib
 import tempfile
@@ -14,9 +19,11 @@ from arviz_base import from_dict
 
 from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import Checkpoint
+from imubayes.inference.convergence import BLIND, WORST_PARETO_K
+from imubayes.inference.density_mode import NormalProposal, normal_about_mode
 from imubayes.inference.ensemble_sampling import Chains, Settings, walkers_for
 from imubayes.inference.ensemble_sampling import sample as sample_ensembles
-from imubayes.inference.proposal_weights import BatchedDensity
+from imubayes.inference.proposal_weights import BatchedDensity, WeighedProposal, weigh, weigh_tail
 
 if TYPE_CHECKING:
     import xarray
@@ -25,8 +32,15 @@ else:
 
 # Starts are wider than the target is said to be, so that a second mode nearby is met by one of the ensembles.
 _OVERDISPERSION = 2.0
-# Without a Laplace proposal the starts are no draws of the target: a quarter of this many steps is left out as burn-in.
-_LEAST_STEPS = 300
+# Without a Laplace proposal the starts are no draws of the target: 150 of these steps are left out as burn-in.
+_LEAST_STEPS = 400
+# Walkers that give less than some effective draws in so many steps will mostly never do.
+_MOST_STEPS = 5000
+# Draws whose importance weights judge a proposal, of all ensembles together.
+_TRIAL = 4000
+# A proposal that is taken less often is no help, and one that misses this share of the mass, and more than so many
+# standard errors of it, is no measure.
+_LEAST_ACCEPTANCE, _MISSED, _ERRORS = 0.1, 0.05, 4.0
 
 
 @dataclass(frozen=True)
@@ -49,13 +63,18 @@ class Samples:
 
     @property
     def converged(self) -> bool:
-        """Whether nested R̂ and the effective sample sizes of all parameters are sufficient."""
+        """Whether nested R̂ and the effective sample sizes of all parameters and of the log density are sufficient."""
         return self.chains.diagnosis.converged
 
     @property
     def message(self) -> str:
         """What did not converge, in a sentence; empty where all did."""
         return self.chains.diagnosis.message
+
+    @property
+    def blind_to(self) -> str:
+        """What `converged` cannot see, in a sentence: distant modes."""
+        return BLIND
 
     @cached_property
     def posterior(self) -> "xarray.DataTree":
@@ -80,8 +99,10 @@ def sample(
 ) -> Samples:
     """Sample a log density of your own by independent ensembles of stretch and differential-evolution moves.
 
-    The ensembles run until nested R̂ and the effective sample sizes of all parameters are sufficient, or
-    `settings.most_steps` is reached.
+    A function that JAX can differentiate, in double precision, is sampled from its mode and Laplace covariance, where
+    these hold it.  The ensembles run until nested R̂ and the effective sample sizes of all parameters and of the log
+    density are sufficient, or `settings.most_steps` (5000 where it is 0 and there is no proposal) is reached.  A mode
+    that no walker came near is not seen.
 
     Parameters
     ----------
@@ -109,40 +130,74 @@ def sample(
     True
     """
     settings = settings or Settings()
-    settings = replace(settings, least_steps=settings.least_steps or _LEAST_STEPS)
-    starts = _starts(start, scale, settings)
-    names = tuple(names) or tuple(f"x{place}" for place in range(starts[0].shape[1]))
-    _check(log_density, starts[0], names)
+    centre = np.atleast_1d(np.asarray(start, dtype=float))
+    widths = np.broadcast_to(np.asarray(scale, dtype=float), centre.shape)
+    names = tuple(names) or tuple(f"x{place}" for place in range(len(centre)))
+    wide = NormalProposal(centre, np.diag(_OVERDISPERSION * widths))
+    _check(log_density, _starts(wide, None, settings)[0], names)
+    density, laplace = _without_nan(log_density), normal_about_mode(log_density, centre, widths)
+    weighed = _weighed(density, laplace, wide, settings)
+    starts = _starts(wide, weighed, settings)
+    settings = settings if weighed is not None else _of_some_length(settings)
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(checkpoint) if checkpoint is not None else Path(folder) / "checkpoint.h5"
-        file = _checkpoint(path, starts[0].shape, names, settings)
-        if resume:
-            file.check()
-        else:
-            file.create()
-        return Samples(
-            names, sample_ensembles(_without_nan(log_density), starts, names, settings, file, progress=progress)
-        )
+        file = _checkpoint(path, starts[0].shape, names, settings, resume)
+        return Samples(names, sample_ensembles(density, starts, names, settings, file, weighed, progress=progress))
 
 
-def _starts(
-    start: np.ndarray | Sequence[float], scale: np.ndarray | Sequence[float] | float, settings: Settings
-) -> list[np.ndarray]:
-    """Return the first points of each ensemble, (walkers, D)."""
-    centre = np.atleast_1d(np.asarray(start, dtype=float))
-    wide = _OVERDISPERSION * np.broadcast_to(np.asarray(scale, dtype=float), centre.shape)
-    size = (settings.ensembles, walkers_for(len(centre), settings), len(centre))
-    return list(centre + wide * np.random.default_rng([settings.seed, 1]).normal(size=size))
+def _of_some_length(settings: Settings) -> Settings:
+    """Return the settings with lengths for chains without a proposal where they state none."""
+    least = settings.least_steps or _LEAST_STEPS
+    return replace(settings, least_steps=least, most_steps=settings.most_steps or max(least, _MOST_STEPS))
 
 
-def _checkpoint(path: Path, shape: tuple[int, ...], names: Sequence[str], settings: Settings) -> Checkpoint:
+def _starts(wide: NormalProposal, weighed: WeighedProposal | None, settings: Settings) -> list[np.ndarray]:
+    """Return the first points of each ensemble, (walkers, D): about the start, or of a proposal by its weights.
+
+    A walker that begins where a proposal is next to impossible would stay there for as long as its weight is large.
+    """
+    walkers, random = walkers_for(wide.dimensions, settings), np.random.default_rng([settings.seed, 1])
+    if weighed is not None:
+        state = np.random.RandomState(random.integers(2**32, size=4))
+        return [weighed.resampled(ensemble, walkers, state) for ensemble in range(settings.ensembles)]
+    size = (settings.ensembles * walkers, wide.dimensions)
+    return np.split(wide.to_point(random.normal(size=size))[0], settings.ensembles)
+
+
+def _weighed(
+    density: BatchedDensity, laplace: NormalProposal | None, wide: NormalProposal, settings: Settings
+) -> WeighedProposal | None:
+    """Return the Laplace approximation with its weights; None where it does not hold the density."""
+    if laplace is None:
+        return None
+    count = max(_TRIAL, walkers_for(wide.dimensions, settings) * settings.ensembles) // settings.ensembles
+    weighed = weigh_tail(density, laplace, settings.ensembles, count, settings.seed)
+    about_start = weigh(density, wide, settings.ensembles, count, settings.seed)
+    if weighed is None or weighed.pareto_k > WORST_PARETO_K or weighed.acceptance < _LEAST_ACCEPTANCE:
+        return None
+    if about_start is not None:
+        excess = np.exp(about_start.log_mass - weighed.log_mass) - 1
+        if excess > max(_MISSED, _ERRORS * np.hypot(about_start.mass_error, weighed.mass_error)):
+            return None
+    return weighed
+
+
+def _checkpoint(
+    path: Path, shape: tuple[int, ...], names: Sequence[str], settings: Settings, resume: bool
+) -> Checkpoint:
+    """Return a checkpoint for ensembles of a shape (walkers, D): one that is to be continued, or a new one."""
     walkers, dimensions = shape
     fingerprints = {
         "parameters": hashlib.sha256("\n".join(names).encode()).hexdigest(),
         "sampler": f"seed {settings.seed}, {settings.ensembles} ensembles of {walkers} walkers",
     }
-    return Checkpoint(path, settings.ensembles, walkers, dimensions, fingerprints)
+    file = Checkpoint(path, settings.ensembles, walkers, dimensions, fingerprints)
+    if resume:
+        file.check()
+    else:
+        file.create()
+    return file
 
 
 def _without_nan(log_density: BatchedDensity) -> BatchedDensity:

@@ -189,7 +189,7 @@ def _quantities_of_kind(
     axes = [name for c in channels if c.name in tilted for name in component_names(c.name)]
     vectors = [DerivedQuantity(name, "1", 1.0) for name in axes]
     angles = [f"mounting_angle[{channel.name},{mounting}]" for channel in channels for mounting in mountings]
-    angles += [f"axis_angle[{channels[i].name},{channels[j].name}]" for i, j in couples]
+    angles += [f"axis_angle[{','.join(sorted((channels[i].name, channels[j].name)))}]" for i, j in couples]
     return scales + vectors + [DerivedQuantity(name, "deg", to_si("deg")) for name in angles]
 
 

@@ -4,6 +4,7 @@ Every value of an effect is labelled by channel, mounting, table, run, pose or a
 labels for each node and channel and for each measured entry.
 """
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +18,11 @@ from imubayes.model.nominal_response import NominalSamples, Probe, nominal_sampl
 
 Label = tuple[str, ...]
 RUN_AXES = ("run", "mounting", "table")
+
+
+def _natural(label: Label) -> Label:
+    """Return what labels are sorted by: names with their numbers in order of size."""
+    return tuple(re.sub(r"\d+", lambda number: number.group().zfill(12), part) for part in label)
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,11 @@ class Grouping:
         return {"run": recorded.name, "mounting": recorded.mounting, "table": recorded.table}[axis]
 
     def labels(self, per: Sequence[str], channels: Sequence[str], runs: Iterable[int]) -> list[Label]:
-        """Return the labels of an effect that acts on some channels in some runs, in a stable order."""
+        """Return the labels of an effect that acts on some channels in some runs, by channel, then by the other names.
+
+        Whatever the order in which runs, channels and equipment are stated: random draws and triangular factors go by
+        the order of the parameters.
+        """
         found: dict[Label, None] = {}
         for run in runs:
             choices: list[list[str]] = []
@@ -67,9 +77,8 @@ class Grouping:
                     name = self.label_of_run(axis, run)
                     choices.append([] if name is None else [name])
             found.update(dict.fromkeys(product(*choices)))
-        by_channel = list(per).index("channel") if "channel" in per else None
-        order = {name: place for place, name in enumerate(channels)}
-        return sorted(found, key=lambda label: order[label[by_channel]] if by_channel is not None else 0)
+        own = list(per).index("channel") if "channel" in per else None
+        return sorted(found, key=lambda label: _natural(label if own is None else (label[own], *label)))
 
     def _poses(self, run: int) -> list[str]:
         tumble = self.campaign.runs[run].tumble
