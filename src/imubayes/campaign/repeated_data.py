@@ -6,6 +6,7 @@ from the resolution of the outputs and from their noise.
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 
@@ -25,42 +26,51 @@ _MOST_DECIMALS = 12
 
 def check_repeats(runs: Sequence[Run], files: Sequence[str], channels: Sequence[Channel]) -> list[Finding]:
     """Return an error for every pair of runs that holds the same data."""
-    found = []
-    for (first, file), (second, other) in combinations(zip(runs, files, strict=True), 2):
-        both = np.isfinite(first.observed).any(axis=0) & np.isfinite(second.observed).any(axis=0)
-        same_file = Path(file).resolve() == Path(other).resolve()
-        alike = _rows_alike(first, second, channels, both) if both.any() else 0
-        if alike or (same_file and both.any()):
-            what = f"both read '{Path(file).name}'" if same_file else f"have the same outputs in {alike} rows"
-            names = f"'{first.name}' and '{second.name}'"
+    found, compared = [], [_Rows(run, file) for run, file in zip(runs, files, strict=True)]
+    for first, second in combinations(compared, 2):
+        both = first.seen & second.seen
+        if not both.any():
+            continue
+        same_file, alike = first.file == second.file, _rows_alike(first, second, channels, both)
+        if alike or same_file:
+            what = f"both read '{first.file.name}'" if same_file else f"have the same outputs in {alike} rows"
+            names = f"'{first.run.name}' and '{second.run.name}'"
             found.append(
                 Finding(
-                    "same_data", "error", second.name, f"the runs {names} {what}: the data would count twice",
-                    other, "one recording for each run", f"correct 'file' of one of {names}, or remove the run",
+                    "same_data", "error", second.run.name, f"the runs {names} {what}: the data would count twice",
+                    second.said, "one recording for each run", f"correct 'file' of one of {names}, or remove the run",
                 )
             )  # fmt: skip
     return found
 
 
-def _rows_alike(first: Run, second: Run, channels: Sequence[Channel], both: np.ndarray) -> int:
+class _Rows:
+    """The outputs of a run, as they are compared with every other."""
+
+    def __init__(self, run: Run, said: str):
+        self.run, self.said, self.file = run, said, Path(said).resolve()
+        there = np.isfinite(run.observed)
+        self.seen, filled = there.any(axis=0), np.where(there, run.observed, math.inf)
+        self.varying = np.where(there, run.observed, -math.inf).max(axis=0) > filled.min(axis=0)
+        self.of = cache(lambda channels: [row.tobytes() for row in filled[:, channels]])
+        self.known = cache(lambda channels: frozenset(self.of(channels)))
+
+
+def _rows_alike(first: _Rows, second: _Rows, channels: Sequence[Channel], both: np.ndarray) -> int:
     """Return the number of rows of the second run that are in the first, 0 where that may be by chance."""
-    varying = [
-        k for k in np.flatnonzero(both).tolist() if np.nanmax(first.observed[:, k]) > np.nanmin(first.observed[:, k])
-    ]
-    if not varying:
+    varying = tuple(np.flatnonzero(both & first.varying).tolist())
+    if not varying or first.known(varying).isdisjoint(second.known(varying)):
         return 0
-    own, other = (np.nan_to_num(run.observed[:, varying], nan=math.inf) for run in (first, second))
-    known = {row.tobytes() for row in own}
-    alike = np.array([row.tobytes() in known and np.isfinite(row).any() for row in other])
-    if alike.sum() < max(LEAST_ROWS, LEAST_SHARE * min(first.rows, second.rows)):
+    known, run = first.known(varying), second.run
+    alike = np.array([row in known for row in second.of(varying)])
+    alike &= np.isfinite(run.observed[:, varying]).any(axis=1)
+    if alike.sum() < max(LEAST_ROWS, LEAST_SHARE * min(first.run.rows, run.rows)):
         return 0
     surprise = 0.0
     for k in varying:
-        there = alike & np.isfinite(second.observed[:, k])
-        values, samples = second.observed[there, k], second.samples[there]
-        sd = np.where(
-            np.isfinite(second.sample_sd[there, k]), second.sample_sd[there, k], channels[k].noise or math.nan
-        )
+        there = alike & np.isfinite(run.observed[:, k])
+        values, samples = run.observed[there, k], run.samples[there]
+        sd = np.where(np.isfinite(run.sample_sd[there, k]), run.sample_sd[there, k], channels[k].noise or math.nan)
         with np.errstate(divide="ignore"):
             # Two normal readings of a standard deviation s agree in a resolution q with probability q/(2√π s).
             chance = _resolution(values) * np.sqrt(samples) / (2 * math.sqrt(math.pi) * sd)

@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -92,12 +93,22 @@ class Timed:
         """Whether the times count from an epoch."""
         return bool(self.time[0] > EPOCH) and not self.slow()
 
+    @cached_property
+    def begin(self) -> datetime | None:
+        """The start of a dated run; None of one without the time of day."""
+        start = self.run.start
+        return instant(start) if start is not None and "T" in start else None
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """Which channels have outputs, (C,)."""
+        return np.isfinite(self.run.observed).any(axis=0)
+
     def span(self, unit: float = 1.0) -> tuple[datetime, datetime] | None:
         """Return the first and last instant of a dated run; None of one without the time of day."""
-        start = self.run.start
-        if start is None or "T" not in start:
+        begin = self.begin
+        if begin is None:
             return None
-        begin = instant(start)
         low, high = (min(float(each) * unit, 1e10) for each in (self.time[0], self.time[-1]))
         return begin + timedelta(seconds=low), begin + timedelta(seconds=high)
 
@@ -127,7 +138,7 @@ def _timed(runs: Sequence[Run], files: Sequence[str]) -> list[Timed]:
 
 
 def _meet(first: Timed, second: Timed) -> bool:
-    return _overlap(first.span(), second.span()) and _share_channel(first.run, second.run)
+    return _overlap(first.span(), second.span()) and _share_channel(first, second)
 
 
 def _step(time: np.ndarray) -> float:
@@ -154,7 +165,7 @@ def _overlaps(timed: Timed, others: Sequence[Timed], unit: float) -> bool:
     return any(
         _overlap(own, each.span(unit if each.time[-1] - each.time[0] > long else 1.0))
         for each in others
-        if each is not timed and _share_channel(timed.run, each.run)
+        if each is not timed and _share_channel(timed, each)
     )
 
 
@@ -164,9 +175,9 @@ def _overlap(first: tuple[datetime, datetime] | None, second: tuple[datetime, da
     return (min(first[1], second[1]) - max(first[0], second[0])).total_seconds() > OVERLAP
 
 
-def _share_channel(first: Run, second: Run) -> bool:
+def _share_channel(first: Timed, second: Timed) -> bool:
     """Whether two runs have a channel in common; those of other channels may be recorded at the same time."""
-    return bool(np.any(np.isfinite(first.observed).any(axis=0) & np.isfinite(second.observed).any(axis=0)))
+    return bool(np.any(first.seen & second.seen))
 
 
 def _unit_finding(timed: Sequence[Timed], unit: str) -> Finding:

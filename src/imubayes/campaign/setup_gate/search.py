@@ -36,7 +36,7 @@ TRIED_FIRST, TRIED_NEXT = 4, 1
 """How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations; of hidden ones, `DECISIVE`."""
-_REFINEMENTS = 4
+_REFINEMENTS, _REMEMBERED = 4, 512
 _SUSPECTS = 5  # runs whose own mistakes are tried
 
 
@@ -310,6 +310,8 @@ class Search:
         view = mistake.corrected(self.views, place, size)
         key = (place, _identity(view, self.views[place]))
         if key not in self.known:
+            if len(self.known) >= _REMEMBERED:
+                del self.known[next(iter(self.known))]
             self.known[key] = self.model.terms(view)
         return self.known[key]
 
