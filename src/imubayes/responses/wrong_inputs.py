@@ -196,17 +196,21 @@ class Predictions:
 
         A factor acts on the predicted outputs: about the recorded ones it would explain their noise by itself.
         """
-        entries, count = self.model.entries, wrong.freedom(campaign)
+        entries = self.model.entries
         own = (entries.run == wrong.run) & ~entries.closing & ((entries.row == wrong.row) | (wrong.row is None))
-        found = np.zeros((len(entries), count))
         if wrong.channel is not None:
-            found[own & (entries.channel == wrong.channel), 0] = -1.0
-        elif wrong.form == "output_offset":
-            found[own, entries.channel[own]] = -1.0
-        else:
-            offsets = np.array([channel.offset for channel in campaign.channels])
-            found[own, 0] = offsets[entries.channel[own]] - self._predicted[own]
-        return found
+            return np.where(own & (entries.channel == wrong.channel), -1.0, 0.0)[:, None]
+        return np.where(own[:, None], self.responses_of_outputs(campaign)[wrong.form], 0.0)
+
+    def responses_of_outputs(self, campaign: Campaign) -> Mapping[Form, np.ndarray]:
+        """Return the response to outputs that are off, (E, d), all runs at once."""
+        entries, channels = self.model.entries, campaign.channels
+        channel = np.where(entries.closing, 0, entries.channel)
+        offsets = np.array([each.offset for each in channels])[channel]
+        return {
+            "output_offset": -np.eye(len(channels))[channel] * ~entries.closing[:, None],
+            "output_factor": np.where(entries.closing, 0.0, offsets - self._predicted)[:, None],
+        }
 
     def responses_of_columns(self, campaign: Campaign) -> Mapping[str, np.ndarray]:
         """Return the derivative by each column of the record, (E,), each row by its own value, all runs at once."""

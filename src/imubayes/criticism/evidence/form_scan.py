@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
+from imubayes.criticism.evidence.free_forms import ChosenForm, FormColumns, FormHypothesis
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Solved
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE
 from imubayes.criticism.evidence.proposals import base_columns
@@ -69,32 +69,57 @@ class FormScan:
         """Return the gain of each form on each of its channels, (A,)."""
         found: dict[tuple[int, int], np.ndarray] = {}
         for k in self.of.unit_of:
-            alike: dict[tuple[int, tuple[float, ...]], list[int]] = {}
+            alike: dict[tuple[int, int, tuple[float, ...]], list[int]] = {}
             for n, form in enumerate(forms):
                 if k in form.columns:
-                    alike.setdefault((form.columns[k].shape[1], form.amplitudes), []).append(n)
-            for (_, amplitudes), members in alike.items():
-                for first in range(0, len(members), _AT_ONCE):
-                    some = members[first : first + _AT_ONCE]
-                    each = self._grams([forms[n].columns[k] for n in some], k).gains(amplitudes)
-                    found.update({(n, k): gain for n, gain in zip(some, each, strict=True)})
+                    own = form.columns[k]
+                    alike.setdefault((id(own.every), own.width, form.amplitudes), []).append(n)
+            for (_, _, amplitudes), members in alike.items():
+                columns = [forms[n].columns[k] for n in members]
+                for place, gain in enumerate(self._gains_of(columns, k, amplitudes)):
+                    found[members[place], k] = gain
         return found
+
+    def _gains_of(
+        self, columns: Sequence[FormColumns], channel: int, amplitudes: Sequence[float]
+    ) -> Iterator[np.ndarray]:
+        """Yield the gains of forms of one width on a channel; those of forms of single runs are found at once."""
+        every = columns[0].every
+        if every is not None:
+            yield from self._grams_of_runs(every, channel).gains(amplitudes)[[each.series for each in columns]]
+            return
+        for first in range(0, len(columns), _AT_ONCE):
+            some = [each.make() for each in columns[first : first + _AT_ONCE]]
+            yield from self._grams(some, channel).gains(amplitudes)
+
+    def _white(self, columns: np.ndarray, channel: int) -> np.ndarray:
+        at = self.at
+        return self.of.whiten(at.hypothesis, columns, channel, at.weight.get(channel)) / self.scale[channel]
 
     def _grams(self, columns: Sequence[np.ndarray], channel: int) -> _Grams:
         """Return the Gram matrices of forms of one width on a channel."""
-        at, k, width = self.at, channel, columns[0].shape[1]
-        joined = np.concatenate(columns, axis=1)
-        white = self.of.whiten(at.hypothesis, joined, k, at.weight.get(k)) / self.scale[k]
+        k, width = channel, columns[0].shape[1]
+        white = self._white(np.concatenate(columns, axis=1), k)
         apart = white.reshape(len(white), -1, width).transpose(1, 2, 0)
         across = (white.T @ self._through[k]).reshape(-1, width, self._root.shape[1])
         return _Grams(apart @ apart.swapaxes(1, 2), (white.T @ self._residual[k]).reshape(-1, width), across)
+
+    def _grams_of_runs(self, every: np.ndarray, channel: int) -> _Grams:
+        """Return the Gram matrices of forms of single runs that share columns; no noise reaches from run to run."""
+        white, starts = self._white(every, channel), [start for start, _ in self.of.problem.rows[channel].series]
+        products = [
+            np.add.reduceat(one[:, None] * np.column_stack([white, self._residual[channel], self._through[channel]]), starts)
+            for one in white.T
+        ]
+        joined, width = np.stack(products, axis=1), every.shape[1]
+        return _Grams(joined[:, :, :width], joined[:, :, width], joined[:, :, width + 1 :])
 
     def _exact(self, form: ChosenForm) -> float:
         """Return the gain of a form with its channels together, its prior probability included."""
         own, right = np.zeros((form.width, form.width)), np.zeros(form.width)
         across = np.zeros((form.width, self._root.shape[1]))
         for k in form.channels:
-            span, part = form.span(k), self._grams([form.form.columns[k]], k)
+            span, part = form.span(k), self._grams([form.form.columns[k].make()], k)
             own[span, span] += part.own[0]
             right[span] += part.right[0]
             across[span] += part.across[0]

@@ -7,8 +7,9 @@ coefficients are normal.
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from typing import Literal
 
@@ -28,6 +29,8 @@ AMPLITUDES = tuple((WIDTH_RATIO ** np.arange(4)).tolist())
 would stand in the place of large effects, about which the campaign is not linearised yet."""
 HIGHEST_POWER, HARMONICS, PLACES = 5, 12, 10
 """Powers of a covariate; harmonics of an angle, and waves through a range; steps between places of what is local."""
+_MOST_STEPS = 400
+"""Places of steps that last, so that their number does not grow with that of runs.  Numerical."""
 _SMOOTH, _ROUGH = (0.25, 7), (0.06, 16)
 """Length of a Gaussian process over the range of its covariate, and its columns."""
 _FIRST_HARMONIC = 3
@@ -43,13 +46,41 @@ _MEAN_FREE = ("temperature_degC", "campaign_time_h", "time_s", "power_on_s")
 
 
 @dataclass(frozen=True, eq=False)
+class FormColumns:
+    """Columns of a form over the rows of a channel, in units of their noise: forms × readings are not kept.
+
+    Attributes
+    ----------
+    make : returns them, (n, width).
+    every, series : of a form that acts in one run alone, the columns (n, width) of its like in all runs, which share
+        them, and the place of its run among those of the channel.
+    """
+
+    width: int
+    make: Callable[[], np.ndarray]
+    every: np.ndarray | None = None
+    series: int = 0
+
+
+def columns_of_run(rows: ChannelRows, every: np.ndarray, series: int) -> FormColumns:
+    """Return the columns of the one among forms that share columns (n, k) which acts in a run."""
+
+    def make() -> np.ndarray:
+        (start, length), found = rows.series[series], np.zeros_like(every)
+        found[start : start + length] = every[start : start + length]
+        return found
+
+    return FormColumns(every.shape[1], make, every, series)
+
+
+@dataclass(frozen=True, eq=False)
 class FormHypothesis:
     """A form of one kind of channel.
 
     Attributes
     ----------
     covariates : columns of the covariates it depends on; of a step none.
-    columns : channel → (n, k) over its rows, in units of their noise.
+    columns : channel → columns.
     amplitudes : standard deviations of its coefficients.
     log_prior : logarithm of its prior probability, shared by its amplitudes.
     run, row : of a step or a wrong input; the row counts from 0, None for all.
@@ -59,7 +90,7 @@ class FormHypothesis:
     family: FormFamily
     name: str
     covariates: tuple[str, ...]
-    columns: Mapping[int, np.ndarray]
+    columns: Mapping[int, FormColumns]
     amplitudes: tuple[float, ...] = AMPLITUDES
     log_prior: float = 0.0
     run: int | None = None
@@ -86,9 +117,9 @@ class ChosenForm:
 
     def span(self, channel: int) -> slice:
         """Return the places of a channel's coefficients: each its own, but a wrong input has the same for all."""
-        own = self.form.columns[channel].shape[1]
+        own = self.form.columns[channel].width
         earlier = () if self.form.wrong is not None else (k for k in self.channels if k < channel)
-        before = sum(self.form.columns[k].shape[1] for k in earlier)
+        before = sum(self.form.columns[k].width for k in earlier)
         return slice(before, before + own)
 
     @property
@@ -123,8 +154,9 @@ class _Place:
     rows: ChannelRows
     run: np.ndarray
 
-    def weighted(self, columns: np.ndarray) -> np.ndarray:
-        return columns * self.rows.root[:, None]
+    def columns(self, width: int, make: Callable[[], np.ndarray]) -> FormColumns:
+        """Return what a function makes, (n, width), over the noise of the rows."""
+        return FormColumns(width, lambda: make() * self.rows.root[:, None])
 
 
 def _of_kind(
@@ -142,7 +174,7 @@ def _of_kind(
             yield from _of_covariate(covariate, seen, places)
     yield from _vectors(known, places)
     yield from _products(known, places)
-    before = {k: place.weighted(_rows_before(place.rows)) for k, place in places.items()}
+    before = {k: place.columns(2, partial(_rows_before, place.rows)) for k, place in places.items()}
     yield FormHypothesis("memory", "memory of the input", (), before)
     yield from _steps(places)
 
@@ -158,29 +190,33 @@ def _of_covariate(
     name, said, own = covariate.name, covariate.phrase, (covariate.name,)
     if covariate.periodic:
         angle = {k: np.radians(x) for k, x in seen.items()}
-        basis = {k: 0.5 * _harmonics(x, range(1, 7)) for k, x in angle.items()}
+        basis = {k: (12, partial(_harmonics, x, range(1, 7), 0.5)) for k, x in angle.items()}
         for order in range(_FIRST_HARMONIC, HARMONICS + 1):
-            shape = {k: places[k].weighted(_harmonics(x, [order])) for k, x in angle.items()}
+            shape = {k: places[k].columns(2, partial(_harmonics, x, [order])) for k, x in angle.items()}
             yield FormHypothesis("harmonic", f"harmonic {order} of {said}", own, shape)
     else:
         basis = {k: _gaussian_process(x, *_SMOOTH) for k, x in seen.items()}
-        rough = {k: places[k].weighted(_gaussian_process(x, *_ROUGH)) for k, x in seen.items()}
+        rough = {k: places[k].columns(*_gaussian_process(x, *_ROUGH)) for k, x in seen.items()}
         yield FormHypothesis("function", f"rough function of {said}", own, rough)
         if name.startswith(("rate", "force")):
             yield from _levels(covariate, seen, places)
             yield from _thresholds(covariate, seen, places)
-    yield FormHypothesis("function", f"function of {said}", own, {k: places[k].weighted(b) for k, b in basis.items()})
+    yield FormHypothesis("function", f"function of {said}", own, {k: places[k].columns(*b) for k, b in basis.items()})
     if any(places[k].rows.input_varies for k in basis):
-        gained = {k: places[k].weighted(b * places[k].rows.input[:, None]) for k, b in basis.items()}
+        gained = {k: places[k].columns(width, partial(_gained, places[k], b)) for k, (width, b) in basis.items()}
         yield FormHypothesis("gain", f"input × function of {said}", own, gained)
 
 
-def _harmonics(angle: np.ndarray, orders: Sequence[int]) -> np.ndarray:
-    waves = [wave(order * np.nan_to_num(angle)) for order in orders for wave in (np.cos, np.sin)]
+def _gained(place: _Place, make: Callable[[], np.ndarray]) -> np.ndarray:
+    return make() * place.rows.input[:, None]
+
+
+def _harmonics(angle: np.ndarray, orders: Sequence[int], size: float = 1.0) -> np.ndarray:
+    waves = [size * wave(order * np.nan_to_num(angle)) for order in orders for wave in (np.cos, np.sin)]
     return np.where(np.isfinite(angle)[:, None], np.stack(waves, axis=1), 0.0)
 
 
-def _gaussian_process(values: np.ndarray, length: float, columns: int) -> np.ndarray:
+def _gaussian_process(values: np.ndarray, length: float, columns: int) -> tuple[int, Callable[[], np.ndarray]]:
     """Return columns whose normal combinations are a Gaussian process of unit variance; zero where not finite.
 
     Its coordinate is the mean of value and rank, both scaled to their range: levels far apart are not one.
@@ -192,9 +228,10 @@ def _gaussian_process(values: np.ndarray, length: float, columns: int) -> np.nda
     grid, place = np.unique(np.round(at, 3), return_inverse=True)
     squares, axes = np.linalg.eigh(np.exp(-0.5 * ((grid[:, None] - grid) / length) ** 2))
     best = np.argsort(-squares)[:columns]
-    found = np.zeros((len(values), len(best)))
-    found[told] = (axes[:, best] * np.sqrt(np.maximum(squares[best], 0.0)))[place]
-    return found
+    table = np.append(axes[:, best] * np.sqrt(np.maximum(squares[best], 0.0)), np.zeros((1, len(best))), axis=0)
+    row = np.full(len(values), len(grid))
+    row[told] = place
+    return len(best), partial(np.take, table, row, axis=0)
 
 
 def _levels(
@@ -208,12 +245,13 @@ def _levels(
     if len(levels) > 2:
         # One row of a channel would be matched whatever it is.
         for one in levels[1:][rows[1:] >= 2 * len(level)].tolist():
-            both = {
-                k: places[k].weighted(np.stack([at == one, (at == one) * np.sign(filled[k])], axis=1).astype(float))
-                for k, at in level.items()
-            }
+            both = {k: places[k].columns(2, partial(_at_level, at == one, filled[k])) for k, at in level.items()}
             said = f"response at |{covariate.phrase}| = {one * top / 50:.3g} {covariate.unit} alone"
             yield FormHypothesis("level", said, (covariate.name,), both)
+
+
+def _at_level(here: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.stack([here, here * np.sign(values)], axis=1).astype(float)
 
 
 def _thresholds(
@@ -223,12 +261,20 @@ def _thresholds(
     top = max(float(np.nanmax(np.abs(x))) for x in seen.values())
     scaled = {k: np.nan_to_num(x) / top for k, x in seen.items()}
     for share in _SHARES:
-        saturating = {k: np.tanh(x / share) for k, x in scaled.items()}
-        beyond = {k: np.sign(x) * np.maximum(np.abs(x) - share, 0.0) for k, x in scaled.items()}
-        for what, odd in (("saturation", saturating), ("onset", beyond)):
-            shape = {k: places[k].weighted(np.stack([x, np.abs(x)], axis=1)) for k, x in odd.items()}
+        for what, odd in (("saturation", _saturating), ("onset", _beyond)):
+            shape = {k: places[k].columns(2, partial(odd, x, share)) for k, x in scaled.items()}
             said = f"{what} of {covariate.phrase} at {share * top:.3g} {covariate.unit}"
             yield FormHypothesis("threshold", said, (covariate.name,), shape)
+
+
+def _saturating(scaled: np.ndarray, share: float) -> np.ndarray:
+    odd = np.tanh(scaled / share)
+    return np.stack([odd, np.abs(odd)], axis=1)
+
+
+def _beyond(scaled: np.ndarray, share: float) -> np.ndarray:
+    even = np.maximum(np.abs(scaled) - share, 0.0)
+    return np.stack([np.sign(scaled) * even, even], axis=1)
 
 
 def _vectors(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
@@ -238,7 +284,9 @@ def _vectors(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) -
         parts = [part for each in own if (part := _scaled(each, places))]
         seen = [k for k in places if all(k in part for part in parts)]
         if len(parts) > 1 and seen:
-            columns = {k: places[k].weighted(np.stack([part[k] for part in parts], axis=1)) for k in seen}
+            columns = {
+                k: places[k].columns(len(parts), partial(np.stack, [part[k] for part in parts], axis=1)) for k in seen
+            }
             yield FormHypothesis("vector", f"linear response to the {said}", tuple(each.name for each in own), columns)
 
 
@@ -250,11 +298,14 @@ def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) 
         for k in scaled[one].keys() & scaled[other].keys():
             if _alike(scaled[one][k], scaled[other][k]):
                 continue
-            a, b = scaled[one][k], scaled[other][k]
-            terms = [a**p * b**q for p, q in _POWERS] + [np.sign(a) * b, a * np.sign(b)]
-            shapes[k] = places[k].weighted(np.stack(terms, axis=1))
+            make = partial(_products_of, scaled[one][k], scaled[other][k])
+            shapes[k] = places[k].columns(len(_POWERS) + 2, make)
         if shapes:
             yield FormHypothesis("product", f"function of {phrase[one]} and {phrase[other]}", (one, other), shapes)
+
+
+def _products_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.stack([a**p * b**q for p, q in _POWERS] + [np.sign(a) * b, a * np.sign(b)], axis=1)
 
 
 def _scaled(covariate: ResidualCovariate, places: Mapping[int, _Place]) -> dict[int, np.ndarray]:
@@ -286,15 +337,44 @@ def _rows_before(rows: ChannelRows) -> np.ndarray:
 
 def _steps(places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
     """Yield steps in a run, and from a row of a run on, of bias and of scale."""
-    runs = sorted({int(run) for place in places.values() for run in np.unique(place.run)})
-    for run in runs:
-        rank = {k: np.where(place.run == run, np.cumsum(place.run == run), 0) for k, place in places.items()}
-        rows = max(int(at.max()) for at in rank.values())
-        for row in range(2, rows, max(1, rows // PLACES)):
-            within = {k: at > row for k, at in rank.items()}
-            onward = {k: here | (places[k].run > run) for k, here in within.items()}
-            for name, where in (("step within the run", within), ("step of the bias", onward)):
-                shape = {k: places[k].weighted(here[:, None].astype(float)) for k, here in where.items()}
-                yield FormHypothesis("step", name, (), shape, run=run, row=row)
-            gained = {k: places[k].weighted((here * places[k].rows.input)[:, None]) for k, here in onward.items()}
-            yield FormHypothesis("step", "step of the scale factor", (), gained, run=run, row=row)
+    rows_of = Counter[int]()
+    for place in places.values():
+        for start, length in place.rows.series:
+            run = int(place.run[start])
+            rows_of[run] = max(rows_of[run], length)
+    at = {run: range(2, rows, max(1, rows // PLACES)) for run, rows in sorted(rows_of.items())}
+    for n in range(max(map(len, at.values()))):
+        row_of = {run: rows[n] for run, rows in at.items() if n < len(rows)}
+        within = {k: _steps_within(place, row_of) for k, place in places.items()}
+        for run, row in row_of.items():
+            here = {k: steps[run] for k, steps in within.items() if run in steps}
+            yield FormHypothesis("step", "step within the run", (), here, run=run, row=row)
+    every = [(run, row) for run, rows in at.items() for row in rows]
+    for run, row in every[:: max(1, len(every) // _MOST_STEPS)]:
+        first = {k: _first_row(place, run, row) for k, place in places.items()}
+        first = {k: start for k, start in first.items() if start < len(places[k].run)}
+        for name, gain in (("step of the bias", False), ("step of the scale factor", True)):
+            shape = {k: places[k].columns(1, partial(_onward, places[k], start, gain)) for k, start in first.items()}
+            yield FormHypothesis("step", name, (), shape, run=run, row=row)
+
+
+def _steps_within(place: _Place, row_of: Mapping[int, int]) -> dict[int, FormColumns]:
+    """Return the step from a row of each run to its end."""
+    every, found = np.zeros((len(place.run), 1)), {}
+    for series, (start, length) in enumerate(place.rows.series):
+        run = int(place.run[start])
+        if row_of.get(run, length) < length:
+            every[start + row_of[run] : start + length, 0] = place.rows.root[start + row_of[run] : start + length]
+            found[run] = columns_of_run(place.rows, every, series)
+    return found
+
+
+def _first_row(place: _Place, run: int, row: int) -> int:
+    """Return where a channel is from a row of a run on."""
+    start, end = np.searchsorted(place.run, [run, run + 1]).tolist()
+    return min(start + row, end)
+
+
+def _onward(place: _Place, first: int, gain: bool) -> np.ndarray:
+    after = (np.arange(len(place.run)) >= first).astype(float)
+    return (after * place.rows.input if gain else after)[:, None]

@@ -158,7 +158,7 @@ class EvidenceOf:
 
     def form_columns(self, at: Hypothesis, form: ChosenForm, channel: int, weight: np.ndarray | None) -> np.ndarray:
         """Return the columns of a form on a channel, whitened, (n, k)."""
-        return self.whiten(at, form.form.columns[channel], channel, weight)
+        return self.whiten(at, form.form.columns[channel].make(), channel, weight)
 
     def whitened(self, at: Hypothesis, channel: int, weight: np.ndarray | None = None) -> np.ndarray:
         """Return all columns of a channel, the residual last, whitened by the whole noise, (n, L + 1)."""
@@ -216,7 +216,7 @@ class EvidenceOf:
         _, place = self.select(channel, columns)
         found = self.problem.rows[channel].columns[:, place]
         if form is not None and channel in form.channels:
-            found = np.concatenate([found, form.form.columns[channel]], axis=1)
+            found = np.concatenate([found, form.form.columns[channel].make()], axis=1)
         return found
 
     def squares(
@@ -229,7 +229,7 @@ class EvidenceOf:
         independent, offset = rows.independent(noise)
         own = independent[:, place]
         if form is not None and channel in form.channels:
-            own = np.concatenate([own, rows.in_time(noise, form.form.columns[channel])[0]], axis=1)
+            own = np.concatenate([own, rows.in_time(noise, form.form.columns[channel].make())[0]], axis=1)
         residual = independent[:, -1] - own @ mean[where]
         spread = np.sum((own @ covariance[np.ix_(where, where)]) * own, axis=1) / scale**2
         offsets = offsets_of_runs(rows.rows, residual, offset, weight, noise.scatter)

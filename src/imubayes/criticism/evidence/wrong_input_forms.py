@@ -5,13 +5,14 @@ not among the explanations a thermometer that is off becomes a thermal effect, a
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import WIDTH_RATIO
-from imubayes.criticism.evidence.free_forms import FormHypothesis, with_prior
+from imubayes.criticism.evidence.free_forms import FormColumns, FormHypothesis, columns_of_run, with_prior
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED, LinearProblem
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, suspected
@@ -41,51 +42,50 @@ def _of_runs(
 ) -> Iterator[FormHypothesis]:
     """Yield what may be wrong in all rows of one run."""
     campaign = fitted.model.campaign
-    seats = predictions.response_of_seats(campaign)
-    for run in range(len(campaign.runs)):
-        for wrong in suspected(campaign, run):
-            response = _of_run(problem, fitted, wrong, columns, seats, predictions)
-            largest = float(np.abs(problem.root[:, None] * response).max(initial=0.0)) if response is not None else 0.0
-            if response is not None and np.isfinite(largest) and largest > 0:
-                shape = _in_noise(problem, response, largest)
-                name = f"{wrong.form} of {wrong.covariate or 'outputs'}" if wrong.form != "seat" else "attitude"
-                yield FormHypothesis("input", name, (), shape, _ERRORS, run=run, wrong=wrong, unit=1 / largest)
+    suspects = [each for run in range(len(campaign.runs)) for each in suspected(campaign, run)]
+    of_outputs, seats = predictions.responses_of_outputs(campaign), predictions.response_of_seats(campaign)
+    for form, column in dict.fromkeys((each.form, each.covariate) for each in suspects):
+        every = seats if form == "seat" else of_outputs.get(form) if not column else columns.get(column)
+        if every is None:
+            continue
+        if form == "factor":
+            every = every * np.nan_to_num(_recorded(fitted, column))
+        alike = [each for each in suspects if (each.form, each.covariate) == (form, column)]
+        name = f"{form} of {column or 'outputs'}" if form != "seat" else "attitude"
+        yield from _in_runs(problem, fitted, every.reshape(len(every), -1), name, alike)
 
 
-def _of_run(
-    problem: LinearProblem,
-    fitted: Fit,
-    wrong: WrongInput,
-    columns: Mapping[str, np.ndarray],
-    seats: np.ndarray | None,
-    predictions: Predictions,
-) -> np.ndarray | None:
-    """Return the response to a wrong input of one run, (E, d), from the derivatives by the record of all runs."""
-    model = fitted.model
-    if wrong.form == "seat":
-        every = seats
-    elif wrong.covariate:
-        every = columns.get(wrong.covariate)
-    else:
-        return predictions.response(wrong, model.campaign)
-    if every is None:
-        return None
-    here, found = (problem.run == wrong.run) & ~model.entries.closing, np.zeros((len(every), every[0].size))
-    own = every.reshape(found.shape)[here]
-    if wrong.form == "factor":
-        own = (
-            own
-            * np.nan_to_num(model.campaign.runs[wrong.run].covariates[wrong.covariate])[model.entries.row[here], None]
-        )
-    found[here] = own
+def _recorded(fitted: Fit, column: str) -> np.ndarray:
+    """Return the value of a column of the record at every entry, (E,); NaN in runs without it."""
+    entries, found = fitted.model.entries, np.full(len(fitted.model.entries), np.nan)
+    for k, run in enumerate(fitted.model.campaign.runs):
+        if column in run.covariates:
+            here = (entries.run == k) & ~entries.closing
+            found[here] = run.covariates[column][entries.row[here]]
     return found
 
 
-def _in_noise(problem: LinearProblem, response: np.ndarray, largest: float) -> dict[int, np.ndarray]:
-    """Return a response of all entries (E, d), output units, over the noise of each, its largest value 1."""
-    root = problem.root[:, None] * response
-    found = {k: root[rows.entry] / largest for k, rows in enumerate(problem.rows)}
-    return {k: columns for k, columns in found.items() if np.any(columns)}
+def _in_runs(
+    problem: LinearProblem, fitted: Fit, every: np.ndarray, name: str, suspects: Sequence[WrongInput]
+) -> Iterator[FormHypothesis]:
+    """Yield one wrong input in each of some runs, from the response of all entries to that of their own, (E, d)."""
+    root = np.where(fitted.model.entries.closing, 0.0, problem.root)[:, None] * every
+    largest = np.zeros(len(problem.runs))
+    np.maximum.at(largest, problem.run, np.abs(root).max(axis=1))
+    sound = np.isfinite(largest) & (largest > 0)
+    root *= np.divide(1.0, largest, where=sound, out=np.zeros_like(largest))[problem.run][:, None]
+    shapes: dict[int, dict[int, FormColumns]] = {}
+    for k, rows in enumerate(problem.rows):
+        own = root[rows.entry]
+        for series, (start, length) in enumerate(rows.series):
+            if np.any(own[start : start + length]):
+                shapes.setdefault(int(problem.run[rows.entry[start]]), {})[k] = columns_of_run(rows, own, series)
+    for wrong in suspects:
+        run = wrong.run
+        if sound[run]:
+            yield FormHypothesis(
+                "input", name, (), shapes[run], _ERRORS, run=run, wrong=wrong, unit=1 / float(largest[run])
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +117,8 @@ class WrongRows:
 
     def form(self, column: str, row: int) -> FormHypothesis:
         """Return one of them as a form."""
-        shape = {k: np.where(self.row[k] == row, x, 0.0)[:, None] for k, x in self.columns[column].items()}
-        shape = {k: x for k, x in shape.items() if np.any(x)}
+        alone = {k: np.where(self.row[k] == row, x, 0.0)[:, None] for k, x in self.columns[column].items()}
+        shape = {k: FormColumns(1, partial(np.copy, x)) for k, x in alone.items() if np.any(x)}
         run, place = int(self.run[row]), int(self.place[row])
         channel = self.outputs.get(column)
         wrong = WrongInput(run, "offset", column, place)
