@@ -27,9 +27,10 @@ from imubayes.units import to_si
 
 # The dimension of what was measured.
 ENTRY = "entry"
-# Predictions and likelihoods are kept for so many values a variable (8 MB), of so many draws at least and at most.
+# Likelihoods are kept for so many values (4 MB), of so many draws at least, without which PSIS-LOO tells nothing, and at
+# most; of replicated outputs, which pictures compare with the observed, a quarter.
 _KEPT_VALUES, _FEWEST_KEPT, _MOST_KEPT = 1_000_000, 100, 1000
-_PRIOR_KEPT, _BATCH = 200, 20
+_PREDICTED_SHARE, _BATCH = 4, 20
 # Independent draws are divided into chains, since diagnostics of chains compare several.
 _INDEPENDENT_CHAINS = 4
 
@@ -107,7 +108,8 @@ def posterior_groups(fit: Fit) -> Groups:
     random = np.random.default_rng(2)
     kept = draws[:, evenly_spaced(draws.shape[1], min(draws.shape[1], _kept(len(model.entries), len(draws))))]
     predicted, likelihood = _predicted(problem, kept, random)
-    prior_predicted, _ = _predicted(problem, prior[None, :_PRIOR_KEPT], random)
+    predicted = predicted[:, ::_PREDICTED_SHARE]
+    prior_predicted, _ = _predicted(problem, prior[None, : predicted.shape[0] * predicted.shape[1]], random)
     own, derived, labels = variables_of(fit)
 
     def parameters(own_draws: np.ndarray, derived_draws: np.ndarray) -> Group:
@@ -119,7 +121,7 @@ def posterior_groups(fit: Fit) -> Groups:
         "prior": parameters(in_units(model, prior)[None], posterior.prior_derived[None]),
         "posterior_predictive": _outputs(model, predicted),
         "prior_predictive": _outputs(model, prior_predicted),
-        "log_likelihood": _at_entries(model, likelihood, "log density of an entry given the others of its run"),
+        "log_likelihood": _at_entries(model, likelihood.astype(np.float32), "log density of an entry given the others of its run"),
         "observed_data": _outputs(model, model.entries.value),
         "constant_data": _constant_data(model),
     }
