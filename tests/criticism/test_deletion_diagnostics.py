@@ -5,35 +5,40 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imubayes.adequacy.deletion_diagnostics import EntryPlaces, LinearFit
+from imubayes.adequacy.deletion_diagnostics import LinearFit, WeightedFit
 from imubayes.adequacy.run_agreement import disagreeing_runs
 
 RUNS, ROWS, CHANNELS, PARAMETERS = 5, 8, 2, 4
 SCATTER = 0.7
 
 
-def places() -> EntryPlaces:
-    run, row, channel = np.meshgrid(np.arange(RUNS), np.arange(ROWS), np.arange(CHANNELS), indexing="ij")
-    return EntryPlaces(run.ravel(), row.ravel(), channel.ravel())
+def places() -> tuple[np.ndarray, np.ndarray]:
+    """Return run and channel of each output."""
+    run, _, channel = np.meshgrid(np.arange(RUNS), np.arange(ROWS), np.arange(CHANNELS), indexing="ij")
+    return run.ravel(), channel.ravel()
 
 
-def covariance(at: EntryPlaces) -> np.ndarray:
+def covariance(run: np.ndarray, channel: np.ndarray) -> np.ndarray:
     """White noise and an offset of each run and channel, which all rows of it share."""
-    group = at.run * CHANNELS + at.channel
-    return np.diag(np.where(at.channel == 0, 1.0, 2.0)) + SCATTER**2 * (group[:, None] == group[None, :])
+    group = run * CHANNELS + channel
+    return np.diag(np.where(channel == 0, 1.0, 2.0)) + SCATTER**2 * (group[:, None] == group[None, :])
 
 
 def drawn(seed: int) -> tuple[LinearFit, np.ndarray]:
     """Return a model with data drawn from its own prior and noise, and the covariance."""
-    random, at = np.random.default_rng(seed), places()
-    sigma = covariance(at)
-    jacobian = random.normal(size=(len(at.run), PARAMETERS))
-    misfit = jacobian @ random.normal(size=PARAMETERS) + np.linalg.cholesky(sigma) @ random.normal(size=len(at.run))
+    random, (run, channel) = np.random.default_rng(seed), places()
+    sigma = covariance(run, channel)
+    jacobian = random.normal(size=(len(run), PARAMETERS))
+    misfit = jacobian @ random.normal(size=PARAMETERS) + np.linalg.cholesky(sigma) @ random.normal(size=len(run))
     inverse = np.linalg.inv(sigma)
     return LinearFit(
-        jacobian, misfit, inverse @ jacobian, inverse @ misfit, np.ones(PARAMETERS), np.zeros(PARAMETERS), at,
-        np.ones(len(at.run)),
+        jacobian, misfit, inverse @ jacobian, inverse @ misfit, np.ones(PARAMETERS), np.zeros(PARAMETERS),
+        run, channel, np.ones(len(run), dtype=bool),
     ), sigma  # fmt: skip
+
+
+def without(linear: LinearFit, run: int) -> WeightedFit:
+    return linear.fit(linear.whole - linear.of_run(run))
 
 
 def chi2_of(linear: LinearFit, sigma: np.ndarray, kept: np.ndarray) -> float:
@@ -47,35 +52,29 @@ def chi2_of(linear: LinearFit, sigma: np.ndarray, kept: np.ndarray) -> float:
 def test_the_whole_and_each_run_left_out_have_the_chi2_of_brute_force() -> None:
     linear, sigma = drawn(1)
     every = np.ones(len(linear.misfit), dtype=bool)
-    assert linear.chi2 == pytest.approx(chi2_of(linear, sigma, every))
+    assert linear.fit(linear.whole).chi2 == pytest.approx(chi2_of(linear, sigma, every))
     for run in range(RUNS):
-        kept = linear.at.run != run
-        assert linear.weighted_by(kept.astype(float)).chi2 == pytest.approx(chi2_of(linear, sigma, kept))
+        assert without(linear, run).chi2 == pytest.approx(chi2_of(linear, sigma, linear.run != run))
 
 
 def test_the_noise_of_a_channel_is_that_which_its_rows_show() -> None:
     """χ² over degrees of freedom, at least 1; twice the noise is four times the variance."""
     linear, sigma = drawn(2)
-    every = np.ones(len(linear.misfit), dtype=bool)
-    assert linear.noise_ratios(every) == pytest.approx(np.ones(len(every)), abs=0.6)
+    assert linear.fit(linear.whole).noise_ratios == pytest.approx(np.ones(CHANNELS), abs=0.6)
     random = np.random.default_rng(3)
-    more = np.where(linear.at.channel == 1, np.sqrt(3 * 2.0) * random.normal(size=len(every)), 0.0)
+    more = np.where(linear.channel == 1, np.sqrt(3 * 2.0) * random.normal(size=len(linear.misfit)), 0.0)
     louder = replace(linear, misfit=linear.misfit + more, pulled=np.linalg.solve(sigma, linear.misfit + more))
-    ratios = louder.noise_ratios(every)
-    assert np.ptp(ratios[linear.at.channel == 1]) == 0
-    assert 2 < ratios[linear.at.channel == 1][0] < 6
-    assert ratios[linear.at.channel == 0][0] < 2
-    # The others of a run are weighted by what they show.
-    weight = louder.without_run(0).weight
-    assert not weight[linear.at.run == 0].any()
-    assert weight[(linear.at.run == 1) & (linear.at.channel == 1)][0] < 0.5
+    ratios = louder.fit(louder.whole).noise_ratios
+    assert 2 < ratios[1] < 6
+    assert ratios[0] < 2
+    # A run does not count among its others.
+    assert without(louder, 0).equations.count.tolist() == [(RUNS - 1) * ROWS] * CHANNELS
 
 
 def test_degrees_of_freedom_are_outputs_less_parameters() -> None:
     linear, _ = drawn(5)
     linear = replace(linear, precision=np.full(PARAMETERS, 1e-9))
-    every = np.ones(len(linear.misfit), dtype=bool)
-    assert linear.freedom(every).sum() == pytest.approx(len(every) - PARAMETERS, abs=1e-4)
+    assert linear.fit(linear.whole).freedom.sum() == pytest.approx(len(linear.misfit) - PARAMETERS, abs=1e-4)
 
 
 def test_no_run_disagrees_by_chance_and_a_changed_one_does() -> None:
@@ -86,7 +85,7 @@ def test_no_run_disagrees_by_chance_and_a_changed_one_does() -> None:
     assert min(sound) > np.log(1e-4)
     linear, sigma = drawn(8)
     random = np.random.default_rng(9)
-    change = np.where(linear.at.run == 3, 3 * random.normal(size=len(linear.misfit)), 0.0)
+    change = np.where(linear.run == 3, 3 * random.normal(size=len(linear.misfit)), 0.0)
     changed = replace(linear, misfit=linear.misfit + change, pulled=np.linalg.solve(sigma, linear.misfit + change))
     found = disagreeing_runs(changed)
     assert min(found, key=lambda run: found[run]) == 3

@@ -4,10 +4,11 @@ A fit adapts its noise scales to whatever the model lacks: a run whose recorded 
 runs, and no residual is left that would tell.  Here white noise is that of the raw samples within rows, and a scatter
 between runs is no larger than its prior says.  About a point the model is linear, y = f + J t + e, and what a run adds
 to the χ² of all others is the difference of two least squares with the priors as further rows (Cook and Weisberg,
-Residuals and Influence in Regression, 1982).
+Residuals and Influence in Regression, 1982).  Runs and channels are independent of each other, so that a run is left
+out by subtracting its normal equations: the work grows with the readings, whatever the number of runs.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import jax
@@ -29,12 +30,76 @@ _LEAST_FREEDOM = 5.0
 
 
 @dataclass(frozen=True)
-class EntryPlaces:
-    """Run, row and channel of each entry, (E,)."""
+class ChannelEquations:
+    """Normal equations of the outputs of each channel at the noise known beforehand.
 
-    run: np.ndarray
-    row: np.ndarray
-    channel: np.ndarray
+    Attributes
+    ----------
+    matrix, vector, square : JᵀΣ⁻¹J (K, P, P), JᵀΣ⁻¹y (K, P) and yᵀΣ⁻¹y (K,), y the misfit.
+    count : shape (K,), outputs.
+    """
+
+    matrix: np.ndarray
+    vector: np.ndarray
+    square: np.ndarray
+    count: np.ndarray
+
+    def __sub__(self, other: "ChannelEquations") -> "ChannelEquations":
+        return ChannelEquations(
+            self.matrix - other.matrix, self.vector - other.vector, self.square - other.square, self.count - other.count
+        )
+
+
+@dataclass(frozen=True)
+class WeightedFit:
+    """Least squares of the channels, each with a factor on Σ⁻¹, (K,), and the priors.
+
+    Attributes
+    ----------
+    precision, centre : of the priors, (P,), the centre less the point of linearisation.
+    """
+
+    equations: ChannelEquations
+    precision: np.ndarray
+    centre: np.ndarray
+    weight: np.ndarray
+
+    @cached_property
+    def _lower(self) -> np.ndarray:
+        """Cholesky factor of the precision of all parameters, (P, P)."""
+        found = np.tensordot(self.weight, self.equations.matrix, 1)
+        return np.linalg.cholesky(0.5 * (found + found.T) + np.diag(self.precision))
+
+    @cached_property
+    def shift(self) -> np.ndarray:
+        """The parameters of least χ² less the point of linearisation, (P,)."""
+        pull = self.weight @ self.equations.vector + self.precision * self.centre
+        return scipy.linalg.cho_solve((self._lower, True), pull)
+
+    @cached_property
+    def chi2_of_channels(self) -> np.ndarray:
+        """The χ² of the outputs of each channel, (K,), at a factor of 1."""
+        at, known = self.shift, self.equations
+        return np.maximum(known.square - 2 * known.vector @ at + (known.matrix @ at) @ at, 0.0)
+
+    @cached_property
+    def chi2(self) -> float:
+        """The least χ², priors included."""
+        return float(self.weight @ self.chi2_of_channels + self.precision @ (self.shift - self.centre) ** 2)
+
+    @cached_property
+    def freedom(self) -> np.ndarray:
+        """Degrees of freedom that the parameters leave to each channel, (K,)."""
+        covariance = scipy.linalg.cho_solve((self._lower, True), np.eye(len(self.precision)))
+        return self.equations.count - self.weight * np.sum(self.equations.matrix * covariance, axis=(1, 2))
+
+    @property
+    def noise_ratios(self) -> np.ndarray:
+        """χ² over degrees of freedom of each channel, (K,), at least 1; of all channels where one has few."""
+        whole = self.chi2_of_channels.sum() / max(self.freedom.sum(), _LEAST_FREEDOM)
+        few = self.freedom < _LEAST_FREEDOM
+        own = self.chi2_of_channels / np.where(few, 1.0, self.freedom)
+        return np.maximum(1.0, np.where(few, whole, own))
 
 
 @dataclass(frozen=True)
@@ -46,8 +111,8 @@ class LinearFit:
     jacobian, misfit : shapes (E, P) and (E,).
     weighted, pulled : Σ⁻¹J and Σ⁻¹ misfit; entries of different runs or channels are independent.
     precision, centre : of the priors, (P,), the centre less the point of linearisation.
-    at : run, row and channel of each entry.
-    weight : shape (E,), factor on Σ⁻¹, the same in all rows of a run and channel; 0 leaves out.
+    run, channel : shape (E,), of each entry.
+    used : shape (E,), bool, which entries count.
     """
 
     jacobian: np.ndarray
@@ -56,67 +121,37 @@ class LinearFit:
     pulled: np.ndarray
     precision: np.ndarray
     centre: np.ndarray
-    at: EntryPlaces
-    weight: np.ndarray
+    run: np.ndarray
+    channel: np.ndarray
+    used: np.ndarray
 
     @cached_property
-    def lower(self) -> np.ndarray:
-        """Cholesky factor of the precision of all parameters, (P, P)."""
-        found = self.jacobian.T @ (self.weight[:, None] * self.weighted)
-        return np.linalg.cholesky(0.5 * (found + found.T) + np.diag(self.precision))
+    def runs(self) -> dict[int, np.ndarray]:
+        """The entries of each run that count."""
+        return {run: np.flatnonzero(self.used & (self.run == run)) for run in np.unique(self.run[self.used]).tolist()}
 
     @cached_property
-    def shift(self) -> np.ndarray:
-        """The parameters of least χ² less the point of linearisation, (P,)."""
-        pull = self.weighted.T @ (self.weight * self.misfit) + self.precision * self.centre
-        return scipy.linalg.cho_solve((self.lower, True), pull)
+    def whole(self) -> ChannelEquations:
+        """The normal equations of all runs."""
+        return self._equations(np.flatnonzero(self.used))
 
-    @cached_property
-    def influence(self) -> np.ndarray:
-        """Return v = M(y − f), (E,), as if every entry counted."""
-        return self.pulled - self.weighted @ self.shift
+    def of_run(self, run: int) -> ChannelEquations:
+        """Return the normal equations of one run."""
+        return self._equations(self.runs[run])
 
-    @cached_property
-    def chi2_of_entries(self) -> np.ndarray:
-        """What each entry adds to χ², (E,); the sums over a run and channel alone have a meaning."""
-        return self.weight * (self.misfit - self.jacobian @ self.shift) * self.influence
+    def fit(self, equations: ChannelEquations, weight: np.ndarray | None = None) -> WeightedFit:
+        """Return the fit of some outputs with factors on Σ⁻¹ of each channel, (K,), if given."""
+        weight = np.ones(len(equations.count)) if weight is None else weight
+        return WeightedFit(equations, self.precision, self.centre, weight)
 
-    @cached_property
-    def chi2(self) -> float:
-        """The least χ², priors included."""
-        priors = self.precision @ (self.shift - self.centre) ** 2
-        return float(self.chi2_of_entries.sum() + priors)
-
-    @cached_property
-    def _half(self) -> np.ndarray:
-        """Σ⁻¹J L⁻ᵀ with L Lᵀ the precision, (E, P)."""
-        return scipy.linalg.solve_triangular(self.lower, self.weighted.T, lower=True).T
-
-    def noise_ratios(self, kept: np.ndarray) -> np.ndarray:
-        """Return χ² over degrees of freedom of each channel among entries kept, (E,) bool, at least 1; at entries."""
-        used, ratios = kept & (self.weight > 0), np.ones(len(kept))
-        plain = np.where(used, self.chi2_of_entries / np.where(self.weight > 0, self.weight, 1.0), 0.0)
-        freedom = self.freedom(used)
-        whole = plain.sum() / max(freedom.sum(), _LEAST_FREEDOM)
-        for channel in np.unique(self.at.channel):
-            own = self.at.channel == channel
-            few = freedom[own].sum() < _LEAST_FREEDOM
-            ratios[own] = max(1.0, whole if few else plain[own].sum() / freedom[own].sum())
-        return ratios
-
-    def freedom(self, used: np.ndarray) -> np.ndarray:
-        """Return the degrees of freedom left of each entry, (E,), by the parameters; 0 where not used, (E,) bool."""
-        leverage = np.sum(scipy.linalg.solve_triangular(self.lower, self.jacobian.T, lower=True).T * self._half, axis=1)
-        return np.where(used, 1 - self.weight * leverage, 0.0)
-
-    def weighted_by(self, weight: np.ndarray) -> "LinearFit":
-        """Return the fit with other factors on Σ⁻¹."""
-        return replace(self, weight=weight)
-
-    def without_run(self, run: int) -> "LinearFit":
-        """Return the fit to all other runs, each channel at the noise that they show if that is larger."""
-        others = self.weighted_by((self.at.run != run).astype(float))
-        return others.weighted_by(others.weight / others.noise_ratios(others.weight > 0))
+    def _equations(self, entries: np.ndarray) -> ChannelEquations:
+        parts = [entries[self.channel[entries] == k] for k in range(int(self.channel.max(initial=-1)) + 1)]
+        return ChannelEquations(
+            np.stack([self.jacobian[own].T @ self.weighted[own] for own in parts]),
+            np.stack([self.jacobian[own].T @ self.pulled[own] for own in parts]),
+            np.array([self.misfit[own] @ self.pulled[own] for own in parts]),
+            np.array([len(own) for own in parts]),
+        )
 
 
 def linear_fit(model: Model, problem: Problem, z: np.ndarray, h: np.ndarray) -> LinearFit:
@@ -128,8 +163,7 @@ def linear_fit(model: Model, problem: Problem, z: np.ndarray, h: np.ndarray) -> 
     return LinearFit(
         jacobian=jacobian, misfit=misfit, weighted=divided[:, 1:], pulled=divided[:, 0],
         precision=np.asarray(prior_widths(problem, jnp.asarray(h))) ** -2.0, centre=-np.asarray(z),
-        at=EntryPlaces(entries.run, np.where(entries.closing, -1, entries.row), entries.channel),
-        weight=np.asarray(problem.observations.weight),
+        run=entries.run, channel=entries.channel, used=np.asarray(problem.observations.weight) > 0,
     )  # fmt: skip
 
 

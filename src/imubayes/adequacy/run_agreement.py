@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from imubayes.adequacy.adequacy_record import DoubtedRun
-from imubayes.adequacy.deletion_diagnostics import LinearFit, linear_fit
+from imubayes.adequacy.deletion_diagnostics import LinearFit, WeightedFit, linear_fit
 from imubayes.adequacy.known_noise import known_scales, largest_scatter, scales_between_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.tail_probabilities import f_log_survival
@@ -36,16 +36,14 @@ def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     names, found = [run.name for run in fitted.model.campaign.runs], []
     largest = largest_scatter(fitted.model)
     for run, log_p in disagreeing_runs(linear).items():
-        others = linear.weighted_by(np.where(linear.at.run != run, linear.weight, 0.0))
-        if _agree(others, largest) and log_p < math.log(_TOLD_P):
+        if log_p < math.log(_TOLD_P) and _agree(linear.fit(linear.whole - linear.of_run(run)), largest):
             found.append(DoubtedRun(run=names[run], p=math.exp(log_p)))
     return tuple(sorted(found, key=lambda each: each.p))
 
 
 def disagreeing_runs(linear: LinearFit) -> dict[int, float]:
     """Return the log p-value of what each run adds to the χ² of the others, corrected for the number of runs."""
-    found = {}
-    runs = np.unique(linear.at.run[linear.weight > 0]).tolist()
+    found, runs = {}, linear.runs
     for run in runs if len(runs) > 1 else ():
         chi2, dof, freedom = _deletion(linear, run)
         f = chi2 / max(dof, 1)
@@ -55,27 +53,22 @@ def disagreeing_runs(linear: LinearFit) -> dict[int, float]:
     return found
 
 
-def _agree(linear: LinearFit, largest: np.ndarray) -> bool:
+def _agree(others: WeightedFit, largest: np.ndarray) -> bool:
     """Whether no channel scatters more than what is known of its noise allows, (K,), as a factor."""
-    ratios = linear.noise_ratios(linear.weight > 0)
-    return bool(np.all(ratios <= np.where(linear.weight > 0, largest[linear.at.channel] ** 2, np.inf)))
+    count = min(len(largest), len(others.weight))
+    seen = others.equations.count[:count] > 0
+    return bool(np.all(~seen | (others.noise_ratios[:count] <= largest[:count] ** 2)))
 
 
 def _deletion(linear: LinearFit, run: int) -> tuple[float, int, float]:
-    """Return the χ² that a run adds to the others, its number of outputs, and degrees of freedom of the others."""
-    rest = linear.without_run(run)
-    own = (linear.at.run == run) & (linear.weight > 0)
-    weight = rest.weight + np.where(own, _ratio_of_channels(rest, own), 0.0)
-    freedom = max(float((rest.weight > 0).sum()) - len(rest.shift), 1.0)
-    return max(linear.weighted_by(weight).chi2 - rest.chi2, 0.0), int(own.sum()), freedom
+    """Return the χ² that a run adds to the others, its number of outputs, and degrees of freedom of the others.
 
-
-def _ratio_of_channels(rest: LinearFit, own: np.ndarray) -> np.ndarray:
-    """Return the weight of each entry of a run, (E,): that of its channel in the other runs, or else of all."""
-    used = rest.weight > 0
-    found = np.full(len(own), float(np.median(rest.weight[used])) if used.any() else 1.0)
-    for channel in np.unique(rest.at.channel[own]):
-        same = used & (rest.at.channel == channel)
-        if same.any():
-            found[rest.at.channel == channel] = float(rest.weight[same][0])
-    return found
+    Each channel has the noise that the others show if that is larger, and one that they lack that of the median output.
+    """
+    others = linear.whole - linear.of_run(run)
+    weight = 1 / linear.fit(others).noise_ratios
+    usual = np.median(np.repeat(weight, others.count)) if others.count.any() else 1.0
+    weight = np.where(others.count > 0, weight, usual)
+    rest, whole = linear.fit(others, weight), linear.fit(linear.whole, weight)
+    freedom = max(float(others.count.sum()) - len(rest.shift), 1.0)
+    return max(whole.chi2 - rest.chi2, 0.0), len(linear.runs[run]), freedom

@@ -165,7 +165,8 @@ def _precision_blocks(problem: Problem, mode: Mode, shared, class_of, member) ->
 
     values = problem.hyper_priors.values
     slopes = jax.vmap(lambda seed: jax.jvp(values, (mode.h,), (seed,))[1])(jnp.eye(mode.h.shape[0]))
-    blocks, gradients = jax.vmap(per_scale)(jnp.diag(values(mode.h) / jnp.diagonal(slopes)))
+    # One after the other: all at once they are scales × readings × parameters.
+    blocks, gradients = jax.lax.map(per_scale, jnp.diag(values(mode.h) / jnp.diagonal(slopes)))
     # Tails and correlations shape the distribution of the noise and are no scales.
     scales = _is_scale(problem)
     blocks, gradients = scales[:, None, None] * blocks, scales[:, None] * gradients

@@ -27,8 +27,8 @@ from imubayes.units import to_si
 
 # The dimension of what was measured.
 ENTRY = "entry"
-# Likelihoods are kept for so many values (4 MB), of so many draws at least, without which PSIS-LOO tells nothing, and at
-# most; of replicated outputs, which pictures compare with the observed, a quarter.
+# Likelihoods are kept for so many values (4 MB), of so many draws at least, without which PSIS-LOO tells nothing, and
+# at most; of replicated outputs, which pictures compare with the observed, a quarter.
 _KEPT_VALUES, _FEWEST_KEPT, _MOST_KEPT = 1_000_000, 100, 1000
 _PREDICTED_SHARE, _BATCH = 4, 20
 # Independent draws are divided into chains, since diagnostics of chains compare several.
@@ -121,7 +121,7 @@ def posterior_groups(fit: Fit) -> Groups:
         "prior": parameters(in_units(model, prior)[None], posterior.prior_derived[None]),
         "posterior_predictive": _outputs(model, predicted),
         "prior_predictive": _outputs(model, prior_predicted),
-        "log_likelihood": _at_entries(model, likelihood.astype(np.float32), "log density of an entry given the others of its run"),
+        "log_likelihood": _at_entries(model, likelihood, "log density of an entry given the others of its run"),
         "observed_data": _outputs(model, model.entries.value),
         "constant_data": _constant_data(model),
     }
@@ -169,7 +169,7 @@ def _predicted(problem: Problem, draws: np.ndarray, random: np.random.Generator)
     deviation, tail, entry = np.moveaxis(in_batches(lambda part: _likelihoods(problem, part), both, _BATCH), 1, 0)
     alone = random.normal(size=predicted.shape) * heavy_tailed(tail, random)
     replicated = predicted + deviation * alone
-    return tuple(part.reshape(*draws.shape[:2], -1) for part in (replicated, entry))
+    return tuple(part.reshape(*draws.shape[:2], -1) for part in (replicated, entry.astype(np.float32)))
 
 
 def _variables(variables: Mapping[str, Variable], draws: np.ndarray) -> dict[str, Labelled]:

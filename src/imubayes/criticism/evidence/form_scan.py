@@ -107,11 +107,8 @@ class FormScan:
     def _grams_of_runs(self, every: np.ndarray, channel: int) -> _Grams:
         """Return the Gram matrices of forms of single runs that share columns; no noise reaches from run to run."""
         white, starts = self._white(every, channel), [start for start, _ in self.of.problem.rows[channel].series]
-        products = [
-            np.add.reduceat(one[:, None] * np.column_stack([white, self._residual[channel], self._through[channel]]), starts)
-            for one in white.T
-        ]
-        joined, width = np.stack(products, axis=1), every.shape[1]
+        beside, width = np.column_stack([white, self._residual[channel], self._through[channel]]), every.shape[1]
+        joined = np.stack([np.add.reduceat(one[:, None] * beside, starts) for one in white.T], axis=1)
         return _Grams(joined[:, :, :width], joined[:, :, width], joined[:, :, width + 1 :])
 
     def _exact(self, form: ChosenForm) -> float:
