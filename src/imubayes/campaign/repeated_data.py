@@ -26,7 +26,7 @@ _MOST_DECIMALS = 12
 
 def check_repeats(runs: Sequence[Run], files: Sequence[str], channels: Sequence[Channel]) -> list[Finding]:
     """Return an error for every pair of runs that holds the same data."""
-    found, compared = [], [_Rows(run, file) for run, file in zip(runs, files, strict=True)]
+    found, compared = [], [_Compared(run, file) for run, file in zip(runs, files, strict=True)]
     for first, second in combinations(compared, 2):
         both = first.seen & second.seen
         if not both.any():
@@ -44,7 +44,7 @@ def check_repeats(runs: Sequence[Run], files: Sequence[str], channels: Sequence[
     return found
 
 
-class _Rows:
+class _Compared:
     """The outputs of a run, as they are compared with every other."""
 
     def __init__(self, run: Run, said: str):
@@ -56,7 +56,7 @@ class _Rows:
         self.known = cache(lambda channels: frozenset(self.of(channels)))
 
 
-def _rows_alike(first: _Rows, second: _Rows, channels: Sequence[Channel], both: np.ndarray) -> int:
+def _rows_alike(first: _Compared, second: _Compared, channels: Sequence[Channel], both: np.ndarray) -> int:
     """Return the number of rows of the second run that are in the first, 0 where that may be by chance."""
     varying = tuple(np.flatnonzero(both & first.varying).tolist())
     if not varying or first.known(varying).isdisjoint(second.known(varying)):

@@ -28,9 +28,11 @@ from imubayes.units import to_si
 # The dimension of what was measured.
 ENTRY = "entry"
 # Likelihoods are kept for so many values (4 MB), of so many draws at least, without which PSIS-LOO tells nothing, and
-# at most; of replicated outputs, which pictures compare with the observed, a quarter.
+# at most; outputs are replicated of the same draws, as LOO-PIT asks for, and of a quarter as many of the prior.
 _KEPT_VALUES, _FEWEST_KEPT, _MOST_KEPT = 1_000_000, 100, 1000
-_PREDICTED_SHARE, _BATCH = 4, 20
+_PRIOR_SHARE, _BATCH = 4, 20
+# Share of the noise of an entry below which the rounding of single precision matters to nothing.
+_ROUNDING = 0.05
 # Independent draws are divided into chains, since diagnostics of chains compare several.
 _INDEPENDENT_CHAINS = 4
 
@@ -108,8 +110,7 @@ def posterior_groups(fit: Fit) -> Groups:
     random = np.random.default_rng(2)
     kept = draws[:, evenly_spaced(draws.shape[1], min(draws.shape[1], _kept(len(model.entries), len(draws))))]
     predicted, likelihood = _predicted(problem, kept, random)
-    predicted = predicted[:, ::_PREDICTED_SHARE]
-    prior_predicted, _ = _predicted(problem, prior[None, : predicted.shape[0] * predicted.shape[1]], random)
+    prior_predicted, _ = _predicted(problem, prior[None, : kept.shape[0] * kept.shape[1] // _PRIOR_SHARE], random)
     own, derived, labels = variables_of(fit)
 
     def parameters(own_draws: np.ndarray, derived_draws: np.ndarray) -> Group:
@@ -169,6 +170,9 @@ def _predicted(problem: Problem, draws: np.ndarray, random: np.random.Generator)
     deviation, tail, entry = np.moveaxis(in_batches(lambda part: _likelihoods(problem, part), both, _BATCH), 1, 0)
     alone = random.normal(size=predicted.shape) * heavy_tailed(tail, random)
     replicated = predicted + deviation * alone
+    rounding = np.abs(replicated) * np.finfo(np.float32).eps / 2
+    if np.all(rounding <= _ROUNDING * deviation):
+        replicated = replicated.astype(np.float32)
     return tuple(part.reshape(*draws.shape[:2], -1) for part in (replicated, entry.astype(np.float32)))
 
 

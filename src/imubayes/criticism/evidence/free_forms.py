@@ -337,12 +337,9 @@ def _rows_before(rows: ChannelRows) -> np.ndarray:
 
 def _steps(places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
     """Yield steps in a run, and from a row of a run on, of bias and of scale."""
-    rows_of = Counter[int]()
-    for place in places.values():
-        for start, length in place.rows.series:
-            run = int(place.run[start])
-            rows_of[run] = max(rows_of[run], length)
-    at = {run: range(2, rows, max(1, rows // PLACES)) for run, rows in sorted(rows_of.items())}
+    lengths = [(int(each.run[start]), length) for each in places.values() for start, length in each.rows.series]
+    rows_of = dict(sorted(lengths))
+    at = {run: range(2, rows, max(1, rows // PLACES)) for run, rows in rows_of.items()}
     for n in range(max(map(len, at.values()))):
         row_of = {run: rows[n] for run, rows in at.items() if n < len(rows)}
         within = {k: _steps_within(place, row_of) for k, place in places.items()}
@@ -351,11 +348,15 @@ def _steps(places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
             yield FormHypothesis("step", "step within the run", (), here, run=run, row=row)
     every = [(run, row) for run, rows in at.items() for row in rows]
     for run, row in every[:: max(1, len(every) // _MOST_STEPS)]:
-        first = {k: _first_row(place, run, row) for k, place in places.items()}
-        first = {k: start for k, start in first.items() if start < len(places[k].run)}
-        for name, gain in (("step of the bias", False), ("step of the scale factor", True)):
-            shape = {k: places[k].columns(1, partial(_onward, places[k], start, gain)) for k, start in first.items()}
-            yield FormHypothesis("step", name, (), shape, run=run, row=row)
+        yield from _lasting_steps(places, run, row)
+
+
+def _lasting_steps(places: Mapping[int, _Place], run: int, row: int) -> Iterator[FormHypothesis]:
+    first = {k: _first_row(place, run, row) for k, place in places.items()}
+    first = {k: start for k, start in first.items() if start < len(places[k].run)}
+    for name, gain in (("step of the bias", False), ("step of the scale factor", True)):
+        shape = {k: places[k].columns(1, partial(_onward, places[k], start, gain)) for k, start in first.items()}
+        yield FormHypothesis("step", name, (), shape, run=run, row=row)
 
 
 def _steps_within(place: _Place, row_of: Mapping[int, int]) -> dict[int, FormColumns]:
