@@ -43,7 +43,7 @@ def test_table_rate_against_a_common_scale_factor(tmp_path):
     rows = rate_table_rows(RATES, np.full(2 + 2 * len(RATES), 25.0), RAW_RATE)
     runs = [Run(f"rate-{seat}", "rate_table", rows, "rate", seat) for seat in SEATS]
     document = diagnosed(
-        tmp_path / "rates", runs, ["gyro_scale_factor", "table_rate_error"], {"table_rate_error.rate_error[rate]": 60.0}
+        tmp_path / "rates", runs, ["gyro_scale_factor", "table_rate_error"], {"table_rate_error.rate_error[rate]": 12.0}
     )
     first = document["groups"][0]
     assert {"table_rate_error", "gyro_scale_factor"} <= set(first["effects"]), document["sentence"]
