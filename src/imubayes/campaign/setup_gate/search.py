@@ -36,7 +36,8 @@ TRIED_FIRST, TRIED_NEXT = 4, 1
 """How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations; of hidden ones, `DECISIVE`."""
-_REFINEMENTS, _REMEMBERED = 4, 512
+_REFINEMENTS, _REMEMBERED = 4, 256
+_SETTLED = 0.01  # of twice the log likelihood: a tenth of a standard deviation of the size
 _SUSPECTS = 5  # runs whose own mistakes are tried
 
 
@@ -246,6 +247,7 @@ class Search:
         judged = self._evidence_as_stated if mistake.by_evidence else self.model.misfit
         step = float(np.min(np.diff(sorted(mistake.sizes)))) / 2
         for _ in range(_REFINEMENTS):
+            before = tried[best]
             for near in (best - step, best + step):
                 tried[near] = judged(self._corrected(mistake, base, near))
             low, middle, high = tried[best - step], tried[best], tried[best + step]
@@ -253,6 +255,8 @@ class Search:
             vertex = best + step * float(np.clip((low - high) / 2 / bend, -1, 1)) if bend > 0 else best
             tried[vertex] = judged(self._corrected(mistake, base, vertex))
             best = min((best - step, vertex, best, best + step), key=lambda size: tried[size])
+            if before - tried[best] < _SETTLED:
+                break
             step /= 6
         return best, tried[best]
 
