@@ -15,7 +15,7 @@ from imubayes.criticism.evidence.effect_variants import WIDTH_RATIO
 from imubayes.criticism.evidence.free_forms import FormColumns, FormHypothesis, columns_of_run, with_prior
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED, LinearProblem
 from imubayes.inference.fitted_model import Fit
-from imubayes.responses.wrong_inputs import Predictions, WrongInput, suspected
+from imubayes.responses.wrong_inputs import Form, Predictions, WrongInput, suspected
 
 _ERRORS = tuple((WIDTH_RATIO ** np.arange(7)).tolist())
 """Standard deviations of what is wrong, by its largest response in units of noise: a mistake is no small effect."""
@@ -44,13 +44,15 @@ def _of_runs(
     campaign = fitted.model.campaign
     suspects = [each for run in range(len(campaign.runs)) for each in suspected(campaign, run)]
     of_outputs, seats = predictions.responses_of_outputs(campaign), predictions.response_of_seats(campaign)
-    for form, column in dict.fromkeys((each.form, each.covariate) for each in suspects):
+    kinds: dict[tuple[Form, str], list[WrongInput]] = {}
+    for each in suspects:
+        kinds.setdefault((each.form, each.covariate), []).append(each)
+    for (form, column), alike in kinds.items():
         every = seats if form == "seat" else of_outputs.get(form) if not column else columns.get(column)
         if every is None:
             continue
         if form == "factor":
             every = every * np.nan_to_num(_recorded(fitted, column))
-        alike = [each for each in suspects if (each.form, each.covariate) == (form, column)]
         name = f"{form} of {column or 'outputs'}" if form != "seat" else "attitude"
         yield from _in_runs(problem, fitted, every.reshape(len(every), -1), name, alike)
 
