@@ -31,8 +31,8 @@ LEAST_SHARE = 0.05
 
 
 def signal(fitted: Fit) -> np.ndarray:
-    """Return the predicted outputs less their offset, (E,)."""
-    offsets = np.array([channel.offset for channel in fitted.model.campaign.channels])
+    """Return the predicted outputs less their offset, (E,); closing rotations have none."""
+    offsets = np.array([*(channel.offset for channel in fitted.model.campaign.channels), 0.0, 0.0, 0.0])
     predicted = np.asarray(predict(fitted.model.problem, jnp.asarray(fitted.z)))
     return predicted - offsets[fitted.model.entries.channel]
 
