@@ -18,7 +18,10 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.responses.wrong_inputs import Form, Predictions, WrongInput, suspected
 
 _ERRORS = tuple((WIDTH_RATIO ** np.arange(7)).tolist())
-"""Standard deviations of what is wrong, by its largest response in units of noise: a mistake is no small effect."""
+"""Standard deviations of what is wrong in a run, by its largest response in units of noise: a mistake is no small
+effect."""
+_ERRORS_OF_ROWS = tuple((WIDTH_RATIO ** np.arange(10)).tolist())
+"""The same of one row: an angle that is mistyped by some degrees is 10⁵ of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +113,7 @@ class WrongRows:
     run: np.ndarray
     place: np.ndarray
     outputs: Mapping[str, int]
-    amplitudes: tuple[float, ...] = _ERRORS
+    amplitudes: tuple[float, ...] = _ERRORS_OF_ROWS
 
     @property
     def log_prior(self) -> float:
@@ -128,7 +131,7 @@ class WrongRows:
             wrong = WrongInput(run, "output_offset", row=place, channel=channel)
         name = f"offset of {column}" if channel is None else f"output of {column} off"
         unit = float(self.unit[column][row])
-        return FormHypothesis("input", name, (), shape, _ERRORS, self.log_prior, run, place, wrong, unit)
+        return FormHypothesis("input", name, (), shape, self.amplitudes, self.log_prior, run, place, wrong, unit)
 
 
 def _wrong_rows(problem: LinearProblem, fitted: Fit, columns: Mapping[str, np.ndarray]) -> WrongRows | None:
