@@ -39,11 +39,14 @@ def diagnosed(folder, runs, without, values):
     return diagnosis_json(diagnose(fit(folder, model, sample=False)))
 
 
-def test_table_rate_against_a_common_scale_factor(tmp_path):
+@pytest.mark.parametrize(
+    "ppm", [12.0, pytest.param(60.0, marks=pytest.mark.xfail(reason="twelve times what the campaign states: no cause"))]
+)
+def test_table_rate_against_a_common_scale_factor(tmp_path, ppm):
     rows = rate_table_rows(RATES, np.full(2 + 2 * len(RATES), 25.0), RAW_RATE)
     runs = [Run(f"rate-{seat}", "rate_table", rows, "rate", seat) for seat in SEATS]
     document = diagnosed(
-        tmp_path / "rates", runs, ["gyro_scale_factor", "table_rate_error"], {"table_rate_error.rate_error[rate]": 12.0}
+        tmp_path / "rates", runs, ["gyro_scale_factor", "table_rate_error"], {"table_rate_error.rate_error[rate]": ppm}
     )
     first = document["groups"][0]
     assert {"table_rate_error", "gyro_scale_factor"} <= set(first["effects"]), document["sentence"]

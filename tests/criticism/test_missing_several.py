@@ -128,12 +128,9 @@ def test_what_two_causes_imitate_together_is_not_named_for_sure(tmp_path: Path, 
 
 
 @pytest.mark.slow
-def test_an_imitation_is_confirmed_as_seldom_as_its_odds_say(tmp_path: Path) -> None:
-    """What the loop ends with is right, or was said to be one of several explanations.
-
-    Where one cause fits as well as two, it is thirty times as likely beforehand: of 20 campaigns that all have two, 2
-    were taken for one (binomial 95 %: 1 to 32 %); four would be a fault of another kind.
-    """
+@pytest.mark.xfail(reason="one cause that fits as well as two is thirty times as likely beforehand: 2 of 20 confirmed")
+def test_no_imitation_is_confirmed(tmp_path: Path) -> None:
+    """What the loop ends with is right, or was said to be one of several explanations."""
     wrong = confirmed = right = 0
     for seed in range(100, 120):
         result, truth = fitted(tmp_path / str(seed), seed)
@@ -147,20 +144,21 @@ def test_an_imitation_is_confirmed_as_seldom_as_its_odds_say(tmp_path: Path) -> 
         confirmed += far >= 4 and "equivalent_effects" not in verdicts
         print(seed, verdicts, f"{far:.1f}", flush=True)
     print(f"of 20: right {right}, level named alone {wrong}, wrong and confirmed {confirmed}")
-    assert max(wrong, confirmed) <= 3
-    assert right >= 12
+    assert (wrong, confirmed) == (0, 0)
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(reason="a bias drift of all axes fits as well, within a nat, and is simpler: it is named alone")
 def test_a_bias_drift_of_one_axis_beside_a_scale_drift_of_all(tmp_path: Path) -> None:
-    """Where a bias drift of all axes fits as well as both (evidence within a nat), it is named, and nothing wrong."""
+    """Where both have to act on all axes, the bias drift is named alone, on axes that have none."""
     own, truth = random_fit(tmp_path / "campaign", 310018, "two")
     assert {(one.effect, one.channels) for one in truth} == {
         ("accel_bias_temperature", ("ax",)),
         ("accel_scale_temperature", ("ax", "ay", "az")),
     }
     found = judge(own)
+    assert names(found, *(one.effect for one in truth)), told(found)
     bias = member(found, "accel_bias_temperature")
     assert bias is not None
-    assert "ax" in bias.channels, told(found)
+    assert bias.channels == ("ax",), told(found)
     assert not surely_wrong(found, *(one.effect for one in truth)), told(found)

@@ -83,6 +83,7 @@ def test_a_hand_turned_unit_shows_its_g_sensitivity(tmp_path):
     assert [rate.after for rate in held_out.rates] == pytest.approx([0.020, 0.017, 0.016], rel=0.12)
 
 
+@pytest.mark.xfail(reason="lag and hysteresis are named, the drift of the gyros beside them is not")
 def test_a_temperature_cycle_shows_lag_hysteresis_and_drift(tmp_path):
     campaign = convert(
         "six-column", [RECORDINGS / "thermal" / "imu_raw_data.csv"], tmp_path / "thermal", sample_rate_hz=10,
@@ -96,7 +97,7 @@ def test_a_temperature_cycle_shows_lag_hysteresis_and_drift(tmp_path):
     assert of["accel"][0]["effect"] == "accel_thermal_lag"
     assert of["gyro"][0]["effect"] == "gyro_thermal_hysteresis"
     named = [name for one in document["groups"] for name in one["effects"]]
-    assert {"accel_thermal_lag", "gyro_thermal_hysteresis"} <= set(named)
+    assert {"accel_thermal_lag", "gyro_thermal_hysteresis", "gyro_bias_drift"} <= set(named)
     addition = add(tmp_path / "first", ["accel_thermal_lag"], tmp_path / "second")
     gravity = 9.81
     assert errors(first)["az"] * gravity == pytest.approx(0.047, abs=0.004)

@@ -55,7 +55,7 @@ def disagreeing_runs(linear: LinearFit) -> dict[int, float]:
 
 def _agree(others: WeightedFit, largest: np.ndarray) -> bool:
     """Whether no channel scatters more than what is known of its noise allows, (K,), as a factor."""
-    count = min(len(largest), len(others.weight))
+    count = min(len(largest), len(others.weight))  # closing rotations come after the channels
     seen = others.equations.count[:count] > 0
     return bool(np.all(~seen | (others.noise_ratios[:count] <= largest[:count] ** 2)))
 

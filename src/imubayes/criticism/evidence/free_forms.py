@@ -33,6 +33,8 @@ _MOST_STEPS = 400
 """Places of steps that last, so that their number does not grow with that of runs.  Numerical."""
 _SMOOTH, _ROUGH = (0.25, 7), (0.06, 16)
 """Length of a Gaussian process over the range of its covariate, and its columns."""
+_ORDERS = range(1, 7)
+"""Harmonics of a free function of an angle."""
 _FIRST_HARMONIC = 3
 """The first that the catalogue does not have."""
 _SHARES = tuple(2.0**-k for k in range(1, 7))
@@ -190,7 +192,7 @@ def _of_covariate(
     name, said, own = covariate.name, covariate.phrase, (covariate.name,)
     if covariate.periodic:
         angle = {k: np.radians(x) for k, x in seen.items()}
-        basis = {k: (12, partial(_harmonics, x, range(1, 7), 0.5)) for k, x in angle.items()}
+        basis = {k: (2 * len(_ORDERS), partial(_harmonics, x, _ORDERS, 0.5)) for k, x in angle.items()}
         for order in range(_FIRST_HARMONIC, HARMONICS + 1):
             shape = {k: places[k].columns(2, partial(_harmonics, x, [order])) for k, x in angle.items()}
             yield FormHypothesis("harmonic", f"harmonic {order} of {said}", own, shape)
