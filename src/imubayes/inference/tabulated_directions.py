@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_solve, solve_triangular
-from scipy.special import ndtri
+import scipy.special
 
 from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.inference.posterior_mode import Mode, heights
@@ -31,7 +31,7 @@ _MOST = 4
 # Gauss–Newton steps to the highest point across a direction, from that of the last grid point.
 _STEPS = 2
 # Quantiles by which a width is integrated, tails included.
-_NORMAL_QUANTILES = ndtri((np.arange(4000) + 0.5) / 4000)
+_NORMAL_QUANTILES = scipy.special.ndtri((np.arange(4000) + 0.5) / 4000)
 # Log density, relative to the mode, where it is not finite.
 _NOWHERE = -200.0
 

@@ -1,7 +1,5 @@
 """Residuals of a fit in output and input units, with every covariate: what compare and criticism look at."""
 
-from typing import TYPE_CHECKING
-
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
@@ -16,10 +14,6 @@ from imubayes.model.problem import Problem
 from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.results.residual_table import Residuals
 from imubayes.units import to_si
-
-if TYPE_CHECKING:
-    pass
-
 
 @kept
 def _at_mode(problem: Problem, mode):

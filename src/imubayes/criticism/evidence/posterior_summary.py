@@ -30,6 +30,9 @@ from imubayes.responses.candidate_effects import Responses
 
 _TABLED = 8
 """Effects in the table of inclusion."""
+UNLISTED = 0.25
+"""Share of explanations by effects beside noise above what is known, of which a cause outside the catalogue is
+the truth: the effect imitates a part of it and the noise takes the rest.  A belief that no data of the kind refute."""
 _KINDS: tuple[Explanation, ...] = ("nothing", "noise", "effects", "input", "outside")
 
 
@@ -67,13 +70,16 @@ class ExplanationPosterior:
     fitted : the fit that the search is about; its record is corrected where the leader is a gross wrong input.
     of : the evidence of hypotheses.
     distinct, share : hypotheses that differ in more than the scatter between runs, and their probabilities, (n,).
+    unlisted : probability of a cause outside the catalogue that no form of the search takes.
     """
 
     def __init__(self, search: ModelSearch, fitted: Fit):
         self.search, self.of, self.fitted = search, search.of, fitted
         self.distinct = [each for each in _distinct(search.known) if self._possible(each)]
         self._logs = np.array([each.log_posterior for each in self.distinct])
-        self.share = np.exp(self._logs - np.logaddexp.reduce(self._logs))
+        share = np.exp(self._logs - np.logaddexp.reduce(self._logs))
+        imitating = UNLISTED * np.array([self._beside_excess(each) for each in self.distinct])
+        self.share, self.unlisted = share * (1 - imitating), float(share @ imitating)
 
     def _possible(self, found: Evaluated) -> bool:
         """Whether a record can be wrong by what a hypothesis says."""
@@ -82,6 +88,12 @@ class ExplanationPosterior:
             return True
         size = found.mean[len(found.columns) :] * form.form.unit
         return form.form.wrong.possible(self.fitted.model.campaign, size)
+
+    def _beside_excess(self, found: Evaluated) -> bool:
+        """Tell whether effects stand beside noise of the rows above what is known."""
+        units = zip(self.of.units, found.hypothesis.noise, strict=True)
+        scales = [found.scale[list(unit.channels)] for unit, noise in units if noise.rows.free]
+        return bool(found.hypothesis.variants) and any(np.log(each).mean() > 0 for each in scales)
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -103,7 +115,10 @@ class ExplanationPosterior:
         def explanation(kind: Explanation) -> ProbableExplanation:
             here = np.array([each == kind for each in kinds])
             odds = float(self._logs[here].max() - self._logs.max()) if here.any() else None
-            return ProbableExplanation(kind=kind, probability=min(float(self.share[here].sum()), 1.0), log_odds=odds)
+            probability = float(self.share[here].sum())
+            if kind == "outside" and self.unlisted > 0:
+                probability, odds = probability + self.unlisted, max(odds or -math.inf, math.log(self.unlisted))
+            return ProbableExplanation(kind=kind, probability=min(probability, 1.0), log_odds=odds)
 
         return tuple(map(explanation, _KINDS))
 

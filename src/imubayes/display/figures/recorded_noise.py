@@ -24,7 +24,8 @@ from imubayes.display.theme import (
     themed,
 )
 
-_LEGEND, _MOST_CHANNELS = 2.05, 12
+_LEGEND = 2.05
+_MOST_CHANNELS = 12
 
 
 @themed

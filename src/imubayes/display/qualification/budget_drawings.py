@@ -14,7 +14,8 @@ from imubayes.display.qualification.svg_drawing import WIDTH, drawn, place, titl
 from imubayes.display.theme import BLUE, GREEN, INK, ORANGE, PURPLE, QUIET, SKY, VERMILION
 from imubayes.qualification.budget_record import BudgetLine, CorrelationMatrix, QuantityBudget
 
-_MOST_ROWS, _ROW, _NAMES, _LEGEND = 30, 0.155, 2.0, 0.62
+_MOST_ROWS, _ROW, _NAMES = 30, 0.155, 2.0
+_LEGEND = 0.62
 # Width of a drawing that stands alone, inches.
 _WHOLE_PAGE = 7.6
 # Part of a bar → colour, in the order in which the parts follow each other.
