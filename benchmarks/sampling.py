@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from common import Report, require, trihedral
+from control_variates import compare
 from emcee.autocorr import integrated_time
 
 from imubayes.inference.ensemble_sampling import _SHORT_SHARE, _SHORT_STEP, Settings, _sampler, burn_in, walkers_for
@@ -121,6 +122,7 @@ def measure(quick: bool = False) -> Report:
     report.say(f"- the stretch chain is {length:.0f} τ long{_caveat(length)}")
     report.say(f"- NUTS takes {leapfrogs:.0f} leapfrogs a draw\n")
     _agree(report, ours, nuts)
+    compare(report, quick)
     return report
 
 
