@@ -26,7 +26,7 @@ def score_with_drift(model: ErrorModel, view: RunView, rest: NormalTerms) -> flo
     seen = model.seen(view)
 
     def score(sd: np.ndarray) -> float:
-        return model.score(rest + model.terms_of(seen, drift=RunDrift(courses, sd)))
+        return float(model.score(rest + model.terms_of(seen, drift=RunDrift(courses, sd))))
 
     courses, families, sizes = _courses(view, model.widths)
     none = np.zeros(sizes.shape)

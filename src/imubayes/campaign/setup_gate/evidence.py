@@ -13,8 +13,9 @@ The rotations are linear in δ and τ about zero, or about a `centre`, their est
 zero their squares are left out, and count with what else a linear model leaves out.
 """
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -33,58 +34,80 @@ from imubayes.campaign.setup_gate.plausible_errors import (
     Steadiness,
     widths,
 )
-from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, views_of
+from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, in_body, stacked, views_of
 from imubayes.campaign.unit_grade import grade_of
 from imubayes.campaign_data import Campaign
-from imubayes.earth import earth_rate
 
 # Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, three of
 # the converter's temperature (as many as of the sensor's, or a curve would tell that the thermometers are exchanged);
 # of gyros that feel the Earth rate alone six terms quadratic in g, of which every tumble makes the same pattern.
 _OWN, _SQUARES = 13, ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 _OF_TEMPERATURE = (4, 5, 6, 10, 11, 12)
+_CROSS = np.array(
+    [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]]
+)
 _WARM = 25.0
+_AT_ONCE = 2**17  # responses of outputs to errors in views that are evaluated together: one megabyte
 
 
 @dataclass(frozen=True)
 class NormalTerms:
-    """What a run adds to the normal equations, and to the log likelihood.
+    """What a run adds to the normal equations, and to the log likelihood; of several ones with leading axes.
 
     Attributes
     ----------
-    matrix, vector, square : of the normal equations, (P, P), (P,) and the sum of weighted squares.
-    volume : sum of the logarithms of the variances.
-    values : number of outputs.
+    moments : weighted products of the responses to the errors and, last, the outputs, shape (..., P + 1, P + 1).
+    volume : sum of the logarithms of the variances, shape (...).
+    values : number of outputs, shape (...).
     """
 
-    matrix: np.ndarray
-    vector: np.ndarray
-    square: float
-    volume: float
-    values: int
+    moments: np.ndarray
+    volume: np.ndarray
+    values: np.ndarray
 
     def __add__(self, other: "NormalTerms") -> "NormalTerms":
-        return NormalTerms(
-            self.matrix + other.matrix, self.vector + other.vector, self.square + other.square,
-            self.volume + other.volume, self.values + other.values,
-        )  # fmt: skip
+        return NormalTerms(self.moments + other.moments, self.volume + other.volume, self.values + other.values)
 
     def __sub__(self, other: "NormalTerms") -> "NormalTerms":
-        return NormalTerms(
-            self.matrix - other.matrix, self.vector - other.vector, self.square - other.square,
-            self.volume - other.volume, self.values - other.values,
-        )  # fmt: skip
+        return NormalTerms(self.moments - other.moments, self.volume - other.volume, self.values - other.values)
+
+    def __getitem__(self, places: int | Sequence[int] | np.ndarray) -> "NormalTerms":
+        return NormalTerms(self.moments[places], self.volume[places], self.values[places])
 
     def with_volume(self, more: float) -> "NormalTerms":
         """Return the terms with more volume."""
-        return NormalTerms(self.matrix, self.vector, self.square, self.volume + more, self.values)
+        return NormalTerms(self.moments, self.volume + more, self.values)
 
     def scaled(self, factor: float) -> "NormalTerms":
         """Return the terms of so many times as many outputs."""
-        return NormalTerms(
-            self.matrix * factor, self.vector * factor, self.square * factor, self.volume * factor,
-            round(self.values * factor),
-        )  # fmt: skip
+        return NormalTerms(self.moments * factor, self.volume * factor, np.rint(self.values * factor))
+
+    def total(self) -> "NormalTerms":
+        """Return the sum over the first axis."""
+        return NormalTerms(self.moments.sum(axis=0), self.volume.sum(axis=0), self.values.sum(axis=0))
+
+
+def stacked_terms(terms: Sequence[NormalTerms]) -> NormalTerms:
+    """Return terms with a first axis for each of several."""
+    return NormalTerms(
+        np.stack([each.moments for each in terms]),
+        np.array([each.volume for each in terms]),
+        np.array([each.values for each in terms]),
+    )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well the errors of the model explain outputs, with each of several g-sensitivities, (..., G).
+
+    Attributes
+    ----------
+    misfit : sum of squared residuals and errors in units of their standard deviations.
+    score : −2 log of the evidence, up to a constant.
+    """
+
+    misfit: np.ndarray
+    score: np.ndarray
 
 
 class ErrorModel:
@@ -135,7 +158,7 @@ class ErrorModel:
         gross = [GROSS[channel.kind] if self.gross else 0.0 for channel in self.channels]
         self.rest = np.hypot(np.array([[width.rest] for width in self.widths]) * rows, np.array(gross)[:, None])
         self.run_offset = np.array([width.offset for width in self.widths]) * steadiness.runs
-        self.across = np.stack([_cross(axis) for axis in self.axes[:, 0]])
+        self.across = _cross(self.axes[:, 0])
 
     def _standard_deviations(self, campaign: Campaign) -> np.ndarray:
         sd = np.ones(self.size)
@@ -157,126 +180,180 @@ class ErrorModel:
         """Return what a run adds to the normal equations; of a loose run bias and scale factor are its own."""
         return self.terms_of(self.seen(view), loose)
 
+    def terms_of_all(self, views: Sequence[RunView]) -> NormalTerms:
+        """Return what each view adds to the normal equations, those of one shape evaluated together."""
+        alike: dict[tuple[int | bool, ...], list[int]] = {}
+        for place, view in enumerate(views):
+            # The motion of outer axes is integrated for each view.
+            alike.setdefault(view.shape if view.outer is None else (-place,), []).append(place)
+        found = NormalTerms(
+            np.empty((len(views), self.size + 1, self.size + 1)), np.empty(len(views)), np.empty(len(views))
+        )
+        for places in alike.values():
+            most = _AT_ONCE // (len(self.channels) * views[places[0]].rows * self.own)
+            for some in itertools.batched(places, max(1, most)):
+                made, at = self.terms_of(self.seen_together([views[k] for k in some])), list(some)
+                found.moments[at], found.volume[at], found.values[at] = made.moments, made.volume, made.values
+        return found
+
     def terms_of(self, seen: "Seen", loose: bool = False, drift: "RunDrift | None" = None) -> NormalTerms:
         """Return what the outputs of a run, which may drift, add to the normal equations."""
-        design, shared, there = seen.design, seen.shared, seen.there
         variance = seen.white + seen.left_out + seen.arm
-        weight = np.where(there, 1 / variance, 0.0)
+        weight = np.where(seen.there, 1 / variance, 0.0)
         own, spread = self._of_run(seen.along, loose)
         if drift is not None:
             courses = np.broadcast_to(drift.courses, (len(own), *drift.courses.shape))
             own, spread = np.concatenate([own, courses], axis=2), np.concatenate([spread, drift.sd], axis=1)
-        found = weighted(design, seen.error, weight, own, spread)
-        each = self.own
-        own = np.arange(each * len(self.channels))
-        blocks = own.reshape(-1, each)
-        matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
-        matrix[blocks[:, :, None], blocks[:, None, :]] = found.matrix[:, :each, :each]
-        across = found.matrix[:, :each, each:].reshape(len(own), len(shared))
-        matrix[np.ix_(own, shared)], matrix[np.ix_(shared, own)] = across, across.T
-        matrix[np.ix_(shared, shared)] = found.matrix[:, each:, each:].sum(axis=0)
-        vector[own], vector[shared] = found.vector[:, :each].ravel(), found.vector[:, each:].sum(axis=0)
-        volume = float(np.log(variance)[there].sum() + found.volume.sum())
-        return NormalTerms(matrix, vector, float(found.square.sum()), volume, int(there.sum()))
+        found = weighted(seen.design, seen.error, weight, own, spread)
+        volume = np.sum(np.log(variance), axis=(-2, -1), where=seen.there) + found.volume.sum(axis=-1)
+        return NormalTerms(self._placed(found.moments, seen.shared), volume, seen.there.sum(axis=(-2, -1)))
+
+    def _placed(self, moments: np.ndarray, shared: np.ndarray) -> np.ndarray:
+        """Return the moments of channels, (..., K, n + 1, n + 1), at the places of their errors and shared ones."""
+        batch, each = moments.shape[:-3], self.own
+        moments = moments.reshape(-1, *moments.shape[-3:])
+        channels = np.arange(each * len(self.channels)).reshape(-1, each)
+        shared = shared.reshape(len(moments), -1)
+        rest = np.concatenate([shared, np.full((len(shared), 1), self.size)], axis=1)
+        placed = np.zeros((len(moments), self.size + 1, self.size + 1))
+        placed[:, channels[:, :, None], channels[:, None, :]] = moments[:, :, :each, :each]
+        across = moments[:, :, :each, each:].reshape(len(moments), channels.size, -1)
+        run, own = np.arange(len(moments))[:, None, None], channels.ravel()
+        placed[run, own[:, None], rest[:, None, :]] = across
+        placed[run, rest[:, :, None], own] = across.swapaxes(1, 2)
+        placed[run, rest[:, :, None], rest[:, None, :]] = moments[:, :, each:, each:].sum(axis=1)
+        return placed.reshape(*batch, *placed.shape[1:])
 
     def seen(self, view: RunView) -> "Seen":
         """Return the errors of the outputs of a run and their response to the errors of the model."""
-        moved, tilted = self._centred(view)
-        stand = moved.local_to_body() @ tilted
-        up, earth = np.array([0.0, 0.0, view.gravity]), earth_rate(view.latitude)
-        force, rate = stand @ up, moved.rate_in_body(stand)
-        nominal = np.where(self.gyro[:, None, None], rate, force)
-        response = view.response[self.places][:, None, None]
-        felt = nominal * response  # of each channel, (K, R, 3)
+        return self.seen_together([view])[0]
+
+    def seen_together(self, views: Sequence[RunView]) -> "Seen":
+        """Return the same of several views of one shape, with a first axis for the view."""
+        (view, tilted), shared = self._centred(views), np.stack([self._shared(each) for each in views])
+        stand = view.local_to_body(tilted)
+        up, earth = view.up(), view.earth_rate()
+        force, rate = in_body(stand, up), view.rate_in_body(stand)
+        nominal = np.where(self.gyro[:, None, None], rate[..., None, :, :], force[..., None, :, :])
+        response = view.response[..., self.places, None, None]
+        felt = nominal * response  # of each channel, (..., K, R, 3)
         along = felt @ self.axes.swapaxes(1, 2)
-        shared = self._shared(view)
-        still = np.where(self.gyro[:, None, None], earth, up) * response
-        design = self._design(view, stand, felt, along, still, len(shared))
-        output = view.observed[:, self.places].T
+        along = np.broadcast_to(along, (len(views), *along.shape[-3:]))
+        still = np.where(self.gyro[:, None], earth[..., None, :], up[..., None, :]) * response[..., 0]
+        design = self._design(view, stand, felt, along, still, shared.shape[1])
+        output = view.observed[..., self.places].swapaxes(-2, -1)
         there = np.isfinite(output)
-        at_zero = (
-            along[:, :, 0] if self.centre is None else along[:, :, 0] - design[:, :, self.own :] @ self.centre[shared]
-        )
+        at_zero = along[..., 0]
+        if self.centre is not None:
+            at_zero = at_zero - (design[..., self.own :] @ self.centre[shared][:, None, :, None])[..., 0]
         error = np.where(there, (output - self.offset) / self.scale - at_zero, 0.0)
-        white = (self.noise / self.scale) ** 2 / view.samples
-        left_out, arm = self._left_out(view, np.linalg.norm(nominal, axis=2))
-        return Seen(design, error, there, white, left_out, arm, along[:, :, :1], shared)
+        white = (self.noise / self.scale) ** 2 / view.samples[..., None, :]
+        left_out, arm = self._left_out(view, np.sum(nominal**2, axis=-1), shared)
+        there, white, left_out, arm = (
+            np.broadcast_to(each, along.shape[:-1]) for each in (there, white, left_out, arm)
+        )
+        return Seen(design, error, there, white, left_out, arm, along[..., :1], shared)
 
     def _design(
         self, view: RunView, stand: np.ndarray, felt: np.ndarray, along: np.ndarray, still: np.ndarray, shared: int
     ) -> np.ndarray:
-        """Return the response of each output to each error, shape (K, R, parameters of a channel and shared ones)."""
+        """Return the response of outputs to errors, shape (B, K, R, parameters of a channel and shared ones)."""
         warm, converter = (
-            (view.temperatures.get(name, np.full(view.rows, _WARM)) - _WARM) / 10
+            ((view.temperatures[name] - _WARM) / 10)[..., None, :] if name in view.temperatures else 0.0
             for name in ("temperature", "converter_temperature")
         )
-        in_g = (stand[:, :, 2] @ self.axes.swapaxes(1, 2)) * self.gyro[:, None, None]
-        design = np.empty((len(self.channels), view.rows, self.own + shared))
-        design[:, :, :3], design[:, :, 3], design[:, :, 4], design[:, :, 5] = along, 1.0, warm, warm**2
-        design[:, :, 6], design[:, :, 7:10] = warm * along[:, :, 0], in_g
-        design[:, :, 10], design[:, :, 11] = converter, converter**2
-        design[:, :, 12] = converter * along[:, :, 0]
+        in_g = (stand[..., None, :, :, 2] @ self.axes.swapaxes(1, 2)) * self.gyro[:, None, None]
+        design = np.empty((*along.shape[:-1], self.own + shared))
+        design[..., :3], design[..., 3], design[..., 4], design[..., 5] = along, 1.0, warm, warm**2
+        design[..., 6], design[..., 7:10] = warm * along[..., 0], in_g
+        design[..., 10], design[..., 11] = converter, converter**2
+        design[..., 12] = converter * along[..., 0]
         for place, (a, b) in enumerate(self.squares, start=_OWN):
-            design[:, :, place] = in_g[:, :, a] * in_g[:, :, b]
+            design[..., place] = in_g[..., a] * in_g[..., b]
         place = self.own
         if view.mounting is not None:
-            design[:, :, place : place + 3] = -felt @ self.across
+            design[..., place : place + 3] = -felt @ self.across
             place += 3
         if view.table is not None:
-            held = (self.axes[:, 0] @ stand).swapaxes(0, 1)  # input axes in local level, (K, R, 3)
-            design[:, :, place : place + 3] = held @ np.stack([_cross(each) for each in still[:, 0]])
+            held = np.einsum("kj,...rji->...kri", self.axes[:, 0], stand)  # input axes in local level
+            design[..., place : place + 3] = held @ _cross(still)
         return design
 
     def _of_run(self, along: np.ndarray, loose: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return the responses to the errors of a run alone, (K, R, q), and their standard deviations, (K, q)."""
+        """Return the responses to the errors of a run alone, (..., K, R, q), and their standard deviations, (K, q)."""
         if not loose:
             return np.ones_like(along), self.run_offset[:, None]
         spread = np.stack([LOOSE_OFFSET * self.run_offset, [width.scale for width in self.widths]], axis=1)
-        return np.concatenate([np.ones_like(along), along], axis=2), spread
+        return np.concatenate([np.ones_like(along), along], axis=-1), spread
 
-    def _centred(self, view: RunView) -> tuple[RunView, np.ndarray]:
-        """Return a view with its mounting, and the rotation of the axis of its table, at the centre."""
+    def _centred(self, views: Sequence[RunView]) -> tuple[RunView, np.ndarray | None]:
+        """Return views as one with mountings at the centre, and the rotations of the axes of their tables (B, 3, 3)."""
+        view = stacked(views)
         if self.centre is None:
-            return view, np.eye(3)
-        if view.mounting is not None:
-            view = replace(view, body_to_table=view.body_to_table @ self._at_centre(self.mountings[view.mounting]).T)
-        return view, np.eye(3) if view.table is None else self._at_centre(self.tables[view.table])
+            return view, None
+        mounted = np.stack([self._at_centre(self.mountings.get(each.mounting or "")) for each in views])
+        tilted = np.stack([self._at_centre(self.tables.get(each.table or "")) for each in views])
+        return replace(view, body_to_table=view.body_to_table @ mounted.swapaxes(1, 2)), tilted
 
-    def _at_centre(self, place: int) -> np.ndarray:
-        """Return the rotation of a mounting or a table at the centre."""
+    def _at_centre(self, place: int | None) -> np.ndarray:
+        """Return the rotation of a mounting or a table at the centre; none where there is no such place."""
+        if place is None or self.centre is None:
+            return np.eye(3)
         if place not in self.rotated:
-            self.rotated[place] = np.eye(3) if self.centre is None else _rotation(self.centre[place : place + 3])
+            self.rotated[place] = _rotation(self.centre[place : place + 3])
         return self.rotated[place]
 
     def _shared(self, view: RunView) -> np.ndarray:
         places = [self.mountings[view.mounting]] if view.mounting is not None else []
         places += [self.tables[view.table]] if view.table is not None else []
-        return np.concatenate([np.arange(0), *(np.arange(place, place + 3) for place in places)]).astype(int)
+        return np.add.outer(np.array(places, dtype=int), np.arange(3)).ravel()
 
-    def _left_out(self, view: RunView, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the variance of what the linear model leaves out of inputs of a size, SI, and that of lever arms."""
-        arm = np.where(self.gyro[:, None], 0.0, view.largest_rate() ** 4 * LEVER_ARM**2)
-        turned = np.sum(self.sd[self._shared(view)].reshape(-1, 3)[:, 0] ** 2) if self.centre is None else 0.0
-        return size**2 * (self.share**2 + turned**2) + self.rest**2, arm
+    def _left_out(self, view: RunView, square: np.ndarray, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the variance of what the linear model leaves out of squared inputs, SI, and that of lever arms."""
+        arm = np.where(self.gyro[:, None], 0.0, view.largest_rate()[..., None, :] ** 4 * LEVER_ARM**2)
+        turned = np.sum(self.sd[shared[:, ::3]] ** 2, axis=1) if self.centre is None else np.zeros(len(shared))
+        return square * (self.share**2 + turned[:, None, None] ** 2) + self.rest**2, arm
 
-    def score(self, terms: NormalTerms, g_sensitivity: float | None = None, compensated: bool = False) -> float:
-        """Return −2 log of the evidence, up to a constant; by default with the g-sensitivity that the gyros show.
+    def fit(
+        self, terms: NormalTerms, g_sensitivities: Sequence[float] = G_SENSITIVITIES, compensated: bool = False
+    ) -> Fit:
+        """Return how well the errors of the model explain outputs, with each of some g-sensitivities, rad/s per g.
 
         The outputs of a compensated unit hardly follow the temperature.
         """
-        sd = self.widths_with(self.best_g_sensitivity(terms) if g_sensitivity is None else g_sensitivity)
+        last = [*self.g_sensitive, self.size]
+        first = np.setdiff1d(np.arange(self.size), last)
+        sd = np.append(self.sd, 1.0)
+        sd[last] = 1.0
         if compensated:
             sd[self.thermal] *= COMPENSATED
+        order, count = np.concatenate([first, last]), len(first)
         # In units of the priors the normal matrix is the unit matrix and more, and well conditioned.
-        lower = np.linalg.cholesky(np.eye(self.size) + sd[:, None] * terms.matrix * sd)
-        solved = np.linalg.solve(lower, sd * terms.vector)
-        return float(terms.square - solved @ solved + 2 * np.log(np.diag(lower)).sum() + terms.volume)
+        scaled = (sd[:, None] * terms.moments * sd)[..., order[:, None], order]
+        bordering = scaled[..., count:, count:].copy()
+        # The factor of the first errors does not depend on the last block, as long as there is one.
+        enough = 1 + 2 * np.sum(scaled[..., :count, count:] ** 2, axis=(-2, -1))
+        scaled[..., count:, count:] = enough[..., None, None] * np.eye(len(last))
+        scaled[..., range(count), range(count)] += 1.0
+        lower = np.linalg.cholesky(scaled)
+        across = lower[..., count:, :count]
+        left = (bordering - across @ across.swapaxes(-2, -1))[..., None, :, :]
+        variance = np.square(g_sensitivities)[:, None, None]
+        inner = np.eye(len(last) - 1) + variance * left[..., :-1, :-1]
+        rest = left[..., :-1, -1:]
+        solved = np.linalg.solve(inner, variance * rest)
+        misfit = left[..., -1, -1] - np.sum(rest * solved, axis=(-2, -1))
+        known = 2 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)[..., :count]).sum(axis=-1) + terms.volume
+        return Fit(misfit, misfit + np.linalg.slogdet(inner)[1] + known[..., None])
+
+    def score(self, terms: NormalTerms, g_sensitivity: float | None = None, compensated: bool = False) -> np.ndarray:
+        """Return −2 log of the evidence, up to a constant; by default with the g-sensitivity that the gyros show."""
+        tried = G_SENSITIVITIES if g_sensitivity is None else (g_sensitivity,)
+        return self.fit(terms, tried, compensated).score.min(axis=-1)
 
     def best_g_sensitivity(self, terms: NormalTerms) -> float:
         """Return the standard deviation of the g-sensitivity of most evidence, rad/s per g."""
-        if not len(self.g_sensitive):
-            return G_SENSITIVITIES[0]
-        return min(G_SENSITIVITIES, key=lambda width: self.score(terms, width))
+        return G_SENSITIVITIES[int(np.argmin(self.fit(terms).score))]
 
     def widths_with(self, g_sensitivity: float) -> np.ndarray:
         """Return the standard deviations of all errors with that of the g-sensitivity, shape (P,)."""
@@ -286,25 +363,25 @@ class ErrorModel:
 
     def estimates(self, terms: NormalTerms) -> np.ndarray:
         """Return the estimated errors, those of mountings and tables in rad, shape (P,)."""
-        return self.widths_with(self.best_g_sensitivity(terms)) * self.errors(terms)
+        sd = self.widths_with(self.best_g_sensitivity(terms))
+        return sd * self._errors(terms, sd)
 
     def errors(self, terms: NormalTerms) -> np.ndarray:
         """Return the estimated errors in units of their standard deviations, shape (P,)."""
-        sd = self.widths_with(self.best_g_sensitivity(terms))
-        return np.linalg.solve(np.eye(self.size) + sd[:, None] * terms.matrix * sd, sd * terms.vector)
+        return self._errors(terms, self.widths_with(self.best_g_sensitivity(terms)))
 
-    def misfit(self, terms: NormalTerms) -> float:
+    def _errors(self, terms: NormalTerms, sd: np.ndarray) -> np.ndarray:
+        matrix, vector = terms.moments[:-1, :-1], terms.moments[:-1, -1]
+        return np.linalg.solve(np.eye(self.size) + sd[:, None] * matrix * sd, sd * vector)
+
+    def misfit(self, terms: NormalTerms) -> np.ndarray:
         """Return the sum of squared residuals and errors in units of their standard deviations."""
-        sd = self.widths_with(G_SENSITIVITIES[-1])
-        lower = np.linalg.cholesky(np.eye(self.size) + sd[:, None] * terms.matrix * sd)
-        solved = np.linalg.solve(lower, sd * terms.vector)
-        return float(terms.square - solved @ solved)
+        return self.fit(terms, G_SENSITIVITIES[-1:]).misfit[..., 0]
 
 
-def _cross(vector: np.ndarray) -> np.ndarray:
-    """Return the matrix C of a vector v for which a @ C is v × a."""
-    x, y, z = vector
-    return np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
+def _cross(vectors: np.ndarray) -> np.ndarray:
+    """Return the matrices C of vectors v for which a @ C is v × a, shape (..., 3, 3)."""
+    return np.tensordot(vectors, _CROSS, axes=1)
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
@@ -333,16 +410,16 @@ class RunDrift:
 
 @dataclass(frozen=True)
 class Seen:
-    """The outputs of one run beside what the model says of them.
+    """The outputs of one run, or with a first axis of several views, beside what the model says of them.
 
     Attributes
     ----------
-    design : response of each output to the errors of its channel and to shared ones, shape (K, R, n).
-    error : of each output over its nominal input, SI, shape (K, R); 0 where there is none.
-    there : whether there is an output, shape (K, R).
-    white, left_out, arm : variances of the noise, of what the model leaves out and of lever arms, shape (K, R).
-    along : nominal input along each input axis, shape (K, R, 1).
-    shared : places of the errors of mounting and table.
+    design : response of each output to the errors of its channel and to shared ones, shape (..., K, R, n).
+    error : of each output over its nominal input, SI, shape (..., K, R); 0 where there is none.
+    there : whether there is an output, shape (..., K, R).
+    white, left_out, arm : variances of the noise, of what the model leaves out and of lever arms, shape (..., K, R).
+    along : nominal input along each input axis, shape (..., K, R, 1).
+    shared : places of the errors of mounting and table, shape (..., m).
     """
 
     design: np.ndarray
@@ -354,20 +431,32 @@ class Seen:
     along: np.ndarray
     shared: np.ndarray
 
+    def __getitem__(self, place: int) -> "Seen":
+        return Seen(**{each.name: getattr(self, each.name)[place] for each in fields(self)})
+
+    def without_row(self, row: int) -> "Seen":
+        """Return the outputs of a run without those of a row."""
+        there = self.there & (np.arange(self.there.shape[-1]) != row)
+        return replace(self, there=there, error=np.where(there, self.error, 0.0))
+
     def without_shared(self, errors: np.ndarray) -> "Seen":
         """Return the outputs less what errors (P,) of the mounting and the table make."""
-        first = self.design.shape[2] - len(self.shared)
-        made = self.design[:, :, first:] @ errors[self.shared]
+        first = self.design.shape[-1] - self.shared.shape[-1]
+        made = (self.design[..., first:] @ errors[self.shared][..., None, :, None])[..., 0]
         return replace(self, error=np.where(self.there, self.error - made, 0.0))
 
 
 @dataclass(frozen=True)
 class Weighted:
-    """The normal equations of each channel in one run: (K, n, n), (K, n), (K,) and (K,)."""
+    """The normal equations of each channel in one run.
 
-    matrix: np.ndarray
-    vector: np.ndarray
-    square: np.ndarray
+    Attributes
+    ----------
+    moments : weighted products of the responses to the errors and, last, the outputs, (..., K, n + 1, n + 1).
+    volume : of the errors of the run, (..., K).
+    """
+
+    moments: np.ndarray
     volume: np.ndarray
 
 
@@ -378,25 +467,14 @@ def weighted(
 
     Parameters
     ----------
-    design : response to the errors that are estimated, shape (K, R, n).
-    error, weight : of each output, shape (K, R).
-    own : response to the errors of the run, shape (K, R, q).
+    design : response to the errors that are estimated, shape (..., K, R, n).
+    error, weight : of each output, shape (..., K, R).
+    own : response to the errors of the run, shape (..., K, R, q).
     spread : their standard deviations, shape (K, q).
     """
-    heavy, own = design * weight[:, :, None], own * spread[:, None, :]
-    turned = own.swapaxes(1, 2)
-    inner = np.eye(own.shape[2]) + turned @ (own * weight[:, :, None])
-    across, at = turned @ heavy, turned @ (weight * error)[:, :, None]
-    solved = np.linalg.solve(inner, np.concatenate([across, at], axis=2))
-    matrix = design.swapaxes(1, 2) @ heavy - across.swapaxes(1, 2) @ solved[:, :, :-1]
-    vector = np.sum(heavy * error[:, :, None], axis=1) - np.sum(solved[:, :, :-1] * at, axis=1)
-    square = np.sum(weight * error**2, axis=1) - np.sum(solved[:, :, -1:] * at, axis=(1, 2))
-    return Weighted(matrix, vector, square, np.linalg.slogdet(inner)[1])
-
-
-def total(terms: Sequence[NormalTerms]) -> NormalTerms:
-    """Return the sum of the terms of runs."""
-    found = terms[0]
-    for more in terms[1:]:
-        found = found + more
-    return found
+    both, own = np.concatenate([design, error[..., None]], axis=-1), own * spread[:, None, :]
+    heavy, turned = both * weight[..., None], own.swapaxes(-2, -1)
+    inner = np.eye(own.shape[-1]) + turned @ (own * weight[..., None])
+    across = turned @ heavy
+    moments = both.swapaxes(-2, -1) @ heavy - across.swapaxes(-2, -1) @ np.linalg.solve(inner, across)
+    return Weighted(moments, np.linalg.slogdet(inner)[1])

@@ -4,7 +4,9 @@ A small input, such as the Earth rate or what a temperature does, shows in a goo
 """
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,6 +59,14 @@ that does not gain more by `STOPPING`."""
 _STEPS = 4
 
 
+class Tried(NamedTuple):
+    """A correction at a level of steadiness, with −2 log of its evidence."""
+
+    score: float
+    level: int
+    found: Explanation
+
+
 def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     """Return the mistakes that explain the outputs of a campaign decisively although plausible errors would do.
 
@@ -70,12 +80,10 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES)
     if feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views):
         concealed = (*MISTAKES, ChannelGain, AngleUnit, NominalScale, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
-    found = [
-        best
-        for kind in concealed
-        for mistake in kind.suspected(campaign, views)
-        if _is_of_equipment(mistake) and (best := levels.steadiest(mistake, first, stated)) is not None
-    ]
+    suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_of_equipment(each)]
+    tried = levels.tried(suspected, first)
+    best = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
+    found = [each for each in best if each is not None]
     return [each for each in found if _is_sayable(each, campaign) and not levels[0].passes_for_noise(each.mistake)]
 
 
@@ -125,7 +133,7 @@ class SteadinessLevels:
         adequate = [level for level in scores if self[level].misfit < MOST_MISFIT_LEFT] or [0]
         return min(adequate, key=lambda level: scores[level]), min(scores.values())
 
-    def steadiest(self, mistake: Mistake, first: int, stated: float) -> Explanation | None:
+    def steadiest(self, mistake: Mistake, tried: Sequence[Tried], stated: float) -> Explanation | None:
         """Return the correction of a mistake at the level of most evidence; None where it explains nothing.
 
         The outputs of a unit look no steadier with a mistake than without, so that no level below the `first`, that of
@@ -138,19 +146,19 @@ class SteadinessLevels:
 
         Parameters
         ----------
+        tried : the correction at each level where it fits.
         stated : −2 log evidence of the set-up as stated.
         """
-        tried = self._tried(mistake, first)
         if not tried:
             return None
-        score, level, best = min(tried, key=lambda each: each[0])
+        score, level, best = min(tried, key=lambda each: each.score)
         gain, rival = stated - score, stated
         if self.tumbled:
             rival = self.unsteady - (STOPPING - DECISIVE)
         if isinstance(mistake, TEMPERATURE_MISTAKES):
-            rival = min(self[tried_at].rival(mistake) for _, tried_at, _ in tried)
+            rival = min(self[each.level].rival(mistake) for each in tried)
             if isinstance(mistake, TemperatureReversed):
-                drifting = np.array([self[tried_at].with_drift(mistake) for _, tried_at, _ in tried])
+                drifting = np.array([self[each.level].with_drift(mistake) for each in tried])
                 beside = float(np.subtract(*drifting.min(axis=0)))
                 if beside < 0:
                     return None
@@ -161,27 +169,30 @@ class SteadinessLevels:
             return None
         return Explanation(mistake, best.size, gain, best.misfit, max(0.0, stated - rival), STOPPING)
 
-    def _tried(self, mistake: Mistake, first: int) -> list[tuple[float, int, Explanation]]:
-        """Return −2 log evidence, level and correction at each level where the correction fits."""
-        most = MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, TEMPERATURE_MISTAKES) else MOST_MISFIT_LEFT
-        tried: list[tuple[float, int, Explanation]] = []
-        fitting = set(range(first))
+    def tried(self, mistakes: Sequence[Mistake], first: int) -> list[list[Tried]]:
+        """Return the correction of each mistake at each level, from the first, where it fits."""
+        found: list[list[Tried]] = [[] for _ in mistakes]
+        fitting, going = [set(range(first)) for _ in mistakes], list(range(len(mistakes)))
         for level in range(first, len(self.levels)):
-            if level > first and self.levels[level][2] not in fitting:
-                continue
-            found = self[level].explain(mistake)
-            if found.gain < WORTH_TRYING and not tried and not isinstance(mistake, LatitudeSign):
-                break
-            if found.misfit < most:
-                fitting.add(level)
-                tried.append((self[level].stated - found.gain, level, found))
-        return tried
+            due = [k for k in going if level == first or self.levels[level][2] in fitting[k]]
+            explained = self[level].explain([mistakes[k] for k in due]) if due else []
+            for k, each in zip(due, explained, strict=True):
+                if each.gain < WORTH_TRYING and not found[k] and not isinstance(each.mistake, LatitudeSign):
+                    going.remove(k)
+                elif each.misfit < _most_misfit(each.mistake):
+                    fitting[k].add(level)
+                    found[k].append(Tried(self[level].stated - each.gain, level, each))
+        return found
 
     def _holds_below(self, level: int, mistake: Mistake) -> bool:
         # A sign has no size that would adapt to what is left out.
         bar = 0.0 if isinstance(mistake, LatitudeSign) else DECISIVE
         below = self.levels[level][2]
-        return not below or self[below].explain(mistake).support > bar
+        return not below or self[below].explain([mistake])[0].support > bar
+
+
+def _most_misfit(mistake: Mistake) -> float:
+    return MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, TEMPERATURE_MISTAKES) else MOST_MISFIT_LEFT
 
 
 def _is_of_equipment(mistake: Mistake) -> bool:

@@ -434,20 +434,19 @@ class TimeShift(Mistake):
         size = round(size) if _is_static(view) else size
         row = np.arange(view.rows) - size
         before = np.clip(np.floor(row).astype(int), 0, view.rows - 1)
-        after = np.clip(before + 1, 0, view.rows - 1)
-        part = row - before
+        after, part = np.minimum(before + 1, view.rows - 1), -size % 1
         outside = (row < 0) | (row > view.rows - 1)
 
         def at(values: np.ndarray) -> np.ndarray:
-            weight = part.reshape(-1, *[1] * (values.ndim - 1))
-            mixed = values[before] * (1 - weight) + values[after] * weight
-            return np.where(part.reshape(weight.shape) == 0, values[before], mixed)
+            return values[before] * (1 - part) + values[after] * part if part else values[before]
 
-        turned = view.angle[before] + part * np.angle(np.exp(1j * (view.angle[after] - view.angle[before])))
+        turned = view.angle[before]
+        if part:
+            turned = turned + part * np.angle(np.exp(1j * (view.angle[after] - turned)))
         return replace(
             view,
             rate=at(view.rate),
-            angle=np.where(part == 0, view.angle[before], turned),
+            angle=turned,
             span=at(view.span),
             reference=None if view.reference is None else at(view.reference),
             attitude=None if view.attitude is None else view.attitude[before],

@@ -1,12 +1,14 @@
 """What a run is said to be, in the form in which set-up mistakes change it.
 
 A `RunView` holds the nominal set-up of one run beside its outputs.  A suspected mistake is a changed view: another
-table angle, another mounting, other units of a column.  The nominal input follows from the view alone.
+table angle, another mounting, other units of a column.  The nominal input follows from the view alone.  Views of one
+shape are stacked, to be evaluated together.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +18,13 @@ from imubayes.earth import earth_rate, table_to_local
 from imubayes.procedures import PROCEDURES
 from imubayes.procedures.serial_axes import axis_angles, serial_stimulus
 
+TEMPERATURES = ("temperature", "converter_temperature")
 REFERENCE = ("reference_x", "reference_y", "reference_z")
 
 
 @dataclass(frozen=True)
 class RunView:
-    """The nominal set-up of one run, in SI, beside its outputs.
+    """The nominal set-up of one run, in SI, beside its outputs; of several views of one shape with a first axis.
 
     Attributes
     ----------
@@ -68,33 +71,58 @@ class RunView:
     @property
     def rows(self) -> int:
         """Number of rows."""
-        return len(self.samples)
+        return self.samples.shape[-1]
 
-    def local_to_body(self) -> np.ndarray:
-        """Return the rotation from local level to body axes, mean over the arc of each row, shape (R, 3, 3)."""
+    @property
+    def shape(self) -> tuple[int | bool, ...]:
+        """What views have in common that can be stacked."""
+        fields = self.table, self.mounting, self.attitude, self.reference
+        thermometers = (name in self.temperatures for name in TEMPERATURES)
+        return (self.rows, *(each is None for each in fields), *thermometers)
+
+    def local_to_body(self, tilted: np.ndarray | None = None) -> np.ndarray:
+        """Return the rotation from local level to body axes, mean over the arc of each row, shape (..., R, 3, 3).
+
+        Parameters
+        ----------
+        tilted : rotation of the axis of the table from where it is said to be, shape (..., 3, 3); None for none.
+        """
         if self.attitude is not None:
-            return np.swapaxes(self.attitude, 1, 2)
-        to_local = table_to_local(self.azimuth, self.elevation)
+            stand = np.swapaxes(self.attitude, -2, -1)
+            return stand if tilted is None else stand @ tilted[..., None, :, :]
+        to_local = _to_local(self.azimuth, self.elevation)
         if self.outer is not None:
-            return self.body_to_table.T @ self.outer.turned((self.angle, self.rate, self.span), to_local)
+            stand = np.swapaxes(self.body_to_table, -2, -1) @ self.outer.turned(
+                (self.angle, self.rate, self.span), to_local
+            )
+            return stand if tilted is None else stand @ tilted[..., None, :, :]
+        level = to_local.swapaxes(-2, -1) if tilted is None else to_local.swapaxes(-2, -1) @ tilted
         known = np.isfinite(self.angle)
         angle = np.where(known, self.angle, 0.0)
         short = np.where(known, np.sinc(self.span / (2 * math.pi)), 0.0)
-        turn = np.zeros((self.rows, 3, 3))
-        turn[:, 0, 0] = turn[:, 1, 1] = short * np.cos(angle)
-        turn[:, 0, 1] = short * np.sin(angle)
-        turn[:, 1, 0] = -turn[:, 0, 1]
-        turn[:, 2, 2] = 1.0
-        return self.body_to_table.T @ turn @ to_local.T
+        cos, sin = ((short * each)[..., None] for each in (np.cos(angle), np.sin(angle)))
+        x, y, z = (level[..., None, axis, :] for axis in range(3))
+        # Axis of the table by axis, so that one product of matrices turns all rows.
+        turned = np.stack(np.broadcast_arrays(cos * x + sin * y, cos * y - sin * x, z), axis=-3)
+        held = np.swapaxes(self.body_to_table, -2, -1) @ turned.reshape(*turned.shape[:-2], -1)
+        return held.reshape(*held.shape[:-1], self.rows, 3).swapaxes(-3, -2)
+
+    def up(self) -> np.ndarray:
+        """Return the force at rest in local level, m/s², shape (..., 3)."""
+        return np.multiply.outer(self.gravity, [0.0, 0.0, 1.0])
+
+    def earth_rate(self) -> np.ndarray:
+        """Return the Earth rate in local level, rad/s, shape (..., 3)."""
+        return _mapped(earth_rate, self.latitude)
 
     def rate_in_body(self, local_to_body: np.ndarray) -> np.ndarray:
-        """Return the nominal angular rate in body axes, rad/s, shape (R, 3)."""
+        """Return the nominal angular rate in body axes, rad/s, shape (..., R, 3)."""
         if self.reference is not None:
             return self.reference
+        earth = in_body(local_to_body, self.earth_rate())
         if self.outer is not None:
-            turning = self.outer.rate_of_table((self.angle, self.rate, self.span)) @ self.body_to_table
-            return local_to_body @ earth_rate(self.latitude) + turning
-        return local_to_body @ earth_rate(self.latitude) + self.rate[:, None] * self.body_to_table[2]
+            return earth + self.outer.rate_of_table((self.angle, self.rate, self.span)) @ self.body_to_table
+        return earth + self.rate[..., None] * self.body_to_table[..., None, 2, :]
 
     def repeats(self) -> np.ndarray:
         """Return whether each row but the first repeats the position of the row before it, at rest, shape (R − 1,)."""
@@ -107,10 +135,43 @@ class RunView:
         return still[1:] & still[:-1] & same
 
     def largest_rate(self) -> np.ndarray:
-        """Return the magnitude of the rate of the table in each row, rad/s, shape (R,)."""
+        """Return the magnitude of the rate of the table in each row, rad/s, shape (..., R)."""
         if self.reference is not None:
-            return np.linalg.norm(self.reference, axis=1)
-        return np.abs(self.rate) + (0.0 if self.outer is None else np.abs(self.outer.rate).sum(axis=1))
+            return np.linalg.norm(self.reference, axis=-1)
+        return np.abs(self.rate) + (0.0 if self.outer is None else np.abs(self.outer.rate).sum(axis=-1))
+
+
+def in_body(local_to_body: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return a vector of local level, (..., 3), in body axes in each row, shape (..., R, 3)."""
+    return np.einsum("...rij,...j->...ri", local_to_body, vector)
+
+
+def stacked(views: Sequence[RunView]) -> RunView:
+    """Return views of one shape as one; what all have in common has no axis of its own."""
+    found: dict[str, Any] = {}
+    for each in fields(RunView):
+        values = [getattr(view, each.name) for view in views]
+        first = values[0]
+        if each.name == "temperatures":
+            found[each.name] = {name: _together([value[name] for value in values]) for name in first}
+        elif isinstance(first, (np.ndarray, float)):
+            found[each.name] = _together(values)
+    return replace(views[0], **found)
+
+
+def _together(values: Sequence[Any]) -> Any:
+    return values[0] if len(set(map(id, values))) == 1 else np.stack(values)
+
+
+def _mapped(function: Callable[..., np.ndarray], *values: float | np.ndarray) -> np.ndarray:
+    """Return a function of scalars of one or of several views."""
+    several = np.broadcast_arrays(*values)
+    found = [function(*each) for each in zip(*(each.ravel().tolist() for each in several), strict=True)]
+    return np.reshape(found, (*several[0].shape, *found[0].shape))
+
+
+def _to_local(azimuth: float | np.ndarray, elevation: float | np.ndarray) -> np.ndarray:
+    return _mapped(table_to_local, azimuth, elevation)
 
 
 def views_of(campaign: Campaign) -> tuple[RunView, ...]:
@@ -135,7 +196,6 @@ def _view(campaign: Campaign, run: Run) -> RunView:
     table = None if run.table is None else campaign.tables[run.table]
     recorded = run.covariates
     serial = None if table is None or table.inner_axis is None else outer_axes(run, table)
-    names = ("temperature", "converter_temperature")
     referenced = not PROCEDURES[run.procedure].rate_recorded
     return RunView(
         name=run.name,
@@ -153,7 +213,7 @@ def _view(campaign: Campaign, run: Run) -> RunView:
         rate=recorded["table_rate"],
         reference=np.stack([recorded[name] for name in REFERENCE], axis=1) if referenced else None,
         time=recorded.get("time", np.arange(run.rows, dtype=float)),
-        temperatures={name: recorded[name] for name in names if name in recorded},
+        temperatures={name: recorded[name] for name in TEMPERATURES if name in recorded},
         observed=run.observed,
         samples=run.samples,
         response=np.ones(len(campaign.channels)),

@@ -3,18 +3,19 @@
 Evidence of the set-up as stated is compared with that of every suspected correction.
 """
 
+import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from imubayes.campaign.setup_gate.drift_rivals import score_with_drift
-from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
+from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake
 from imubayes.campaign.setup_gate.outer_axes import CarryingAxes
 from imubayes.campaign.setup_gate.outer_mistakes import AxisZero
-from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
+from imubayes.campaign.setup_gate.plausible_errors import G_SENSITIVITIES, POOR, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView, views_of
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
 from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, ChannelGain
@@ -39,6 +40,11 @@ EQUIVALENT = 10.0
 _REFINEMENTS, _REMEMBERED = 4, 256
 _SETTLED = 0.01  # of twice the log likelihood: a tenth of a standard deviation of the size
 _SUSPECTS = 5  # runs whose own mistakes are tried
+_AT_ONCE = 2**19  # numbers in the terms of campaigns that are judged together: four megabytes
+
+type Identity = tuple[bytes | str | float, ...]
+type Key = tuple[int, Identity]
+"""The place of a run, and what tells its corrected view from others."""
 
 
 @dataclass(frozen=True)
@@ -110,12 +116,13 @@ class Search:
         if not self.views:
             return
         self.model = ErrorModel(campaign, steadiness=steadiness, centre=centre)
-        self.known: dict[tuple[int, tuple[bytes | str | float, ...]], NormalTerms] = {}
-        self.terms = [self.model.terms(view) for view in self.views]
-        self.total = total(self.terms)
-        self.stated = self.model.score(self.total)
-        self.g_sensitivity = self.model.best_g_sensitivity(self.total)
-        self.misfit = self.model.misfit(self.total) / max(self.total.values, 1)
+        self.known: dict[Key, NormalTerms] = {}
+        self.terms = self.model.terms_of_all(self.views)
+        self.total = self.terms.total()
+        fit = self.model.fit(self.total)
+        self.stated = float(fit.score.min())
+        self.g_sensitivity = G_SENSITIVITIES[int(np.argmin(fit.score))]
+        self.misfit = float(fit.misfit[-1] / np.maximum(self.total.values, 1))
 
     @property
     def ordinary(self) -> bool:
@@ -150,12 +157,16 @@ class Search:
         """Return the search in the campaign without a mistake."""
         return Search(self.campaign, views=found.mistake.removed(self.views, found.size))
 
-    def _suspected(self) -> Iterator[Explanation]:
+    def _suspected(self) -> list[Explanation]:
         suspects = self.suspects()
-        for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, RateFactor, *TEMPERATURE_MISTAKES):
-            for mistake in kind.suspected(self.campaign, self.views):
-                if mistake.scope.section != "run" or suspects.issuperset(mistake.scope.runs):
-                    yield self.explain(mistake)
+        return self.explain(
+            [
+                mistake
+                for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, RateFactor, *TEMPERATURE_MISTAKES)
+                for mistake in kind.suspected(self.campaign, self.views)
+                if mistake.scope.section != "run" or suspects.issuperset(mistake.scope.runs)
+            ]
+        )
 
     def _explains(self, found: Explanation) -> bool:
         excess, left = self.misfit - ORDINARY_MISFIT / 2, found.misfit - ORDINARY_MISFIT / 2
@@ -170,95 +181,100 @@ class Search:
             return False
         factors = np.array([mistake.factor if place in mistake.places else 1.0 for place in self.model.places])
         larger = Search(self.campaign, Steadiness(factors, factors, factors), self.views, self.model.centre)
-        return self.explain(mistake).gain < self.stated - larger.stated + DECISIVE
+        return self.explain([mistake])[0].gain < self.stated - larger.stated + DECISIVE
 
     def disagreements(self) -> list[tuple[str, float]]:
         """Return the runs that disagree with the others and their misfit per output, worst first."""
         if self.ordinary:
             return []
         model = ErrorModel(self.campaign, gross=True)
-        terms = [model.terms(view) for view in self.views]
-        whole = total(terms)
-        misfit = model.misfit(whole)
-        found = [
-            (view.name, (misfit - model.misfit(whole - own)) / max(own.values, 1))
-            for view, own in zip(self.views, terms, strict=True)
-        ]
+        terms = model.terms_of_all(self.views)
+        whole = terms.total()
+        surprise = (model.misfit(whole) - model.misfit(whole - terms)) / np.maximum(terms.values, 1)
+        found = zip((view.name for view in self.views), surprise.tolist(), strict=True)
         return sorted((each for each in found if each[1] > DECISIVE), key=lambda each: -each[1])
 
     def suspects(self) -> set[int]:
-        """Return the places of the runs that agree least with all others."""
-        surprise = [self._surprise(terms) for terms in self.terms]
-        return set(sorted(range(len(surprise)), key=lambda k: -surprise[k])[:_SUSPECTS])
+        """Return the places of the runs that agree least with all others: those that raise their misfit most."""
+        rest = self.model.misfit(self.total - self.terms)
+        surprise = (self.misfit * self.total.values - rest) / np.maximum(self.terms.values, 1)
+        return set(np.argsort(-surprise, kind="stable")[:_SUSPECTS].tolist())
 
-    def _surprise(self, terms: NormalTerms) -> float:
-        """Return by how much a run raises the misfit of all others, per output."""
-        rest = self.model.misfit(self.total - terms)
-        return (self.misfit * self.total.values - rest) / max(terms.values, 1)
+    def explain(self, mistakes: Sequence[Mistake]) -> list[Explanation]:
+        """Return the best size of each mistake and what its correction gains; all are evaluated together."""
+        best = [Trial(mistake, size) for mistake, size in zip(mistakes, self._best_sizes(mistakes), strict=True)]
+        found = self._explained(best)
+        usual = [(k, each) for k, trial in enumerate(best) for each in trial.usual(self.views)]
+        least = [each.gain - each.mistake.as_usual for each in found]
+        # The first usual size that does as well is taken for the best one.
+        for (k, _), each in reversed(list(zip(usual, self._explained([each for _, each in usual]), strict=True))):
+            if each.gain > least[k]:
+                found[k] = each
+        return found
 
-    def explain(self, mistake: Mistake) -> Explanation:
-        """Return the best size of a mistake and what its correction gains."""
-        base = self._without_runs_of(mistake)
-        size = self._best_size(mistake, base) if mistake.sizes else 0.0
-        terms = self._corrected(mistake, base, size)
-        gain = self.stated - self.model.score(terms)
-        for usual in mistake.usual(self.views):
-            if abs(math.remainder(usual - size, 2 * math.pi)) > mistake.usual_within:
-                continue
-            also = self._corrected(mistake, base, usual)
-            if (well := self.stated - self.model.score(also)) > gain - mistake.as_usual:
-                size, terms, gain = usual, also, well
-                break
-        return Explanation(mistake, float(size), gain, self.model.misfit(terms) / max(terms.values, 1))
+    def _explained(self, trials: Sequence["Trial"]) -> list[Explanation]:
+        """Return what corrections gain."""
+
+        def judged(terms: NormalTerms) -> np.ndarray:
+            fit = self.model.fit(terms)
+            gain, misfit = self.stated - fit.score.min(axis=-1), fit.misfit[:, -1] / np.maximum(terms.values, 1)
+            return np.stack([gain, misfit], axis=1)
+
+        found = zip(trials, self._judged(trials, judged).tolist(), strict=True)
+        return [Explanation(trial.mistake, float(trial.size), gain, misfit) for trial, (gain, misfit) in found]
+
+    def _judged(self, trials: Sequence["Trial"], judge: Callable[[NormalTerms], np.ndarray]) -> np.ndarray:
+        """Return what a function makes of the terms of corrected campaigns, a share of them at a time."""
+        each = len(self.views) * (self.model.size + 1) ** 2
+        shares = itertools.batched(trials, max(1, _AT_ONCE // each))
+        return np.concatenate([np.zeros((0, 2)), *(judge(self._corrected(share)) for share in shares)])
 
     def error_left(self, mistake: Mistake, size: float) -> float:
         """Return the largest error with a mistake corrected, in standard deviations of the errors of valid set-ups."""
-        corrected = self._corrected(mistake, self._without_runs_of(mistake), size)
-        return float(np.abs(self.model.errors(corrected)).max())
+        return float(np.abs(self.model.errors(self._corrected([Trial(mistake, size)])[0])).max())
 
-    def _without_runs_of(self, mistake: Mistake) -> NormalTerms:
-        """Return the terms of all runs but those that a mistake concerns."""
-        base = self.total
-        for place in mistake.scope.runs:
-            base = base - self.terms[place]
-        return base
-
-    def _best_size(self, mistake: Mistake, base: NormalTerms) -> float:
-        """Return the size of least misfit, by parabolas about the best of the grid.
+    def _best_sizes(self, mistakes: Sequence[Mistake]) -> list[float]:
+        """Return the size of least misfit of each mistake, 0 where it has none, by parabolas about the best of a grid.
 
         The misfit is a single wave in an angle, so that a coarse grid finds the basin of its minimum; terms quadratic
         in g make it two, and every basin is tried.  Where the Earth rate alone tells the size, a large g-sensitivity
         passes for its vertical part, and the evidence decides.
         """
-        judged = self._evidence_as_stated if mistake.by_evidence else self.model.misfit
-        tried = {size: judged(self._corrected(mistake, base, size)) for size in mistake.sizes}
-        starts = [min(tried, key=lambda size: tried[size])]
-        if self.model.squares:
-            sizes = sorted(tried)
-            around = zip(sizes, [sizes[-1], *sizes], [*sizes[1:], sizes[0]], strict=False)
-            starts = [size for size, low, high in around if tried[size] <= min(tried[low], tried[high])] or starts
-        found = [self._refined(mistake, base, dict(tried), start) for start in starts]
-        return min(found, key=lambda each: each[1])[0]
+        sized = [(k, each) for k, each in enumerate(mistakes) if each.sizes]
+        least = iter(self._least([Trial(each, size) for _, each in sized for size in each.sizes]))
+        basins: list[tuple[int, Basin]] = []
+        for k, each in sized:
+            tried = {size: next(least) for size in each.sizes}
+            starts = minima(tried) if self.model.squares else [min(tried, key=lambda size: tried[size])]
+            step = float(np.min(np.diff(sorted(each.sizes)))) / 2
+            basins += [(k, Basin(each, dict(tried), start, step)) for start in starts]
+        self._narrow([basin for _, basin in basins])
+        sizes = [0.0] * len(mistakes)
+        for k, of in itertools.groupby(basins, key=lambda each: each[0]):
+            sizes[k] = min((basin for _, basin in of), key=lambda basin: basin.tried[basin.best]).best
+        return sizes
 
-    def _refined(
-        self, mistake: Mistake, base: NormalTerms, tried: dict[float, float], best: float
-    ) -> tuple[float, float]:
-        """Return the size at the minimum next to one of the grid, and what is least there."""
-        judged = self._evidence_as_stated if mistake.by_evidence else self.model.misfit
-        step = float(np.min(np.diff(sorted(mistake.sizes)))) / 2
+    def _narrow(self, basins: Sequence["Basin"]) -> None:
+        """Find the minimum of each basin."""
         for _ in range(_REFINEMENTS):
-            before = tried[best]
-            for near in (best - step, best + step):
-                tried[near] = judged(self._corrected(mistake, base, near))
-            low, middle, high = tried[best - step], tried[best], tried[best + step]
-            bend = low - 2 * middle + high
-            vertex = best + step * float(np.clip((low - high) / 2 / bend, -1, 1)) if bend > 0 else best
-            tried[vertex] = judged(self._corrected(mistake, base, vertex))
-            best = min((best - step, vertex, best, best + step), key=lambda size: tried[size])
-            if before - tried[best] < _SETTLED:
-                break
-            step /= 6
-        return best, tried[best]
+            basins = [each for each in basins if not each.settled]
+            for sizes in (Basin.sides, Basin.vertex):
+                trials = [(each, size) for each in basins for size in sizes(each)]
+                least = self._least([Trial(each.mistake, size) for each, size in trials])
+                for (each, size), found in zip(trials, least, strict=True):
+                    each.tried[size] = found
+            for each in basins:
+                each.narrow()
+
+    def _least(self, trials: Sequence["Trial"]) -> list[float]:
+        """Return what the best size makes least: the misfit, or −2 log evidence with the g-sensitivity as stated."""
+
+        def judged(terms: NormalTerms) -> np.ndarray:
+            fit = self.model.fit(terms, (self.g_sensitivity, G_SENSITIVITIES[-1]))
+            return np.stack([fit.misfit[:, 1], fit.score[:, 0]], axis=1)
+
+        found = self._judged(trials, judged).tolist()
+        return [both[trial.mistake.by_evidence] for trial, both in zip(trials, found, strict=True)]
 
     def rival(self, mistake: Mistake) -> float:
         """Return −2 log evidence of what passes for a mistake in the temperatures of the set-up as stated.
@@ -271,7 +287,7 @@ class Search:
             (place,) = mistake.scope.runs
             loose = self.model.terms(self.views[place], loose=True)
             rivals.append(self.model.score(self.total - self.terms[place] + loose))
-        return min(rivals)
+        return float(min(rivals))
 
     def with_drift(self, mistake: TemperatureReversed) -> tuple[float, float]:
         """Return −2 log evidence where the outputs of the run of a mistake drift: as stated, and corrected."""
@@ -292,42 +308,104 @@ class Search:
         stated, corrected = self.with_drift(mistake)
         return stated - corrected < DECISIVE
 
-    def _evidence_as_stated(self, terms: NormalTerms) -> float:
-        """Return −2 log of the evidence with the g-sensitivity that the set-up as stated shows."""
-        return self.model.score(terms, self.g_sensitivity)
+    def _corrected(self, trials: Sequence["Trial"]) -> NormalTerms:
+        """Return the terms of the campaign with each of some corrections.
 
-    def _corrected(self, mistake: Mistake, base: NormalTerms, size: float) -> NormalTerms:
-        terms = base
-        for place in mistake.scope.runs:
-            terms = terms + self._terms(mistake, place, size)
-        return terms
+        The same correction is tried of a run, of its table and its mounting.
+        """
+        keys: list[list[Key]] = []
+        new: dict[Key, RunView] = {}
+        for trial in trials:
+            keys.append([])
+            for place in trial.mistake.scope.runs:
+                view = trial.mistake.corrected(self.views, place, trial.size)
+                key = (place, _identity(view, self.views[place]))
+                keys[-1].append(key)
+                if key not in self.known:
+                    new[key] = view
+        terms = self.model.terms_of_all(list(new.values()))
+        self.known |= {key: terms[k] for k, key in enumerate(new)}
+        found = [self._with(trial.mistake, own) for trial, own in zip(trials, keys, strict=True)]
+        for key in list(self.known)[: max(0, len(self.known) - _REMEMBERED)]:
+            del self.known[key]
+        return stacked_terms(found)
 
-    def _terms(self, mistake: Mistake, place: int, size: float) -> NormalTerms:
-        found = self._seen(mistake, place, size)
-        whole = self.terms[place].values
-        # Rows without stimulus, at the end of a shifted run, count like the others on average.
-        found = found if found.values in (whole, 0) else found.scaled(whole / found.values)
-        return found.with_volume(2 * mistake.rescaled(self.views[place]))
-
-    def _seen(self, mistake: Mistake, place: int, size: float) -> NormalTerms:
-        """Return the terms of a corrected run; the same correction is tried of a run, of its table and its mounting."""
-        view = mistake.corrected(self.views, place, size)
-        key = (place, _identity(view, self.views[place]))
-        if key not in self.known:
-            if len(self.known) >= _REMEMBERED:
-                del self.known[next(iter(self.known))]
-            self.known[key] = self.model.terms(view)
-        return self.known[key]
+    def _with(self, mistake: Mistake, keys: Sequence["Key"]) -> NormalTerms:
+        """Return the terms of the campaign with corrected runs."""
+        places = list(mistake.scope.runs)
+        found = self.total - self.terms[places].total()
+        for place, key in zip(places, keys, strict=True):
+            corrected, whole = self.known[key], self.terms.values[place]
+            # Rows without stimulus, at the end of a shifted run, count like the others on average.
+            if corrected.values not in (whole, 0):
+                corrected = corrected.scaled(whole / corrected.values)
+            found = found + corrected.with_volume(2 * mistake.rescaled(self.views[place]))
+        return found
 
 
-def _identity(view: RunView, stated: RunView) -> tuple[bytes | str | float, ...]:
+@dataclass(frozen=True)
+class Trial:
+    """A mistake of a size, to be corrected."""
+
+    mistake: Mistake
+    size: float
+
+    def usual(self, views: Sequence[RunView]) -> list["Trial"]:
+        """Return the same with each usual size nearby."""
+        apart = ((each, math.remainder(each - self.size, 2 * math.pi)) for each in self.mistake.usual(views))
+        return [Trial(self.mistake, each) for each, off in apart if abs(off) <= self.mistake.usual_within]
+
+
+@dataclass
+class Basin:
+    """The search for a minimum in one basin.
+
+    Attributes
+    ----------
+    tried : size → what the best size makes least.
+    best : of these sizes.
+    step : to either side of it, between which a parabola is drawn.
+    """
+
+    mistake: Mistake
+    tried: dict[float, float]
+    best: float
+    step: float
+    settled: bool = False
+
+    def sides(self) -> tuple[float, float]:
+        """Return the sizes to either side."""
+        return self.best - self.step, self.best + self.step
+
+    def vertex(self) -> tuple[float]:
+        """Return the minimum of the parabola, the best size where it has none."""
+        low, middle, high = (self.tried[size] for size in (self.best - self.step, self.best, self.best + self.step))
+        bend = low - 2 * middle + high
+        return (self.best + self.step * float(np.clip((low - high) / 2 / bend, -1, 1)) if bend > 0 else self.best,)
+
+    def narrow(self) -> None:
+        """Go on about the best of the sizes, unless it is hardly better."""
+        before, (low, high) = self.tried[self.best], self.sides()
+        self.best = min((low, *self.vertex(), self.best, high), key=lambda size: self.tried[size])
+        self.settled = before - self.tried[self.best] < _SETTLED
+        self.step /= 6
+
+
+def minima(tried: dict[float, float]) -> list[float]:
+    """Return the sizes of a grid of angles at which a function is no larger than at its neighbours."""
+    sizes = sorted(tried)
+    around = zip(sizes, [sizes[-1], *sizes], [*sizes[1:], sizes[0]], strict=False)
+    return [size for size, low, high in around if tried[size] <= min(tried[low], tried[high])]
+
+
+def _identity(view: RunView, stated: RunView) -> Identity:
     """Return what tells a corrected view from others of the same run."""
     found: list[bytes | str | float] = []
-    for each in fields(RunView):
-        value = getattr(view, each.name)
-        if value is getattr(stated, each.name):
+    as_stated = vars(stated)
+    for name, value in vars(view).items():
+        if value is as_stated[name]:
             continue
-        found.append(each.name)
+        found.append(name)
         if isinstance(value, np.ndarray):
             found.append(value.tobytes())
         elif isinstance(value, CarryingAxes):

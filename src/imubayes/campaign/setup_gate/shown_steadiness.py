@@ -61,17 +61,17 @@ def _evidence(model: ErrorModel, seen: Sequence[Seen], own: np.ndarray, steadine
     noise, rows = (np.asarray(each)[:, None] for each in (steadiness.noise, steadiness.rows))
     spread = (model.run_offset * steadiness.runs)[:, None]
     count = model.own
-    matrix, vector = np.zeros((len(own), count, count)), np.zeros((len(own), count))
-    score = np.zeros(len(own))
+    moments, score = np.zeros((len(own), count + 1, count + 1)), np.zeros(len(own))
     for run in seen:
         variance = noise**2 * run.white + rows**2 * run.left_out + run.arm
         weight = np.where(run.there, 1 / variance, 0.0)
         found = weighted(run.design[:, :, :count], run.error, weight, np.ones_like(run.along), spread)
-        matrix, vector = matrix + found.matrix, vector + found.vector
-        score += found.square + found.volume + np.sum(np.where(run.there, np.log(variance), 0.0), axis=1)
-    lower = np.linalg.cholesky(np.eye(count) + own[:, :, None] * matrix * own[:, None, :])
-    solved = np.linalg.solve(lower, (own * vector)[:, :, None])[:, :, 0]
-    return score - np.sum(solved**2, axis=1) + 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+        moments += found.moments
+        score += found.volume + np.sum(np.where(run.there, np.log(variance), 0.0), axis=1)
+    lower = np.linalg.cholesky(np.eye(count) + own[:, :, None] * moments[:, :-1, :-1] * own[:, None, :])
+    solved = np.linalg.solve(lower, (own * moments[:, :-1, -1])[:, :, None])[:, :, 0]
+    score += moments[:, -1, -1] - np.sum(solved**2, axis=1)
+    return score + 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
 
 
 def _noise(seen: Sequence[Seen], views: Sequence[RunView], own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

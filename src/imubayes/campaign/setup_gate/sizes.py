@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.evidence import ErrorModel, total
+from imubayes.campaign.setup_gate.evidence import ErrorModel, stacked_terms
 from imubayes.campaign.setup_gate.hidden_mistakes import LEVELS_OF_TUMBLES
 from imubayes.campaign.setup_gate.mistakes import Mistake, TableAzimuth, TableElevation, TableZero
 from imubayes.campaign.setup_gate.outer_mistakes import AxisZero
@@ -106,7 +106,8 @@ def _bowl(
 
     def evidence(apart: float) -> float:
         shifted = [replace(one, error=one.error + apart * rate) for one, rate in zip(seen, rates, strict=True)]
-        return model.score(total([model.terms_of(each) for each in shifted]), search.g_sensitivity)
+        terms = stacked_terms([model.terms_of(each) for each in shifted]).total()
+        return float(model.score(terms, search.g_sensitivity))
 
     low, middle, high = evidence(-_APART), evidence(0.0), evidence(_APART)
     bend = (low - 2 * middle + high) / _APART**2

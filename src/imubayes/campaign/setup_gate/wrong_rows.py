@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.evidence import ErrorModel, total
+from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, Seen, stacked_terms
 from imubayes.campaign.setup_gate.mistakes import has_angles
 from imubayes.campaign.setup_gate.run_view import RunView, views_of
 from imubayes.campaign_data import Campaign
@@ -88,15 +88,16 @@ def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
 
     Two wrong rows may hide each other behind a right one, which is left out first and then agrees.
     """
-    without, out = list(views), list[tuple[int, int]]()
-    apart, error = _judged(model, without, views)
+    recorded = [model.seen(view) for view in views]
+    fitted, terms, out = list(recorded), [model.terms_of(seen) for seen in recorded], list[tuple[int, int]]()
+    judged = _judged(model, terms, fitted, recorded)
     while len(out) < _MOST_LEFT_OUT:
-        place, row = _farthest(apart, out)
+        place, row = _farthest(judged.apart, out)
         out.append((place, row))
-        observed = without[place].observed.copy()
-        observed[row] = np.nan
-        without[place] = replace(without[place], observed=observed)
-        apart, error = _judged(model, without, views)
+        fitted[place] = fitted[place].without_row(row)
+        terms[place] = model.terms_of(fitted[place])
+        judged = _judged(model, terms, fitted, recorded)
+        apart = judged.apart
         sizes = {each: float(apart[each[0]][each[1]]) for each in out}
         rest = _farthest(apart, out)
         least = max(LEAST_SD, STANDS_OUT * float(apart[rest[0]][rest[1]]))
@@ -105,8 +106,8 @@ def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
         if 0 < len(wrong) <= MOST_ROWS and min(wrong.values()) >= STANDS_OUT * right:
             place, row = max(wrong, key=lambda each: wrong[each])
             columns = _columns(views[place], sum(each[0] == place for each in wrong))
-            found = [one for column in columns if (one := _better(views, place, row, column, wrong[place, row], error))]
-            return min(found, key=lambda each: each[0])[1] if found else None
+            found = [_better(views, place, row, column, wrong[place, row], judged.error) for column in columns]
+            return min(filter(None, found), key=lambda each: each[0], default=(0.0, None))[1]
     return None
 
 
@@ -177,27 +178,49 @@ def _set(view: RunView, column: str, row: int, value: float) -> RunView:
     return replace(view, angle=values) if column == "angle" else replace(view, rate=values)
 
 
+@dataclass(frozen=True)
+class _Judged:
+    """How well the rows of a campaign are predicted.
+
+    Attributes
+    ----------
+    apart : distance of every row of a run from its prediction, in standard deviations of all rows, shape (R,).
+    error : place and view → errors of the outputs of the run less the prediction, over their scatter, (K, R).
+    """
+
+    apart: list[np.ndarray]
+    error: Callable[[int, RunView], np.ndarray]
+
+
 def _judged(
-    model: ErrorModel, fitted: Sequence[RunView], views: Sequence[RunView]
-) -> tuple[list[np.ndarray], Callable[[int, RunView], np.ndarray]]:
-    """Return the distance of every row from its prediction by `fitted`, (R,) a run, and the errors behind it."""
-    errors = model.estimates(total([model.terms(view) for view in fitted]))
+    model: ErrorModel, terms: Sequence[NormalTerms], fitted: Sequence[Seen], recorded: Sequence[Seen]
+) -> _Judged:
+    """Judge the recorded rows by the errors that those fitted, which have these terms, show."""
+    errors = model.estimates(stacked_terms(terms).total())
     own = errors[: model.own * len(model.channels)].reshape(-1, model.own)
 
-    def left(view: RunView) -> np.ndarray:
-        seen = model.seen(view).without_shared(errors)
-        made = (seen.design[:, :, : model.own] @ own[:, :, None])[:, :, 0]
+    def left(seen: Seen) -> np.ndarray:
+        shared = np.broadcast_to(errors[seen.shared], (len(own), len(seen.shared)))
+        made = (seen.design @ np.concatenate([own, shared], axis=1)[:, :, None])[:, :, 0]
         return np.where(seen.there, seen.error - made, np.nan)
 
-    offsets = [np.nanmedian(left(view), axis=1, keepdims=True) for view in fitted]
-    every = np.concatenate([left(view) - offset for view, offset in zip(fitted, offsets, strict=True)], axis=1)
-    white = np.concatenate([model.seen(view).white for view in fitted], axis=1)
-    scatter = np.nanmedian(np.abs(every), axis=1, keepdims=True) / _NORMAL_MAD
+    every = [left(seen) for seen in recorded]
+    offsets = [_medians(np.where(seen.there, one, np.nan)) for seen, one in zip(fitted, every, strict=True)]
+    every = [one - offset for one, offset in zip(every, offsets, strict=True)]
+    rest = [np.where(seen.there, one, np.nan) for seen, one in zip(fitted, every, strict=True)]
+    white = np.concatenate([seen.white for seen in fitted], axis=1)
+    scatter = _medians(np.abs(np.concatenate(rest, axis=1))) / _NORMAL_MAD
     scatter = np.maximum(scatter, np.sqrt(np.median(white, axis=1, keepdims=True)))
     scatter = np.where(scatter > 0, scatter, np.inf)
 
     def error(place: int, view: RunView) -> np.ndarray:
-        return np.nan_to_num((left(view) - offsets[place]) / scatter)
+        return np.nan_to_num((left(model.seen(view)) - offsets[place]) / scatter)
 
-    apart = [np.sqrt(np.mean(error(place, view) ** 2, axis=0)) for place, view in enumerate(views)]
-    return apart, error
+    return _Judged([np.sqrt(np.mean(np.nan_to_num(one / scatter) ** 2, axis=0)) for one in every], error)
+
+
+def _medians(values: np.ndarray) -> np.ndarray:
+    """Return the medians of rows but for NaN, shape (K, 1), without the masked arrays of NumPy's."""
+    ordered, count = np.sort(values, axis=1), np.isfinite(values).sum(axis=1)
+    each = np.arange(len(values))
+    return ((ordered[each, (count - 1) // 2] + ordered[each, count // 2]) / 2)[:, None]
