@@ -13,8 +13,9 @@ The rotations are linear in δ and τ about zero, or about a `centre`, their est
 zero their squares are left out, and count with what else a linear model leaves out.
 """
 
+import copy
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -34,7 +35,7 @@ from imubayes.campaign.setup_gate.plausible_errors import (
     Steadiness,
     widths,
 )
-from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, in_body, stacked, views_of
+from imubayes.campaign.setup_gate.run_view import RunView, changed, feels_the_earth_alone, in_body, stacked, views_of
 from imubayes.campaign.unit_grade import grade_of
 from imubayes.campaign_data import Campaign
 
@@ -47,7 +48,7 @@ _CROSS = np.array(
     [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]]
 )
 _WARM = 25.0
-_AT_ONCE = 2**17  # responses of outputs to errors in views that are evaluated together: one megabyte
+_AT_ONCE = 2**15  # responses of outputs to errors in views that are evaluated together: they stay in the cache
 
 
 @dataclass(frozen=True)
@@ -146,6 +147,12 @@ class ErrorModel:
         gyro = [k for k, channel in enumerate(self.channels) if channel.kind == "gyro"]
         self.g_sensitive = np.array([self.own * k + 7 + axis for k in gyro for axis in range(3)], dtype=int)
 
+    def as_steady_as(self, steadiness: Steadiness) -> "ErrorModel":
+        """Return the model of a unit of another steadiness."""
+        found = copy.copy(self)
+        found._stack(steadiness)
+        return found
+
     def _stack(self, steadiness: Steadiness) -> None:
         """Set the facts about the channels as arrays: axes (K, 3, 3), gyro and run_offset (K,), others (K, 1)."""
         self.axes = np.stack([channel.axes for channel in self.channels])
@@ -180,25 +187,33 @@ class ErrorModel:
         """Return what a run adds to the normal equations; of a loose run bias and scale factor are its own."""
         return self.terms_of(self.seen(view), loose)
 
-    def terms_of_all(self, views: Sequence[RunView]) -> NormalTerms:
-        """Return what each view adds to the normal equations, those of one shape evaluated together."""
+    def seen_in_parts(self, views: Sequence[RunView]) -> Iterator[tuple[list[int], "Seen"]]:
+        """Yield the places of views of one shape, and what is seen of them together."""
         alike: dict[tuple[int | bool, ...], list[int]] = {}
         for place, view in enumerate(views):
             # The motion of outer axes is integrated for each view.
             alike.setdefault(view.shape if view.outer is None else (-place,), []).append(place)
-        found = NormalTerms(
-            np.empty((len(views), self.size + 1, self.size + 1)), np.empty(len(views)), np.empty(len(views))
-        )
         for places in alike.values():
             most = _AT_ONCE // (len(self.channels) * views[places[0]].rows * self.own)
             for some in itertools.batched(places, max(1, most)):
-                made, at = self.terms_of(self.seen_together([views[k] for k in some])), list(some)
-                found.moments[at], found.volume[at], found.values[at] = made.moments, made.volume, made.values
+                yield list(some), self.seen_together([views[k] for k in some])
+
+    def seen_of(self, views: Sequence[RunView]) -> list["Seen"]:
+        """Return what is seen of each view."""
+        found = {at: part[k] for places, part in self.seen_in_parts(views) for k, at in enumerate(places)}
+        return [found[at] for at in range(len(views))]
+
+    def terms_of_parts(self, count: int, parts: Iterable[tuple[list[int], "Seen"]]) -> NormalTerms:
+        """Return what each of so many views adds to the normal equations."""
+        found = NormalTerms(np.empty((count, self.size + 1, self.size + 1)), np.empty(count), np.empty(count))
+        for at, seen in parts:
+            made = self.terms_of(seen)
+            found.moments[at], found.volume[at], found.values[at] = made.moments, made.volume, made.values
         return found
 
     def terms_of(self, seen: "Seen", loose: bool = False, drift: "RunDrift | None" = None) -> NormalTerms:
         """Return what the outputs of a run, which may drift, add to the normal equations."""
-        variance = seen.white + seen.left_out + seen.arm
+        variance = self.white(seen) + self.left_out(seen) + seen.arm
         weight = np.where(seen.there, 1 / variance, 0.0)
         own, spread = self._of_run(seen.along, loose)
         if drift is not None:
@@ -230,7 +245,7 @@ class ErrorModel:
 
     def seen_together(self, views: Sequence[RunView]) -> "Seen":
         """Return the same of several views of one shape, with a first axis for the view."""
-        (view, tilted), shared = self._centred(views), np.stack([self._shared(each) for each in views])
+        (view, tilted), shared = self._centred(views), self._shared(views)
         stand = view.local_to_body(tilted)
         up, earth = view.up(), view.earth_rate()
         force, rate = in_body(stand, up), view.rate_in_body(stand)
@@ -247,12 +262,21 @@ class ErrorModel:
         if self.centre is not None:
             at_zero = at_zero - (design[..., self.own :] @ self.centre[shared][:, None, :, None])[..., 0]
         error = np.where(there, (output - self.offset) / self.scale - at_zero, 0.0)
-        white = (self.noise / self.scale) ** 2 / view.samples[..., None, :]
-        left_out, arm = self._left_out(view, np.sum(nominal**2, axis=-1), shared)
-        there, white, left_out, arm = (
-            np.broadcast_to(each, along.shape[:-1]) for each in (there, white, left_out, arm)
+        arm = np.where(self.gyro[:, None], 0.0, view.largest_rate()[..., None, :] ** 4 * LEVER_ARM**2)
+        there, samples, square, arm = (
+            np.broadcast_to(each, along.shape[:-1])
+            for each in (there, view.samples[..., None, :], np.sum(nominal**2, axis=-1), arm)
         )
-        return Seen(design, error, there, white, left_out, arm, along[..., :1], shared)
+        turned = np.sum(self.sd[shared[:, ::3]] ** 2, axis=1) if self.centre is None else np.zeros(len(shared))
+        return Seen(design, error, there, samples, square, turned, arm, along[..., :1], shared)
+
+    def white(self, seen: "Seen") -> np.ndarray:
+        """Return the variance of the noise of outputs, SI, shape (..., K, R)."""
+        return (self.noise / self.scale) ** 2 / seen.samples
+
+    def left_out(self, seen: "Seen") -> np.ndarray:
+        """Return the variance of what the linear model leaves out of outputs, SI, shape (..., K, R)."""
+        return seen.square * (self.share**2 + seen.turned[..., None, None] ** 2) + self.rest**2
 
     def _design(
         self, view: RunView, stand: np.ndarray, felt: np.ndarray, along: np.ndarray, still: np.ndarray, shared: int
@@ -293,7 +317,7 @@ class ErrorModel:
             return view, None
         mounted = np.stack([self._at_centre(self.mountings.get(each.mounting or "")) for each in views])
         tilted = np.stack([self._at_centre(self.tables.get(each.table or "")) for each in views])
-        return replace(view, body_to_table=view.body_to_table @ mounted.swapaxes(1, 2)), tilted
+        return changed(view, body_to_table=view.body_to_table @ mounted.swapaxes(1, 2)), tilted
 
     def _at_centre(self, place: int | None) -> np.ndarray:
         """Return the rotation of a mounting or a table at the centre; none where there is no such place."""
@@ -303,16 +327,12 @@ class ErrorModel:
             self.rotated[place] = _rotation(self.centre[place : place + 3])
         return self.rotated[place]
 
-    def _shared(self, view: RunView) -> np.ndarray:
-        places = [self.mountings[view.mounting]] if view.mounting is not None else []
-        places += [self.tables[view.table]] if view.table is not None else []
-        return np.add.outer(np.array(places, dtype=int), np.arange(3)).ravel()
-
-    def _left_out(self, view: RunView, square: np.ndarray, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the variance of what the linear model leaves out of squared inputs, SI, and that of lever arms."""
-        arm = np.where(self.gyro[:, None], 0.0, view.largest_rate()[..., None, :] ** 4 * LEVER_ARM**2)
-        turned = np.sum(self.sd[shared[:, ::3]] ** 2, axis=1) if self.centre is None else np.zeros(len(shared))
-        return square * (self.share**2 + turned[:, None, None] ** 2) + self.rest**2, arm
+    def _shared(self, views: Sequence[RunView]) -> np.ndarray:
+        """Return the places of the errors of mountings and tables of views of one shape, (B, m)."""
+        places = [[self.mountings[view.mounting] for view in views if view.mounting is not None]]
+        places.append([self.tables[view.table] for view in views if view.table is not None])
+        starts = np.array([each for each in places if each], dtype=int).reshape(-1, len(views)).T
+        return np.add.outer(starts, np.arange(3)).reshape(len(views), -1)
 
     def fit(
         self, terms: NormalTerms, g_sensitivities: Sequence[float] = G_SENSITIVITIES, compensated: bool = False
@@ -417,7 +437,9 @@ class Seen:
     design : response of each output to the errors of its channel and to shared ones, shape (..., K, R, n).
     error : of each output over its nominal input, SI, shape (..., K, R); 0 where there is none.
     there : whether there is an output, shape (..., K, R).
-    white, left_out, arm : variances of the noise, of what the model leaves out and of lever arms, shape (..., K, R).
+    samples, square : that a row is the mean of, and squared nominal input, SI, shape (..., K, R).
+    turned : plausible square of the rotations of mounting and table about which the model is not linear, (...).
+    arm : variance of what lever arms do, shape (..., K, R).
     along : nominal input along each input axis, shape (..., K, R, 1).
     shared : places of the errors of mounting and table, shape (..., m).
     """
@@ -425,8 +447,9 @@ class Seen:
     design: np.ndarray
     error: np.ndarray
     there: np.ndarray
-    white: np.ndarray
-    left_out: np.ndarray
+    samples: np.ndarray
+    square: np.ndarray
+    turned: np.ndarray
     arm: np.ndarray
     along: np.ndarray
     shared: np.ndarray

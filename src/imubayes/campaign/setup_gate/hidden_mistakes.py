@@ -110,19 +110,20 @@ class SteadinessLevels:
                 self.shown = shown_steadiness(poor, search.views, search.model.estimates(search.total))
             self.centre = search.model.estimates(search.total)
         self.tumbled = tumbled
+        self.search = Search(campaign, centre=self.centre)
         self.made: dict[int, Search] = {}
 
     def __getitem__(self, level: int) -> "Search":
         if level not in self.made:
             steadiness = self.shown.poor() if level == 0 else self.shown.times(*self.levels[level][:2])
-            self.made[level] = Search(self.campaign, steadiness, centre=self.centre)
+            self.made[level] = self.search.as_steady_as(steadiness)
         return self.made[level]
 
     @cached_property
     def unsteady(self) -> float:
         """−2 log of the most evidence for the set-up as stated with offsets of runs as in a poor unit."""
         steady = [Steadiness(POOR.rows * rows) for rows, _, _ in self.levels]
-        return min(Search(self.campaign, each, centre=self.centre).stated for each in steady)
+        return min(self.search.as_steady_as(each).stated for each in steady)
 
     def of_most_evidence(self) -> tuple[int, float]:
         """Return the level of most evidence for the set-up as stated that fits, and −2 log of the most evidence."""

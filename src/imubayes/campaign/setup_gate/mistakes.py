@@ -10,12 +10,12 @@ import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.run_view import RunView
+from imubayes.campaign.setup_gate.run_view import RunView, changed
 from imubayes.campaign_data import Campaign
 
 _DEGREE = math.pi / 180
@@ -168,7 +168,7 @@ class FilesExchanged(Mistake):
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run on the table and in the mounting of the other."""
         source = views[self.scope.runs[0] if place == self.other else self.other]
-        return replace(
+        return changed(
             views[place], table=source.table, mounting=source.mounting, azimuth=source.azimuth,
             elevation=source.elevation, body_to_table=source.body_to_table,
         )  # fmt: skip
@@ -193,7 +193,7 @@ class MountingMislabelled(Mistake):
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run in its actual mounting."""
-        return replace(views[place], mounting=self.actual, body_to_table=self.matrix)
+        return changed(views[place], mounting=self.actual, body_to_table=self.matrix)
 
 
 @register
@@ -222,7 +222,7 @@ class MountingsExchanged(Mistake):
         """Return the run in the other mounting."""
         actual = self.second if views[place].mounting == self.first else self.first
         matrix = next(views[k].body_to_table for k in self.scope.runs if views[k].mounting == actual)
-        return replace(views[place], mounting=actual, body_to_table=matrix)
+        return changed(views[place], mounting=actual, body_to_table=matrix)
 
 
 @register
@@ -259,7 +259,7 @@ class TableSense(Mistake):
         """Return the run with rate and reading reversed."""
         view = views[place]
         angle = -view.angle if self.zero_too else -view.angle - 2 * view.zero
-        return replace(view, rate=-view.rate, angle=angle, span=-view.span)
+        return changed(view, rate=-view.rate, angle=angle, span=-view.span)
 
 
 @register
@@ -288,7 +288,7 @@ class TableZero(Mistake):
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the zero moved."""
-        return replace(views[place], angle=views[place].angle + size)
+        return changed(views[place], angle=views[place].angle + size)
 
 
 @register
@@ -334,7 +334,7 @@ class TableElevation(Mistake):
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the axis raised."""
-        return replace(views[place], elevation=views[place].elevation + size)
+        return changed(views[place], elevation=views[place].elevation + size)
 
 
 @register
@@ -362,7 +362,7 @@ class TableAzimuth(Mistake):
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the axis turned."""
-        return replace(views[place], azimuth=views[place].azimuth + size)
+        return changed(views[place], azimuth=views[place].azimuth + size)
 
 
 @register
@@ -395,7 +395,7 @@ class ChannelsExchanged(Mistake):
         """Return the run with the columns in order."""
         observed = views[place].observed.copy()
         observed[:, list(self.order)] = views[place].observed[:, list(self.places)]
-        return replace(views[place], observed=observed)
+        return changed(views[place], observed=observed)
 
 
 def _is_static(view: RunView) -> bool:
@@ -443,7 +443,7 @@ class TimeShift(Mistake):
         turned = view.angle[before]
         if part:
             turned = turned + part * np.angle(np.exp(1j * (view.angle[after] - turned)))
-        return replace(
+        return changed(
             view,
             rate=at(view.rate),
             angle=turned,
@@ -481,7 +481,7 @@ class MountingWrong(Mistake):
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run in the other orientation."""
-        return replace(views[place], body_to_table=self.matrix)
+        return changed(views[place], body_to_table=self.matrix)
 
 
 def _orientations() -> list[np.ndarray]:

@@ -8,13 +8,13 @@ tell.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from imubayes.campaign.setup_gate.mistakes import Mistake, all_runs, tables_of
-from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone
+from imubayes.campaign.setup_gate.run_view import RunView, changed, feels_the_earth_alone
 from imubayes.campaign_data import Campaign, Channel
 
 _DEGREE = math.pi / 180
@@ -111,7 +111,7 @@ class NominalScale(_Factor):
         """Return the run with the response of the channels."""
         response = np.array(views[place].response)
         response[list(self.places)] *= math.exp(size)
-        return replace(views[place], response=response)
+        return changed(views[place], response=response)
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class TableRates(_Factor):
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with its rates multiplied."""
-        return replace(views[place], rate=views[place].rate * math.exp(size))
+        return changed(views[place], rate=views[place].rate * math.exp(size))
 
 
 SCALE_MISTAKES: tuple[type[Mistake], ...] = (NominalScale, TableRates)

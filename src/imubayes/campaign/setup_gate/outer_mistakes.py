@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from imubayes.campaign.setup_gate.mistakes import RIGHT_ANGLES, Mistake, tables_of
-from imubayes.campaign.setup_gate.run_view import RunView
+from imubayes.campaign.setup_gate.run_view import RunView, changed
 from imubayes.campaign_data import Campaign
 
 OUTER = ("outer", "middle")
@@ -47,4 +47,4 @@ class AxisZero(Mistake):
         assert outer is not None
         angle = outer.angle.copy()
         angle[:, self.axis] += size
-        return replace(views[place], outer=replace(outer, angle=angle))
+        return changed(views[place], outer=replace(outer, angle=angle))

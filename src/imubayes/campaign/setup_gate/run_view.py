@@ -7,7 +7,7 @@ shape are stacked, to be evaluated together.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -146,6 +146,13 @@ def in_body(local_to_body: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.einsum("...rij,...j->...ri", local_to_body, vector)
 
 
+def changed(view: RunView, **changes: Any) -> RunView:
+    """Return a view with other fields, as `dataclasses.replace` does in ten times the time: thousands are tried."""
+    found = object.__new__(RunView)
+    vars(found).update(vars(view), **changes)
+    return found
+
+
 def stacked(views: Sequence[RunView]) -> RunView:
     """Return views of one shape as one; what all have in common has no axis of its own."""
     found: dict[str, Any] = {}
@@ -156,7 +163,7 @@ def stacked(views: Sequence[RunView]) -> RunView:
             found[each.name] = {name: _together([value[name] for value in values]) for name in first}
         elif isinstance(first, (np.ndarray, float)):
             found[each.name] = _together(values)
-    return replace(views[0], **found)
+    return changed(views[0], **found)
 
 
 def _together(values: Sequence[Any]) -> Any:

@@ -3,6 +3,7 @@
 Evidence of the set-up as stated is compared with that of every suspected correction.
 """
 
+import copy
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -116,8 +117,20 @@ class Search:
         if not self.views:
             return
         self.model = ErrorModel(campaign, steadiness=steadiness, centre=centre)
+        self.seen = list(self.model.seen_in_parts(self.views))
+        self._judge()
+
+    def as_steady_as(self, steadiness: Steadiness) -> "Search":
+        """Return the search in a unit of another steadiness."""
+        found = copy.copy(self)
+        found.model = self.model.as_steady_as(steadiness)
+        found._judge()
+        return found
+
+    def _judge(self) -> None:
+        """Judge the campaign as stated."""
         self.known: dict[Key, NormalTerms] = {}
-        self.terms = self.model.terms_of_all(self.views)
+        self.terms = self.model.terms_of_parts(len(self.views), self.seen)
         self.total = self.terms.total()
         fit = self.model.fit(self.total)
         self.stated = float(fit.score.min())
@@ -180,7 +193,7 @@ class Search:
         if not isinstance(mistake, ChannelGain) or mistake.factor < 1:
             return False
         factors = np.array([mistake.factor if place in mistake.places else 1.0 for place in self.model.places])
-        larger = Search(self.campaign, Steadiness(factors, factors, factors), self.views, self.model.centre)
+        larger = self.as_steady_as(Steadiness(factors, factors, factors))
         return self.explain([mistake])[0].gain < self.stated - larger.stated + DECISIVE
 
     def disagreements(self) -> list[tuple[str, float]]:
@@ -188,7 +201,7 @@ class Search:
         if self.ordinary:
             return []
         model = ErrorModel(self.campaign, gross=True)
-        terms = model.terms_of_all(self.views)
+        terms = model.terms_of_parts(len(self.views), self.seen)
         whole = terms.total()
         surprise = (model.misfit(whole) - model.misfit(whole - terms)) / np.maximum(terms.values, 1)
         found = zip((view.name for view in self.views), surprise.tolist(), strict=True)
@@ -323,7 +336,7 @@ class Search:
                 keys[-1].append(key)
                 if key not in self.known:
                     new[key] = view
-        terms = self.model.terms_of_all(list(new.values()))
+        terms = self.model.terms_of_parts(len(new), self.model.seen_in_parts(list(new.values())))
         self.known |= {key: terms[k] for k, key in enumerate(new)}
         found = [self._with(trial.mistake, own) for trial, own in zip(trials, keys, strict=True)]
         for key in list(self.known)[: max(0, len(self.known) - _REMEMBERED)]:

@@ -31,8 +31,8 @@ def shown_steadiness(model: ErrorModel, views: Sequence[RunView], errors: np.nda
     errors : that the campaign shows, shape (P,).
     """
     own = errors[: model.own * len(model.channels)].reshape(-1, model.own)
-    seen = [model.seen(view).without_shared(errors) for view in views]
-    noise, known = _noise(seen, views, own)
+    seen = [each.without_shared(errors) for each in model.seen_of(views)]
+    noise, known = _noise(model, seen, views, own)
     sd = model.widths_with(G_SENSITIVITIES[-1])[: own.size].reshape(own.shape)
     one = np.ones(len(own))
     rows = _best(FACTORS, lambda factor: _evidence(model, seen, sd, Steadiness(factor * one, one, noise)))
@@ -45,7 +45,7 @@ def shown_steadiness(model: ErrorModel, views: Sequence[RunView], errors: np.nda
 
 def noise_as_rival(model: ErrorModel, views: Sequence[RunView], errors: np.ndarray) -> Steadiness:
     """Return the noise of each channel, no less than stated, with which the outputs fit the set-up as stated best."""
-    seen = [model.seen(view).without_shared(errors) for view in views]
+    seen = [each.without_shared(errors) for each in model.seen_of(views)]
     sd = model.widths_with(G_SENSITIVITIES[-1])[: model.own * len(model.channels)].reshape(-1, model.own)
     one = np.ones(len(sd))
     noise = _best(MORE_NOISE, lambda factor: _evidence(model, seen, sd, Steadiness(one, one, factor * one)))
@@ -63,7 +63,7 @@ def _evidence(model: ErrorModel, seen: Sequence[Seen], own: np.ndarray, steadine
     count = model.own
     moments, score = np.zeros((len(own), count + 1, count + 1)), np.zeros(len(own))
     for run in seen:
-        variance = noise**2 * run.white + rows**2 * run.left_out + run.arm
+        variance = noise**2 * model.white(run) + rows**2 * model.left_out(run) + run.arm
         weight = np.where(run.there, 1 / variance, 0.0)
         found = weighted(run.design[:, :, :count], run.error, weight, np.ones_like(run.along), spread)
         moments += found.moments
@@ -74,7 +74,9 @@ def _evidence(model: ErrorModel, seen: Sequence[Seen], own: np.ndarray, steadine
     return score + 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
 
 
-def _noise(seen: Sequence[Seen], views: Sequence[RunView], own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _noise(
+    model: ErrorModel, seen: Sequence[Seen], views: Sequence[RunView], own: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the noise of each channel over the stated one, and whether successive rows in one position show it.
 
     Half the median square of the differences of their residuals over that of a normal deviate; 1 where these are few.
@@ -82,8 +84,9 @@ def _noise(seen: Sequence[Seen], views: Sequence[RunView], own: np.ndarray) -> t
     found: list[np.ndarray] = []
     for run, view in zip(seen, views, strict=True):
         left = run.error - (run.design[:, :, : own.shape[1]] @ own[:, :, None])[:, :, 0]
-        left = np.where(run.there & (run.white > 0), left, np.nan)
-        squares = np.diff(left, axis=1) ** 2 / (run.white[:, 1:] + run.white[:, :-1])
+        white = model.white(run)
+        left = np.where(run.there & (white > 0), left, np.nan)
+        squares = np.diff(left, axis=1) ** 2 / (white[:, 1:] + white[:, :-1])
         found.append(squares[:, view.repeats()])
     squares = np.concatenate(found, axis=1)
     enough = np.isfinite(squares).sum(axis=1) >= _LEAST_DIFFERENCES

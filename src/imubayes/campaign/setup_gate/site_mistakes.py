@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from imubayes.campaign.setup_gate.mistakes import Mistake, all_runs
-from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, turns_through
+from imubayes.campaign.setup_gate.run_view import RunView, changed, feels_the_earth_alone, turns_through
 from imubayes.campaign_data import Campaign
 
 _DEGREE = math.pi / 180
@@ -32,7 +32,7 @@ class LatitudeSign(Mistake):
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the view on the other hemisphere."""
-        return replace(views[place], latitude=-views[place].latitude)
+        return changed(views[place], latitude=-views[place].latitude)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class LatitudeValue(Mistake):
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the view at another latitude of the hemisphere."""
         low, high = (0.0, math.pi / 2) if self.north else (-math.pi / 2, 0.0)
-        return replace(views[place], latitude=float(np.clip(size, low, high)))
+        return changed(views[place], latitude=float(np.clip(size, low, high)))
 
     def possible(self, size: float) -> bool:
         """Return whether the latitude exists: outputs beyond the poles show more than the Earth rate."""

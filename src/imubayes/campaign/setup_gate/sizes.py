@@ -97,11 +97,11 @@ def _bowl(
         centre = search.model.estimates(search.total)
         search = Search(campaign, steadiness, corrected, centre)
     model = search.model
-    seen = [model.seen(view) for view in corrected]
+    seen = model.seen_of(corrected)
     # How the size moves the outputs less what is predicted with mounting and table at the centre.
     rates = [
-        (model.seen(view).without_shared(centre).error - one.without_shared(centre).error) / _STEP
-        for view, one in zip(mistake.removed(views, size + _STEP), seen, strict=True)
+        (other.without_shared(centre).error - one.without_shared(centre).error) / _STEP
+        for other, one in zip(model.seen_of(mistake.removed(views, size + _STEP)), seen, strict=True)
     ]
 
     def evidence(apart: float) -> float:

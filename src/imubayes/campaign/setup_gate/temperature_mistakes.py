@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from imubayes.campaign.setup_gate.mistakes import Mistake, Scope, all_runs, single_runs
-from imubayes.campaign.setup_gate.run_view import RunView
+from imubayes.campaign.setup_gate.run_view import RunView, changed
 from imubayes.campaign_data import Campaign
 
 _LEAST_COURSE = 2.0  # °C; a temperature that changes by less is the same reversed
@@ -60,7 +60,7 @@ class TemperatureUnit(Mistake):
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with its temperatures in °C."""
         view = views[place]
-        return replace(
+        return changed(
             view,
             temperatures={
                 name: (values - 32) / 1.8 if name in self.names else values
@@ -88,7 +88,7 @@ class ThermometersExchanged(Mistake):
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the two columns in their places."""
         recorded = views[place].temperatures
-        return replace(views[place], temperatures={SENSOR: recorded[CONVERTER], CONVERTER: recorded[SENSOR]})
+        return changed(views[place], temperatures={SENSOR: recorded[CONVERTER], CONVERTER: recorded[SENSOR]})
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class TemperatureReversed(Mistake):
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the columns in the order of time."""
         recorded = views[place].temperatures
-        return replace(views[place], temperatures={**recorded, **{name: recorded[name][::-1] for name in self.names}})
+        return changed(views[place], temperatures={**recorded, **{name: recorded[name][::-1] for name in self.names}})
 
 
 TEMPERATURE_MISTAKES: tuple[type[Mistake], ...] = (ThermometersExchanged, TemperatureUnit, TemperatureReversed)

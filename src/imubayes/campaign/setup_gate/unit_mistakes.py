@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +18,7 @@ from imubayes.campaign.setup_gate.mistakes import (
     wide_first,
 )
 from imubayes.campaign.setup_gate.nominal_scales import GAINS, SCALE_MISTAKES, NominalScale, driven
-from imubayes.campaign.setup_gate.run_view import RunView
+from imubayes.campaign.setup_gate.run_view import RunView, changed
 from imubayes.campaign_data import Campaign
 
 _DEGREE = math.pi / 180
@@ -79,7 +79,7 @@ class ChannelGain(Mistake):
         """Return the run with the outputs divided by the factor."""
         observed, at = views[place].observed.copy(), list(self.places)
         observed[:, at] = self.offsets + (observed[:, at] - self.offsets) / self.factor
-        return replace(views[place], observed=observed)
+        return changed(views[place], observed=observed)
 
     def rescaled(self, view: RunView) -> float:
         """Return the number of outputs divided by the factor, times its logarithm."""
@@ -116,7 +116,7 @@ class RateUnit(Mistake):
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the rate converted."""
-        return replace(views[place], rate=views[place].rate * RATE_UNITS[self.unit])
+        return changed(views[place], rate=views[place].rate * RATE_UNITS[self.unit])
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class AngleUnit(Mistake):
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the angles converted."""
         factor, view = ANGLE_UNITS[self.unit], views[place]
-        return replace(view, angle=(view.angle + view.zero) * factor - view.zero, span=view.span * factor)
+        return changed(view, angle=(view.angle + view.zero) * factor - view.zero, span=view.span * factor)
 
 
 UNIT_MISTAKES: tuple[type[Mistake], ...] = (ChannelGain, RateUnit, AngleUnit, *SCALE_MISTAKES)

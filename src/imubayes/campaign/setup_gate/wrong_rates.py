@@ -1,13 +1,13 @@
 """A rate of the table that is wrong by a factor in one run, as that of another range or of a slipping drive."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from imubayes.campaign.setup_gate.mistakes import Mistake, single_runs
-from imubayes.campaign.setup_gate.run_view import RunView
+from imubayes.campaign.setup_gate.run_view import RunView, changed
 from imubayes.campaign_data import Campaign
 
 
@@ -33,4 +33,4 @@ class RateFactor(Mistake):
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with its rates multiplied."""
-        return replace(views[place], rate=views[place].rate * (1 + size))
+        return changed(views[place], rate=views[place].rate * (1 + size))

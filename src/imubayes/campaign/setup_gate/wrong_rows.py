@@ -12,7 +12,7 @@ import numpy as np
 
 from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, Seen, stacked_terms
 from imubayes.campaign.setup_gate.mistakes import has_angles
-from imubayes.campaign.setup_gate.run_view import RunView, views_of
+from imubayes.campaign.setup_gate.run_view import RunView, changed, views_of
 from imubayes.campaign_data import Campaign
 
 STANDS_OUT = 5.0
@@ -88,7 +88,7 @@ def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
 
     Two wrong rows may hide each other behind a right one, which is left out first and then agrees.
     """
-    recorded = [model.seen(view) for view in views]
+    recorded = model.seen_of(views)
     fitted, terms, out = list(recorded), [model.terms_of(seen) for seen in recorded], list[tuple[int, int]]()
     judged = _judged(model, terms, fitted, recorded)
     while len(out) < _MOST_LEFT_OUT:
@@ -175,7 +175,7 @@ def _agreeing(error: Callable[[float], np.ndarray], value: float) -> tuple[float
 def _set(view: RunView, column: str, row: int, value: float) -> RunView:
     values = getattr(view, column).copy()
     values[row] = value
-    return replace(view, angle=values) if column == "angle" else replace(view, rate=values)
+    return changed(view, angle=values) if column == "angle" else changed(view, rate=values)
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def _judged(
     offsets = [_medians(np.where(seen.there, one, np.nan)) for seen, one in zip(fitted, every, strict=True)]
     every = [one - offset for one, offset in zip(every, offsets, strict=True)]
     rest = [np.where(seen.there, one, np.nan) for seen, one in zip(fitted, every, strict=True)]
-    white = np.concatenate([seen.white for seen in fitted], axis=1)
+    white = np.concatenate([model.white(seen) for seen in fitted], axis=1)
     scatter = _medians(np.abs(np.concatenate(rest, axis=1))) / _NORMAL_MAD
     scatter = np.maximum(scatter, np.sqrt(np.median(white, axis=1, keepdims=True)))
     scatter = np.where(scatter > 0, scatter, np.inf)
