@@ -6,7 +6,8 @@ Over one slow swing of the temperature they look alike: a sine reversed in time 
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, RunDrift
+from imubayes.campaign.setup_gate.evidence import ErrorModel, RunDrift
+from imubayes.campaign.setup_gate.normal_terms import NormalTerms
 from imubayes.campaign.setup_gate.plausible_errors import Widths
 from imubayes.campaign.setup_gate.run_view import RunView
 

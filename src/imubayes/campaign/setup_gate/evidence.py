@@ -20,6 +20,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from imubayes.campaign.setup_gate.normal_terms import NormalTerms, Numbers, weighted
 from imubayes.campaign.setup_gate.plausible_errors import (
     COMPENSATED,
     G_SENSITIVITIES,
@@ -52,53 +53,7 @@ _AT_ONCE = 2**15  # responses of outputs to errors in views that are evaluated t
 
 
 @dataclass(frozen=True)
-class NormalTerms:
-    """What a run adds to the normal equations, and to the log likelihood; of several ones with leading axes.
-
-    Attributes
-    ----------
-    moments : weighted products of the responses to the errors and, last, the outputs, shape (..., P + 1, P + 1).
-    volume : sum of the logarithms of the variances, shape (...).
-    values : number of outputs, shape (...).
-    """
-
-    moments: np.ndarray
-    volume: np.ndarray
-    values: np.ndarray
-
-    def __add__(self, other: "NormalTerms") -> "NormalTerms":
-        return NormalTerms(self.moments + other.moments, self.volume + other.volume, self.values + other.values)
-
-    def __sub__(self, other: "NormalTerms") -> "NormalTerms":
-        return NormalTerms(self.moments - other.moments, self.volume - other.volume, self.values - other.values)
-
-    def __getitem__(self, places: int | Sequence[int] | np.ndarray) -> "NormalTerms":
-        return NormalTerms(self.moments[places], self.volume[places], self.values[places])
-
-    def with_volume(self, more: float) -> "NormalTerms":
-        """Return the terms with more volume."""
-        return NormalTerms(self.moments, self.volume + more, self.values)
-
-    def scaled(self, factor: float) -> "NormalTerms":
-        """Return the terms of so many times as many outputs."""
-        return NormalTerms(self.moments * factor, self.volume * factor, np.rint(self.values * factor))
-
-    def total(self) -> "NormalTerms":
-        """Return the sum over the first axis."""
-        return NormalTerms(self.moments.sum(axis=0), self.volume.sum(axis=0), self.values.sum(axis=0))
-
-
-def stacked_terms(terms: Sequence[NormalTerms]) -> NormalTerms:
-    """Return terms with a first axis for each of several."""
-    return NormalTerms(
-        np.stack([each.moments for each in terms]),
-        np.array([each.volume for each in terms]),
-        np.array([each.values for each in terms]),
-    )
-
-
-@dataclass(frozen=True)
-class Fit:
+class ErrorFit:
     """How well the errors of the model explain outputs, with each of several g-sensitivities, (..., G).
 
     Attributes
@@ -205,11 +160,11 @@ class ErrorModel:
 
     def terms_of_parts(self, count: int, parts: Iterable[tuple[list[int], "Seen"]]) -> NormalTerms:
         """Return what each of so many views adds to the normal equations."""
-        found = NormalTerms(np.empty((count, self.size + 1, self.size + 1)), np.empty(count), np.empty(count))
+        moments, volume, values = np.empty((count, self.size + 1, self.size + 1)), np.empty(count), np.empty(count)
         for at, seen in parts:
             made = self.terms_of(seen)
-            found.moments[at], found.volume[at], found.values[at] = made.moments, made.volume, made.values
-        return found
+            moments[at], volume[at], values[at] = made.moments, made.volume, made.values
+        return NormalTerms(moments, volume, values)
 
     def terms_of(self, seen: "Seen", loose: bool = False, drift: "RunDrift | None" = None) -> NormalTerms:
         """Return what the outputs of a run, which may drift, add to the normal equations."""
@@ -276,7 +231,7 @@ class ErrorModel:
 
     def left_out(self, seen: "Seen") -> np.ndarray:
         """Return the variance of what the linear model leaves out of outputs, SI, shape (..., K, R)."""
-        return seen.square * (self.share**2 + seen.turned[..., None, None] ** 2) + self.rest**2
+        return seen.square * (self.share**2 + np.asarray(seen.turned)[..., None, None] ** 2) + self.rest**2
 
     def _design(
         self, view: RunView, stand: np.ndarray, felt: np.ndarray, along: np.ndarray, still: np.ndarray, shared: int
@@ -336,20 +291,21 @@ class ErrorModel:
 
     def fit(
         self, terms: NormalTerms, g_sensitivities: Sequence[float] = G_SENSITIVITIES, compensated: bool = False
-    ) -> Fit:
+    ) -> ErrorFit:
         """Return how well the errors of the model explain outputs, with each of some g-sensitivities, rad/s per g.
 
         The outputs of a compensated unit hardly follow the temperature.
         """
         last = [*self.g_sensitive, self.size]
-        first = np.setdiff1d(np.arange(self.size), last)
+        order = np.append(np.delete(np.arange(self.size + 1), last), last)
+        count = len(order) - len(last)
         sd = np.append(self.sd, 1.0)
         sd[last] = 1.0
         if compensated:
             sd[self.thermal] *= COMPENSATED
-        order, count = np.concatenate([first, last]), len(first)
         # In units of the priors the normal matrix is the unit matrix and more, and well conditioned.
-        scaled = (sd[:, None] * terms.moments * sd)[..., order[:, None], order]
+        scaled = terms.moments[..., order[:, None], order]
+        scaled *= np.multiply.outer(sd, sd)[order[:, None], order]
         bordering = scaled[..., count:, count:].copy()
         # The factor of the first errors does not depend on the last block, as long as there is one.
         enough = 1 + 2 * np.sum(scaled[..., :count, count:] ** 2, axis=(-2, -1))
@@ -364,9 +320,9 @@ class ErrorModel:
         solved = np.linalg.solve(inner, variance * rest)
         misfit = left[..., -1, -1] - np.sum(rest * solved, axis=(-2, -1))
         known = 2 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)[..., :count]).sum(axis=-1) + terms.volume
-        return Fit(misfit, misfit + np.linalg.slogdet(inner)[1] + known[..., None])
+        return ErrorFit(misfit, misfit + np.linalg.slogdet(inner)[1] + known[..., None])
 
-    def score(self, terms: NormalTerms, g_sensitivity: float | None = None, compensated: bool = False) -> np.ndarray:
+    def score(self, terms: NormalTerms, g_sensitivity: float | None = None, compensated: bool = False) -> Numbers:
         """Return −2 log of the evidence, up to a constant; by default with the g-sensitivity that the gyros show."""
         tried = G_SENSITIVITIES if g_sensitivity is None else (g_sensitivity,)
         return self.fit(terms, tried, compensated).score.min(axis=-1)
@@ -394,7 +350,7 @@ class ErrorModel:
         matrix, vector = terms.moments[:-1, :-1], terms.moments[:-1, -1]
         return np.linalg.solve(np.eye(self.size) + sd[:, None] * matrix * sd, sd * vector)
 
-    def misfit(self, terms: NormalTerms) -> np.ndarray:
+    def misfit(self, terms: NormalTerms) -> Numbers:
         """Return the sum of squared residuals and errors in units of their standard deviations."""
         return self.fit(terms, G_SENSITIVITIES[-1:]).misfit[..., 0]
 
@@ -449,7 +405,7 @@ class Seen:
     there: np.ndarray
     samples: np.ndarray
     square: np.ndarray
-    turned: np.ndarray
+    turned: Numbers
     arm: np.ndarray
     along: np.ndarray
     shared: np.ndarray
@@ -467,37 +423,3 @@ class Seen:
         first = self.design.shape[-1] - self.shared.shape[-1]
         made = (self.design[..., first:] @ errors[self.shared][..., None, :, None])[..., 0]
         return replace(self, error=np.where(self.there, self.error - made, 0.0))
-
-
-@dataclass(frozen=True)
-class Weighted:
-    """The normal equations of each channel in one run.
-
-    Attributes
-    ----------
-    moments : weighted products of the responses to the errors and, last, the outputs, (..., K, n + 1, n + 1).
-    volume : of the errors of the run, (..., K).
-    """
-
-    moments: np.ndarray
-    volume: np.ndarray
-
-
-def weighted(
-    design: np.ndarray, error: np.ndarray, weight: np.ndarray, own: np.ndarray, spread: np.ndarray
-) -> Weighted:
-    """Return the normal equations of the channels in one run; the errors of each in this run alone are integrated out.
-
-    Parameters
-    ----------
-    design : response to the errors that are estimated, shape (..., K, R, n).
-    error, weight : of each output, shape (..., K, R).
-    own : response to the errors of the run, shape (..., K, R, q).
-    spread : their standard deviations, shape (K, q).
-    """
-    both, own = np.concatenate([design, error[..., None]], axis=-1), own * spread[:, None, :]
-    heavy, turned = both * weight[..., None], own.swapaxes(-2, -1)
-    inner = np.eye(own.shape[-1]) + turned @ (own * weight[..., None])
-    across = turned @ heavy
-    moments = both.swapaxes(-2, -1) @ heavy - across.swapaxes(-2, -1) @ np.linalg.solve(inner, across)
-    return Weighted(moments, np.linalg.slogdet(inner)[1])

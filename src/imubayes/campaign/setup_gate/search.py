@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.setup_gate.drift_rivals import score_with_drift
-from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, stacked_terms
+from imubayes.campaign.setup_gate.evidence import ErrorModel
 from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake
+from imubayes.campaign.setup_gate.normal_terms import NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.outer_axes import CarryingAxes
 from imubayes.campaign.setup_gate.outer_mistakes import AxisZero
 from imubayes.campaign.setup_gate.plausible_errors import G_SENSITIVITIES, POOR, Steadiness
@@ -215,7 +216,7 @@ class Search:
 
     def explain(self, mistakes: Sequence[Mistake]) -> list[Explanation]:
         """Return the best size of each mistake and what its correction gains; all are evaluated together."""
-        best = [Trial(mistake, size) for mistake, size in zip(mistakes, self._best_sizes(mistakes), strict=True)]
+        best = [SizedMistake(mistake, size) for mistake, size in zip(mistakes, self._best_sizes(mistakes), strict=True)]
         found = self._explained(best)
         usual = [(k, each) for k, trial in enumerate(best) for each in trial.usual(self.views)]
         least = [each.gain - each.mistake.as_usual for each in found]
@@ -225,7 +226,7 @@ class Search:
                 found[k] = each
         return found
 
-    def _explained(self, trials: Sequence["Trial"]) -> list[Explanation]:
+    def _explained(self, trials: Sequence["SizedMistake"]) -> list[Explanation]:
         """Return what corrections gain."""
 
         def judged(terms: NormalTerms) -> np.ndarray:
@@ -236,7 +237,7 @@ class Search:
         found = zip(trials, self._judged(trials, judged).tolist(), strict=True)
         return [Explanation(trial.mistake, float(trial.size), gain, misfit) for trial, (gain, misfit) in found]
 
-    def _judged(self, trials: Sequence["Trial"], judge: Callable[[NormalTerms], np.ndarray]) -> np.ndarray:
+    def _judged(self, trials: Sequence["SizedMistake"], judge: Callable[[NormalTerms], np.ndarray]) -> np.ndarray:
         """Return what a function makes of the terms of corrected campaigns, a share of them at a time."""
         each = len(self.views) * (self.model.size + 1) ** 2
         shares = itertools.batched(trials, max(1, _AT_ONCE // each))
@@ -244,7 +245,7 @@ class Search:
 
     def error_left(self, mistake: Mistake, size: float) -> float:
         """Return the largest error with a mistake corrected, in standard deviations of the errors of valid set-ups."""
-        return float(np.abs(self.model.errors(self._corrected([Trial(mistake, size)])[0])).max())
+        return float(np.abs(self.model.errors(self._corrected([SizedMistake(mistake, size)])[0])).max())
 
     def _best_sizes(self, mistakes: Sequence[Mistake]) -> list[float]:
         """Return the size of least misfit of each mistake, 0 where it has none, by parabolas about the best of a grid.
@@ -254,7 +255,7 @@ class Search:
         passes for its vertical part, and the evidence decides.
         """
         sized = [(k, each) for k, each in enumerate(mistakes) if each.sizes]
-        least = iter(self._least([Trial(each, size) for _, each in sized for size in each.sizes]))
+        least = iter(self._least([SizedMistake(each, size) for _, each in sized for size in each.sizes]))
         basins: list[tuple[int, Basin]] = []
         for k, each in sized:
             tried = {size: next(least) for size in each.sizes}
@@ -273,13 +274,13 @@ class Search:
             basins = [each for each in basins if not each.settled]
             for sizes in (Basin.sides, Basin.vertex):
                 trials = [(each, size) for each in basins for size in sizes(each)]
-                least = self._least([Trial(each.mistake, size) for each, size in trials])
+                least = self._least([SizedMistake(each.mistake, size) for each, size in trials])
                 for (each, size), found in zip(trials, least, strict=True):
                     each.tried[size] = found
             for each in basins:
                 each.narrow()
 
-    def _least(self, trials: Sequence["Trial"]) -> list[float]:
+    def _least(self, trials: Sequence["SizedMistake"]) -> list[float]:
         """Return what the best size makes least: the misfit, or −2 log evidence with the g-sensitivity as stated."""
 
         def judged(terms: NormalTerms) -> np.ndarray:
@@ -321,7 +322,7 @@ class Search:
         stated, corrected = self.with_drift(mistake)
         return stated - corrected < DECISIVE
 
-    def _corrected(self, trials: Sequence["Trial"]) -> NormalTerms:
+    def _corrected(self, trials: Sequence["SizedMistake"]) -> NormalTerms:
         """Return the terms of the campaign with each of some corrections.
 
         The same correction is tried of a run, of its table and its mounting.
@@ -338,35 +339,29 @@ class Search:
                     new[key] = view
         terms = self.model.terms_of_parts(len(new), self.model.seen_in_parts(list(new.values())))
         self.known |= {key: terms[k] for k, key in enumerate(new)}
-        found = [self._with(trial.mistake, own) for trial, own in zip(trials, keys, strict=True)]
+        found = stacked_terms([self.known[key] for own in keys for key in own])
         for key in list(self.known)[: max(0, len(self.known) - _REMEMBERED)]:
             del self.known[key]
-        return stacked_terms(found)
-
-    def _with(self, mistake: Mistake, keys: Sequence["Key"]) -> NormalTerms:
-        """Return the terms of the campaign with corrected runs."""
-        places = list(mistake.scope.runs)
-        found = self.total - self.terms[places].total()
-        for place, key in zip(places, keys, strict=True):
-            corrected, whole = self.known[key], self.terms.values[place]
-            # Rows without stimulus, at the end of a shifted run, count like the others on average.
-            if corrected.values not in (whole, 0):
-                corrected = corrected.scaled(whole / corrected.values)
-            found = found + corrected.with_volume(2 * mistake.rescaled(self.views[place]))
-        return found
+        places = [place for trial in trials for place in trial.mistake.scope.runs]
+        stated = self.terms[places]
+        # Rows without stimulus, at the end of a shifted run, count like the others on average.
+        found = found.scaled(np.where(found.values > 0, stated.values / np.maximum(found.values, 1), 1.0))
+        rescaled = [t.mistake.rescaled(self.views[place]) for t in trials for place in t.mistake.scope.runs]
+        starts = np.cumsum([0, *(len(own) for own in keys[:-1])])
+        return self.total + (found.with_volume(2 * np.array(rescaled)) - stated).sums(starts)
 
 
 @dataclass(frozen=True)
-class Trial:
+class SizedMistake:
     """A mistake of a size, to be corrected."""
 
     mistake: Mistake
     size: float
 
-    def usual(self, views: Sequence[RunView]) -> list["Trial"]:
+    def usual(self, views: Sequence[RunView]) -> list["SizedMistake"]:
         """Return the same with each usual size nearby."""
         apart = ((each, math.remainder(each - self.size, 2 * math.pi)) for each in self.mistake.usual(views))
-        return [Trial(self.mistake, each) for each, off in apart if abs(off) <= self.mistake.usual_within]
+        return [SizedMistake(self.mistake, each) for each, off in apart if abs(off) <= self.mistake.usual_within]
 
 
 @dataclass

@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen, weighted
+from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
+from imubayes.campaign.setup_gate.normal_terms import weighted
 from imubayes.campaign.setup_gate.plausible_errors import G_SENSITIVITIES, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView
 

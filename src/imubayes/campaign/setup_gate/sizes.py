@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.evidence import ErrorModel, stacked_terms
+from imubayes.campaign.setup_gate.evidence import ErrorModel
 from imubayes.campaign.setup_gate.hidden_mistakes import LEVELS_OF_TUMBLES
 from imubayes.campaign.setup_gate.mistakes import Mistake, TableAzimuth, TableElevation, TableZero
+from imubayes.campaign.setup_gate.normal_terms import stacked_terms
 from imubayes.campaign.setup_gate.outer_mistakes import AxisZero
 from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView, views_of

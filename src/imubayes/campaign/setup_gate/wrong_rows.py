@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, Seen, stacked_terms
+from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
 from imubayes.campaign.setup_gate.mistakes import has_angles
+from imubayes.campaign.setup_gate.normal_terms import NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.run_view import RunView, changed, views_of
 from imubayes.campaign_data import Campaign
 
@@ -179,7 +180,7 @@ def _set(view: RunView, column: str, row: int, value: float) -> RunView:
 
 
 @dataclass(frozen=True)
-class _Judged:
+class _JudgedRows:
     """How well the rows of a campaign are predicted.
 
     Attributes
@@ -194,7 +195,7 @@ class _Judged:
 
 def _judged(
     model: ErrorModel, terms: Sequence[NormalTerms], fitted: Sequence[Seen], recorded: Sequence[Seen]
-) -> _Judged:
+) -> _JudgedRows:
     """Judge the recorded rows by the errors that those fitted, which have these terms, show."""
     errors = model.estimates(stacked_terms(terms).total())
     own = errors[: model.own * len(model.channels)].reshape(-1, model.own)
@@ -216,7 +217,7 @@ def _judged(
     def error(place: int, view: RunView) -> np.ndarray:
         return np.nan_to_num((left(model.seen(view)) - offsets[place]) / scatter)
 
-    return _Judged([np.sqrt(np.mean(np.nan_to_num(one / scatter) ** 2, axis=0)) for one in every], error)
+    return _JudgedRows([np.sqrt(np.mean(np.nan_to_num(one / scatter) ** 2, axis=0)) for one in every], error)
 
 
 def _medians(values: np.ndarray) -> np.ndarray:
