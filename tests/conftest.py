@@ -94,6 +94,8 @@ GROUPS = {
         "results/test_arviz.py",
         "procedures/test_converters.py",
         "qualification/test_until_digits.py",
+        "qualification/test_inputs_along_axes.py",
+        "qualification/test_uncertainty_budget.py",
     ),
 }
 
@@ -177,6 +179,16 @@ def command_environment(pytestconfig) -> dict[str, str]:
     """Environment of a process of its own: the package from this tree, compiled like the tests and into their cache."""
     source, plainly = str(Path(__file__).parents[1] / "src"), str(int(_compiled_plainly(pytestconfig)))
     return os.environ | {"PYTHONPATH": source, "JAX_DISABLE_MOST_OPTIMIZATIONS": plainly}
+
+
+@pytest.fixture(scope="session")
+def accel_channel(tmp_path_factory) -> Path:
+    """The result of the shipped accelerometer channel, at its mode: for many tests, which copy what they change."""
+    from imubayes.api import fit
+
+    folder, root = tmp_path_factory.mktemp("accel-channel") / "result", Path(__file__).parents[1]
+    fit(root / "data" / "accel-channel", root / "models" / "accel-channel.toml", folder, sample=False)
+    return folder
 
 
 @pytest.fixture(scope="module", autouse=True)

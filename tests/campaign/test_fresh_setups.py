@@ -18,6 +18,7 @@ from imubayes.campaign import inspect_campaign
 
 CASES = Path(__file__).parents[3] / "shared" / "cases" / "inputs"
 Change = Callable[[dict[str, list[str]]], None]
+ZEROS = (0.0, pytest.param(90.0, marks=pytest.mark.slow), 143.7)
 
 
 def said_of(folder: Path) -> dict[str, str]:
@@ -180,7 +181,7 @@ def test_the_unit_of_temperature_is_named(fresh: Path, seed: int):
     assert says(planted, text)
 
 
-@pytest.mark.parametrize("zero", [0.0, 90.0, 143.7])
+@pytest.mark.parametrize("zero", ZEROS)
 @pytest.mark.parametrize(("unit", "factor"), [("rad", np.pi / 180), ("gon", 1 / 0.9), ("turns", 1 / 360)])
 def test_the_unit_of_angles_is_named_whatever_the_zero_of_the_table(
     tmp_path: Path, zero: float, unit: str, factor: float
@@ -196,7 +197,7 @@ def test_the_unit_of_angles_is_named_whatever_the_zero_of_the_table(
     assert unit in " ".join(issue.what + issue.remedy for issue in found.issues)
 
 
-@pytest.mark.parametrize("zero", [0.0, 90.0, 143.7])
+@pytest.mark.parametrize("zero", ZEROS)
 @pytest.mark.parametrize("with_zero", [False, True])
 def test_a_scale_that_counts_backwards_is_named_whatever_its_zero(tmp_path: Path, zero: float, with_zero: bool):
     """Also where its zero was read on the scale as it is: both signs are to be reversed then."""

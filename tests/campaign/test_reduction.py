@@ -282,7 +282,7 @@ def python(code: str, *words: str) -> str:
     return subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True).stdout
 
 
-@pytest.mark.parametrize("form", ["parquet", "csv"])
+@pytest.mark.parametrize("form", ["parquet", pytest.param("csv", marks=pytest.mark.slow)])
 def test_memory_does_not_grow_with_the_log(small: Path, form: str) -> None:
     toml = small / "campaign.toml"
     text = toml.read_text()

@@ -25,11 +25,11 @@ DATA = ROOT / "data"
 SHIPPED = sorted(file.parent.name for file in DATA.glob("*/campaign.toml"))
 QUICK = ("polar-tumble", "head", "converter", "converter_cycle", "cycle")
 """Kinds of campaigns of the default tests, each judged in half a second; the study has all."""
-SHIPPED_QUICK = ("polar-tumble", "redundant-imu", "rotation-modulation", "trihedral-imu")
+SHIPPED_QUICK = ("polar-tumble", "redundant-imu", "trihedral-imu")
 SEEDS = tuple(next(seed for seed in range(7000, 8000) if KINDS[seed % len(KINDS)] == kind) for kind in QUICK)
 FIRST = next(seed for seed in SEEDS if KINDS[seed % len(KINDS)] == "head")
-PER_MISTAKE = 3
-"""Campaigns that each mistake is planted into, in the default tests."""
+PER_MISTAKE = 1
+"""Campaigns that each mistake is planted into, in the default tests; the study has thousands."""
 SUBTLE = (
     "latitude", "latitude_value", "height", "fahrenheit", "fahrenheit_throughout", "thermometers",
     "temperature_reversed",

@@ -22,7 +22,9 @@ def gate(inspection: Inspection) -> set[str]:
     return {finding.name for finding in inspection.findings} & {*SETUP_FINDINGS, "setup_disagrees"}
 
 
-@pytest.mark.parametrize(("effect", "seed"), COURSES)
+@pytest.mark.parametrize(
+    ("effect", "seed"), [COURSES[0], *(pytest.param(*each, marks=pytest.mark.slow) for each in COURSES[1:])]
+)
 def test_a_bias_that_follows_late_is_no_reversed_column(
     tmp_path: Path, effect: str, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -44,7 +46,7 @@ def test_a_reversed_column_is_named_where_a_ramp_goes_up_and_down(tmp_path: Path
 @pytest.mark.parametrize(
     ("seed", "effect"),
     [
-        (160040, "converter_offset_drift_quadratic"),
+        pytest.param(160040, "converter_offset_drift_quadratic", marks=pytest.mark.slow),
         pytest.param(150005, "converter_leakage", marks=pytest.mark.slow),
     ],
 )

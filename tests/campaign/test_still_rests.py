@@ -24,12 +24,12 @@ def excluded(rests: int, seeds: range) -> list[int]:
     return [int(flagged.sum()) for flagged in found]
 
 
-@pytest.mark.parametrize("rests", [8, 9, 10])
+@pytest.mark.parametrize("rests", [*(pytest.param(rests, marks=pytest.mark.slow) for rests in (8, 9)), 10])
 def test_no_still_rest_of_few_is_excluded(rests: int) -> None:
     assert sum(excluded(rests, range(14))) == 0
 
 
-@pytest.mark.parametrize("rests", [12, 13, 16])
+@pytest.mark.parametrize("rests", [12, *(pytest.param(rests, marks=pytest.mark.slow) for rests in (13, 16))])
 def test_no_still_rest_of_just_enough_is_excluded(monkeypatch: pytest.MonkeyPatch, rests: int) -> None:
     assert sum(excluded(rests, range(8))) == 0
     # Fault planted: a level at which anything is excluded.

@@ -143,6 +143,7 @@ def test_no_row_of_a_valid_campaign_is_named(tmp_path: Path) -> None:
         assert "row_disagrees" not in {each.name for each in inspect_campaign(tmp_path / str(seed)).findings}
 
 
+@pytest.mark.slow  # the gate then tries a thousand pairs of mistakes
 def test_without_the_derivative_no_row_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The planted fault of these tests."""
     mistyped(tmp_path / "campaign", HEADS[0])

@@ -18,17 +18,9 @@ CAMPAIGN, MODEL = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-chan
 PARTS = ("error: ", "  where:   ", "  do:      ")
 
 
-@pytest.fixture(scope="module")
-def once(tmp_path_factory) -> Path:
-    """A result, made once."""
-    folder = tmp_path_factory.mktemp("once") / "result"
-    assert run(["fit", str(CAMPAIGN), "--model", str(MODEL), "--out", str(folder), "--no-sample"]) == 0
-    return folder
-
-
 @pytest.fixture
-def result(once, tmp_path) -> Path:
-    return Path(shutil.copytree(once, tmp_path / "result"))
+def result(accel_channel, tmp_path) -> Path:
+    return Path(shutil.copytree(accel_channel, tmp_path / "result"))
 
 
 @pytest.fixture
@@ -111,7 +103,7 @@ def test_a_file_is_no_place_for_a_result(tmp_path, refused, below):
     ],
     ids=lambda words: words[0],
 )
-def test_what_another_process_writes_is_refused_at_once(once, tmp_path, refused, monkeypatch, words):
+def test_what_another_process_writes_is_refused_at_once(accel_channel, tmp_path, refused, monkeypatch, words):
     out = tmp_path / ("out.html" if "OUT.html" in words else "out")
     if out.suffix == "":
         out.mkdir()
@@ -129,7 +121,7 @@ def test_what_another_process_writes_is_refused_at_once(once, tmp_path, refused,
     thread.start()
     held.wait()
     try:
-        given = [once if word == "RESULT" else out if str(word).startswith("OUT") else word for word in words]
+        given = [accel_channel if word == "RESULT" else out if str(word).startswith("OUT") else word for word in words]
         err = refused(*given)
     finally:
         done.set()

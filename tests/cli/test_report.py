@@ -26,20 +26,9 @@ WIDE = '[[limit]]\nquantity = "accel_bias.bias"\nlower = -100\nupper = 100\nunit
 HEAD = 'format = 1\nname = "test"\n'
 
 
-@pytest.fixture(scope="module")
-def fitted(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("report") / "result"
-    model = ROOT / "models" / "accel-channel.toml"
-    assert (
-        run(["fit", str(ROOT / "data" / "accel-channel"), "--model", str(model), "--out", str(folder), "--no-sample"])
-        == 0
-    )
-    return folder
-
-
 @pytest.fixture
-def result(fitted, tmp_path) -> Path:
-    return Path(shutil.copytree(fitted, tmp_path / "result"))
+def result(accel_channel, tmp_path) -> Path:
+    return Path(shutil.copytree(accel_channel, tmp_path / "result"))
 
 
 def specification(folder: Path, text: str = WIDE) -> str:

@@ -107,6 +107,7 @@ class FoundShape(SignalEffect):
 '''
 
 
+@pytest.mark.slow  # test_user_effect.py adds one at every run
 def test_a_shape_in_a_file_is_added_like_an_effect_of_the_catalogue(second, place, tmp_path):
     """The file defines what the catalogue has too: the same Δχ², cross-validation and place in the history."""
     (start,) = copied(place, tmp_path, "first")
@@ -262,7 +263,7 @@ def copied(place: Path, to: Path, *names: str) -> list[Path]:
     return [to / name for name in names]
 
 
-@pytest.mark.parametrize("fault", ["unconverged", "worse"])
+@pytest.mark.parametrize("fault", [pytest.param("unconverged", marks=pytest.mark.slow), "worse"])
 def test_a_bad_refit_is_not_taken(place, first, tmp_path, monkeypatch, fault):
     (result,) = copied(place, tmp_path, "first")
     select(result)
@@ -284,6 +285,16 @@ def test_a_bad_refit_is_not_taken(place, first, tmp_path, monkeypatch, fault):
         select(tmp_path / "next")
 
 
+def test_undo_selects_what_was_there_before(place, first, second, tmp_path):
+    folders = copied(place, tmp_path, "first", "second")
+    assert read_tree([folders[1]]).selected == (str(folders[1].resolve()),)
+    tree = select(folders[0])
+    assert tree.selected == (str(folders[0].resolve()),)
+    export(folders[1], tmp_path / "selected.toml")
+    assert (tmp_path / "selected.toml").read_text() == (folders[0] / "model.toml").read_text()
+
+
+@pytest.mark.slow  # for its third fit; test_removal.py reads a tree of three at every run
 def test_the_history_is_a_tree_with_one_selected(place, third, tmp_path):
     folders = copied(place, tmp_path, "first", "second", "third")
     tree = read_tree([folders[1]])

@@ -38,6 +38,7 @@ def falls(lacking) -> tuple[float, float, float]:
     return extension.delta_chi2, observed_delta_chi2(lacking, after), coefficient.value
 
 
+@pytest.mark.slow
 def test_what_is_expected_is_found(lacking):
     expected, found, half_width = falls(lacking)
     assert found > 36
@@ -45,6 +46,7 @@ def test_what_is_expected_is_found(lacking):
     assert half_width == pytest.approx(HALF_WIDTH, abs=20)
 
 
+@pytest.mark.slow
 def test_with_what_acts_at_the_start_left_out_it_is_not(lacking, monkeypatch):
     """The planted fault: the check goes red where the half width is taken to be zero where its expansion begins."""
     monkeypatch.setattr(extend_module, "_without_new", lambda *_: None)

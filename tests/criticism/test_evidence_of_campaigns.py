@@ -31,6 +31,7 @@ def weighed(fitted: Fit) -> Evidence:
     return explain(fitted, candidate_responses(fitted), tuple(covariates(fitted))).evidence
 
 
+@pytest.mark.slow  # compiles a campaign of its own; test_hidden_effects.py has polar-tumble
 @pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not in this checkout")
 def test_an_effect_that_the_scatter_between_runs_absorbs_is_named() -> None:
     fitted = fit_of(CASES / "evidence" / "asymmetry-two-rates", ROOT / "models" / "rotation-modulation.toml")
@@ -46,6 +47,7 @@ def test_an_effect_that_the_scatter_between_runs_absorbs_is_named() -> None:
     assert any(line.startswith("Probability: an effect missing 0.99") for line in diagnosis_lines(found))
 
 
+@pytest.mark.slow  # compiles a campaign of its own; test_wrong_records.py has one
 @pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not in this checkout")
 def test_a_mistyped_angle_is_a_wrong_record_and_its_size_is_found_beyond_the_linear() -> None:
     case = CASES / "inputs" / "one-angle-typo"

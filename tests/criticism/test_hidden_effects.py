@@ -55,7 +55,10 @@ def sized(effect: str, deviations: float, seed: int) -> None:
     assert not surely_wrong(found, effect), told(found)
 
 
-@pytest.mark.parametrize("effect", ["converter_gain_temperature_rate", "converter_offset_temperature_rate"])
+@pytest.mark.parametrize(
+    "effect",
+    ["converter_gain_temperature_rate", pytest.param("converter_offset_temperature_rate", marks=pytest.mark.slow)],
+)
 def test_an_effect_is_found_with_its_size(effect: str) -> None:
     sized(effect, 10.0, 3)
 
@@ -74,13 +77,13 @@ def test_a_large_effect_leaves_none_beside_it() -> None:
     assert next_command(found).startswith("imubayes add converter_gain_hysteresis --to")
 
 
-def test_nothing_is_named_where_nothing_is_missing() -> None:
-    for seed in range(4):
-        found = judge(redrawn(converter(), seed))
-        assert found.verdict == "adequate", told(found)
-        assert not found.groups
-        assert probability(found, "nothing") > 0.5
-        assert found.ranking
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 4))])
+def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
+    found = judge(redrawn(converter(), seed))
+    assert found.verdict == "adequate", told(found)
+    assert not found.groups
+    assert probability(found, "nothing") > 0.5
+    assert found.ranking
 
 
 def test_a_fit_that_stopped_is_explained_about_where_it_stopped() -> None:
@@ -108,7 +111,7 @@ def test_chains_that_did_not_converge_do_not_keep_effects_from_being_ranked() ->
     "share",
     [
         0.003,
-        0.1,
+        pytest.param(0.1, marks=pytest.mark.slow),
     ],
 )
 def test_what_the_runs_do_not_distinguish_is_told_and_suggested_together(share: float) -> None:
@@ -128,12 +131,14 @@ def test_what_the_runs_do_not_distinguish_is_told_and_suggested_together(share: 
     assert "would fit as well" in diagnosis_lines(found)[0]
 
 
+@pytest.mark.slow
 def test_what_acts_across_the_input_axis_is_named() -> None:
     found = judge(planted(positions(), 7, of_typical(positions(), "gyro_misalignment", 6.0)))
     assert names(found, "gyro_misalignment"), told(found)
     assert not surely_wrong(found, "gyro_misalignment"), told(found)
 
 
+@pytest.mark.slow
 def test_a_drift_quadratic_in_g_is_named_first(tmp_path: Path) -> None:
     """Three series of positions of a gyro: at few degrees of freedom others are as significant."""
     fitted, truth = random_fit(tmp_path / "campaign", 300007, "hidden", "geographic_tumble")

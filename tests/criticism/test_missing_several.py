@@ -81,6 +81,7 @@ def test_three_of_very_different_size_are_named_together() -> None:
     assert not surely_wrong(found, *PLANTED), told(found)
 
 
+@pytest.mark.slow  # compiles a campaign of its own
 def test_one_between_runs_and_one_within_are_both_named() -> None:
     polar = fitted_to("polar-tumble", "polar-tumble")
     change = of_typical(polar, "gyro_magnetic_sensitivity", 0.3) + of_typical(polar, "table_wobble", 10.0)
@@ -117,6 +118,7 @@ def scores(result: Result, truth: dict[str, float]) -> np.ndarray:
     return np.array([(one.mean - truth[one.name]) / one.sd for one in own])
 
 
+@pytest.mark.slow  # compiles a campaign of its own
 @pytest.mark.parametrize("seed", [1, 4])
 def test_what_two_causes_imitate_together_is_not_named_for_sure(tmp_path: Path, seed: int) -> None:
     result, _ = fitted(tmp_path / "campaign", seed)

@@ -26,6 +26,10 @@ ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "models" / "accel-channel.toml"
 
 
+# One draw at every run of the tests, the others by `make study`.
+DRAWS = (0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2)))
+
+
 def converter() -> Fit:
     return fitted_to("accel-channel", "accel-channel")
 
@@ -54,7 +58,7 @@ def walk(fitted: Fit, seed: int, step: float) -> np.ndarray:
     return step * ROW * found
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", DRAWS)
 def test_correlated_noise(seed: int) -> None:
     found = judge(redrawn(converter(), seed, correlation=0.8))
     is_noise(found, "correlated", "wander")
@@ -63,7 +67,7 @@ def test_correlated_noise(seed: int) -> None:
     assert next_command(found).startswith(f"imubayes add {found.suggested.effects[0]} ")
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", DRAWS)
 def test_a_random_walk_is_no_drift(seed: int) -> None:
     """It resembles a drift or a hysteresis of this one record: they may be in doubt, but the noise is what leads."""
     found = judge(redrawn(converter(), seed, change=walk(converter(), seed, 0.8)))
@@ -113,7 +117,7 @@ def rounded(folder: Path, steps: float) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("steps", "coarse"), [(6.0, True), (0.5, False)])
+@pytest.mark.parametrize(("steps", "coarse"), [(6.0, True), pytest.param(0.5, False, marks=pytest.mark.slow)])
 def test_an_output_too_coarse_for_its_noise_names_no_effect(tmp_path: Path, steps: float, coarse: bool) -> None:
     """The fit warns of it; one that its noise smooths is not even that."""
     result = imubayes.api.fit(rounded(tmp_path / "campaign", steps), MODEL, sample=False)
@@ -124,12 +128,12 @@ def test_an_output_too_coarse_for_its_noise_names_no_effect(tmp_path: Path, step
         assert found.verdict == "adequate", told(found)
 
 
-def test_complete_models_are_adequate() -> None:
+@pytest.mark.parametrize("seed", DRAWS)
+def test_complete_models_are_adequate(seed: int) -> None:
     """Fresh white noise on all six channels of the table campaigns."""
-    for seed in range(3):
-        found = judge(redrawn(fitted_to("hidden-none"), seed))
-        assert found.verdict == "adequate", told(found)
-        assert not found.contradicted
+    found = judge(redrawn(fitted_to("hidden-none"), seed))
+    assert found.verdict == "adequate", told(found)
+    assert not found.contradicted
 
 
 NAMED_DRIFTS = (9003, 9006)

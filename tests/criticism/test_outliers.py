@@ -74,12 +74,13 @@ def test_readings_that_are_far_off_are_told(whole: Fit) -> None:
     assert all(6 < abs(one.distance) < 30 for one in found.outliers), told(found)
 
 
-@pytest.mark.parametrize("seed", [3, 8])
+@pytest.mark.parametrize("seed", [3, pytest.param(8, marks=pytest.mark.slow)])
 def test_one_reading_that_is_far_off_is_told(whole: Fit, seed: int) -> None:
     change = hits(whole, 1, 12.0, seed=seed)
     is_told(judge(redrawn(whole, 5, change=change)), places(whole, change))
 
 
+@pytest.mark.slow
 def test_white_noise_has_no_outliers(whole: Fit) -> None:
     assert not sum(len(judge(redrawn(whole, seed)).outliers) for seed in range(2))
 
@@ -158,6 +159,7 @@ def test_with_outliers_in_the_model_nothing_is_missing(whole: Fit, mended: tuple
             assert 0.7 < sigma[names.index(name)] / was[place] < 1.15
 
 
+@pytest.mark.slow
 def test_runs_that_were_left_out_are_predicted_better(mended: tuple[Fit, Fit]) -> None:
     _, _, masks = groups(mended[0].model)
     gains = []
@@ -168,6 +170,7 @@ def test_runs_that_were_left_out_are_predicted_better(mended: tuple[Fit, Fit]) -
     assert sum(gains) > 30
 
 
+@pytest.mark.slow
 def test_a_reading_that_the_model_leans_on_is_seen(whole: Fit) -> None:
     """The reading of the largest force along ax, whose neighbours share most of its leverage, 20 deviations off."""
     entries = whole.model.entries

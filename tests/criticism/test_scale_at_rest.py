@@ -63,6 +63,7 @@ def answered(folder: Path, seed: int, ppm: float) -> str:
     return answer
 
 
+@pytest.mark.slow  # compiles a campaign of its own
 @pytest.mark.parametrize("ppm", [3000.0, -3000.0])
 def test_the_scale_factor_is_named(tmp_path, ppm):
     found = diagnosed(tmp_path / "positions", 41, ppm)

@@ -41,6 +41,7 @@ def test_a_misalignment_is_no_magnetic_sensitivity(monkeypatch: pytest.MonkeyPat
     doubted(judge(fitted))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "share",
     [
@@ -178,6 +179,7 @@ def test_a_step_in_one_run_gets_no_name() -> None:
         effect_source(found)
 
 
+@pytest.mark.slow
 def test_a_narrow_bump_over_temperature_gets_no_name() -> None:
     """A feature of a twentieth of the range, for which a smooth curve is too stiff."""
     entries, campaign = converter().model.entries, converter().model.campaign
@@ -197,6 +199,7 @@ def test_a_narrow_bump_over_temperature_gets_no_name() -> None:
     assert "converter_temperature_degC" in form.covariates, told(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shape",
     [

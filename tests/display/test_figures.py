@@ -100,7 +100,11 @@ def test_measurement_of_a_run(residuals):
         assert "good model" in figure.caption
 
 
-@pytest.mark.parametrize("one", ["row", "time", "power_on", "table_rate", "table_angle", "temperature"])
+@pytest.mark.parametrize(
+    "one",
+    ["row", "time", *(pytest.param(one, marks=pytest.mark.slow) for one in ("power_on", "table_rate", "table_angle")),
+     "temperature"],
+)  # fmt: skip
 def test_residuals_against_every_covariate(residuals, one):
     figure = residual_figure(residuals, one)
     assert_readable(figure)
@@ -333,7 +337,11 @@ def test_runs_on_a_time_axis():
         campaign_timeline_figure(without)
 
 
-@pytest.mark.parametrize("name", ["trihedral-imu", "polar-tumble", "multi-axis-table", "centrifuge", "redundant-imu"])
+@pytest.mark.parametrize(
+    "name",
+    [*(pytest.param(name, marks=pytest.mark.slow) for name in ("trihedral-imu", "multi-axis-table", "redundant-imu")),
+     "polar-tumble", "centrifuge"],
+)  # fmt: skip
 def test_mountings_are_sketched(name):
     campaign = load_campaign(DATA / name)
     pairs = mounted_pairs(campaign)

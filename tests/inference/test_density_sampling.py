@@ -107,7 +107,7 @@ def test_a_ridge_that_jax_cannot_differentiate_leaves_no_walker_behind():
     require_ridge(imubayes.sample(lambda points: log_ridge(points, np), *RIDGE))
 
 
-@pytest.mark.parametrize("dimensions", [2, 10, 50])
+@pytest.mark.parametrize("dimensions", [10, *(pytest.param(each, marks=pytest.mark.slow) for each in (2, 50))])
 def test_normal_densities_converge(dimensions):
     scale = np.arange(1.0, dimensions + 1)
     found = imubayes.sample(lambda points: -0.5 * ((points / scale[None]) ** 2).sum(axis=1), 0.3 * scale, scale)

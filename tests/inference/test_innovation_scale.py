@@ -49,6 +49,7 @@ def test_nearly_every_proposal_counts():
     assert effective_share(made()[2]) > 0.9
 
 
+@pytest.mark.slow
 def test_without_the_ridge_proposals_miss_tails():
     bent = eqx.tree_at(lambda known: known.ridge, made()[2], None)
     assert effective_share(bent) < 0.5

@@ -59,7 +59,7 @@ def chains_of(precision, folder: Path, seed: int, settings: Settings):
     return weighed, sample(log_density, starts, NAMES, settings, checkpoint, weighed)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_proposal_that_follows_the_scatter_gives_its_whole_width(tmp_path, seed):
     weighed, chains = chains_of(exact_precision, tmp_path, seed, Settings(seed=seed))
     assert weighed.pareto_k < 0.5
@@ -70,7 +70,7 @@ def test_a_proposal_that_follows_the_scatter_gives_its_whole_width(tmp_path, see
     np.testing.assert_allclose(np.quantile(chains.points[..., 0], (0.025, 0.975)), (-1.96, 1.96), atol=0.1)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_proposal_that_misses_the_tail_is_not_called_converged(tmp_path, seed):
     """The fault that once gave 0.8 of the width: an agreement among short chains that have not been there."""
     short = Settings(seed=seed, least_steps=40, most_steps=40)

@@ -44,6 +44,7 @@ def eight_schools(points: np.ndarray, data: dict) -> np.ndarray:
     return fit - 0.5 * np.sum(points**2, axis=1)
 
 
+@pytest.mark.slow
 def test_eight_schools_against_the_reference_draws(tmp_path):
     folder = REFERENCE / "eight_schools-eight_schools_noncentered"
     if not folder.is_dir():

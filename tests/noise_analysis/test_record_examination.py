@@ -120,7 +120,9 @@ FILTERS = {
 }
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=pytest.mark.slow) if "steps" in one else one for one in FILTERS]
+)
 def test_white_noise_behind_a_filter_is_that_of_low_frequencies(name: str):
     found, band, withheld = white_of(np.asarray(FILTERS[name](white(6))))
     assert band.filtered
@@ -131,6 +133,7 @@ def test_white_noise_behind_a_filter_is_that_of_low_frequencies(name: str):
         assert gap.high_hz >= 50.0
 
 
+@pytest.mark.slow
 def test_the_faint_end_of_a_filter_is_no_quantisation_noise():
     """Below 5 Hz two taps take 3 % of the power: a filter too strong, and quantisation noise for the difference."""
     wrong = 0
@@ -142,11 +145,13 @@ def test_the_faint_end_of_a_filter_is_no_quantisation_noise():
     assert wrong == 0
 
 
+@pytest.mark.slow
 def test_white_noise_has_no_filter():
     """Beyond 1e-4 a record; faint attenuation only widens the interval."""
     assert not any(white_of(white(seed, 20_000))[1].filtered for seed in range(20, 32))
 
 
+@pytest.mark.slow
 def test_a_slow_filter_is_no_gauss_markov_process():
     """A first-order low-pass filter of 20 samples, in steps whose rounding is the white noise above."""
     x = rounded(np.asarray(lfilter([0.05], [1, -0.95], white(7))), 0.1)
@@ -164,7 +169,10 @@ def test_a_wandering_line_is_neither_quantisation_nor_gauss_markov_noise(shortes
     assert abs(estimate.of(NoiseTerm.WHITE).value - 0.1) < 3.5 * estimate.of(NoiseTerm.WHITE).sd
 
 
-@pytest.mark.parametrize(("wander", "amplitude", "stated"), [(0.01, 0.3, True), (0.05, 1.0, False), (0.15, 1.0, False)])
+@pytest.mark.parametrize(
+    ("wander", "amplitude", "stated"),
+    [(0.01, 0.3, True), (0.05, 1.0, False), pytest.param(0.15, 1.0, False, marks=pytest.mark.slow)],
+)
 def test_the_tails_of_a_peak_are_not_in_what_is_stated(wander: float, amplitude: float, stated: bool):
     """The phase of a vibration wanders: the record without it has the white noise of all but its band."""
     for seed in range(30, 33):

@@ -7,8 +7,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.api import apply, correct, fit, onboard_constants
+from imubayes.api import apply, correct, onboard_constants
 from imubayes.errors import InputError
+from imubayes.results.result import read_result
 
 ROOT = Path(__file__).parents[2]
 TRUTH = tomllib.loads((ROOT / "data" / "accel-channel" / "truth.toml").read_text())["parameters"]
@@ -26,8 +27,8 @@ def readings(acceleration, temperature):
 
 
 @pytest.fixture(scope="module")
-def result():
-    return fit(ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml", sample=False)
+def result(accel_channel):
+    return read_result(accel_channel)
 
 
 def test_the_acceleration_is_found_within_its_uncertainty(result):
