@@ -146,6 +146,7 @@ def test_whitened_pseudo_values_have_unit_variance():
     assert np.mean(squares) == pytest.approx(1.0, abs=0.06)
 
 
+@pytest.mark.slow
 def test_many_degrees_of_freedom_are_normal_noise():
     model, plain = contaminated(WITH_OFFSETS), contaminated(("white_noise", "run_scatter"))
     at = fitted_with_normal_noise()

@@ -97,6 +97,7 @@ def test_the_earth_rate_on_an_input_axis_across_the_pole_is_zero():
     assert sp.simplify(earth[2]) == 1
 
 
+@pytest.mark.slow  # algebra of ten seconds; test_tumble_terms.py has the same terms in numbers
 def test_tumble_harmonics_are_those_of_the_docstring():
     psi = sp.symbols("psi", real=True)
     k0, k2, k3, k_xx, delta, k_ix = sp.symbols("K0 K2 K3 K_xx delta K_ix")

@@ -20,7 +20,7 @@ from imubayes.results.posterior_draws import draws_of
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("converter", ["V/F", "ADC"])
+@pytest.mark.parametrize("converter", [pytest.param("V/F", marks=pytest.mark.slow), "ADC"])
 def test_drift_of_gain_and_offset_is_found_behind_any_converter(converter, tmp_path):
     truth = accel_channel.generate(tmp_path, 11, converter)
     result = fit(tmp_path, ROOT / "models" / "accel-channel.toml", sample=False)
@@ -54,7 +54,7 @@ def test_a_standard_deviation_describes_the_tails_of_an_offset_whose_scatter_onl
     assert beyond_six_sd("lognormal(0.1 noise, 1.0)") > 0.003
 
 
-@pytest.mark.parametrize("seed", [5024, 5035, 5041])
+@pytest.mark.parametrize("seed", [5024, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (5035, 5041))])
 def test_three_runs_whose_scatter_is_in_the_tail_of_its_prior_are_held_by_the_posterior(seed, tmp_path):
     """The runs do not tell their scatter from errors of bias, scale and current source: all sizes of it have mass."""
     truth = accel_channel.generate(tmp_path, seed)

@@ -38,7 +38,7 @@ def scores(model, mode, truth):
     return (np.asarray(mode.z) - true) / sd
 
 
-@pytest.mark.parametrize("name", ["geographic-tumble", "reference-gyro"])
+@pytest.mark.parametrize("name", [pytest.param("geographic-tumble", marks=pytest.mark.slow), "reference-gyro"])
 def test_the_truth_is_within_its_uncertainty(name):
     found = scores(*fitted(name))
     assert np.abs(found).max() < 4

@@ -134,7 +134,13 @@ def of_truth(name, truth, channels):
     return total
 
 
-@pytest.mark.parametrize("module", [multi_axis_table, centrifuge], ids=["multi_axis_table", "centrifuge"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        pytest.param(multi_axis_table, marks=pytest.mark.slow, id="multi_axis_table"),
+        pytest.param(centrifuge, id="centrifuge"),
+    ],
+)
 def test_the_textbook_is_right_where_its_assumptions_hold(module, tmp_path):
     scores, names = [], set()
     for seed in range(5):

@@ -34,6 +34,7 @@ def test_combinations_are_far_better_known_than_their_members_and_true(result):
     assert all(each.combination.unit and each.combination.q025 < each.combination.q975 for each in found)
 
 
+@pytest.mark.slow  # compiles a sweep of its own
 def test_one_polar_sweep_determines_its_mean_and_the_joint_fit_says_so():
     """D_OO, D_II and D_SS have narrow priors, hardly wider than the sum is known; it is the constant of the sweep."""
     folder = ROOT / "data" / "polar-tumble"

@@ -30,16 +30,21 @@ def test_every_procedure_has_a_plan():
     assert shipped == set(PROCEDURES)
 
 
+@pytest.fixture(scope="module")
+def channel(tmp_path_factory):
+    return simulated("accel-channel", tmp_path_factory.mktemp("channel"))
+
+
 @pytest.mark.parametrize(("run", "input_g"), [("ramp-1g", 1.0), ("ramp-pyramid", 3**-0.5), ("inject-12g", 12.0)])
-def test_ramps_of_an_accelerometer_channel(tmp_path, run, input_g):
+def test_ramps_of_an_accelerometer_channel(channel, run, input_g):
     """The output per degree is that of the offset and, in proportion to the input, of the gain."""
-    _, found, truth = simulated("accel-channel", tmp_path)
+    _, found, truth = channel
     gain, offset = (truth[f"converter_{name}_drift.slope[ax]"] for name in ("gain", "offset"))
     slope = found[f"slope[ax,{run}]"]
     assert slope.value == pytest.approx(gain * 1e-6 * 20000 * input_g + offset, abs=4 * slope.sd)
 
 
-@pytest.mark.parametrize("name", ["polar-tumble", "geographic-tumble"])
+@pytest.mark.parametrize("name", ["polar-tumble", pytest.param("geographic-tumble", marks=pytest.mark.slow)])
 def test_tumbles_of_a_gyro(name, tmp_path):
     """Seats of half an arc minute and offsets of runs are in them: a hundredth of a degree per hour."""
     _, found, truth = simulated(name, tmp_path)
