@@ -35,9 +35,9 @@ def fitted(folder: Path, seed: int, hidden: LaggingOffset) -> Fit:
 
 
 @pytest.fixture(scope="module")
-def no_lag(tmp_path_factory) -> Fit:
-    """Four runs of one input with nothing hidden."""
-    return fitted(tmp_path_factory.mktemp("plain"), 7, LaggingOffset(slope=0.0, runs=4))
+def no_lag() -> Fit:
+    """Runs of one channel with nothing hidden."""
+    return fitted_to("accel-channel", "accel-channel")
 
 
 @pytest.mark.parametrize("seed", [29, 31])
@@ -61,6 +61,7 @@ def test_fitted_noise_is_compared_with_the_samples(no_lag):
     assert not found.excessive
 
 
+@pytest.mark.slow  # test_noise_is_no_effect.py has another size of noise
 def test_scatter_that_samples_do_not_show_is_an_excess(no_lag):
     rows = no_lag.model.problem.observations.value
     more = np.random.default_rng(3).normal(0, 8 / np.sqrt(12), len(rows))

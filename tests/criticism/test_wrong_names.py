@@ -34,6 +34,7 @@ def doubted(found: Diagnosis, *alike: str) -> None:
     assert not surely_wrong(found, *alike), told(found)
 
 
+@pytest.mark.slow  # compiles a campaign of its own
 def test_a_misalignment_is_no_magnetic_sensitivity(monkeypatch: pytest.MonkeyPatch) -> None:
     """In positions of one gyro the one looks like the other."""
     fitted = planted(positions(), 7, of_typical(positions(), "gyro_misalignment", 6.0))
