@@ -19,7 +19,7 @@ help:
 	@echo "make demo    fit, sample and compare the shipped trihedral campaign"
 	@echo "make archive-demo  fit the shipped archive of units and ask what no single unit can answer"
 	@echo "make test    style, types and tests"
-	@echo "make test-fast  tests that compile no model, below a minute"
+	@echo "make test-fast  tests that compile no model and search no set-up, below a minute"
 	@echo "make laws    the laws over all registered effects and noise components"
 	@echo "make study   the long statistical studies (coverage, simulation-based calibration)"
 	@echo "make bench   benchmarks"
@@ -57,8 +57,9 @@ test-fast: $(READY)
 laws: $(READY)
 	$(BIN)/pytest -n 2 tests/conformance
 
+# What the studies print, shares with their binomial intervals, is shown at the end, with those that took longest.
 study: $(READY)
-	$(BIN)/pytest -m slow
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m slow -rP --durations=40
 
 bench: $(VENV)/.ready-bench
 	$(BIN)/python benchmarks/run.py

@@ -30,7 +30,8 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 settings.register_profile("tests", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("tests")
 
-# Folders and files whose tests compile models of their own, heaviest first; `make test-fast` leaves them out.
+# Folders and files whose tests compile models of their own, or search as long, heaviest first; `make test-fast` leaves
+# them out.
 COMPILED = (
     "model/test_compile_cache_limit.py",  # first, as it drops what its process compiled before
     "readme",
@@ -49,6 +50,15 @@ COMPILED = (
     "procedures/test_assumptions.py",
     "procedures/test_new_procedure.py",
     "campaign/test_new_covariate.py",
+    "campaign/test_setup_gate.py",
+    "campaign/test_setup_gate_of_several_axes.py",
+    "campaign/test_setup_gate_drifts.py",
+    "campaign/test_wrong_values.py",
+    "campaign/test_still_rests.py",
+    "noise_analysis/test_record_examination.py",
+    "noise_analysis/test_noise_terms.py",
+    "display/test_figures.py",
+    "procedures/test_serial_axes.py",
     "simulation",
     "qualification/test_uncertainty_budget.py",
     "batch",
@@ -157,7 +167,7 @@ def pytest_configure(config):
     config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache:UserWarning")
     # Aliases of other packages, such as rich's, are still written in the old way.
     config.addinivalue_line("filterwarnings", "ignore::beartype.roar.BeartypeDecorHintPep585DeprecationWarning")
-    config.addinivalue_line("markers", "compiled: compiles a model; left out by `make test-fast`")
+    config.addinivalue_line("markers", "compiled: compiles a model, or takes as long; left out by `make test-fast`")
 
 
 class Scheduling(LoadScopeScheduling):

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
 
 sys.path.insert(0, str(Path(__file__).parent))
+from binomial_share import told
 from blind import mode_of, start_worker
 from evidence_cases import EQUAL, SEEN, Bench, Case, Setting, bench_of, cases, settings, write_case
 
@@ -78,18 +78,6 @@ def _resident(name: str) -> float:
 
 
 # judging
-
-
-def interval(hits: int, count: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share."""
-    low = float(beta.ppf(0.025, hits, count - hits + 1)) if hits else 0.0
-    return low, float(beta.ppf(0.975, hits + 1, count - hits)) if hits < count else 1.0
-
-
-def told(hits: int, count: int) -> str:
-    """Return a share with its interval."""
-    low, high = interval(hits, count)
-    return f"{hits} of {count} ({100 * low:.0f} … {100 * high:.0f} %)" if count else "–"
 
 
 def named(line: Line) -> list[tuple[dict[str, Any], float]]:

@@ -21,11 +21,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import beta
 
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests" / "campaign"), str(ROOT / "data" / "generators")]
 
+from binomial_share import interval  # noqa: E402
 from campaign_files import Files  # noqa: E402
 from generating_law import DETECTABLE, STATED, chi_square  # noqa: E402
 from hidden import random_campaign  # noqa: E402
@@ -151,11 +151,9 @@ def _share(outcomes: Sequence[bool]) -> str:
 
 def _interval(outcomes: Sequence[bool]) -> str:
     """Return the Clopper–Pearson interval of a share."""
-    good, every = sum(outcomes), len(outcomes)
-    if not every:
+    if not outcomes:
         return ""
-    low = beta.ppf(0.025, good, every - good + 1) if good else 0.0
-    high = beta.ppf(0.975, good + 1, every - good) if good < every else 1.0
+    low, high = interval(sum(outcomes), len(outcomes))
     return f"{low:.1%} … {high:.1%}"
 
 

@@ -7,6 +7,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 import blind
+from binomial_share import told
 from hidden import random_campaign
 
 from imubayes.criticism.diagnose import judge
@@ -30,6 +31,6 @@ def groups(folder: Path, seed: int, effect: str) -> tuple[bool, bool]:
 @pytest.mark.parametrize("effect", MEMORIES)
 def test_memory_of_a_converter(tmp_path, effect):
     found = [groups(tmp_path / str(seed), seed, effect) for seed in SEEDS]
-    print(effect, found)
+    print(f"{effect}: in a group {told(sum(right for right, _ in found), len(found))}", found)
     assert sum(right for right, _ in found) >= 0.95 * len(found)
     assert sum(wrong for _, wrong in found) <= 0.02 * len(found)

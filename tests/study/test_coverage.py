@@ -8,6 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 import trihedral_imu
+from binomial_share import told
 from coverage import study
 
 REPLICATES = 20
@@ -17,7 +18,8 @@ REPLICATES = 20
 def test_intervals_hold_what_they_promise():
     scores = study(trihedral_imu, "trihedral-imu", range(1, REPLICATES + 1))
     assert all(scores.converged)
-    print(f"\ncoverage {scores.coverage:.4f}, rms z {scores.rms:.3f}, {len(scores.z)} quantities")
+    covered = told(int(scores.inside.sum()), len(scores.inside), 1)
+    print(f"\ncoverage {scores.coverage:.4f}, {covered} as if independent, rms z {scores.rms:.3f}")
     angles = np.array([name.startswith("mounting_angle") for name in scores.names])
     held, widest = scores.inside[angles].mean(), scores.sd[angles].max() * 3600
     print(f"mounting angles: coverage {held:.4f}, largest sd {widest:.3f} arcsec")

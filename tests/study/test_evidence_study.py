@@ -10,6 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 import evidence_study as study
+from binomial_share import interval
 from evidence_cases import settings
 
 WARM = "gyro_warm_up"
@@ -61,9 +62,9 @@ def test_judgement(said: str, one: study.Line) -> None:
 
 def test_interval() -> None:
     """As in the tables of Clopper and Pearson."""
-    assert np.allclose(study.interval(8, 10), (0.4439, 0.9748), atol=1e-4)
-    assert study.interval(0, 10)[0] == 0.0
-    assert study.interval(10, 10)[1] == 1.0
+    assert np.allclose(interval(8, 10), (0.4439, 0.9748), atol=1e-4)
+    assert interval(0, 10)[0] == 0.0
+    assert interval(10, 10)[1] == 1.0
 
 
 def test_tables_hold_every_part() -> None:

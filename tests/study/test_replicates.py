@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from binomial_share import told
 from replicates import CASES, scores
 
 
@@ -15,7 +16,7 @@ from replicates import CASES, scores
 def test_uncertainties_hold_what_they_promise(procedure):
     found = scores(procedure)
     print(
-        f"\n{procedure}: rms {found.rms:.3f}, coverage {found.coverage:.4f}, {len(found.z)} scores, "
+        f"\n{procedure}: rms {found.rms:.3f}, coverage {told(int(np.sum(found.inside)), len(found.z), 1)}, "
         f"largest {found.largest}, of ranks {found.largest_rank}"
     )
     assert found.failed == 0

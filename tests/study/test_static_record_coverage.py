@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from binomial_share import told
 from static_record_study import SEEDS, TERMS, Recovery, coverage, recovered
 
 
@@ -29,6 +30,7 @@ def test_white_noise_flicker_and_random_walk_are_recovered(found):
 
 @pytest.mark.slow
 def test_intervals_hold_what_they_promise(found):
+    print(f"\ninside: {told(sum(each.inside() for each in found), len(found), 1)}")
     assert 0.90 <= coverage(found) <= 0.98
     for term in TERMS:
         assert 0.90 <= coverage([each for each in found if each.term is term]) <= 0.98
