@@ -67,6 +67,17 @@ COMPILED = (
     "qualification/test_until_digits.py",
     "reference",
     "study",
+    "archive",
+    "campaign/test_fresh_setups.py",
+    "campaign/test_checks.py",
+    "campaign/test_raw_logs.py",
+    "campaign/test_nominal_scales.py",
+    "campaign/test_convert.py",
+    "campaign/test_clipping.py",
+    "campaign/test_reduction.py",
+    "noise_analysis/test_term_evidence.py",
+    "parameters/test_priors.py",
+    "procedures/test_rate_series.py",
 )
 
 # Tests that fit the same campaign run in one process, for what they share; other tests stay with their file.

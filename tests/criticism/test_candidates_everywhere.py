@@ -46,7 +46,7 @@ PLANS = {
     "hidden-thermal": (lambda seed: hidden_effects.plan("hidden-thermal", seed), "hidden-effects-thermal"),
 }
 RATE = "temperature_rate"
-AT_ONCE = ("geographic-tumble", "accel-channel")
+AT_ONCE = ("accel-channel",)
 LEAST_FELT = 1e-6
 """Standard deviations of noise that the shifts of all readings together make, below which they show nothing."""
 

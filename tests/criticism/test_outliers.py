@@ -145,6 +145,7 @@ def mended(whole: Fit) -> tuple[Fit, Fit]:
     return spoilt, robust
 
 
+@pytest.mark.slow  # compiles a model of its own; its likelihood is that of model/test_robust_likelihood.py
 def test_with_outliers_in_the_model_nothing_is_missing(whole: Fit, mended: tuple[Fit, Fit]) -> None:
     _, robust = mended
     found = judge(robust)

@@ -136,10 +136,9 @@ def left(result: Result, name: str, recording: str) -> tuple[np.ndarray, np.ndar
     )
 
 
-@pytest.mark.parametrize(
-    "recording",
-    [one if one == "gyros alone" else pytest.param(one, marks=pytest.mark.slow) for one in RECORDINGS],
-)
+# Over the whole catalogue; at every run test_uncorrected_effects.py has an effect of each cause.
+@pytest.mark.slow
+@pytest.mark.parametrize("recording", RECORDINGS)
 def test_what_a_recording_does_not_tell_is_in_the_uncertainty_and_named(recording):
     channels = whole_catalogue().campaign.channels
     named, broken, blind = set(), [], []
