@@ -64,6 +64,8 @@ COMPILED = (
     "batch",
     "qualification/test_correct_recording.py",
     "qualification/test_inputs_along_axes.py",
+    "qualification/test_left_in_law.py",
+    "qualification/test_uncorrected_effects.py",
     "qualification/test_until_digits.py",
     "reference",
     "study",
@@ -76,8 +78,10 @@ COMPILED = (
     "campaign/test_clipping.py",
     "campaign/test_reduction.py",
     "noise_analysis/test_term_evidence.py",
-    "parameters/test_priors.py",
+    "parameters",
     "procedures/test_rate_series.py",
+    "test_kept_programs.py",
+    "test_rotations.py",
 )
 
 # Tests that fit the same campaign run in one process, for what they share; other tests stay with their file.
