@@ -18,13 +18,20 @@ import numpy as np
 from common import Report, in_words, trihedral
 from scipy.optimize import least_squares
 
-from imubayes.batch.batch_settings import BatchSettings
-from imubayes.batch.fit_unit import posterior_of
-from imubayes.batch.group_moments import grouped_misfit, grouped_model, normal_equations
-from imubayes.batch.lane_mode import Climb, LaneMode, along_chord, climbed, find_modes, first_curvature
-from imubayes.batch.lane_posterior import posteriors
-from imubayes.batch.lanes import LANES, LaneStructure, Stacked
-from imubayes.batch.marginal_slope import marginal_slope
+from imubayes.batch.batch_folder import BatchSettings
+from imubayes.batch.fit_unit import posterior_of, posteriors
+from imubayes.batch.group_moments import grouped_misfit, grouped_model, marginal_slope, normal_equations
+from imubayes.batch.lanes import (
+    LANES,
+    Climb,
+    LaneMode,
+    LaneStructure,
+    Stacked,
+    along_chord,
+    climbed,
+    find_modes,
+    first_curvature,
+)
 from imubayes.batch.posterior_table import UnitIdentity
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals

@@ -32,7 +32,7 @@ monitoring.register_event_duration_secs_listener(
 from dataclasses import replace
 from imubayes.batch.fit_chunk import fit_chunk, in_process
 from imubayes.batch.run_batch import run_batch
-from imubayes.batch.unit_sources import unread
+from imubayes.batch.batch_folder import unread
 def copied(tasks):
     known = None
     for task in tasks:

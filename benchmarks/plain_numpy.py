@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Run
-from imubayes.earth import earth_rate, table_to_local
-from imubayes.parameters.vector import Layout
+from imubayes.foundations.campaign_data import Campaign, Run
+from imubayes.foundations.earth import earth_rate, table_to_local
+from imubayes.parameters.declarations import Layout
 
 REFERENCE_TEMPERATURE = 25.0
 TURN_ANGLES = 2 * np.pi * np.arange(4) / 4

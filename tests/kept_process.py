@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes import kept_programs, program_identity
-from imubayes.kept_programs import kept
+from imubayes.compiled import kept_programs, program_identity
+from imubayes.compiled.kept_programs import kept
 
 program_identity._KNOWN.add("kept_process")
 FORBIDDEN = "forbid" in sys.argv

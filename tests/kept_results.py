@@ -3,8 +3,7 @@
 import hashlib
 from pathlib import Path
 
-from imubayes.results.manifest import KeptFile, Manifest
-from imubayes.results.record_names import BY_OTHER_COMMANDS, CHECKPOINT, MANIFEST
+from imubayes.results.folder_files import BY_OTHER_COMMANDS, CHECKPOINT, MANIFEST, KeptFile, Manifest
 
 
 def listed(folder: Path) -> Path:

@@ -8,8 +8,8 @@ import numpy as np
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.problem import predict
-from imubayes.results.residual_table import Residuals
 from imubayes.results.result import Result
+from imubayes.results.stored_tables import Residuals
 from imubayes.results.summary import ParameterSummary, Summary
 
 

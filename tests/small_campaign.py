@@ -9,12 +9,12 @@ from functools import cache
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table, Tumble
-from imubayes.earth import normal_gravity
 from imubayes.effects.base import Effect
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table, Tumble
+from imubayes.foundations.earth import normal_gravity
 from imubayes.model.bind import Model, bind
 from imubayes.model.effect_registry import Registry
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
 
 LATITUDE, HEIGHT = np.radians(34.25), 400.0

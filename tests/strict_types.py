@@ -7,7 +7,7 @@ from beartype import BeartypeConf, beartype
 CONFIGURATION = BeartypeConf(is_pep484_tower=True)
 checked = beartype(conf=CONFIGURATION)
 # What takes jaxtyping: shapes of arrays, and names that exist for type checkers alone, which it passes over.
-_OF_JAXTYPING = ("imubayes.array_shapes", "TYPE_CHECKING")
+_OF_JAXTYPING = ("imubayes.foundations.arrays", "from jaxtyping", "TYPE_CHECKING")
 
 
 def modules(source: Path, shaped: bool) -> tuple[str, ...]:

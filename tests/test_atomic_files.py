@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from imubayes.atomic_files import new_folder, replacing, write_text
+from imubayes.foundations.files import new_folder, replacing, write_text
 
 
 @pytest.fixture(scope="module")

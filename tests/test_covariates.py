@@ -2,7 +2,7 @@
 
 import pytest
 
-from imubayes.covariates import CONDITIONS, COVARIATES, remedy
+from imubayes.foundations.covariates import CONDITIONS, COVARIATES, remedy
 from imubayes.model.effect_registry import Registry
 
 # Axes of labels that every campaign has, and kinds of channels that only noise acts on.

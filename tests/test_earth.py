@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from imubayes.earth import EARTH_RATE, earth_rate, normal_gravity, table_to_local
+from imubayes.foundations.earth import EARTH_RATE, earth_rate, normal_gravity, table_to_local
 
 # NIMA TR8350.2, 3rd edition: defining and derived constants of WGS 84
 A, B, GM, OMEGA = 6378137.0, 6356752.3142, 3986004.418e8, 7292115e-11

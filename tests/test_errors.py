@@ -1,6 +1,6 @@
 """The four-part error."""
 
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import InputError, Issue, closest_first
 
 
 def test_a_problem_has_four_parts_in_order():

@@ -5,13 +5,13 @@ import subprocess
 import sys
 import time
 
-from imubayes.jax_settings import _without_empty
+from imubayes.compiled.jax_settings import _without_empty
 
 _SCRIPT = """
 import jax, jax.numpy as jnp
 {before}
-from imubayes.errors import InputError
-from imubayes.jax_settings import prepare_jax
+from imubayes.foundations.errors import InputError
+from imubayes.compiled.jax_settings import prepare_jax
 try:
     prepare_jax()
 except InputError as error:

@@ -14,12 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes import kept_programs, program_identity, program_preloading
-from imubayes.kept_programs import kept
+from imubayes.compiled import kept_programs, program_identity, stored_programs
+from imubayes.compiled.kept_programs import kept
+from imubayes.compiled.program_identity import NoIdentityError, describe
+from imubayes.compiled.stored_programs import Preloading, read_program
 from imubayes.model.effect_registry import Registry
-from imubayes.program_files import read_program
-from imubayes.program_identity import NoIdentityError, describe
-from imubayes.program_preloading import Preloading
 
 TRACED: list[str] = []
 
@@ -271,7 +270,7 @@ def test_what_the_last_process_used_is_loaded_ahead_in_that_order(folder, monkey
         read.append((file.name, threading.current_thread().name))
         return read_program(file)
 
-    monkeypatch.setattr(program_preloading, "read_program", seen)
+    monkeypatch.setattr(stored_programs, "read_program", seen)
     monkeypatch.setattr(kept_programs._Folder, "preloading", again := preloading(folder))
     while len(read) < 2:
         time.sleep(0.01)

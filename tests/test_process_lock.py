@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from imubayes.errors import InputError
-from imubayes.process_lock import only_writer
+from imubayes.foundations.errors import InputError
+from imubayes.foundations.files import only_writer
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from imubayes.process_lock import only_writer
+from imubayes.foundations.files import only_writer
 with only_writer(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)

@@ -7,7 +7,15 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from imubayes.rotations import compose, cross, exponential, rotate, rotate_back, small_rotation, turn_back_about_z
+from imubayes.foundations.arrays import (
+    compose,
+    cross,
+    exponential,
+    rotate,
+    rotate_back,
+    small_rotation,
+    turn_back_about_z,
+)
 
 RNG = np.random.default_rng(4)
 DIRECTION = np.array([0.48, -0.6, 0.64])

@@ -5,8 +5,8 @@ import pytest
 from beartype.roar import BeartypeCallHintParamViolation
 from jaxtyping import TypeCheckError
 
-from imubayes.rotations import exponential
-from imubayes.units import to_si
+from imubayes.foundations.arrays import exponential
+from imubayes.foundations.units import to_si
 
 
 def test_a_wrong_type_raises():

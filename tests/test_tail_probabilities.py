@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from imubayes import tail_probabilities as tails
+from imubayes.foundations import tail_probabilities as tails
 
 FREEDOM = (1, 2, 3, 7, 40, 1000)
 VALUES = np.array([1e-2, 0.3, 5.0, 40.0, 200.0, 1300.0, 1600.0, 1e4, 1e5, 1e6])

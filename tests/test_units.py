@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import constants
 
-from imubayes.errors import InputError
-from imubayes.units import dimension, same_dimension, to_si, with_output_unit
+from imubayes.foundations.errors import InputError
+from imubayes.foundations.units import dimension, same_dimension, to_si, with_output_unit
 
 SITE = 9.7966
 EXPECTED = {

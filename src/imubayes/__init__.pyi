@@ -14,24 +14,22 @@ from .api import (
     remove,
     report,
 )
-from .array_shapes import Scalar, vector3
 from .campaign import check_campaign, load_campaign
-from .campaign_data import Campaign
 from .criticism.diagnosis_record import Diagnosis
 from .display.model_against_measurement import compare
-from .effects.base import Effect, MotionEffect, Order, PlaceEffect, RecordEffect, SignalEffect, Stage
-from .effects.memory import Decay, Play
-from .errors import InputError
+from .effects.base import Decay, Effect, MotionEffect, Order, PlaceEffect, Play, RecordEffect, SignalEffect, Stage
+from .foundations.arrays import Scalar, compose, cross, exponential, rotate, vector3
+from .foundations.campaign_data import Campaign
+from .foundations.errors import InputError
+from .foundations.signal_path_state import Ambient, Experience, Motion, Sample
+from .foundations.units import dimension, to_si
 from .inference.ensemble_sampling import Settings
-from .inference.sample_user_density import Samples, sample
+from .inference.user_density import Samples, sample
 from .model.bind import Model, bind
 from .model.model_file import load_model
-from .noise.base import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
-from .parameters.parameter_declarations import option, parameter, reference_temperature, time_constant
-from .results.carried_effects import trust
-from .rotations import compose, cross, exponential, rotate
-from .signal_path_state import Ambient, Experience, Motion, Sample
-from .units import dimension, to_si
+from .noise.components import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
+from .parameters.declarations import option, parameter, reference_temperature, time_constant
+from .results.folder_files import trust
 
 __version__: str
 

@@ -10,7 +10,7 @@ import pytest
 from imubayes.archive import campaign_file
 from imubayes.archive.campaign_file import content_checksum, read_campaign, read_head, write_campaign
 from imubayes.campaign import load_campaign
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 
 DATA = Path(__file__).parents[2] / "data"
 SHIPPED = sorted(file.parent.name for file in DATA.glob("*/campaign.toml"))

@@ -10,7 +10,7 @@ import pytest
 from imubayes.archive import Archive, campaign_folders, pack
 from imubayes.archive.store import open_archive
 from imubayes.cli.main import run
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 
 DATA = Path(__file__).parents[2] / "data"
 

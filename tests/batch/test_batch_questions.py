@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.batch.compare_models import compare_models
+from imubayes.batch.changes import compare_models, regression, serial_number, trends
 from imubayes.batch.next_prior import next_unit_model
 from imubayes.batch.parameter_population import populations
 from imubayes.batch.posterior_table import (
@@ -17,9 +17,8 @@ from imubayes.batch.posterior_table import (
     parameter_table,
     unit_table,
 )
-from imubayes.batch.trends import regression, serial_number, trends
-from imubayes.errors import InputError
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.foundations.errors import InputError
+from imubayes.model.model_file import EffectSpec, ModelSpec
 
 Z = np.array([-1.96, -0.674, 0.0, 0.674, 1.96])
 WIDE = 1000.0

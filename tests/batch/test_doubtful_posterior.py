@@ -5,14 +5,13 @@ import pytest
 from scipy.stats import norm
 from small_units import MODEL, make_units
 
-import imubayes.batch.doubtful_posterior as doubtful
+import imubayes.batch.fit_unit as doubtful
 import imubayes.batch.fit_unit as fit_unit
-from imubayes.batch.batch_settings import BatchSettings
-from imubayes.batch.doubtful_posterior import WeightShape
+from imubayes.batch.batch_folder import BatchSettings, sources_of
 from imubayes.batch.fit_chunk import fit_chunk
+from imubayes.batch.fit_unit import WeightShape
 from imubayes.batch.run_batch import ChunkTask
-from imubayes.batch.unit_sources import sources_of
-from imubayes.inference.proposal_weights import pareto_k
+from imubayes.inference.laplace_proposal import pareto_k
 from imubayes.model.model_file import read_model
 
 

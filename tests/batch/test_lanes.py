@@ -10,18 +10,13 @@ import pytest
 from small_units import DATA, MODELS, change_readings, edit, make_units
 
 import imubayes.batch.fit_chunk as chunks
-from imubayes.batch.batch_settings import BatchSettings
-from imubayes.batch.fit_chunk import fit_chunk
-from imubayes.batch.fit_unit import bound_to, fit_alone, posterior_of
-from imubayes.batch.group_moments import grouped_model, log_marginal_of
-from imubayes.batch.lane_mode import find_modes
-from imubayes.batch.lane_posterior import joint_normal_vectors, normal_vectors, posteriors
-from imubayes.batch.lanes import LANES, LaneStructure, structure_key
-from imubayes.batch.marginal_slope import marginal_slope
-from imubayes.batch.padded_entries import padded_count, padded_entries
+from imubayes.batch.batch_folder import BatchSettings, sources_of
+from imubayes.batch.fit_chunk import fit_chunk, padded_count, padded_entries
+from imubayes.batch.fit_unit import bound_to, fit_alone, joint_normal_vectors, normal_vectors, posterior_of, posteriors
+from imubayes.batch.group_moments import grouped_model, log_marginal_of, marginal_slope
+from imubayes.batch.lanes import LANES, LaneStructure, find_modes, structure_key
 from imubayes.batch.posterior_table import UnitIdentity, UnitPosterior
 from imubayes.batch.run_batch import ChunkTask
-from imubayes.batch.unit_sources import sources_of
 from imubayes.campaign import load_campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit

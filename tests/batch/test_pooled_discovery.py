@@ -5,12 +5,10 @@ import polars as pl
 import pytest
 
 from imubayes.batch.pooled_discovery import pooled_discovery
-from imubayes.batch.pooled_evidence import effect_in_units, law_tables, unit_gains
-from imubayes.batch.pooled_scores import pooled_scores
+from imubayes.batch.pooled_evidence import effect_in_units, law_tables, pooled_scores, unit_gains
 from imubayes.batch.posterior_table import packed
-from imubayes.batch.score_files import read_unit_scores
-from imubayes.batch.unit_scores import SCORES, CandidateKey
-from imubayes.errors import InputError
+from imubayes.batch.unit_scores import SCORES, CandidateKey, read_unit_scores
+from imubayes.foundations.errors import InputError
 
 EFFECTS = ("quadratic", "twin", "drift", "pair", "width")
 ROWS, UNITS, SIZE = 40, 100, 50.0

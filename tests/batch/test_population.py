@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from imubayes.batch.information_error import information_error
-from imubayes.batch.population import population, shrunk
+from imubayes.batch.population import UnitPosteriors, information_error, population, shrunk
 from imubayes.batch.population_laws import mixture, normal_law, student_law
-from imubayes.batch.unit_posteriors import UnitPosteriors
 
 MEAN, SPREAD, PRIOR = 3.0, 2.0, (0.0, 5.0)
 

@@ -24,7 +24,7 @@ from imubayes.batch.posterior_table import (
     unit_table,
     unpacked,
 )
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 
 
 def fitted_unit(name: str = "A1") -> UnitPosterior:

@@ -13,8 +13,7 @@ from killed_process import kill_after
 from polars.testing import assert_frame_equal
 from small_units import DAMAGE, MODEL, edit, make_units
 
-from imubayes.batch.batch_settings import BatchSettings, batch_key
-from imubayes.batch.part_files import PartFiles
+from imubayes.batch.batch_folder import BatchSettings, PartFiles, batch_key, sources_of, unread
 from imubayes.batch.posterior_table import (
     Outcome,
     Quantities,
@@ -25,7 +24,6 @@ from imubayes.batch.posterior_table import (
     read_units,
 )
 from imubayes.batch.run_batch import BatchProgress, ChunkTask, run_batch
-from imubayes.batch.unit_sources import sources_of, unread
 from imubayes.model.model_file import read_model
 
 TOY = Path(__file__).parent / "toy_executor.py"

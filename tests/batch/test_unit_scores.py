@@ -7,12 +7,12 @@ import polars as pl
 import pytest
 
 from imubayes.batch.pooled_discovery import pooled_discovery
-from imubayes.batch.pooled_scores import PooledScores, pooled_scores
+from imubayes.batch.pooled_evidence import PooledScores, pooled_scores
 from imubayes.batch.unit_scores import CandidateKey, scores_of
-from imubayes.campaign_data import Channel
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
+from imubayes.foundations.campaign_data import Channel
+from imubayes.parameters.declarations import Parameter
 from imubayes.parameters.priors import Normal
-from imubayes.parameters.vector import Parameter
 from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
 
 ROWS, RUNS, OWN, UNITS = 60, 6, 2, 12

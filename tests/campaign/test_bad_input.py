@@ -13,7 +13,7 @@ import pytest
 from small_files import MODEL, write_csv
 
 from imubayes.campaign import load_campaign, read_model_file
-from imubayes.errors import InputError, Issue
+from imubayes.foundations.errors import InputError, Issue
 
 Spoil = Callable[[Path], None]
 

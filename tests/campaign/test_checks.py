@@ -10,7 +10,7 @@ import pytest
 from small_files import DEGREE, EARTH, GRAVITY, write_csv
 
 from imubayes.campaign import FINDINGS, check_campaign, inspect_campaign
-from imubayes.campaign_data import Channel, Mounting, Site, Table
+from imubayes.foundations.campaign_data import Channel, Mounting, Site, Table
 from imubayes.procedures.kinematics import nominal_input
 
 Change = Callable[[dict], None]

@@ -10,9 +10,9 @@ from small_files import GRAVITY, write_csv
 from tumble_files import NAMES, channels, tumble_log
 
 from imubayes.campaign import check_campaign, load_campaign
-from imubayes.campaign.free_tumble import reduce_tumble
+from imubayes.campaign.reduction.free_tumble import reduce_tumble
 from imubayes.campaign.stream_checks import _Repeat
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 
 LIMIT = 80_000.0
 RATES = "runs/rates.csv"

@@ -8,7 +8,7 @@ from tumble_files import NAMES, tumble_log
 
 from imubayes.campaign import load_campaign
 from imubayes.campaign.convert import convert, write_campaign
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
 real = pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the real recordings are not here")

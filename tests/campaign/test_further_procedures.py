@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 
 HEAD = """
 format = 1

@@ -5,19 +5,19 @@ import polars as pl
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.covariates import COVARIATES, Covariate
-from imubayes.criticism.term_library import library
+from imubayes.criticism.formula_search import library
+from imubayes.display.figure_style import covariates_of, numbers
 from imubayes.display.figures.panels import abscissa
-from imubayes.display.residual_columns import covariates_of, numbers
+from imubayes.foundations.covariates import COVARIATES, Covariate
+from imubayes.foundations.signal_path_state import Ambient
+from imubayes.foundations.units import same_dimension
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
-from imubayes.responses.residual_covariates import covariates
-from imubayes.results.residuals import residuals_of
-from imubayes.signal_path_state import Ambient
-from imubayes.units import same_dimension
+from imubayes.responses.covariates import covariates
+from imubayes.results.result import residuals_of
 
 HUMIDITY = Covariate("humidity", "humidity_pct", "%", "1", "relative humidity", symbol="H")
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from imubayes.campaign.setup_gate.judgement import judge_setup
-from imubayes.campaign.setup_gate.nominal_scales import NominalScale
-from imubayes.campaign_data import Campaign, Channel, Kind, Mounting, Run, Site, Table
+from imubayes.campaign.setup_gate.reading_mistakes import NominalScale
+from imubayes.foundations.campaign_data import Campaign, Channel, Kind, Mounting, Run, Site, Table
 
 DEGREE, GRAVITY, EARTH = np.pi / 180, 9.81, 7.292115e-5
 LATITUDE = 48 * DEGREE

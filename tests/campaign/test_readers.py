@@ -12,14 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 from small_files import DEGREE, GRAVITY, MODEL
 
-from imubayes.campaign import (
-    inspect_campaign,
-    load_campaign,
-    read_model_file,
-)
+from imubayes.campaign import inspect_campaign, load_campaign, read_model_file
 from imubayes.campaign.equipment import complete_axes
-from imubayes.campaign.toml_lines import key_lines, line_of
-from imubayes.errors import InputError
+from imubayes.campaign.toml_documents import key_lines, line_of
+from imubayes.foundations.errors import InputError
 from imubayes.procedures import PROCEDURES
 
 

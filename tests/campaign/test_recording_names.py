@@ -9,9 +9,9 @@ from tumble_files import NAMES, tumble_log
 
 from imubayes.campaign import load_campaign
 from imubayes.campaign.convert import KINDS
-from imubayes.campaign.convert.recording_options import ConvertOptions
+from imubayes.campaign.convert.recording_formats import ConvertOptions
 from imubayes.cli.main import run
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 
 SIGNS = ("", "# ", "#", "% ", "%%", "// ", "; ", "\ufeff", "\ufeff# ")
 DELIMITERS = (",", ";", "\t", " ", ", ")

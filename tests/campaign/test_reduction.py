@@ -11,10 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from imubayes.campaign.reduction import BlockBuilder, SegmentTracker, Span, constant_spans, reduce_log
-from imubayes.campaign.reduction import block_survey as blocks_module
+from imubayes.campaign.reduction import log_survey as blocks_module
 from imubayes.campaign.reduction.span_means import accumulate
-from imubayes.campaign.run_columns import ColumnLayout
-from imubayes.campaign.run_tables import TableSource
+from imubayes.campaign.run_tables import ColumnLayout, TableSource
 from imubayes.procedures import PROCEDURES
 
 

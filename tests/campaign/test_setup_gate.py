@@ -14,11 +14,11 @@ from seeded_mistakes import MISTAKES, Planted, plant, says
 from valid_campaigns import KINDS, valid_campaign
 
 from imubayes.campaign import FINDINGS, Inspection, inspect_campaign, load_campaign
-from imubayes.campaign.setup_gate.hidden_mistakes import SteadinessLevels
-from imubayes.campaign.setup_gate.mistakes import TableZero
+from imubayes.campaign.setup_gate.equipment_mistakes import TableZero
+from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS
 from imubayes.campaign.setup_gate.search import Search
-from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS
-from imubayes.errors import InputError
+from imubayes.campaign.setup_gate.steadiness import SteadinessLevels
+from imubayes.foundations.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data"

@@ -9,9 +9,9 @@ from valid_campaigns import KINDS, valid_campaign
 
 from imubayes.campaign import Inspection, inspect_campaign
 from imubayes.campaign.setup_gate.evidence import ErrorModel
+from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS
+from imubayes.campaign.setup_gate.reading_mistakes import LatitudeValue
 from imubayes.campaign.setup_gate.search import Search
-from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS
-from imubayes.campaign.setup_gate.site_mistakes import LatitudeValue
 
 COURSES = (("gyro_thermal_lag", 8006), ("accel_bias_temperature_rate", 8009), ("accel_thermal_lag", 8010))
 """Effects that follow the temperature late, each with the seed of a static record."""

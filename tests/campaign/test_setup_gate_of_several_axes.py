@@ -11,9 +11,9 @@ from multi_axis_table import generate  # pyright: ignore[reportMissingImports]
 from seeded_mistakes import Angle, Planted, says
 
 from imubayes.campaign import inspect_campaign, load_campaign
-from imubayes.campaign.setup_gate.outer_axes import CarryingAxes
+from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS
 from imubayes.campaign.setup_gate.search import Search
-from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS
+from imubayes.campaign.setup_gate.setup_view import CarryingAxes
 
 DATA = Path(__file__).parents[2] / "data" / "multi-axis-table"
 WITHIN = (1.0, 1.0)

@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 from tumble_files import HZ, channels
 from tumble_recordings import GRAVITY, Recording, random_attitudes, six_faces_and_turns
 
-from imubayes.campaign.free_tumble import ReducedTumble, magnitude_calibration, reduce_tumble
-from imubayes.campaign.free_tumble.magnitude_calibration import LEAST_TO_JUDGE, fit_magnitude
-from imubayes.campaign.free_tumble.pose_transitions import rotation_over
+from imubayes.campaign.reduction import magnitude_calibration
+from imubayes.campaign.reduction.free_tumble import ReducedTumble, reduce_tumble
+from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, fit_magnitude
+from imubayes.campaign.reduction.static_poses import rotation_over
 
 
 def reduced(made: Recording, columns: dict[str, np.ndarray] | None = None) -> ReducedTumble:

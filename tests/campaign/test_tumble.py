@@ -12,10 +12,9 @@ from small_files import GRAVITY
 from tumble_files import NAMES, channels, tumble_log
 
 from imubayes.campaign import check_campaign, load_campaign
-from imubayes.campaign.free_tumble import reduce_tumble
-from imubayes.campaign.free_tumble.magnitude_calibration import fit_magnitude
-from imubayes.campaign.free_tumble.pose_transitions import coning, rotation_over, step_edges, step_means
-from imubayes.campaign.free_tumble.static_detection import Rest, trim_rests
+from imubayes.campaign.reduction.free_tumble import reduce_tumble
+from imubayes.campaign.reduction.magnitude_calibration import fit_magnitude
+from imubayes.campaign.reduction.static_poses import Rest, coning, rotation_over, step_edges, step_means, trim_rests
 
 DESK = Path(__file__).parents[2] / "data" / "desk-imu"
 

@@ -11,7 +11,7 @@ from valid_campaigns import KINDS, valid_campaign
 
 from imubayes.campaign import Inspection, inspect_campaign
 from imubayes.campaign.setup_gate import wrong_rows as rows
-from imubayes.campaign.setup_gate.mistakes import Scope, TimeShift
+from imubayes.campaign.setup_gate.equipment_mistakes import Scope, TimeShift
 
 RATES = (0, 10, -10, 20, -20, 50, -50, 100, -100, 150, -150, 200, -200, 0)
 HEADS = [seed for seed in range(9000, 9040) if KINDS[seed % len(KINDS)] == "head"]

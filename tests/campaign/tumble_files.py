@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from small_files import GRAVITY
 
 from imubayes.campaign.equipment import complete_axes
-from imubayes.campaign_data import Channel
+from imubayes.foundations.campaign_data import Channel
 
 NAMES = ("ax", "ay", "az", "gx", "gy", "gz")
 HZ = 100.0

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import Inspection, inspect_campaign
-from imubayes.errors import InputError, Issue
+from imubayes.foundations.errors import InputError, Issue
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGN = ROOT / "data" / "polar-tumble"
 READ = """
 import pickle, sys
 from pathlib import Path
-from imubayes.cli.beside import inspecting
+from imubayes.cli.session import inspecting
 
 if __name__ == "__main__":
     with inspecting(Path(sys.argv[1])) as inspected:
@@ -30,7 +30,7 @@ import sys
 from contextlib import suppress
 from multiprocessing import active_children
 from pathlib import Path
-from imubayes.cli.beside import inspecting
+from imubayes.cli.session import inspecting
 
 if __name__ == "__main__":
     with suppress(ZeroDivisionError), inspecting(Path(sys.argv[1])) as inspected:

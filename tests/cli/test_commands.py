@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from imubayes.cli.main import run
-from imubayes.units import BIAS_CONVENTION
+from imubayes.foundations.units import BIAS_CONVENTION
 
 ROOT = Path(__file__).parents[2]
 PARTS = ("error: ", "  where:   ", "  do:      ")

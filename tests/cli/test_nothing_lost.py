@@ -9,8 +9,8 @@ import h5py
 import pytest
 
 from imubayes.cli.main import run
+from imubayes.foundations.files import only_writer
 from imubayes.inference.checkpoint import steps_in
-from imubayes.process_lock import only_writer
 from kept_results import listed
 
 ROOT = Path(__file__).parents[2]
@@ -107,8 +107,8 @@ def test_what_another_process_writes_is_refused_at_once(accel_channel, tmp_path,
     out = tmp_path / ("out.html" if "OUT.html" in words else "out")
     if out.suffix == "":
         out.mkdir()
-    for name in ("imubayes.api.fitting.joint_fit", "imubayes.api.model_changes.refit_with",
-                 "imubayes.api.model_changes.refit_without", "imubayes.api.calibrated_unit.report_of"):  # fmt: skip
+    for name in ("imubayes.api.fitting.joint_fit", "imubayes.api.loop.refit_with",
+                 "imubayes.api.loop.refit_without", "imubayes.api.calibrated_unit.report_of"):  # fmt: skip
         monkeypatch.setattr(name, lambda *_, **__: pytest.fail("it began"))
     held, done = threading.Event(), threading.Event()
 

@@ -12,12 +12,11 @@ from display.made_diagnoses import ASYMMETRY, QUADRATIC, diagnosis
 from imubayes.cli.main import run
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.verdict import Verdict
-from imubayes.display.qualification.html_page import html_page
-from imubayes.display.qualification.report_document import report_document
+from imubayes.display.qualification.report_files import html_page, report_document
 from imubayes.model import derived_quantities
 from imubayes.qualification import report_budgets
 from imubayes.qualification.report_record import QualificationReport
-from imubayes.results.loop_files import write_diagnosis
+from imubayes.results.change_records import write_diagnosis
 from imubayes.results.result import read_result
 from kept_results import listed
 

@@ -7,10 +7,9 @@ import pytest
 
 from imubayes.cli.main import run
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.display.qualification.html_page import html_page
-from imubayes.display.qualification.report_document import report_document
+from imubayes.display.qualification.report_files import html_page, report_document
 from imubayes.qualification.report_record import QualificationReport
-from imubayes.results.loop_files import write_diagnosis
+from imubayes.results.change_records import write_diagnosis
 from imubayes.results.result import read_result
 
 ROOT = Path(__file__).parents[2]

@@ -8,11 +8,11 @@ import pytest
 
 from display.synthetic_results import summary_of, trihedral_residuals, write_folder
 from imubayes.cli.main import run
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.model.effect_registry import names_in
 from imubayes.model.model_file import read_carried_model
-from imubayes.results.carried_effects import trust
-from imubayes.results.fit_record import CampaignPlaces, FitRecord
+from imubayes.results.folder_files import trust
+from imubayes.results.history_tree import CampaignPlaces, FitRecord
 from kept_results import listed
 
 ROOT = Path(__file__).parents[2]

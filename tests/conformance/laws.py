@@ -10,13 +10,21 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
-from imubayes.covariates import ambient_names
 from imubayes.effects.base import AmbientEffect, MotionEffect, PlaceEffect, RecordEffect, Stage
-from imubayes.noise.base import Entry, EntryNoise, RowSpan, SeriesNoise, SharedNoise, SlowNoise, TailNoise
-from imubayes.parameters.parameter_declarations import declared_options, declared_parameters
+from imubayes.foundations.covariates import ambient_names
+from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, OuterAxes, Records, Sample
+from imubayes.foundations.units import dimension, to_si
+from imubayes.noise.components import (
+    Entry,
+    EntryNoise,
+    RowSpan,
+    SeriesNoise,
+    SharedNoise,
+    SlowNoise,
+    TailNoise,
+)
+from imubayes.parameters.declarations import declared_options, declared_parameters
 from imubayes.parameters.priors import Prior, parse_prior
-from imubayes.signal_path_state import Ambient, Experience, Motion, OuterAxes, Records, Sample
-from imubayes.units import dimension, to_si
 
 GRAVITY = 9.7966
 OWN = {"noise": 0.5, "scale": 1000.0}

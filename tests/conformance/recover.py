@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.campaign_data import Campaign
 from imubayes.effects.base import AmbientEffect
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model, bind
+from imubayes.model.bound_effects import Observability, observability
 from imubayes.model.effect_registry import Registry
 from imubayes.model.nodes_and_entries import join_nodes
-from imubayes.model.observability import Observability, observability
 from imubayes.model.problem import predict
 from small_campaign import (
     campaign,

@@ -8,15 +8,21 @@ import laws
 import pytest
 import recover
 
-from imubayes.array_shapes import Scalar
-from imubayes.effects.base import Order, RecordEffect, SignalEffect, Stage
-from imubayes.effects.memory import Decay
-from imubayes.errors import InputError
+from imubayes.effects.base import Decay, Order, RecordEffect, SignalEffect, Stage
+from imubayes.foundations.arrays import Scalar
+from imubayes.foundations.errors import InputError
+from imubayes.foundations.signal_path_state import Ambient, Sample
 from imubayes.model.effect_registry import Registry
-from imubayes.noise.base import Entry, EntryNoise, RowSpan, SeriesNoise, StateCovariance, TailNoise
-from imubayes.noise.slow_components import GaussMarkovNoise
-from imubayes.parameters.parameter_declarations import option, parameter
-from imubayes.signal_path_state import Ambient, Sample
+from imubayes.noise.components import (
+    Entry,
+    EntryNoise,
+    GaussMarkovNoise,
+    RowSpan,
+    SeriesNoise,
+    StateCovariance,
+    TailNoise,
+)
+from imubayes.parameters.declarations import option, parameter
 
 
 class GyroTrend(SignalEffect):

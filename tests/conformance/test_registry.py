@@ -10,15 +10,14 @@ import pytest
 import recover
 import tomlkit
 
-from imubayes.covariates import ambient_names
 from imubayes.effects.base import AmbientEffect, Effect
+from imubayes.foundations.covariates import ambient_names
 from imubayes.model.bind import bind
 from imubayes.model.effect_registry import Registry
-from imubayes.model.model_file import read_model
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec, read_model
 from imubayes.model.problem import predict
-from imubayes.noise.base import Noise
-from imubayes.parameters.parameter_declarations import declared_options, declared_parameters, named_in
+from imubayes.noise.components import Noise
+from imubayes.parameters.declarations import declared_options, declared_parameters, named_in
 from small_campaign import spec, whole_catalogue, wide_campaign
 
 MEMBERS = Registry().effects

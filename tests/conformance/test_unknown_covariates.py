@@ -13,15 +13,15 @@ import laws
 import numpy as np
 import pytest
 
-from imubayes.campaign_data import Campaign
-from imubayes.covariates import COVARIATES, ambient_names
 from imubayes.effects.base import AmbientEffect, Effect, MotionEffect, RecordEffect
-from imubayes.errors import InputError
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import COVARIATES, ambient_names
+from imubayes.foundations.errors import InputError
 from imubayes.model.bind import bind
 from imubayes.model.bound_effects import UnknownCovariateError, bind_effect
 from imubayes.model.effect_registry import Registry
 from imubayes.model.grouping import Grouping
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.model.nodes_and_entries import join_entries, join_nodes
 from small_campaign import spec, wide_campaign
 

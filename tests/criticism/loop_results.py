@@ -3,8 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from imubayes.model.model_file import read_model
-from imubayes.model.model_spec import ModelSpec
+from imubayes.model.model_file import ModelSpec, read_model
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGN = ROOT / "data" / "accel-channel"

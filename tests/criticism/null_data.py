@@ -15,7 +15,7 @@ from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.problem import predict
-from imubayes.noise.base import EntryNoise
+from imubayes.noise.components import EntryNoise
 
 ROOT = Path(__file__).parents[2]
 

@@ -16,10 +16,10 @@ from imubayes.criticism import diagnose
 from imubayes.criticism.detectability import AbsorbedResponses
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.evidence import explain
-from imubayes.criticism.evidence.evidence_record import NAMED, Explanation
 from imubayes.criticism.evidence.hypothesis import EvidenceOf
 from imubayes.criticism.evidence.linear_problem import linear_problem
-from imubayes.display.diagnosis_report import diagnosis_lines
+from imubayes.criticism.verdict import NAMED, Explanation
+from imubayes.display.loop.diagnosis_report import diagnosis_lines
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model

@@ -22,11 +22,10 @@ from simulate import write_simulated
 from tumble_plans import TumblePlan, write_tumble
 
 from imubayes.campaign import load_campaign
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model, bind
-from imubayes.model.model_file import read_model
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec, read_model
 from imubayes.responses.candidate_effects import candidate_responses
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,7 @@ from random_plans import GYROS, RAW_RATE, mounting
 from simulate import write_simulated
 
 from imubayes.api import diagnose, fit
-from imubayes.display.diagnosis_report import diagnosis_json
+from imubayes.display.loop.diagnosis_report import diagnosis_json
 
 pytestmark = pytest.mark.slow
 

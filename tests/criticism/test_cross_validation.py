@@ -16,7 +16,7 @@ import imubayes.loop.refit as refit_module
 from imubayes.api import ModelChange, Result, add, export, fit
 from imubayes.criticism.diagnosis_record import CoefficientEstimate
 from imubayes.criticism.verdict import EffectChoice
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
@@ -24,8 +24,8 @@ from imubayes.loop.cross_validation import groups, objection, predict_left_out, 
 from imubayes.loop.warm_start import _contradicting, extend
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import masked
+from imubayes.parameters.declarations import Parameter
 from imubayes.parameters.priors import Normal
-from imubayes.parameters.vector import Parameter
 from imubayes.results.history_tree import read_node, read_tree, select
 from imubayes.results.result import read_result
 

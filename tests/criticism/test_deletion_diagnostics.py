@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imubayes.adequacy.deletion_diagnostics import LinearFit, WeightedFit
-from imubayes.adequacy.run_agreement import disagreeing_runs
+from imubayes.adequacy.deletion_diagnostics import LinearFit, WeightedFit, disagreeing_runs
 
 RUNS, ROWS, CHANNELS, PARAMETERS = 5, 8, 2, 4
 SCATTER = 0.7

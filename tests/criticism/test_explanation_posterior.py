@@ -12,14 +12,14 @@ import pytest
 from test_evidence import RATE, ROWS, RUNS, TEMPERATURE, covariates, drawn, posterior_of, problem, searched
 from test_one_number import made
 
-from imubayes.criticism.effect_ranking import ranking
+from imubayes.criticism.diagnosis_record import ranking
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.formula_search import Formula, coefficient_unit, find_formula
-from imubayes.criticism.outliers import outliers
+from imubayes.criticism.residual_evidence import outliers
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
-from imubayes.responses.residual_covariates import ResidualCovariate
+from imubayes.responses.covariates import ResidualCovariate
 
 COUNT = RUNS * ROWS
 WARMTH = 30 * TEMPERATURE

@@ -23,7 +23,7 @@ from planted_data import (
 )  # fmt: skip
 
 from imubayes.criticism.diagnose import judge
-from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_lines, next_command
+from imubayes.display.loop.diagnosis_report import diagnosis_json, diagnosis_lines, next_command
 from imubayes.inference.fitted_model import Fit
 
 BETWEEN = "gyro_magnetic_sensitivity"

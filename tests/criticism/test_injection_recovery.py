@@ -9,8 +9,8 @@ from loop_results import CAMPAIGN, lacking_model
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, ScreenedEffect
 from imubayes.criticism.verdict import RmsChange, Verdict
-from imubayes.display.injection_report import injection_json
-from imubayes.errors import InputError
+from imubayes.display.loop.change_report import injection_json
+from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
 from imubayes.loop.injection_recovery import Size, plant_effects, refitted

@@ -11,7 +11,7 @@ from planted_data import told, without
 from test_noise_is_no_effect import offset
 
 from imubayes.adequacy.known_noise import chance_among_sisters, compare_with_known
-from imubayes.adequacy.noise_assumptions import projected
+from imubayes.adequacy.noise_tests import projected
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
 from imubayes.inference.fitted_model import Fit

@@ -15,7 +15,7 @@ from simulate import write_simulated
 
 import imubayes.api
 from imubayes.criticism.diagnose import judge
-from imubayes.display.diagnosis_report import next_command
+from imubayes.display.loop.diagnosis_report import next_command
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.model_file import read_model
 from imubayes.results.result import Result

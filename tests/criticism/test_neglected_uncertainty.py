@@ -8,8 +8,8 @@ from null_data import ROOT, refitted
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
-from imubayes.display.diagnosis_report import next_command
-from imubayes.display.diagnosis_sentences import sentence
+from imubayes.display.loop.diagnosis_report import next_command
+from imubayes.display.loop.diagnosis_sentences import sentence
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode

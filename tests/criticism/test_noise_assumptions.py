@@ -5,8 +5,7 @@ import pytest
 from null_data import fitted_to, redrawn, with_values
 from scipy import stats
 
-from imubayes.adequacy.noise_assumptions import grid_step, judged_noise
-from imubayes.adequacy.noise_tests import _skew_tail
+from imubayes.adequacy.noise_tests import _skew_tail, grid_step, judged_noise
 from imubayes.inference.fitted_model import Fit
 
 

@@ -14,12 +14,12 @@ from null_data import fitted_to, redrawn, with_values
 from planted_data import names, probability, random_fit, surely_wrong, told
 
 import imubayes.api
-from imubayes.adequacy.noise_assumptions import projected
+from imubayes.adequacy.noise_tests import projected
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.display.diagnosis_report import next_command
-from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.fit_cautions import alarm_of
+from imubayes.display.loop.diagnosis_report import next_command
+from imubayes.display.loop.diagnosis_sentences import sentence
 from imubayes.inference.fitted_model import Fit
 
 ROOT = Path(__file__).parents[2]

@@ -18,9 +18,9 @@ from imubayes.criticism.diagnosis_record import (
 )
 from imubayes.criticism.residual_evidence import _following, input_times
 from imubayes.effects import EFFECTS
-from imubayes.loop import addition
-from imubayes.loop.changed_model import ChangedModel
-from imubayes.responses.residual_covariates import ResidualCovariate
+from imubayes.loop import model_changes
+from imubayes.loop.warm_start import ChangedModel
+from imubayes.responses.covariates import ResidualCovariate
 
 PPM = "ppm"
 
@@ -41,9 +41,9 @@ def test_what_is_added_alone_is_predicted_as_the_diagnosis_did() -> None:
         effect="lag", channels=("gx",), probability=0.99, delta_chi2=90.0, shape={}, coefficients=(told,), log_odds=40.0
     )
     extension = made(ChangedModel, delta_chi2=80.0, coefficients=(linear,))
-    assert addition._predicted_coefficients(extension, screened, True) == (told,)
+    assert model_changes._predicted_coefficients(extension, screened, True) == (told,)
     # Beside others its coefficient is another one: no diagnosis has estimated that.
-    assert addition._predicted_coefficients(extension, screened, False) == (linear,)
+    assert model_changes._predicted_coefficients(extension, screened, False) == (linear,)
 
 
 def covariate(name: str, values: np.ndarray) -> ResidualCovariate:

@@ -10,14 +10,14 @@ from planted_data import names, probability, surely_wrong, told
 
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.display.diagnosis_report import diagnosis_json
-from imubayes.display.diagnosis_sentences import sentence
+from imubayes.display.loop.diagnosis_report import diagnosis_json
+from imubayes.display.loop.diagnosis_sentences import sentence
 from imubayes.inference.fitted_model import Fit
 from imubayes.loop.cross_validation import groups, predict_left_out, whole_fit
 from imubayes.model.bind import bind
-from imubayes.model.model_spec import EffectSpec
+from imubayes.model.model_file import EffectSpec
 from imubayes.model.noise_covariance import noise_distribution
-from imubayes.responses.residual_covariates import covariates
+from imubayes.responses.covariates import covariates
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from imubayes.api import Result, add, diagnose, fit
 from imubayes.campaign.convert import convert
-from imubayes.display.diagnosis_report import diagnosis_json
+from imubayes.display.loop.diagnosis_report import diagnosis_json
 from imubayes.model.model_file import read_model
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data"

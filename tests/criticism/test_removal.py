@@ -10,19 +10,18 @@ import pytest
 import imubayes.loop.refit as refit_module
 from imubayes.api import ModelChange, Result, add, fit, remove
 from imubayes.cli.main import run
-from imubayes.criticism.evidence.evidence_record import EffectSlot, Evidence, ProbableEffect
-from imubayes.display.change_report import change_lines
-from imubayes.errors import InputError
+from imubayes.criticism.verdict import EffectSlot, Evidence, ProbableEffect
+from imubayes.display.loop.change_report import change_lines
+from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.loop.cross_validation import objection, summarise_gains
-from imubayes.loop.not_distinguished import NotDistinguished, correlated_owners
-from imubayes.loop.removal import _among, _refuse_required, _without, reduce
-from imubayes.loop.removal_odds import removal_log_odds
-from imubayes.loop.start_at_estimates import start_at_estimates
+from imubayes.loop.model_changes import _among, _refuse_required, _without, reduce, start_at_estimates
+from imubayes.loop.model_history import removal_log_odds
+from imubayes.loop.refit import NotDistinguished, correlated_owners
 from imubayes.loop.warm_start import extend
 from imubayes.model.effect_registry import Registry
-from imubayes.model.model_spec import EffectSpec, ModelSpec, PriorCorrelation
-from imubayes.results.estimate_changes import estimate_changes
+from imubayes.model.model_file import EffectSpec, ModelSpec, PriorCorrelation
+from imubayes.results.change_records import estimate_changes
 from imubayes.results.history_tree import read_node, read_tree
 
 ROOT = Path(__file__).parents[2]

@@ -7,7 +7,7 @@ import pytest
 from null_data import fitted_to
 
 from imubayes.criticism.diagnose import judge
-from imubayes.display.diagnosis_report import diagnosis_json
+from imubayes.display.loop.diagnosis_report import diagnosis_json
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = sorted(folder.name for folder in (ROOT / "data").glob("hidden-*"))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imubayes.criticism.term_library import levels, library
-from imubayes.responses.residual_covariates import ResidualCovariate
+from imubayes.criticism.formula_search import levels, library
+from imubayes.responses.covariates import ResidualCovariate
 
 
 @pytest.mark.parametrize("count", [20, 51, 80, 1000])

@@ -11,7 +11,7 @@ from null_data import refitted
 from imubayes.api import add, fit
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
-from imubayes.display.diagnosis_report import diagnosis_json
+from imubayes.display.loop.diagnosis_report import diagnosis_json
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 

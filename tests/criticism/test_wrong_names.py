@@ -13,8 +13,8 @@ from planted_data import names, of_typical, planted, probability, signal, standi
 
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.display.diagnosis_report import diagnosis_json, effect_source
-from imubayes.errors import InputError
+from imubayes.display.loop.diagnosis_report import diagnosis_json, effect_source
+from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import candidate_responses
 

@@ -15,11 +15,10 @@ from planted_data import fit_of, probability, told
 from random_plans import random_plan
 from simulate import write_simulated
 
-from imubayes.adequacy.run_agreement import doubted_runs
-from imubayes.campaign_data import Campaign
+from imubayes.adequacy.deletion_diagnostics import doubted_runs
 from imubayes.criticism.diagnose import judge
-from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement
+from imubayes.criticism.diagnosis_record import AgreeingInput, Diagnosis, Disagreement
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 

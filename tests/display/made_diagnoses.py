@@ -9,7 +9,8 @@ from imubayes.criticism.diagnosis_record import (
     ScreenedEffect,
     UndetectableEffect,
 )
-from imubayes.criticism.evidence.evidence_record import (
+from imubayes.criticism.verdict import (
+    CoefficientEstimate,
     EffectSlot,
     Evidence,
     Explanation,
@@ -17,8 +18,10 @@ from imubayes.criticism.evidence.evidence_record import (
     FoundNoise,
     ProbableEffect,
     ProbableExplanation,
+    RmsChange,
+    Suggestion,
+    Verdict,
 )
-from imubayes.criticism.verdict import CoefficientEstimate, RmsChange, Suggestion, Verdict
 from imubayes.inference.candidate_runs import RunDesign
 
 KINDS: tuple[Explanation, ...] = ("nothing", "noise", "effects", "input", "outside")

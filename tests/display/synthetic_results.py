@@ -8,7 +8,7 @@ import polars as pl
 import xarray as xr
 
 from imubayes.inference.candidate_runs import RunDesign
-from imubayes.results.residuals import Residuals
+from imubayes.results.result import Residuals
 from imubayes.results.summary import (
     CombinationSummary,
     DerivedSummary,

@@ -8,8 +8,8 @@ import pytest
 
 from imubayes.batch.run_batch import BatchProgress
 from imubayes.display.batch_report import batch_report
-from imubayes.display.figures.batch_pictures import campaign_names
-from imubayes.display.report_layout import report_text
+from imubayes.display.figures.batch import campaign_names
+from imubayes.display.layout import report_text
 
 REASON = "line 14 of runs.csv: the temperature is not a number"
 FILE = "/archive/2024/units/QA202-2024-05-03.imb"

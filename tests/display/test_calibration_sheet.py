@@ -7,15 +7,13 @@ import pytest
 from rich.console import Console
 
 from display import synthetic_results as made
-from imubayes.display.calibration_sheet import axis_sheet, calibration_sheets
-from imubayes.display.fit_report import summary_report
+from imubayes.display.fit_report import summary_html, summary_report
+from imubayes.display.layout import Report, print_report
 from imubayes.display.qualification.result_sections import axis_table
-from imubayes.display.report_layout import Report, print_report
-from imubayes.display.summary_html import summary_html
+from imubayes.display.quantity_tables import axis_sheet, calibration_sheets
+from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.qualification.report_record import MonteCarloError, ResultLine
-from imubayes.results.output_units import in_output_units
-from imubayes.results.summary import Summary
-from imubayes.units import BIAS_CONVENTION
+from imubayes.results.summary import Summary, in_output_units
 
 CHANNELS = (*made.GYROS, *made.ACCELEROMETERS)
 

@@ -13,16 +13,17 @@ from rich.console import Console
 from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
 from imubayes.display.classical_comparison import (
+    OfPrediction,
     classical_json,
     classical_sheet,
     compare_classical,
     decision_sheet,
     discrepancy_sheet,
+    of_prediction,
     undetermined_sheet,
 )
-from imubayes.display.classical_of_prediction import OfPrediction, of_prediction
-from imubayes.display.table_layout import terminal
-from imubayes.procedures.classical import classical
+from imubayes.display.layout import terminal
+from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate, Undetermined
 
 ROOT = Path(__file__).parents[2]

@@ -15,11 +15,11 @@ import xarray as xr
 from PIL import Image
 
 from imubayes.display.figure_selection import corner_choice, most_telling_first, pattern
-from imubayes.display.labels import covariate
 from imubayes.display.model_against_measurement import Comparison
 from imubayes.display.model_against_measurement import compare as compare_first
-from imubayes.errors import InputError
-from imubayes.results.posterior_draws import draws_of
+from imubayes.display.numbers_and_labels import covariate
+from imubayes.foundations.errors import InputError
+from imubayes.results.stored_tables import draws_of
 from kept_results import listed
 
 compare = partial(compare_first, every=True)

@@ -15,37 +15,35 @@ from imubayes.adequacy.adequacy_record import ChannelRms, NoiseComparison
 from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import (
+    AgreeingInput,
     AskedEffect,
+    Disagreement,
     ResidualFormula,
     UndetectableEffect,
     UntypicalSize,
 )
-from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement
-from imubayes.criticism.evidence.evidence_record import FoundForm, FoundNoise
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
-from imubayes.criticism.verdict import EffectChoice, Suggestion, Verdict
-from imubayes.display import diagnosis_report as shown
-from imubayes.display.figures.evidence_pictures import (
+from imubayes.criticism.verdict import EffectChoice, FoundForm, FoundNoise, Suggestion, Verdict
+from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_figure
+from imubayes.display.figures.residual_evidence import (
+    added_variable_figure,
     before_after,
     followed_covariate,
     save_evidence,
     save_recorded_noise,
 )
-from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_figure
-from imubayes.display.figures.residual_evidence import added_variable_figure
-from imubayes.display.history_table import history_json, history_sheet
-from imubayes.display.injection_report import injection_json, injection_report, injection_sheet
-from imubayes.display.noise_violation_text import contradiction_text
-from imubayes.display.report_layout import print_report
-from imubayes.display.table_layout import terminal
-from imubayes.errors import InputError
-from imubayes.loop.held_out_record import CrossValidation
+from imubayes.display.fit_cautions import contradiction_text
+from imubayes.display.layout import print_report, terminal
+from imubayes.display.loop import diagnosis_report as shown
+from imubayes.display.loop.change_report import injection_json, injection_report, injection_sheet
+from imubayes.display.loop.history import history_json, history_sheet
+from imubayes.foundations.errors import InputError
 from imubayes.loop.injection_recovery import Size, Trial, Trials
-from imubayes.loop.model_history import ChiSquareDrop, Node, Tree, node_id
-from imubayes.responses.residual_covariates import ResidualCovariate
-from imubayes.results.loop_files import read_diagnosis, write_diagnosis
-from imubayes.results.record_names import RESIDUALS, SUMMARY
+from imubayes.loop.model_history import ChiSquareDrop, CrossValidation, Node, Tree, node_id
+from imubayes.responses.covariates import ResidualCovariate
+from imubayes.results.change_records import read_diagnosis, write_diagnosis
+from imubayes.results.folder_files import RESIDUALS, SUMMARY
 from kept_results import listed
 
 PNG = b"\x89PNG"

@@ -3,8 +3,8 @@
 import pytest
 
 from display.made_diagnoses import evidence, slot
-from imubayes.criticism.evidence.evidence_record import FoundForm, FoundNoise
-from imubayes.display.evidence_text import evidence_text, likely, noise_text, probability
+from imubayes.criticism.verdict import FoundForm, FoundNoise
+from imubayes.display.loop.diagnosis_sentences import evidence_text, likely, noise_text, probability
 
 
 def test_effects_that_cannot_be_told_apart_have_their_shares() -> None:

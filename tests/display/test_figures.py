@@ -18,6 +18,7 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 from imubayes.campaign import load_campaign
+from imubayes.display.figure_style import FewTicks, Picture, covariates_of
 from imubayes.display.figures import (
     campaign_timeline_figure,
     corner_figure,
@@ -33,9 +34,7 @@ from imubayes.display.figures import (
 )
 from imubayes.display.figures.measurement import driver
 from imubayes.display.figures.panels import neighbour_means, set_abscissa
-from imubayes.display.labels import covariate
-from imubayes.display.residual_columns import covariates_of
-from imubayes.display.theme import FewTicks, Picture
+from imubayes.display.numbers_and_labels import covariate
 from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.results.summary import Summary
 

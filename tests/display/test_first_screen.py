@@ -9,14 +9,13 @@ from rich.console import Console
 from display.made_diagnoses import diagnosis
 from imubayes.campaign import Inspection, inspect_campaign
 from imubayes.criticism.verdict import CoefficientEstimate, EffectChoice, RmsChange
-from imubayes.display.change_report import change_lines, change_report, next_command
-from imubayes.display.check_report import check_report
-from imubayes.display.diagnosis_report import diagnosis_report
-from imubayes.display.grouped_notes import grouped
-from imubayes.display.report_layout import Report, print_report
-from imubayes.loop.held_out_record import CrossValidation
+from imubayes.display.check_report import check_report, grouped
+from imubayes.display.layout import Report, print_report
+from imubayes.display.loop.change_report import change_lines, change_report, next_command
+from imubayes.display.loop.diagnosis_report import diagnosis_report
+from imubayes.loop.model_history import CrossValidation
 from imubayes.loop.refit import Prediction
-from imubayes.results.model_change import BeforeAfter, ModelChange, Observation, RunRmsChange
+from imubayes.results.change_records import BeforeAfter, ModelChange, Observation, RunRmsChange
 
 
 def screen(report: Report) -> list[str]:

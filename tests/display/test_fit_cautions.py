@@ -7,10 +7,9 @@ import synthetic_results as made
 
 from imubayes.adequacy.adequacy_record import KnownNoiseFit, NoiseComparison, NoiseViolation
 from imubayes.display.fit_cautions import alarm_of, next_command, notices
-from imubayes.display.fit_report import summary_report
-from imubayes.display.report_layout import report_text
-from imubayes.display.summary_html import summary_html
-from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
+from imubayes.display.fit_report import summary_html, summary_report
+from imubayes.display.layout import report_text
+from imubayes.inference.identifiability import ImplausibleEstimate, UnexplainedOutput
 from imubayes.results.summary import PriorScatter, Summary
 
 GAIN = "injection_error.gain[ax]"

@@ -13,8 +13,8 @@ def loaded(*modules: str) -> set[str]:
 
 
 def test_reading_a_result_needs_no_jax():
-    found = loaded("imubayes.display.model_against_measurement", "imubayes.display.history_table")
+    found = loaded("imubayes.display.model_against_measurement", "imubayes.display.loop.history")
     assert "polars" in found
     assert not found & HEAVY
     # It would be seen.
-    assert "jax" in loaded("imubayes.results.residuals")
+    assert "jax" in loaded("imubayes.results.result")

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from imubayes.display.rounding import concise, percent, ratio_text, significant, value_and_sd
+from imubayes.display.numbers_and_labels import concise, percent, ratio_text, significant, value_and_sd
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 import synthetic_results as made
 
-from imubayes.display.run_signs import HUES, RunSigns, run_signs
+from imubayes.display.figure_style import HUES, RunSigns, run_signs
 
 # Machado, Oliveira and Fernandes (2009), severity 1, linear sRGB.
 VISION = {

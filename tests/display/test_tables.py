@@ -10,13 +10,17 @@ import pytest
 import synthetic_results as made
 from rich.console import Console
 
-from imubayes.display.combination_tables import combination_sheet, weak_sheet
-from imubayes.display.fit_quality_tables import fit_sheet, next_run_sheet, run_sheet
+from imubayes.display.fit_report import summary_html
+from imubayes.display.layout import Cell, Report, Sheet, report_text, terminal
+from imubayes.display.quality_tables import (
+    combination_sheet,
+    fit_sheet,
+    next_run_sheet,
+    run_design_text,
+    run_sheet,
+    weak_sheet,
+)
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
-from imubayes.display.report_layout import Report, report_text
-from imubayes.display.run_design_words import run_design_text
-from imubayes.display.summary_html import summary_html
-from imubayes.display.table_layout import Cell, Sheet, terminal
 from imubayes.inference.candidate_runs import RunDesign, TemperatureProfile
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.results.summary import RunSummary, Summary
@@ -256,9 +260,7 @@ def test_names_with_brackets_are_not_taken_for_markup(summary):
 
 
 def test_tables_do_without_matplotlib():
-    code = (
-        "import sys, imubayes.display.table_layout, imubayes.display.summary_html; print('matplotlib' in sys.modules)"
-    )
+    code = "import sys, imubayes.display.layout, imubayes.display.fit_report; print('matplotlib' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

@@ -12,9 +12,9 @@ from contextlib import suppress
 
 import pytest
 
-from imubayes.display import terminal_progress as shown
-from imubayes.display.notebook_progress import progress_of
-from imubayes.step_counter import counted, duration
+from imubayes.display import progress as shown
+from imubayes.display.progress import progress_of
+from imubayes.foundations.progress import counted, duration
 
 
 class Terminal(io.StringIO):
@@ -87,7 +87,7 @@ def test_a_closed_stream_stops_the_display_not_the_work(hasty):
 
 def test_steps_are_counted_with_the_time_left(monkeypatch):
     clock = iter([0.0, 0.0, 10.0, 12.0, 14.0])
-    monkeypatch.setattr("imubayes.step_counter.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("imubayes.foundations.progress.time.monotonic", lambda: next(clock))
     said: list[str] = []
     assert list(counted(said.append, "leave-one-run-out", "abcd")) == list("abcd")
     # The first step compiles: the estimate is by the others.

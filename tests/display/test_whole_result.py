@@ -13,11 +13,22 @@ import synthetic_results as made
 
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.display.model_against_measurement import compare
-from imubayes.errors import InputError
-from imubayes.results import manifest
-from imubayes.results.loop_files import read_diagnosis, write_diagnosis
-from imubayes.results.manifest import add_to, added, checked, replacing_result
-from imubayes.results.record_names import BUDGETS, DIAGNOSIS, MANIFEST, PAGE, POSTERIOR, RESIDUALS, SUMMARY
+from imubayes.foundations.errors import InputError
+from imubayes.results import folder_files
+from imubayes.results.change_records import read_diagnosis, write_diagnosis
+from imubayes.results.folder_files import (
+    BUDGETS,
+    DIAGNOSIS,
+    MANIFEST,
+    PAGE,
+    POSTERIOR,
+    RESIDUALS,
+    SUMMARY,
+    add_to,
+    added,
+    checked,
+    replacing_result,
+)
 from imubayes.results.result import read_result
 from kept_results import listed
 
@@ -199,7 +210,7 @@ def test_no_page_of_the_result_before_stays(place, result):
 
 def test_digests_are_computed_once(result, monkeypatch):
     checked(result)
-    monkeypatch.setattr(manifest.hashlib, "file_digest", lambda *_: pytest.fail("read again"))
+    monkeypatch.setattr(folder_files.hashlib, "file_digest", lambda *_: pytest.fail("read again"))
     checked(result)
 
 

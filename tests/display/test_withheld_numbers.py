@@ -7,7 +7,7 @@ from imubayes.display.qualification.document import Block, ReportTable
 from imubayes.display.qualification.first_page import limits_table
 from imubayes.display.qualification.result_sections import mounting_section, result_section
 from imubayes.display.qualification.words import interval_text, stated
-from imubayes.qualification.budget_record import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
+from imubayes.qualification.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
 from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,

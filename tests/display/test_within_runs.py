@@ -12,13 +12,12 @@ from display.test_diagnosis_report import residual_table, tree
 from display.test_first_screen import addition, screen
 from imubayes.adequacy.adequacy_record import ChannelRms, KnownNoiseFit
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
-from imubayes.display.change_report import change_report
-from imubayes.display.figures.evidence_pictures import before_after
-from imubayes.display.figures.residual_evidence import evidence_figure
-from imubayes.display.history_table import history_report
+from imubayes.display.figures.residual_evidence import before_after, evidence_figure
+from imubayes.display.loop.change_report import change_report
+from imubayes.display.loop.history import history_report
 from imubayes.loop.model_history import Tree
-from imubayes.results.model_change import ModelChange, offsets_moved
-from imubayes.results.residual_table import Residuals
+from imubayes.results.change_records import ModelChange, offsets_moved
+from imubayes.results.stored_tables import Residuals
 from imubayes.results.summary import Summary
 
 __all__ = ["addition"]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from imubayes.inference.conditional_precision import conditional, precision_blocks
+from imubayes.inference.laplace_marginal import knowledge
 from imubayes.inference.nested_laplace import hyper_probes
 from imubayes.inference.posterior_mode import Mode, find_mode
-from imubayes.inference.posterior_precision import knowledge
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import prior_widths
 from small_campaign import campaign, simulated, spec

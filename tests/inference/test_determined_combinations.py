@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from imubayes.inference.determined_combinations import MUCH_LESS, Draws, determined_combinations, members
-from imubayes.procedures.estimable_functions import estimable
-from imubayes.procedures.standard_combinations import LinearCombination, ProjectedScaleFactor
+from imubayes.procedures.fitted_terms import LinearCombination, ProjectedScaleFactor, estimable
 
 NOTHING = Draws((), (), np.zeros((4000, 0)))
 NAMES = ("f", "i", "ii", "oo", "ss")

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from imubayes.inference.posterior_precision import inverse_of_precision, inverse_within
+from imubayes.inference.laplace_marginal import inverse_of_precision, inverse_within
 
 DETERMINED = np.array([1e9, 1.0, 1e8, 3e2, 1e6])
 """Prior over posterior standard deviation: that of a servo table over a day reaches 1e8 and more."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arviz_stats.base.array import array_stats
 
-from imubayes.inference.monte_carlo_error import (
+from imubayes.inference.convergence import (
     END_BAR,
     INTERVAL,
     MOST_CHANCE,

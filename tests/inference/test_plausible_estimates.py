@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from imubayes.inference.plausible_estimates import FAR_SD, implausible_estimates, unexplained_outputs
+from imubayes.foundations.units import same_dimension, to_si
+from imubayes.inference.plausibility import FAR_SD, implausible_estimates, unexplained_outputs
 from imubayes.model.bind import Model
 from imubayes.model.effect_registry import Registry
-from imubayes.parameters.parameter_declarations import declared_parameters
-from imubayes.units import same_dimension, to_si
+from imubayes.parameters.declarations import declared_parameters
 from small_campaign import full_model
 
 SCALE = "gyro_scale_factor.scale[gx]"  # prior 0 ± 2000 ppm

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imubayes.display.prior_conflicts import conflict_line, conflict_sheet
-from imubayes.inference.prior_agreement import prior_conflicts
+from imubayes.display.fit_cautions import conflict_line, conflict_sheet
+from imubayes.inference.plausibility import prior_conflicts
 from small_campaign import full_model
 
 NAME = "gyro_scale_factor.scale[gx]"  # prior 0 ± 2000 ppm

@@ -12,8 +12,15 @@ import pytest
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import EFFECTIVE_SIZE, NESTED_R_HAT, diagnose
 from imubayes.inference.ensemble_sampling import Settings, sample
-from imubayes.inference.laplace_move import LaplaceProposal
-from imubayes.inference.proposal_weights import LARGEST_WEIGHT, PARETO_K, WeighedProposal, pareto_k, weigh, weigh_tail
+from imubayes.inference.laplace_proposal import (
+    LARGEST_WEIGHT,
+    PARETO_K,
+    LaplaceProposal,
+    WeighedProposal,
+    pareto_k,
+    weigh,
+    weigh_tail,
+)
 
 NAMES = ("v", "x")
 ENSEMBLES, WALKERS = 4, 64

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imubayes.api import Settings, fit
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.inference.checkpoint import Checkpoint
 
 ROOT = Path(__file__).parents[2]

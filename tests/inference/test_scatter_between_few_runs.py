@@ -15,8 +15,8 @@ import pytest
 from scipy.special import logsumexp, ndtr, ndtri
 
 from imubayes.api.fitting import fit
-from imubayes.campaign_data import Campaign, Table
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.foundations.campaign_data import Campaign, Table
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.results.result import Result
 from small_campaign import ARCSEC, DEGREE, LATITUDE, _axes, _run, campaign, channels
 

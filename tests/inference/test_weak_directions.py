@@ -6,9 +6,9 @@ from functools import cache
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.inference.laplace_marginal import inverse_of_precision
 from imubayes.inference.nested_laplace import bends, curved_directions, posterior_precision
 from imubayes.inference.posterior_mode import Mode, find_mode
-from imubayes.inference.posterior_precision import inverse_of_precision
 from imubayes.model.bind import Model, bind
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import predict_many

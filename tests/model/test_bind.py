@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imubayes.errors import InputError, Issue
+from imubayes.foundations.errors import InputError, Issue
 from imubayes.model.bind import bind
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from small_campaign import ARCSEC, campaign, spec, tumble_campaign
 
 NOISE = EffectSpec("white_noise", where="model: white_noise")

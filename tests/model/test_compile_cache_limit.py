@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from imubayes.model import compile_cache_limit
+from imubayes.compiled import jax_settings
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="memory maps are counted on Linux only")
 
@@ -16,7 +16,7 @@ def memory_maps() -> int:
 
 
 def test_a_fresh_process_is_far_from_the_limit():
-    assert not compile_cache_limit.clear_if_crowded()
+    assert not jax_settings.clear_if_crowded()
 
 
 def test_compiled_code_is_discarded_near_the_limit(monkeypatch, tmp_path):
@@ -25,11 +25,11 @@ def test_compiled_code_is_discarded_near_the_limit(monkeypatch, tmp_path):
     before = memory_maps()
     limit = tmp_path / "max_map_count"
     limit.write_text(f"{before}\n")
-    monkeypatch.setattr(compile_cache_limit, "_MOST", limit)
-    assert compile_cache_limit.clear_if_crowded()
+    monkeypatch.setattr(jax_settings, "_MOST", limit)
+    assert jax_settings.clear_if_crowded()
     assert memory_maps() < before - 30
 
 
 def test_without_a_limit_nothing_is_discarded(monkeypatch, tmp_path):
-    monkeypatch.setattr(compile_cache_limit, "_MOST", tmp_path / "none")
-    assert not compile_cache_limit.clear_if_crowded()
+    monkeypatch.setattr(jax_settings, "_MOST", tmp_path / "none")
+    assert not jax_settings.clear_if_crowded()

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.model.bind import bind
 from imubayes.model.derived_quantities import derived_quantities
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from small_campaign import campaign
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.campaign_data import Campaign
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.model.bind import bind
 from imubayes.model.derived_quantities import derived_jacobian, derived_quantities, evaluate_derived
 from imubayes.model.problem import values_of

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from imubayes.campaign_data import Campaign
-from imubayes.errors import InputError
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import InputError
 from imubayes.model.bind import bind
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from small_campaign import campaign
 
 LISTED = ("gyro_bias", "gyro_scale_factor", "mounting_error", "table_rate_error", "table_axis_tilt", "white_noise")

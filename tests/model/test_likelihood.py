@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imubayes.inference.laplace_move import LogDensity
-from imubayes.inference.posterior_precision import knowledge, linearise
+from imubayes.inference.laplace_marginal import knowledge, linearise
+from imubayes.inference.laplace_proposal import LogDensity
 from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import entry_log_likelihood, log_density, residuals
 from imubayes.model.noise_covariance import whiten, whitener

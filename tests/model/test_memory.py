@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.effects.memory import Decay, Play, inclusive_scan
+from imubayes.effects.base import Decay, Play, inclusive_scan
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import predict
 from imubayes.procedures.ambient import rate_of_change

@@ -9,13 +9,12 @@ import pytest
 import slow_noise_campaign as simulated
 from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
+from imubayes.inference.laplace_marginal import knowledge
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.inference.posterior_precision import knowledge
 from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import log_normaliser
-from imubayes.model.model_file import read_model
-from imubayes.model.model_spec import EffectSpec, ModelSpec, PriorCorrelation
+from imubayes.model.model_file import EffectSpec, ModelSpec, PriorCorrelation, read_model
 from imubayes.parameters.priors import LogNormal
 
 REPEATS, BIAS, SCALE = 3, 4.0, 300.0

@@ -8,13 +8,13 @@ import pytest
 
 from imubayes import Scalar, Stage
 from imubayes.effects.base import SignalEffect
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.model.bind import bind
+from imubayes.model.bound_effects import observability
 from imubayes.model.effect_registry import Registry
-from imubayes.model.model_spec import EffectSpec, ModelSpec
-from imubayes.model.observability import observability
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
-from imubayes.parameters.parameter_declarations import parameter
+from imubayes.parameters.declarations import parameter
 from small_campaign import campaign, serial_campaign, wide_campaign
 
 NOISE = EffectSpec("white_noise", where="model.toml")

@@ -10,15 +10,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
+from imubayes.inference.laplace_marginal import knowledge, linearise, log_marginal
 from imubayes.inference.posterior_mode import Mode, find_mode
-from imubayes.inference.posterior_precision import knowledge, linearise, log_marginal
 from imubayes.model.bind import Model, bind
-from imubayes.model.likelihood import entry_log_likelihood, log_density, residuals
-from imubayes.model.model_spec import EffectSpec
+from imubayes.model.likelihood import (
+    entry_log_likelihood,
+    log_density,
+    pseudo_values,
+    residuals,
+    run_offsets,
+    with_normal_noise,
+)
+from imubayes.model.model_file import EffectSpec
 from imubayes.model.noise_covariance import noise_distribution, whiten, whitener
 from imubayes.model.problem import predict
-from imubayes.model.robust_likelihood import pseudo_values, run_offsets, with_normal_noise
 from imubayes.simulation.simulate import simulate
 from small_campaign import campaign, simulated, spec
 

@@ -7,7 +7,7 @@ import pytest
 
 from imubayes.display.fit_cautions import left_out_lines
 from imubayes.model.bind import Model, bind
-from imubayes.model.model_spec import EffectSpec, ModelSpec, SingleRunEffect
+from imubayes.model.model_file import EffectSpec, ModelSpec, SingleRunEffect
 from small_campaign import campaign
 
 GYROS, ACCELS = ("gx", "gy", "gz"), ("ax", "ay", "az")

@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign_data import Campaign, Run, Site
+from imubayes.foundations.campaign_data import Campaign, Run, Site
+from imubayes.inference.laplace_marginal import knowledge
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.inference.posterior_precision import knowledge
 from imubayes.model.bind import bind
-from imubayes.model.model_spec import EffectSpec, ModelSpec
-from imubayes.model.nodes_and_entries import Entries
-from imubayes.model.row_times import timeline
-from imubayes.model.slow_series import slow_series
-from imubayes.noise.base import RowSpan
-from imubayes.noise.slow_components import FlickerNoise, GaussMarkovNoise, RandomWalkNoise
+from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.model.nodes_and_entries import Entries, timeline
+from imubayes.model.noise_covariance import slow_series
+from imubayes.noise.components import FlickerNoise, GaussMarkovNoise, RandomWalkNoise, RowSpan
 
 SHIPPED = Path(__file__).parents[2] / "data" / "static-record"
 SAMPLE = 0.5  # s

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign_data import Table
+from imubayes.foundations.campaign_data import Table
 from imubayes.model.bind import bind
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from small_campaign import campaign
 
 ARCSEC = np.pi / 648000

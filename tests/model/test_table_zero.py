@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.campaign_data import Campaign
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import predict
 from small_campaign import ARCSEC, campaign, serial_campaign, spec

@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.errors import InputError
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.foundations.errors import InputError
 from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.inference.plausibility import prior_conflicts
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.inference.prior_agreement import prior_conflicts
 from imubayes.model.bind import Model, bind
+from imubayes.model.bound_effects import observability
 from imubayes.model.derived_quantities import derived_quantities
-from imubayes.model.model_spec import EffectSpec, ModelSpec
-from imubayes.model.observability import observability
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
 from small_campaign import driven_campaign, spec, tumble_campaign, wide_campaign
 

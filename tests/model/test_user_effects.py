@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.model.bind import bind
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
 from small_campaign import campaign
 

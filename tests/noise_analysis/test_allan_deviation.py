@@ -9,9 +9,13 @@ import pytest
 import reference_series
 
 from imubayes.campaign.run_tables import RowBatch
-from imubayes.errors import InputError
-from imubayes.noise_analysis.allan_deviation import AllanVariance, allan_variance
-from imubayes.noise_analysis.degrees_of_freedom import chi_square_interval, equivalent_degrees
+from imubayes.foundations.errors import InputError
+from imubayes.noise_analysis.allan_deviation import (
+    AllanVariance,
+    allan_variance,
+    chi_square_interval,
+    equivalent_degrees,
+)
 from imubayes.noise_analysis.running_sum import CHUNK, from_samples, running_sums
 
 REFERENCE = json.loads(reference_series.FILE.read_text())

@@ -5,14 +5,20 @@ import pytest
 import static_record as generator
 from scipy.signal import butter, lfilter
 
+from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.described_band import Cause, DescribedBand
-from imubayes.noise_analysis.noise_spectra import NoiseTerm
-from imubayes.noise_analysis.record_examination import Examination, examined, unequal_levels, widened, without_rounding
-from imubayes.noise_analysis.repeated_values import at_own_rate
+from imubayes.noise_analysis.noise_terms import NoiseEstimate, TermEstimate, estimate_terms
+from imubayes.noise_analysis.record_examination import (
+    Examination,
+    at_own_rate,
+    examined,
+    unequal_levels,
+    widened,
+    without_rounding,
+    without_temperature,
+)
 from imubayes.noise_analysis.running_sum import from_samples
 from imubayes.noise_analysis.spectral_lines import without_lines
-from imubayes.noise_analysis.temperature_drift import without_temperature
-from imubayes.noise_analysis.term_selection import NoiseEstimate, TermEstimate, estimate_terms
 
 STEP, SAMPLES = 0.01, 60_000
 TIME = STEP * np.arange(SAMPLES)

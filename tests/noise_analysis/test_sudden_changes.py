@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import static_record as generator
 
-from imubayes.noise_analysis import sudden_changes
-from imubayes.noise_analysis.running_sum import from_samples
-from imubayes.noise_analysis.sudden_changes import sudden_change
+from imubayes.noise_analysis import running_sum
+from imubayes.noise_analysis.running_sum import from_samples, sudden_change
 
 STEP, SAMPLES = 0.1, 60_000
 TIME = STEP * np.arange(SAMPLES)
@@ -46,15 +45,15 @@ def test_what_is_no_noise_is_found_with_its_time(added: np.ndarray, time: float,
         assert found is not None
         assert abs(found.time_s - time) <= max(found.tau_s, 2 * STEP)
         assert found.tau_s <= tau or terms is not NOISES[0]
-        assert found.ratio > sudden_changes.THRESHOLD
+        assert found.ratio > running_sum.THRESHOLD
 
 
 def test_chunks_and_the_thinned_record_see_the_same(monkeypatch: pytest.MonkeyPatch):
     """A step that the short spans of a chunk do not show."""
     x = noise({"white": 1.0}, 9) + np.where(TIME > 3000, 3.5, 0.0)
     whole = sudden_change(from_samples(x, STEP))
-    monkeypatch.setattr(sudden_changes, "CHUNK", 8192)
-    monkeypatch.setattr(sudden_changes, "_LONGEST_IN_CHUNK", 64)
+    monkeypatch.setattr(running_sum, "CHUNK", 8192)
+    monkeypatch.setattr(running_sum, "_LONGEST_IN_CHUNK", 64)
     cut = sudden_change(from_samples(x, STEP))
     assert whole is not None
     assert cut is not None

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.parameters.priors import (
     FAMILIES,
     HalfCauchy,

@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from imubayes.campaign.unit_grade import grade_of
-from imubayes.campaign_data import Campaign
+from imubayes.campaign.equipment import grade_of
 from imubayes.effects import EFFECTS
+from imubayes.foundations.campaign_data import GRADES, Campaign, graded_prior
 from imubayes.model.bind import bind
-from imubayes.parameters.parameter_declarations import declared_parameters
+from imubayes.parameters.declarations import declared_parameters
 from imubayes.parameters.priors import HalfNormal, LogNormal, Normal, Prior, parse_prior
-from imubayes.parameters.unit_grades import GRADES, graded_prior
 from small_campaign import ACCEL_SCALE, DEGREE, GRAVITY, GYRO_SCALE, campaign, spec
 
 COARSE = {

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from imubayes.parameters.declarations import Layout, Parameter, Priors
 from imubayes.parameters.priors import HalfNormal, LogNormal, Normal, Uniform
-from imubayes.parameters.vector import Layout, Parameter, Priors
 
 PRIORS = [
     Normal(1.0, 2.0),

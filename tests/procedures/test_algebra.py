@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from imubayes.procedures.estimable_functions import estimable, rank
+from imubayes.procedures.fitted_terms import estimable, rank
 from imubayes.procedures.polar_tumble import COEFFICIENTS, drift_terms, standard_combinations
 
 PHI, LATITUDE = sp.symbols("phi L", real=True)

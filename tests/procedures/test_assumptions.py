@@ -15,7 +15,7 @@ import servo_table
 from simulate import write_simulated
 
 from imubayes.campaign import load_campaign
-from imubayes.procedures.classical import classical
+from imubayes.procedures import classical
 from imubayes.procedures.rotation_modulation import carrier, left_after
 from imubayes.procedures.textbook import Estimate, Undetermined
 

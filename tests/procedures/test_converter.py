@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.procedures.classical import classical
+from imubayes.procedures import classical
 from imubayes.procedures.converter_temperature import converter_test
 from imubayes.procedures.textbook import Estimate, Undetermined, line
 

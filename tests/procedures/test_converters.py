@@ -13,9 +13,9 @@ from imubayes.api import fit
 from imubayes.campaign import load_campaign
 from imubayes.model.model_file import read_model
 from imubayes.parameters.priors import parse_prior
-from imubayes.procedures.classical import classical
+from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate
-from imubayes.results.posterior_draws import draws_of
+from imubayes.results.stored_tables import draws_of
 
 ROOT = Path(__file__).parents[2]
 

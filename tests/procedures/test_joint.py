@@ -15,9 +15,9 @@ from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.model.problem import predict_many
-from imubayes.procedures.classical import classical
+from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate
-from imubayes.responses.residual_covariates import covariates
+from imubayes.responses.covariates import covariates
 
 ROOT = Path(__file__).parents[2]
 

@@ -6,8 +6,8 @@ Plain NumPy, about a vertical axis that is body z: gyro z along it, gyro x acros
 import numpy as np
 import pytest
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.procedures.classical import classical
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.procedures import classical
 from imubayes.procedures.reference_gyro import matched
 from imubayes.procedures.textbook import Estimate, Undetermined
 

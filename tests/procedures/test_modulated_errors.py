@@ -7,13 +7,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.procedures.classical import classical
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.procedures import classical
 from imubayes.procedures.rotation_modulation import carrier
 from imubayes.procedures.textbook import Estimate
-from imubayes.results.carrier_estimate import estimate_carrier
-from imubayes.results.corrected_outputs import corrected_run
-from imubayes.results.residuals import Residuals
+from imubayes.results.corrected_outputs import corrected_run, estimate_carrier
+from imubayes.results.result import Residuals
 from imubayes.results.summary import Summary
 
 LATITUDE, GRAVITY, DEGREE = np.radians(34.25), 9.797, np.pi / 180

@@ -9,10 +9,10 @@ from imubayes.campaign import inspect_campaign
 from imubayes.cli.main import run
 from imubayes.display.figures.measurement import driver
 from imubayes.procedures import PROCEDURES, Procedure, Reduction
-from imubayes.procedures.planned_steps import PlannedRows, PlanRules
+from imubayes.procedures.base import PlannedRows, PlanRules
 from imubayes.procedures.textbook import Estimate, measured
 from imubayes.results.result import read_result
-from imubayes.simulation.simulated_campaign import simulate_plan
+from imubayes.simulation.simulate import simulate_plan
 
 PLAN = """\
 format = 1

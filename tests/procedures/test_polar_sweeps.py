@@ -6,8 +6,8 @@ Plain NumPy: z of the table is the pole, up is (0, −cos L, sin L) in its axes 
 import numpy as np
 import pytest
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.procedures.classical import classical
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate, Undetermined
 
 LATITUDE = np.radians(41.0)

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imubayes.campaign_data import Campaign, Run
-from imubayes.errors import InputError
+from imubayes.foundations.campaign_data import Campaign, Run
+from imubayes.foundations.errors import InputError
 from imubayes.inference.candidate_runs import candidate_runs
 from imubayes.procedures import PROCEDURES
-from imubayes.procedures.nominal_stimulus import Stimulus
+from imubayes.procedures.kinematics import Stimulus
 from small_campaign import campaign, driven_campaign, tumble_campaign, wide_campaign
 
 CAMPAIGN = campaign()

@@ -6,8 +6,8 @@ Plain NumPy: vertical table axis, input axis at θ from it, Earth rate of which 
 import numpy as np
 import pytest
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.procedures.classical import classical
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate
 
 LATITUDE = np.radians(52.0)

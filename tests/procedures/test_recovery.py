@@ -10,7 +10,7 @@ import pytest
 import simulate
 
 from imubayes.campaign import load_campaign
-from imubayes.procedures.classical import classical
+from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate, Undetermined
 
 ROOT = Path(__file__).parents[2]

@@ -17,10 +17,10 @@ from kinematics import rotation
 from serial_table import Pose, SerialTable
 
 from imubayes.campaign import inspect_campaign, load_campaign
-from imubayes.campaign_data import Campaign, Mounting, Run, Site, Table
-from imubayes.errors import InputError
-from imubayes.procedures.classical import classical
-from imubayes.procedures.serial_axes import felt, row_means, serial_stimulus, turning_rate
+from imubayes.foundations.campaign_data import Campaign, Mounting, Run, Site, Table
+from imubayes.foundations.errors import InputError
+from imubayes.procedures import classical
+from imubayes.procedures.kinematics import felt, row_means, serial_stimulus, turning_rate
 from imubayes.procedures.textbook import Estimate, Undetermined
 
 TABLE_ERRORS = (

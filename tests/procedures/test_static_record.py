@@ -10,8 +10,8 @@ import static_record as generator
 from kinematics import rotation
 
 from imubayes.campaign import inspect_campaign, load_campaign
-from imubayes.campaign_data import Campaign
-from imubayes.procedures.classical import classical
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate, Undetermined
 
 SHIPPED = Path(__file__).parents[2] / "data" / "static-record"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.procedures.classical import classical
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate, Undetermined
 
 G = 9.81

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.qualification.budget_algebra import (
+from imubayes.qualification.budget_parts import (
     degrees_of_freedom,
     deviation_with_halved_groups,
     deviation_with_more_of_a_run,

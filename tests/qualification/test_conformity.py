@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.qualification.conformity import TestedUnit, conformity, overall_outcome, resolved_limits
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
 from imubayes.qualification.specification import read_specification

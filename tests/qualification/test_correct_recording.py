@@ -10,14 +10,12 @@ import pytest
 
 from imubayes.api import correct, fit, onboard_constants
 from imubayes.campaign.run_tables import RowBatch
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
-from imubayes.qualification.correct_recording import Correction, RowTally, correction_of
-from imubayes.qualification.onboard_response import linear_response, sufficient_grid
-from imubayes.qualification.reading_noise import ReadingNoise
-from imubayes.qualification.recording_files import open_recording
-from imubayes.qualification.sensor_posterior import SensorPosterior, complete_kinds
+from imubayes.qualification.onboard.correct_recording import Correction, ReadingNoise, RowTally, correction_of
+from imubayes.qualification.onboard.recording_files import open_recording
+from imubayes.qualification.onboard.response import SensorPosterior, complete_kinds, linear_response, sufficient_grid
 from planted_result import planted
 from small_campaign import GRAVITY, campaign, spec
 

@@ -6,11 +6,25 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imubayes.qualification.conformance import ToleranceInterval, compared, conformance_probability
-from imubayes.qualification.decision_rules import DecisionRule, MeasuredValue, decide
-from imubayes.qualification.digits import digits_deserved, last_digit, numerical_tolerance
-from imubayes.qualification.global_risk import Production, global_risks, guard_for_risk
-from imubayes.qualification.marginal import FittedMarginal, Marginal, fitted_to
+from imubayes.qualification.decision_rules import (
+    DecisionRule,
+    MeasuredValue,
+    Production,
+    ToleranceInterval,
+    compared,
+    conformance_probability,
+    decide,
+    global_risks,
+    guard_for_risk,
+)
+from imubayes.qualification.marginal import (
+    FittedMarginal,
+    Marginal,
+    digits_deserved,
+    fitted_to,
+    last_digit,
+    numerical_tolerance,
+)
 
 
 def marginal_of(law, size: int = 20_000) -> Marginal:

@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from imubayes.api import apply, correct, onboard_constants
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.results.result import read_result
 
 ROOT = Path(__file__).parents[2]

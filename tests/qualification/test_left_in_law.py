@@ -14,13 +14,17 @@ import pytest
 
 from imubayes.effects.base import PlaceEffect, RecordEffect, SignalEffect
 from imubayes.effects.shared_formulas import RunBias
-from imubayes.gather import take
+from imubayes.foundations.arrays import take
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.problem import Problem, predict, row_means, signal_path, values_of
-from imubayes.qualification.correct_recording import correction_of, left_in_sd
-from imubayes.qualification.inputs_along_axes import effects_left_in
-from imubayes.qualification.sensor_posterior import TEMPERATURES, sensor_posterior
-from imubayes.qualification.unexpressed_effects import input_ranges, modelled_outputs, unexpressed_effects
+from imubayes.qualification.onboard.correct_recording import correction_of, left_in_sd
+from imubayes.qualification.onboard.inputs_along_axes import effects_left_in
+from imubayes.qualification.onboard.response import TEMPERATURES, sensor_posterior
+from imubayes.qualification.onboard.unexpressed_effects import (
+    input_ranges,
+    modelled_outputs,
+    unexpressed_effects,
+)
 from imubayes.results.result import Result
 from planted_result import planted
 from small_campaign import at_null, whole_catalogue

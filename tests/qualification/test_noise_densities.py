@@ -6,11 +6,11 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
+from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, TermRecord
-from imubayes.noise_analysis.noise_spectra import NoiseTerm
-from imubayes.qualification.noise_densities import of_record, of_triad, read_noise
-from imubayes.qualification.onboard_record import ThermalPolynomial, TriadConstants
+from imubayes.qualification.onboard.losses import of_record, of_triad, read_noise
+from imubayes.qualification.onboard.record import ThermalPolynomial, TriadConstants
 from small_campaign import ACCEL_SCALE, GRAVITY, GYRO_SCALE, campaign
 
 DEGREE, HOUR = math.pi / 180, 3600.0

@@ -16,13 +16,13 @@ import pytest
 import yaml
 
 from imubayes.display.onboard.export_files import ExportOptions, write_constants
-from imubayes.display.onboard.kalibr_yaml import kalibr_yaml
-from imubayes.errors import InputError
-from imubayes.qualification.noise_densities import NoiseDensity
-from imubayes.qualification.onboard_constants import body_inputs
-from imubayes.qualification.onboard_conventions import CONVENTIONS
-from imubayes.qualification.onboard_losses import losses
-from imubayes.qualification.onboard_record import (
+from imubayes.display.onboard.formats import kalibr_yaml
+from imubayes.foundations.errors import InputError
+from imubayes.foundations.units import BIAS_CONVENTION
+from imubayes.qualification.onboard.constants import body_inputs
+from imubayes.qualification.onboard.losses import NoiseDensity, losses
+from imubayes.qualification.onboard.record import (
+    CONVENTIONS,
     Constant,
     OnboardConstants,
     ThermalPolynomial,
@@ -31,7 +31,6 @@ from imubayes.qualification.onboard_record import (
     UnexpressedEffect,
     WorkedSample,
 )
-from imubayes.units import BIAS_CONVENTION
 
 SKEW = np.array([[0.99, 0.012, -0.02], [0.004, 1.013, 0.009], [-0.003, 0.006, 0.985]])
 STRAIGHT = np.diag([0.99, 1.013, 0.985])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.qualification.posterior_variance import KnownVariance, _variance
+from imubayes.qualification.budget_parts import KnownVariance, _variance
 
 KNOWN = KnownVariance(4.0, 0.0)
 

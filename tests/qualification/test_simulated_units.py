@@ -8,8 +8,13 @@ truly inside has to be 0.90 ± 0.03, and a guard band of 1.65 u may accept 5 % o
 import numpy as np
 import pytest
 
-from imubayes.qualification.conformance import ToleranceInterval, conformance_probability
-from imubayes.qualification.decision_rules import DecisionRule, MeasuredValue, decide
+from imubayes.qualification.decision_rules import (
+    DecisionRule,
+    MeasuredValue,
+    ToleranceInterval,
+    conformance_probability,
+    decide,
+)
 from imubayes.qualification.marginal import Marginal
 
 UNITS, DRAWS, U = 2000, 2000, 0.4

@@ -10,7 +10,7 @@ from imubayes.api import Result, fit
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.model.model_file import read_model
-from imubayes.qualification.assess import assess
+from imubayes.qualification.conformity import assess
 from imubayes.qualification.posterior_quantities import posterior_quantities
 from imubayes.qualification.uncertainty_budget import BudgetArrays, FunctionOfQuantities, budget_of
 

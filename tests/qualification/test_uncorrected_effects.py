@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from imubayes.display.correction_report import correction_lines
+from imubayes.display.corrected_readings import correction_lines
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
-from imubayes.model.model_spec import EffectSpec, ModelSpec
-from imubayes.qualification.correct_recording import RowTally, correction_of
-from imubayes.qualification.recording_files import CorrectedRecording
-from imubayes.qualification.sensor_posterior import sensor_posterior
-from imubayes.qualification.unexpressed_effects import input_ranges, unexpressed_effects
+from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.qualification.onboard.correct_recording import RowTally, correction_of
+from imubayes.qualification.onboard.recording_files import CorrectedRecording
+from imubayes.qualification.onboard.response import sensor_posterior
+from imubayes.qualification.onboard.unexpressed_effects import input_ranges, unexpressed_effects
 from imubayes.results.result import Result, result_of
 from small_campaign import GRAVITY, simulated, wide_campaign
 

@@ -8,13 +8,10 @@ from scipy import stats
 
 from imubayes.api import fit
 from imubayes.inference.run_fit import LAPLACE_DRAWS
-from imubayes.qualification import until_digits
-from imubayes.qualification.digits import digits_deserved, numerical_tolerance
-from imubayes.qualification.marginal import Marginal
-from imubayes.qualification.posterior_quantities import posterior_quantities
-from imubayes.qualification.until_digits import draws_lacking
-from imubayes.results.estimates import is_constant
+from imubayes.qualification.marginal import Marginal, digits_deserved, numerical_tolerance
+from imubayes.qualification.posterior_quantities import draws_lacking, posterior_quantities
 from imubayes.results.result import Result
+from imubayes.results.summary import is_constant
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGN, MODEL = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"
@@ -41,7 +38,7 @@ def test_the_draws_of_a_normal_posterior_leave_a_digit_whatever_it_is():
 
 
 def test_draws_are_made_until_every_quantity_deserves_a_digit(monkeypatch):
-    monkeypatch.setattr(until_digits, "LAPLACE_DRAWS", 1000)
+    monkeypatch.setattr(posterior_quantities, "LAPLACE_DRAWS", 1000)
     result = fit(CAMPAIGN, MODEL, sample=False, until_digits=1)
     assert result.fit.posterior is not None
     # So few draws withhold some numbers.

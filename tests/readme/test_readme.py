@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from imubayes.cli.main import run
-from imubayes.units import BIAS_CONVENTION
+from imubayes.foundations.units import BIAS_CONVENTION
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "README.md").read_text()

@@ -9,8 +9,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from imubayes.results.manifest import add_to, replacing_result
-from imubayes.results.record_names import BUDGETS, MANIFEST
+from imubayes.results.folder_files import BUDGETS, MANIFEST, add_to, replacing_result
 
 before, after, copies = map(Path, sys.argv[1:])
 KILLED = 9

@@ -12,8 +12,7 @@ from simulate import write_simulated
 
 import imubayes.api
 from imubayes.campaign import load_campaign
-from imubayes.results.carrier_estimate import KINDS, estimate_carrier
-from imubayes.results.corrected_outputs import corrected_run
+from imubayes.results.corrected_outputs import KINDS, corrected_run, estimate_carrier
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "models" / "rotation-modulation.toml"

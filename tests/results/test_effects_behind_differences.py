@@ -7,14 +7,13 @@ import polars as pl
 import pytest
 
 import small_campaign as small
-from imubayes.display.classical_comparison import compare_classical, discrepancy_sheet
-from imubayes.display.classical_of_prediction import of_prediction
-from imubayes.display.effects_behind import effects_behind
+from imubayes.display.classical_comparison import compare_classical, discrepancy_sheet, of_prediction
+from imubayes.display.loop.effects_behind import effects_behind
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import predict
-from imubayes.procedures.classical import classical
+from imubayes.procedures import classical
 from imubayes.results.summary import DerivedSummary, Summary
 
 ASYMMETRY, TILT = 300e-6, 100 * small.ARCSEC

@@ -12,11 +12,10 @@ import pytest
 
 from imubayes.api import Result, fit
 from imubayes.campaign import campaign_reader
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 from imubayes.inference.run_fit import model_hash
 from imubayes.model.likelihood import residuals
-from imubayes.results.residuals import residuals_of
-from imubayes.results.result import read_result
+from imubayes.results.result import read_result, residuals_of
 from kept_results import listed
 
 ROOT = Path(__file__).parents[2]

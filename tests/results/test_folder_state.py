@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
+from imubayes.results.folder_files import FIT, POSTERIOR, SUMMARY
 from imubayes.results.folder_state import claim
-from imubayes.results.record_names import FIT, POSTERIOR, SUMMARY
 
 
 def result_in(folder: Path, *, sampled: bool) -> Path:

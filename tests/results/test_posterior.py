@@ -7,8 +7,8 @@ import pytest
 import xarray
 
 from imubayes.api import Result, fit
-from imubayes.results.posterior_draws import draws_of
 from imubayes.results.result import read_result
+from imubayes.results.stored_tables import draws_of
 
 ROOT = Path(__file__).parents[2]
 SCALE = "gyro_scale_factor.scale"

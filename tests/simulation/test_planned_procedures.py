@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.procedures import PROCEDURES
-from imubayes.procedures.classical import classical
+from imubayes.procedures import PROCEDURES, classical
 from imubayes.procedures.textbook import Estimate
-from imubayes.simulation.planned_campaign import read_plan
-from imubayes.simulation.simulated_campaign import simulate_plan
+from imubayes.simulation.simulate import simulate_plan
+from imubayes.simulation.test_plan import read_plan
 
 PLANS = Path(__file__).parents[2] / "data" / "plans"
 

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
+from imubayes.inference.laplace_marginal import knowledge, linearise
 from imubayes.inference.posterior_mode import find_mode, fit_at
-from imubayes.inference.posterior_precision import knowledge, linearise
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
-from imubayes.simulation.planned_campaign import read_plan
-from imubayes.simulation.simulate import simulate
-from imubayes.simulation.simulated_campaign import simulate_plan
+from imubayes.simulation.simulate import simulate, simulate_plan
+from imubayes.simulation.test_plan import read_plan
 
 ROOT = Path(__file__).parents[2]
 
@@ -298,6 +297,6 @@ def test_the_shipped_plan_is_sound():
 
 
 def test_reading_campaigns_needs_no_jax():
-    code = "import sys, imubayes.campaign, imubayes.simulation.planned_campaign; print('jax' in sys.modules)"
+    code = "import sys, imubayes.campaign, imubayes.simulation.test_plan; print('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

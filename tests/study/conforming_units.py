@@ -18,17 +18,21 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.batch.lane_mode import find_modes
-from imubayes.batch.lane_posterior import posteriors
-from imubayes.batch.lanes import LANES, LaneStructure
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.batch.fit_unit import posteriors
+from imubayes.batch.lanes import LANES, LaneStructure, find_modes
+from imubayes.compiled.jax_settings import prepare_jax
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
-from imubayes.jax_settings import prepare_jax
 from imubayes.model.bind import Model, bind
-from imubayes.model.model_spec import EffectSpec, ModelSpec
-from imubayes.qualification.conformance import ToleranceInterval, conformance_probability
-from imubayes.qualification.decision_rules import DecisionRule, MeasuredValue, decide
+from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.qualification.decision_rules import (
+    DecisionRule,
+    MeasuredValue,
+    ToleranceInterval,
+    conformance_probability,
+    decide,
+)
 from imubayes.qualification.marginal import Marginal
 
 prepare_jax()

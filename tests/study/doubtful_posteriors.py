@@ -18,9 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "batch"))
 from small_units import MODEL, change_readings, edit, make_units
 
-from imubayes.batch.doubtful_posterior import WeightShape, weight_shape
-from imubayes.batch.fit_unit import bound_to
-from imubayes.batch.lane_posterior import joint_normal_vectors
+from imubayes.batch.fit_unit import WeightShape, bound_to, joint_normal_vectors, weight_shape
 from imubayes.campaign import load_campaign
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit

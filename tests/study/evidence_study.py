@@ -28,7 +28,7 @@ from binomial_share import told
 from blind import mode_of, start_worker
 from evidence_cases import EQUAL, SEEN, Bench, Case, Setting, bench_of, cases, settings, write_case
 
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
 
 Line = dict[str, Any]
 SURE, OPEN, SHARE = 0.9, 0.5, 0.05
@@ -46,7 +46,7 @@ def examine(bench: Bench, case: Case, place: Path, keep: Path | None = None) -> 
     """Fit a campaign and weigh the explanations of what is left."""
     from imubayes.criticism.evidence.explain import explain
     from imubayes.responses.candidate_effects import candidate_responses
-    from imubayes.responses.residual_covariates import covariates
+    from imubayes.responses.covariates import covariates
 
     started = time.perf_counter()
     try:

@@ -76,7 +76,7 @@ def loop(fitted: Any, truth: dict[str, float], alone: bool) -> Line:
 
 def with_effects(fitted: Any, effects: Sequence[str], channels: Sequence[str] | None, found: Any) -> Any:
     """Return the mode with effects added, from where `imubayes add` begins it."""
-    from imubayes.loop.addition import start_of_refit
+    from imubayes.loop.model_changes import start_of_refit
 
     extension = start_of_refit(fitted, effects, channels, found)
     return blind.mode_from(extension.model, extension.z, extension.h)

@@ -26,7 +26,7 @@ from fresh_setups import BENCHES, KINDS, write_campaign  # noqa: E402
 from seeded_mistakes import says  # noqa: E402
 
 from imubayes.campaign import inspect_campaign  # noqa: E402
-from imubayes.errors import InputError  # noqa: E402
+from imubayes.foundations.errors import InputError  # noqa: E402
 from imubayes.model.bind import bind  # noqa: E402
 from imubayes.model.model_file import read_model  # noqa: E402
 

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 from scipy.stats import beta
 
-from imubayes.adequacy.noise_assumptions import judged_noise
+from imubayes.adequacy.noise_tests import judged_noise
 from imubayes.campaign import load_campaign
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit

@@ -121,7 +121,7 @@ def whole_response(fitted: Any) -> Callable[[Any, np.ndarray], np.ndarray]:
 def judged(fitted: Any, without: str = "") -> Line:
     """Return what the diagnosis says, with an effect taken out of the catalogue."""
     from imubayes.criticism import diagnose
-    from imubayes.display.evidence_text import evidence_text
+    from imubayes.display.loop.diagnosis_sentences import evidence_text
 
     whole = diagnose.candidate_responses
 

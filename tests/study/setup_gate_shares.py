@@ -33,7 +33,7 @@ from seeded_mistakes import MISTAKES, Planted, plant, says  # noqa: E402
 from valid_campaigns import valid_campaign  # noqa: E402
 
 from imubayes.campaign import inspect_campaign  # noqa: E402
-from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS  # noqa: E402
+from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS  # noqa: E402
 
 
 @dataclass(frozen=True)

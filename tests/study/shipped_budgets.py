@@ -22,14 +22,14 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
+from imubayes.parameters.declarations import Layout, Priors
 from imubayes.parameters.priors import Normal
-from imubayes.parameters.vector import Layout, Priors
-from imubayes.qualification.assess import tested_unit
+from imubayes.qualification.conformity import tested_unit
 from imubayes.qualification.report_budgets import functions_of_quantities
 from imubayes.qualification.uncertainty_budget import BudgetArrays, budget_of
-from imubayes.results.estimates import is_constant
-from imubayes.results.posterior_draws import draws_of
 from imubayes.results.result import Result, result_of
+from imubayes.results.stored_tables import draws_of
+from imubayes.results.summary import is_constant
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = sorted(file.parent.name for file in (ROOT / "data").glob("*/campaign.toml"))

@@ -12,8 +12,8 @@ import pytest
 from imubayes.api import fit
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
+from imubayes.inference.plausibility import PriorConflict, prior_conflicts
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.inference.prior_agreement import PriorConflict, prior_conflicts
 from imubayes.loop.warm_start import extend
 from imubayes.model.bind import bind
 

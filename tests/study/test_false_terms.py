@@ -8,8 +8,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from false_terms_study import SAMPLES, SHORT, Combination, counted
 
-from imubayes.noise_analysis import term_evidence
-from imubayes.noise_analysis.noise_spectra import NoiseTerm
+from imubayes.noise_analysis import noise_terms
+from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 
 RECORDS, SEED = 60, 20271
 MOST_FALSE = 5  # of 60 records: at 2 % six or more are seen in 0.1 % of such tests
@@ -43,5 +43,5 @@ def test_false_terms_are_as_rare_as_promised(name: str):
 @pytest.mark.slow
 def test_too_little_evidence_shows(monkeypatch: pytest.MonkeyPatch):
     """The planted fault: half of the evidence is called enough."""
-    monkeypatch.setattr(term_evidence, "LEAST_EVIDENCE", 1.5)
+    monkeypatch.setattr(noise_terms, "LEAST_EVIDENCE", 1.5)
     assert most_false(of("white + random walk")) > MOST_FALSE

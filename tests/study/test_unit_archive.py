@@ -12,7 +12,7 @@ from imubayes.batch.parameter_population import populations
 from imubayes.batch.pooled_discovery import pooled_discovery
 from imubayes.batch.posterior_table import read_parameters, read_units
 from imubayes.batch.run_batch import run_batch
-from imubayes.batch.score_files import complete_scores, read_unit_scores
+from imubayes.batch.unit_scores import complete_scores, read_unit_scores
 from imubayes.cli.main import run
 
 unit_archive = import_module("unit_archive")

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from imubayes.json_record import Record
+from imubayes.foundations.records import Record
 
 _NOISE_CONTRADICTED_P = 0.005
 """A scale that exceeds what is known with less than this p-value, all comparisons together (Holm), contradicts it, and

@@ -26,16 +26,15 @@ import numpy as np
 from imubayes.adequacy.adequacy_record import NOISE_AGREES, NOISE_TOLD_SD, NoiseComparison
 from imubayes.adequacy.noise_tests import to_entries
 from imubayes.adequacy.projection import Projection
+from imubayes.foundations.tail_probabilities import LEAST_P, f_survival, normal_survival
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.noise_covariance import group_sum, noise_distribution, whitener
 from imubayes.model.problem import Problem
-from imubayes.noise.base import EntryNoise, Noise, SeriesNoise, SharedNoise, SlowNoise
-from imubayes.noise.components import WhiteNoise
+from imubayes.noise.components import EntryNoise, Noise, SeriesNoise, SharedNoise, SlowNoise, WhiteNoise
+from imubayes.parameters.declarations import Parameter
 from imubayes.parameters.priors import HalfNormal
-from imubayes.parameters.vector import Parameter
-from imubayes.tail_probabilities import LEAST_P, f_survival, normal_survival
 
 SISTERS_LOG_SD = 0.5
 """Standard deviation of the logarithm of a scale among equal sensors, as in the default prior of white_noise.

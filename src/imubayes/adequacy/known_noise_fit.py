@@ -19,18 +19,18 @@ import numpy as np
 
 from imubayes.adequacy.adequacy_record import ChannelRms, KnownNoiseFit
 from imubayes.adequacy.known_noise import known_scales
-from imubayes.campaign_data import INPUT_UNIT
-from imubayes.gather import in_batches
-from imubayes.group_means import group_means
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import in_batches
+from imubayes.foundations.campaign_data import INPUT_UNIT
+from imubayes.foundations.earth import group_means
+from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.laplace_marginal import Linearised, linearise
 from imubayes.inference.posterior_mode import fit_at
-from imubayes.inference.posterior_precision import Linearised, linearise
-from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
+from imubayes.model.likelihood import pseudo_values
 from imubayes.model.noise_covariance import noise_deviation, whiten, whitener
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.model.robust_likelihood import pseudo_values
-from imubayes.units import to_si
 
 _RETAINED_MIN = 1e-12
 """A direction of a candidate whose projection retains less than this share of its squared length is rounding, and

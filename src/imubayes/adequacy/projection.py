@@ -12,12 +12,12 @@ from functools import cached_property
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.compiled.kept_programs import kept
 from imubayes.inference.fitted_model import Fit
-from imubayes.kept_programs import kept
+from imubayes.model.likelihood import pseudo_values
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
-from imubayes.model.robust_likelihood import pseudo_values
-from imubayes.noise.base import SharedNoise
+from imubayes.noise.components import SharedNoise
 
 _OFFSET_INFLATION = 1.2
 """A run offset is a stratum of its own where it inflates the variance of the run's mean by more than this factor.

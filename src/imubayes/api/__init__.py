@@ -2,9 +2,9 @@
 
 import lazy_loader
 
-from imubayes.representation import displayed_by
+from imubayes.foundations.records import displayed_by
 
-displayed_by("imubayes.display.registered_representations")
+displayed_by("imubayes.display.representations")
 
 # Each command imports what it needs: a diagnosis needs neither the reports nor the formats of other programs.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,10 +7,8 @@ from .calibrated_unit import (
     onboard_constants,
     report,
 )
-from .diagnosis import diagnose
 from .fitting import Result, Settings, fit, load, read_result
-from .injection import plant
-from .model_changes import ModelChange, add, export, history, remove
+from .loop import ModelChange, add, diagnose, export, history, plant, remove
 
 __all__ = [
     "CalibratedInputs",

@@ -6,19 +6,18 @@ from dataclasses import replace as with_fields
 from pathlib import Path
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign_data import Campaign
-from imubayes.display.notebook_progress import progress_of
+from imubayes.display.progress import progress_of
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
-from imubayes.model.model_file import read_model
-from imubayes.model.model_spec import ModelSpec
-from imubayes.qualification.digits import Digits
+from imubayes.model.model_file import ModelSpec, read_model
+from imubayes.qualification.marginal import Digits
+from imubayes.qualification.posterior_quantities import fit_until_digits
 from imubayes.qualification.report_budgets import keep_budgets
-from imubayes.qualification.until_digits import fit_until_digits
+from imubayes.results.change_records import first_node
+from imubayes.results.folder_files import CHECKPOINT
 from imubayes.results.folder_state import claimed
-from imubayes.results.history_file import first_node
-from imubayes.results.record_names import CHECKPOINT
 from imubayes.results.result import Result, read_result, result_of
 from imubayes.results.result_folder import write_result
 

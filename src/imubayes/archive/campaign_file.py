@@ -20,8 +20,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table, Tumble
-from imubayes.errors import InputError, input_error
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table, Tumble
+from imubayes.foundations.errors import InputError, input_error
 
 SCHEMA_VERSION = 1
 _KEY = b"imubayes"

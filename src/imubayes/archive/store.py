@@ -21,11 +21,11 @@ from imubayes.archive.campaign_file import (
     unit_of,
     write_campaign,
 )
-from imubayes.atomic_files import replacing
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign, source_digest
-from imubayes.campaign_data import Campaign
-from imubayes.errors import InputError, Issue, input_error
-from imubayes.step_counter import counted, silent
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import InputError, Issue, input_error
+from imubayes.foundations.files import replacing
+from imubayes.foundations.progress import counted, silent
 
 _DIGITS = 16
 _THREADS = 4

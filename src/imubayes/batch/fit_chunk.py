@@ -1,28 +1,82 @@
-"""A chunk of a batch: its units are read and bound, and fitted in lanes with those of the same structure.
+"""A chunk of a batch: its units are read, bound, padded to few shapes, and fitted in lanes or alone.
 
-A unit that lanes do not serve is fitted by itself: one whose noise is correlated or has heavy tails, free tumbles, one
-that did not converge in its lane, or whose noise scales have several modes.  Which of the two it is depends on the unit
-alone.  Whatever goes wrong with a unit is its outcome and stops nothing.
+Units of the same structure are fitted together in lanes.  A unit that lanes do not serve is fitted by itself: one whose
+noise is correlated or has heavy tails, a free tumble, one that did not converge in its lane, or one whose noise scales
+have several modes.  Which of the two it is depends on the unit alone.  Whatever goes wrong with a unit is its outcome
+and stops nothing.
+
+Padding lets units with different missing readings share compiled code.  The readings of a unit are filled up with
+copies of its first one that have zero weight.  Their number is rounded up to the next of sixteen to thirty-two steps an
+octave, which adds 6 % at most.
 """
 
+import math
 import time
 import warnings
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import equinox as eqx
+import jax
 import numpy as np
 
-from imubayes.batch.fit_unit import bound_to, failure, fit_alone, sampled_where_in_doubt
-from imubayes.batch.lane_mode import find_modes
-from imubayes.batch.lane_posterior import posteriors
-from imubayes.batch.lanes import LANES, LaneStructure, structure_key
-from imubayes.batch.padded_entries import padded_entries
+from imubayes.batch.batch_folder import UnitSource, identity_of, unread
+from imubayes.batch.fit_unit import bound_to, failure, fit_alone, posteriors, sampled_where_in_doubt
+from imubayes.batch.lanes import LANES, LaneStructure, find_modes, structure_key
 from imubayes.batch.posterior_table import UnitIdentity, UnitPosterior
 from imubayes.batch.run_batch import ChunkTask, FittedChunk
-from imubayes.batch.unit_sources import UnitSource, identity_of, unread
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
+from imubayes.model.problem import Problem
+from imubayes.noise.components import EntryNoise
+
+_STEPS_AN_OCTAVE, _LEAST_STEP = 16, 16
+
+
+def padded_count(count: int) -> int:
+    """Return the number of readings that so many are padded to."""
+    octave = 2 ** int(math.log2(max(count, 1)))
+    step = max(_LEAST_STEP, octave // _STEPS_AN_OCTAVE)
+    return step * math.ceil(count / step)
+
+
+def padded_entries(problem: Problem) -> Problem:
+    """Return a problem with its readings padded, for models without noise that is correlated in time."""
+    observations = problem.observations
+    count = len(observations.value)
+    more = padded_count(count) - count
+    if not more or problem.transitions is not None or problem.timeline is not None:
+        return problem
+
+    def filled(leaf) -> np.ndarray:
+        array = np.asarray(leaf)
+        return np.concatenate([array, np.repeat(array[:1], more, axis=0)])
+
+    def placed(leaf) -> np.ndarray:
+        array = np.asarray(leaf)
+        return np.where(array == count, count + more, array).astype(array.dtype)
+
+    chosen = (observations.value, observations.entry, observations.readout, observations.group, observations.rank)
+    by_entry = jax.tree.map(filled, chosen)
+    weight = np.concatenate([np.asarray(observations.weight), np.zeros(more)])
+    reach = np.concatenate([np.asarray(problem.sparsity.reach), np.zeros((more, len(problem.sparsity.colour)), bool)])
+    noise = tuple(
+        eqx.tree_at(lambda known: (known.places, known.acts), layer, jax.tree.map(filled, (layer.places, layer.acts)))
+        if issubclass(layer.noise, EntryNoise)
+        else layer
+        for layer in problem.noise
+    )
+    return eqx.tree_at(
+        lambda p: (
+            p.observations.value, p.observations.entry, p.observations.readout, p.observations.group,
+            p.observations.rank, p.observations.weight, p.observations.members, p.observations.in_time,
+            p.sparsity.reach, p.noise,
+        ),
+        problem,
+        (*by_entry, weight, placed(observations.members), placed(observations.in_time), reach, noise),
+    )  # fmt: skip
+
 
 # Structures of which a process keeps the places; the compiled code is JAX's.
 _MOST_STRUCTURES = 64

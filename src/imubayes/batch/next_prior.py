@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from imubayes.batch.parameter_population import ParameterPopulation, Populations
-from imubayes.errors import input_error
+from imubayes.foundations.errors import input_error
 from imubayes.model.effect_registry import Registry
-from imubayes.model.model_spec import EffectSpec, ModelSpec
-from imubayes.parameters.parameter_declarations import declared_parameters
+from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.parameters.declarations import declared_parameters
 
 _DIGITS = 4
 

@@ -13,9 +13,8 @@ from typing import Literal
 import numpy as np
 import polars as pl
 
-from imubayes.batch.population import Population, ShrunkUnits, population, shrunk
-from imubayes.batch.unit_posteriors import UnitPosteriors
-from imubayes.json_record import Record, finite
+from imubayes.batch.population import Population, ShrunkUnits, UnitPosteriors, population, shrunk
+from imubayes.foundations.records import Record, finite
 
 # Relative agreement of (sd/prior sd)² with 1 − from_data, which is computed where the prior is normal.
 _NORMAL_PRIOR = 0.05

@@ -1,19 +1,150 @@
-"""The population of a parameter: mean and spread over units, and each unit's estimate with what the others say of it.
+"""The population of a parameter: mean and spread over units, each unit's estimate given the others, and draw errors.
 
 The *spread* is half the width of the interval that holds the central 68.3 % of the population: its standard deviation
 under the normal law, and a number of the same meaning under the t law, which replaces it where the units have heavier
 tails.  Units are treated as independent: an error that all of them share, such as that of one table, is in the mean.
+
+A population must not be inferred from posteriors as they are: each of them contains the prior of the model, n units
+would count it n times, and badly measured units would pull the spread towards the prior's.  The prior is therefore
+divided out.  With a normal posterior N(m, s²) under a normal prior N(μ₀, σ₀²) the quotient is the integrated likelihood
+of the unit, normal as well:
+
+    1/v = 1/s² − 1/σ₀²,    y = v (m/s² − μ₀/σ₀²).
+
+All other parameters of the unit are integrated over with the priors that the model gives them.
+
+Posteriors estimated from draws lose a part of what is known of the population.  A mean and a variance estimated from S
+draws have mean squared errors s²/S and 2s⁴/S.  Such an error ε(Λ) of the log likelihood of the population's parameters
+Λ turns its posterior p into p e^ε, up to a factor.  To second order the Kullback–Leibler divergence between the two is
+half the variance of ε over the posterior.  Its expectation over the draws is, in nats,
+
+    ½ Σᵢ Σ_k var_k,i · Var_Λ[∂ₖ ln Lᵢ(Λ)]  +  ½ Var_Λ[½ Σᵢ Σ_k var_k,i · (∂ₖ ln Lᵢ(Λ))²],
+
+where k runs over mean and variance of a unit.  The first term is lost precision.  The second is lost accuracy: the
+logarithm of an estimate is too small by half its variance.  J. Heinzel and S. Vitale (2025, arXiv:2509.07221) define
+the sum as the information error and recommend at most 0.2 bits.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy import stats
 
-from imubayes.batch.information_error import MOST_BITS, information_error
 from imubayes.batch.population_laws import GridPosterior, mixing, mixture, normal_law, student_law
-from imubayes.batch.unit_posteriors import UnitPosteriors
-from imubayes.tail_probabilities import normal_survival
+from imubayes.foundations.tail_probabilities import normal_survival
+
+LEAST_FROM_DATA = 0.05
+"""Share of the information on a parameter that must come from a unit's data for the unit to count (convention).
+
+Below it the quotient of posterior and prior is mostly the error of the normal approximation.  Units are left out by
+their uncertainty alone, never by their value, so that the selection does not bias the population.
+"""
+
+
+@dataclass(frozen=True)
+class UnitPosteriors:
+    """The posterior of one parameter in n units, on a scale on which the prior is normal.
+
+    Attributes
+    ----------
+    mean, sd : shape (n,), posterior mean and standard deviation.
+    prior_mean, prior_sd : shape (n,), of the prior; an infinite standard deviation is a flat prior.
+    draws : shape (n,), effective number of draws that mean and sd were estimated from; infinite where they are exact.
+    """
+
+    mean: np.ndarray
+    sd: np.ndarray
+    prior_mean: np.ndarray
+    prior_sd: np.ndarray
+    draws: np.ndarray
+
+    @cached_property
+    def from_data(self) -> np.ndarray:
+        """1 − posterior variance / prior variance, shape (n,)."""
+        return 1 - (self.sd / self.prior_sd) ** 2
+
+    @cached_property
+    def informative(self) -> np.ndarray:
+        """Whether a unit carries information on the parameter, shape (n,) bool.
+
+        The posterior must be narrower than the prior by more than `LEAST_FROM_DATA`, and by more than the standard
+        error of a variance estimated from so many draws.
+        """
+        least = np.maximum(LEAST_FROM_DATA, np.sqrt(2 / self.draws))
+        usable = np.isfinite(self.mean) & np.isfinite(self.sd) & (self.sd > 0)
+        return usable & (self.from_data > least)
+
+    @cached_property
+    def likelihood(self) -> tuple[np.ndarray, np.ndarray]:
+        """Estimate and variance of each unit with the prior divided out, (n,) each; 0 and ∞ without information."""
+        precision = np.where(self.informative, 1 / self.sd**2 - 1 / self.prior_sd**2, 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            variance = 1 / precision
+            estimate = variance * (self.mean / self.sd**2 - self.prior_mean / self.prior_sd**2)
+        return np.where(self.informative, estimate, 0.0), np.where(self.informative, variance, np.inf)
+
+
+MOST_BITS = 0.2
+"""Information error above which an estimate of a population is refused (Heinzel and Vitale, 2025)."""
+
+
+def information_error(posterior: GridPosterior, units: UnitPosteriors) -> float:
+    """Return the information error of the posterior of a population, in bits.
+
+    Parameters
+    ----------
+    posterior : of centre and scale.
+    units : all of them; those without information are left out.
+    """
+    used = units.informative & np.isfinite(units.draws)
+    if not used.any():
+        return 0.0
+    weight = posterior.weight
+    precision, bias = 0.0, np.zeros(len(weight))
+    for place in np.flatnonzero(used):
+        by_mean, by_variance = _sensitivities(posterior, units, int(place))
+        variance, draws = units.sd[place] ** 2, units.draws[place]
+        for slope, error in ((by_mean, variance / draws), (by_variance, 2 * variance**2 / draws)):
+            precision += 0.5 * error * _variance(weight, slope)
+            bias += 0.5 * error * (slope - weight @ slope) ** 2
+    nats = precision + 0.5 * _variance(weight, bias)
+    return float(nats / np.log(2))
+
+
+def _variance(weight: np.ndarray, values: np.ndarray) -> float:
+    return float(weight @ (values - weight @ values) ** 2)
+
+
+def _sensitivities(posterior: GridPosterior, units: UnitPosteriors, place: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivatives of a unit's log likelihood by its posterior mean and variance, (G,) each.
+
+    Under the normal law the centre of each grid point is integrated over: its mean stands for it, and the variance of
+    the centre adds to that of the unit.
+    """
+    estimate, variance = (each[place] for each in units.likelihood)
+    by_estimate, by_variance = _slopes(posterior, float(estimate), float(variance))
+    square = units.sd[place] ** 2
+    grows = (variance / square) ** 2
+    moves = variance * (estimate - units.mean[place]) / square**2
+    return by_estimate * variance / square, by_variance * grows + by_estimate * moves
+
+
+def _slopes(posterior: GridPosterior, estimate: float, variance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivatives of the log density of a unit by its estimate and by its variance, (G,) each."""
+    distance = estimate - posterior.centre
+    squares = distance**2 + posterior.centre_variance
+    if np.isinf(posterior.freedom):
+        total = variance + posterior.scale**2
+        return -distance / total, 0.5 * (squares / total - 1) / total
+    node, log_weight = mixing(posterior.freedom)
+    total = variance + posterior.scale[:, None] ** 2 / node
+    share = log_weight - 0.5 * np.log(total) - 0.5 * squares[:, None] / total
+    share = np.exp(share - share.max(axis=1, keepdims=True))
+    share /= share.sum(axis=1, keepdims=True)
+    slope = -distance * np.sum(share / total, axis=1)
+    return slope, 0.5 * np.sum(share * (squares[:, None] / total - 1) / total, axis=1)
+
 
 LEAST_UNITS = 5
 """Fewest informative units: with fewer the spread has no variance under its flat prior (derived, Gelman 2006)."""

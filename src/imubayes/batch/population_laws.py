@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from imubayes.tail_probabilities import normal_survival
+from imubayes.foundations.tail_probabilities import normal_survival
 
 _POINTS = 400
 # Log density below the maximum at which a grid ends.  Numerical: e⁻²⁵ of the mass of a short tail.

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 import polars as pl
 
-from imubayes.errors import input_error
+from imubayes.foundations.errors import input_error
 
 PARAMETER_FILE, UNIT_FILE, MODEL_FILE = "parameters.parquet", "units.parquet", "model.toml"
 _MODEL, _PART = "model-", "part-"

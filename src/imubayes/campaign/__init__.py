@@ -11,12 +11,8 @@ from imubayes.campaign.campaign_reader import (
     load_campaign,
     read_model_file,
 )
-from imubayes.campaign.file_schemas import (
-    CampaignFile,
-    EffectEntry,
-    ModelFile,
-)
-from imubayes.campaign.findings import FINDINGS, Finding
+from imubayes.campaign.file_schemas import CampaignFile, EffectEntry, ModelFile
+from imubayes.campaign.stream_checks import FINDINGS, Finding
 
 __all__ = [
     "FINDINGS",

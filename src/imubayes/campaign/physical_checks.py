@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign.findings import Finding
 from imubayes.campaign.reduction import BlockSurvey
-from imubayes.campaign_data import Channel, Mounting, Run, Site, Table
+from imubayes.campaign.stream_checks import Finding
+from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table
 from imubayes.procedures import PROCEDURES
 
 DEGREE = math.pi / 180

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.findings import Finding
-from imubayes.campaign_data import Channel, Run
+from imubayes.campaign.stream_checks import Finding
+from imubayes.foundations.campaign_data import Channel, Run
 
-LEAST_ROWS, LEAST_SHARE = 3, 0.5
+LEAST_ALIKE, LEAST_SHARE_ALIKE = 3, 0.5
 """Rows alike, and their share of the shorter run."""
 SURPRISE = 30.0
 """−log of the probability that they are by chance."""
@@ -64,7 +64,7 @@ def _rows_alike(first: _Compared, second: _Compared, channels: Sequence[Channel]
     known, run = first.known(varying), second.run
     alike = np.array([row in known for row in second.of(varying)])
     alike &= np.isfinite(run.observed[:, varying]).any(axis=1)
-    if alike.sum() < max(LEAST_ROWS, LEAST_SHARE * min(first.run.rows, run.rows)):
+    if alike.sum() < max(LEAST_ALIKE, LEAST_SHARE_ALIKE * min(first.run.rows, run.rows)):
         return 0
     surprise = 0.0
     for k in varying:

@@ -1,12 +1,17 @@
-"""Run tables as streams of batches: CSV and Parquet of any length in bounded memory.
+"""Run tables: their columns, CSV and Parquet streams of any length in bounded memory, and faults of a CSV table.
 
 A `TableSource` can be read repeatedly.  Small tables are kept in memory after the first pass; large ones are read again
-from the file, batch by batch.  The fast parser reports only that something is wrong; the line and the cell are then
-located by `csv_errors`.
+from the file, batch by batch.  The fast CSV parser reports only that something is wrong; line, cell and reason are then
+located by a second reading.
+
+The suffix of a column is its unit.  A column that is neither known nor a channel is an error, reported with the closest
+known names, so that a misspelt `table_angle_degs` is not silently ignored; columns to be ignored are listed under
+`ignore` in the run's entry.
 """
 
+import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,10 +20,194 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
-from imubayes.campaign.csv_errors import csv_faults
 from imubayes.campaign.file_schemas import ABSURD
-from imubayes.campaign.run_columns import ColumnLayout
-from imubayes.errors import InputError, Issue, input_error
+from imubayes.foundations.covariates import recorded_columns
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.procedures import Procedure
+
+TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
+
+
+def known_columns() -> tuple[str, ...]:
+    """Return the names of all columns with a fixed meaning."""
+    return (*recorded_columns(), *TEXT_COLUMNS, "samples")
+
+
+@dataclass(frozen=True)
+class ColumnLayout:
+    """The columns of one run table, by role.
+
+    Attributes
+    ----------
+    header : all columns, in the order of the file.
+    numbers : columns read as numbers.
+    texts : columns read as text.
+    channels : the channels that have a column.
+    deviations : the channels that have a `<channel>_sd` column.
+    """
+
+    header: tuple[str, ...]
+    numbers: tuple[str, ...]
+    texts: tuple[str, ...]
+    channels: tuple[str, ...]
+    deviations: tuple[str, ...]
+
+    def has(self, column: str) -> bool:
+        """Return whether a column is read."""
+        return column in self.numbers or column in self.texts
+
+    @property
+    def reduced(self) -> bool:
+        """Whether the rows are means of samples."""
+        return "samples" in self.numbers
+
+
+def lay_out(
+    header: Sequence[str], channels: Sequence[str], ignore: Sequence[str], procedure: Procedure, where: str
+) -> tuple[ColumnLayout, list[Issue]]:
+    """Return the column layout of a table, and the issues of its header."""
+    deviation_names = {f"{channel}_sd": channel for channel in channels}
+    known = (*known_columns(), *channels, *deviation_names)
+    issues = _repeated(header, where)
+    numbers, texts = [], []
+    for column in dict.fromkeys(header):
+        if column in ignore:
+            continue
+        if column in TEXT_COLUMNS:
+            texts.append(column)
+        elif column in known:
+            numbers.append(column)
+        else:
+            issues.append(
+                Issue(
+                    f"column '{column}' is neither known nor a channel",
+                    f"{where}, column '{column}'",
+                    closest_first(column, known),
+                    "correct the name, or list the column under 'ignore' in the run's entry",
+                )
+            )
+    layout = ColumnLayout(
+        tuple(header),
+        tuple(numbers),
+        tuple(texts),
+        tuple(channel for channel in channels if channel in numbers),
+        tuple(channel for name, channel in deviation_names.items() if name in numbers),
+    )
+    return layout, issues + _missing(layout, channels, procedure, where)
+
+
+def _repeated(header: Sequence[str], where: str) -> list[Issue]:
+    repeats = {column for column in header if list(header).count(column) > 1}
+    return [
+        Issue(
+            f"column '{column}' is repeated" if column else "a column has no name",
+            f"{where}, header",
+            "one name per column, each used once",
+            "rename or remove the column",
+        )
+        for column in sorted(repeats | ({""} & set(header)))
+    ]
+
+
+def _missing(layout: ColumnLayout, channels: Sequence[str], procedure: Procedure, where: str) -> list[Issue]:
+    issues = []
+    if not layout.channels and not procedure.driven:
+        issues.append(
+            Issue(
+                "no channel of the campaign has a column in this table",
+                f"{where}, header",
+                ", ".join(channels),
+                "name the output columns after the channels of campaign.toml",
+            )
+        )
+    issues += [
+        Issue(
+            f"a run of procedure '{procedure.name}' needs the column '{group[0]}'",
+            f"{where}, header",
+            ", or ".join(group),
+            "add the column, or correct 'procedure' of the run",
+        )
+        for group in procedure.columns
+        if not any(layout.has(column) for column in group)
+    ]
+    return issues
+
+
+MOST = 10  # faults of one file that are listed; the rest is counted
+_MOST_SHOWN = 60  # characters of a cell that are repeated
+
+
+def csv_faults(file: Path, layout: ColumnLayout) -> list[Issue]:
+    """Return an issue per line of wrong length and per cell that is not a number, at most `MOST` and their count."""
+    issues: list[Issue] = []
+    more = 0  # faults beyond the first MOST
+    wanted = [(index, name) for index, name in enumerate(layout.header) if name in layout.numbers]
+    with file.open(encoding="utf-8-sig", newline="", errors="replace") as stream:
+        reader = csv.reader(stream)
+        try:
+            next(reader, None)
+            for cells in reader:
+                found = _line_faults(cells, wanted, layout, f"{file}:{reader.line_num}")
+                room = MOST - len(issues)
+                issues += found[:room]
+                more += len(found[room:])
+        except csv.Error:
+            issues.append(_oversized(f"{file}:{reader.line_num}"))
+    if more:
+        issues.append(
+            Issue(
+                f"{more} more cells or lines cannot be read",
+                str(file),
+                "numbers with a decimal point, empty where missing",
+                "correct the ones above first",
+            )
+        )
+    return issues
+
+
+def _oversized(where: str) -> Issue:
+    return Issue(
+        f"a cell has more than {csv.field_size_limit()} characters",
+        where,
+        "a number with a decimal point, or an empty cell where the value is missing",
+        "correct the cell; a quotation mark that is not closed makes one cell of many lines",
+    )
+
+
+def _line_faults(cells: list[str], wanted: list[tuple[int, str]], layout: ColumnLayout, where: str) -> list[Issue]:
+    if not cells:
+        return []
+    if len(cells) != len(layout.header):
+        return [
+            Issue(
+                f"the line has {len(cells)} cells where the header has {len(layout.header)}",
+                where,
+                f"{len(layout.header)} cells: {','.join(layout.header)}",
+                "complete or remove the line; write decimals with a point",
+            )
+        ]
+    return [
+        Issue(
+            f"'{_shown(cells[index])}' is not a number",
+            f"{where}, column '{name}'",
+            "a number with a decimal point, or an empty cell where the value is missing",
+            "correct the cell",
+        )
+        for index, name in wanted
+        if not _is_number(cells[index])
+    ]
+
+
+def _shown(cell: str) -> str:
+    return cell if len(cell) <= _MOST_SHOWN else f"{cell[:_MOST_SHOWN]}…"
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return not cell or (float(cell) is not None and "_" not in cell)
+    except ValueError:
+        return False
+
 
 BATCH_ROWS = 65536
 BLOCK_BYTES = 1 << 20

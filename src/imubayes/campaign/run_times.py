@@ -13,8 +13,8 @@ from itertools import combinations
 
 import numpy as np
 
-from imubayes.campaign.findings import Finding, Severity
-from imubayes.campaign_data import Run
+from imubayes.campaign.stream_checks import Finding, Severity
+from imubayes.foundations.campaign_data import Run
 from imubayes.procedures import PROCEDURES, Reduction
 from imubayes.procedures.ambient import instant
 

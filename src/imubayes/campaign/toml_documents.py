@@ -1,7 +1,9 @@
 """TOML files as validated records, with every issue reported at its line.
 
-Reading does not stop at the first fault: the issues found by the parser, the schema and later checks are collected in
-a `Ledger`, which knows the line of every key, and raised together.
+Reading does not stop at the first fault: the issues found by the parser, the schema and later checks are collected in a
+`Ledger`, which knows the line of every key, and raised together.  The standard parser does not give the lines of keys,
+so a scanner finds them.  It reads headers and keys only; it follows brackets and quotes just far enough not to take the
+inside of a multi-line value for a key.
 """
 
 import re
@@ -13,9 +15,70 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from imubayes.campaign.file_schemas import FORMS, PATTERNS
-from imubayes.campaign.toml_lines import Path as KeyPath
-from imubayes.campaign.toml_lines import key_lines, line_of
-from imubayes.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+
+KeyPath = tuple[str | int, ...]
+
+_HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*(\]\]?)\s*(#.*)?$")
+_KEY = re.compile(r"""^\s*((?:"[^"]*"|'[^']*'|[A-Za-z0-9_\-]+)(?:\s*\.\s*(?:"[^"]*"|'[^']*'|[A-Za-z0-9_\-]+))*)\s*=""")
+_PART = re.compile(r"""\s*("[^"]*"|'[^']*'|[^.\s]+)\s*\.?""")
+_QUOTED_OR_COMMENT = re.compile(r'"(?:\\.|[^"\\])*"|\'[^\']*\'|#.*$')
+
+
+def key_lines(text: str) -> dict[KeyPath, int]:
+    """Return the line (from 1) of every table header and key, by key path such as ``("channel", 2, "scale")``."""
+    lines: dict[KeyPath, int] = {}
+    counts: dict[KeyPath, int] = {}
+    table: KeyPath = ()
+    depth, fence = 0, ""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if fence:
+            fence = "" if fence in line else fence
+            continue
+        if depth == 0 and (header := _HEADER.match(line)) and len(header[1]) == len(header[3]):
+            table = _resolve(_parts(header[2]), counts, new_element=header[1] == "[[")
+            lines.setdefault(table, number)
+            continue
+        value = line
+        if depth == 0 and (key := _KEY.match(line)):
+            lines.setdefault((*table, *_parts(key[1])), number)
+            value = line[key.end() :]
+        depth, fence = _follow(value, depth)
+    return lines
+
+
+def line_of(path: KeyPath, lines: dict[KeyPath, int]) -> int | None:
+    """Return the line of a key path, else of its first child, else of its nearest parent; None if there is none."""
+    while path:
+        inside = [line for key, line in lines.items() if key[: len(path)] == path]
+        if inside:
+            return lines.get(path, min(inside))
+        path = path[:-1]
+    return None
+
+
+def _parts(dotted: str) -> list[str]:
+    return [match[1].strip("\"'") for match in _PART.finditer(dotted)]
+
+
+def _resolve(names: list[str], counts: dict[KeyPath, int], new_element: bool) -> KeyPath:
+    path: KeyPath = ()
+    for position, name in enumerate(names):
+        path = (*path, name)
+        if position == len(names) - 1 and new_element:
+            counts[path] = counts.get(path, -1) + 1
+        if path in counts:
+            path = (*path, counts[path])
+    return path
+
+
+def _follow(value: str, depth: int) -> tuple[int, str]:
+    for fence in ('"""', "'''"):
+        if value.count(fence) % 2:
+            return depth, fence
+    bare = _QUOTED_OR_COMMENT.sub("", value)
+    return max(0, depth + bare.count("[") + bare.count("{") - bare.count("]") - bare.count("}")), ""
+
 
 _PLACE = re.compile(r"\s*\(at (?:line (\d+), column \d+|end of document)\)")
 

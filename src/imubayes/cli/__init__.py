@@ -1,1 +1,1 @@
-"""The command line: one file per command; each parses, calls and prints, and imports what it needs when it runs."""
+"""The command line: commands by subject; each parses, calls and prints, and imports what it needs when it runs."""

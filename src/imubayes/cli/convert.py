@@ -12,7 +12,7 @@ from imubayes.campaign.convert import ConvertOptions
 from imubayes.campaign.convert import convert as convert_recording
 from imubayes.campaign.file_schemas import CampaignFile
 from imubayes.campaign.toml_documents import read_document
-from imubayes.errors import input_error
+from imubayes.foundations.errors import input_error
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,123 @@
-"""`imubayes fit`: the main job."""
+"""Commands `imubayes fit`, `imubayes classical` and `imubayes compare`.
+
+`fit`, the main job, fits all runs of a campaign jointly.  `classical` gives the classical evaluation of each run.
+`compare` holds the model against the measurements.
+"""
 
 import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from imubayes.cli.options import Flag, Json, Trust, print_json
-from imubayes.cli.session import progress, start_jax, trusting
+from imubayes.cli.session import Flag, Json, Trust, print_json, progress, start_jax, trusting
+from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
-    from imubayes.campaign_data import Campaign
+    from imubayes.foundations.campaign_data import Campaign
     from imubayes.results.summary import Summary
+
+
+def classical(
+    campaign: Path,
+    *,
+    result: Path | None = None,
+    delta_k_threshold: float | None = None,
+    as_json: Json = False,
+    trust: Trust = False,
+) -> int:
+    """Evaluate each run by the classical method of its procedure, and compare with the joint fit.
+
+    Example: imubayes classical data/trihedral-imu --result results/trihedral-imu
+
+    Parameters
+    ----------
+    campaign
+        Folder with campaign.toml.
+    result
+        Result folder of a fit of the same campaign, to compare with.
+    delta_k_threshold
+        Largest Δk in percent at which the 1 g line of a converter applies to another input; by default that of the
+        fitted model, then that of the campaign, then 10.
+    as_json
+        Print one JSON object on standard output.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    from imubayes.cli.session import progress, trusting
+
+    with progress() as tell:
+        trusting(result, trust)
+        from imubayes.campaign import load_campaign
+        from imubayes.display.classical_comparison import classical_json, compare_classical, of_prediction
+        from imubayes.display.fit_report import classical_report
+        from imubayes.display.layout import print_report
+        from imubayes.display.loop.effects_behind import effects_behind
+        from imubayes.procedures import classical as evaluate
+        from imubayes.results.fit_file import read_fit
+        from imubayes.results.history_tree import refuse_other_data
+        from imubayes.results.stored_tables import read_summary_and_residuals
+
+        tell("reading the campaign")
+        loaded = load_campaign(campaign)
+    _refuse_threshold(delta_k_threshold)
+    summary = predicted = None
+    if result is not None:
+        refuse_other_data(result, loaded)
+        summary, read = read_summary_and_residuals(result)
+        predicted = of_prediction(loaded, read.table, summary)
+    fitted = None if summary is None else summary.delta_k_threshold
+    percent = fitted if delta_k_threshold is None else delta_k_threshold
+    comparison = compare_classical(evaluate(loaded, None if percent is None else percent / 100), summary, predicted)
+    if result is not None and summary is not None and comparison.beyond:
+        behind = effects_behind(read_fit(result), read_summary_and_residuals(result)[1].table, summary)
+        comparison = comparison.with_causes(behind)
+    if as_json:
+        print_json(classical_json(comparison))
+    else:
+        print_report(classical_report(comparison))
+    return 0 if comparison.estimates else 1
+
+
+def _refuse_threshold(percent: float | None) -> None:
+    if percent is not None and not percent > 0:
+        raise input_error(f"a threshold of {percent:g} %", "--delta-k-threshold", "a percentage above 0", "correct it")
+
+
+def compare(
+    result: Path,
+    *,
+    parameters: list[str] | None = None,
+    runs: list[str] | None = None,
+    every: Flag = False,
+    trust: Trust = False,
+) -> int:
+    """Compare the model with the measurements: figures, and goodness of fit per run and channel.
+
+    Example: imubayes compare results/trihedral-imu
+
+    Parameters
+    ----------
+    result
+        Result folder of a fit.
+    parameters
+        Names for a corner plot; with --every the mounting angles and scale factors that are determined least.
+    runs
+        Runs that have a figure of their own, or 'all'; with --every the six that fit worst.
+    every
+        Draw all figures; by default the five that matter most are drawn, and those asked for.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    from imubayes.cli.session import progress, trusting
+
+    with progress() as tell:
+        trusting(result, trust)
+        from imubayes.display.model_against_measurement import compare as compare_result
+        from imubayes.display.model_against_measurement import print_comparison
+
+        comparison = compare_result(result, parameters=parameters, runs=runs, every=every, progress=tell)
+    print_comparison(comparison)
+    return 0
 
 
 def fit(
@@ -75,7 +182,7 @@ def fit(
 
 def _read(campaign: Path, held: ExitStack, out: Path, resume: bool, replace: bool) -> "Campaign":
     """Return the campaign, after its warnings are printed; the folder of the result is held before, in `held`."""
-    from imubayes.cli.beside import inspecting
+    from imubayes.cli.session import inspecting
 
     with progress() as tell, inspecting(campaign) as inspected:
         from imubayes.results.folder_state import claimed
@@ -93,7 +200,7 @@ def _read(campaign: Path, held: ExitStack, out: Path, resume: bool, replace: boo
 def _print_summary(summary: "Summary", verbose: bool, campaign: Path, out: Path) -> None:
     from imubayes.display.fit_cautions import next_command
     from imubayes.display.fit_report import summary_report
-    from imubayes.display.report_layout import print_report
+    from imubayes.display.layout import print_report
 
     print_report(summary_report(summary, verbose=verbose))
     print(f"\nresult in {out}; next: {next_command(summary, str(campaign), str(out))}")

@@ -13,26 +13,12 @@ from typing import NoReturn
 import cyclopts
 
 from imubayes import __version__
-from imubayes.cli.add import add
-from imubayes.cli.apply import apply
-from imubayes.cli.archive import archive
-from imubayes.cli.batch_questions import batch
-from imubayes.cli.carrier import carrier
-from imubayes.cli.check import check
-from imubayes.cli.classical import classical
-from imubayes.cli.compare import compare
-from imubayes.cli.diagnose import diagnose
-from imubayes.cli.effects import effects
-from imubayes.cli.export import export
-from imubayes.cli.fit import fit
-from imubayes.cli.history import history
-from imubayes.cli.noise import noise
-from imubayes.cli.plant import plant
-from imubayes.cli.remove import remove
-from imubayes.cli.report import report
-from imubayes.cli.schema import schema
-from imubayes.cli.simulate import simulate
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.cli.batch import archive, batch
+from imubayes.cli.calibrated_unit import apply, carrier, export, report
+from imubayes.cli.campaign import check, effects, noise, schema, simulate
+from imubayes.cli.fit import classical, compare, fit
+from imubayes.cli.loop import add, diagnose, history, plant, remove
+from imubayes.foundations.errors import InputError, Issue, closest_first
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

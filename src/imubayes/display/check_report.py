@@ -1,22 +1,140 @@
-"""The outcome of `imubayes check`: the runs, what the reduction did, the findings, and the size of a model."""
+"""Reports of `imubayes check` and `imubayes archive`: the runs and findings of a campaign, and an archive.
 
+The report of a check states what the reduction of each run did, the findings, and the size of a model.  Notes and
+warnings that many runs share appear once: the runs are counted and numbers become ranges.  The report of an archive
+states what was packed, what it holds, and what is wrong with it.
+"""
+
+import re
 from collections.abc import Sequence
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
+from imubayes.archive import ArchivedCampaign, Packed
 from imubayes.campaign import Inspection
-from imubayes.campaign.unit_grade import grade_of
-from imubayes.campaign_data import Campaign, Run
+from imubayes.campaign.equipment import grade_of
 from imubayes.display.fit_cautions import left_out_lines
-from imubayes.display.grouped_notes import grouped
-from imubayes.display.labels import listed
-from imubayes.display.report_layout import Report
-from imubayes.display.table_layout import Cell, Sheet
-from imubayes.errors import InputError
-from imubayes.json_record import Record
-from imubayes.model.model_spec import SingleRunEffect
-from imubayes.parameters.unit_grades import Grade
+from imubayes.display.layout import Cell, Report, Sheet
+from imubayes.display.numbers_and_labels import listed
+from imubayes.foundations.campaign_data import Campaign, Grade, Run
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.records import Record
+from imubayes.model.model_file import SingleRunEffect
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, in the plural where it has to be."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def packed_report(packed: Packed, out: Path) -> Report:
+    """Return what packing did."""
+    said = f"{counted(len(packed.added), 'campaign')} added to {out}, {packed.present} already there"
+    refused = [str(issue) for refusal in packed.refused for issue in refusal.issues]
+    if packed.refused:
+        refused.append(f"{counted(len(packed.refused), 'folder')} cannot be used and {_were(packed)} left out")
+    return Report([said], closing=refused)
+
+
+def _were(packed: Packed) -> str:
+    return "was" if len(packed.refused) == 1 else "were"
+
+
+def packed_json(packed: Packed) -> dict[str, Any]:
+    """Return what packing did, for `--json`."""
+    refused = [{"folder": each.folder, "issues": [_issue(issue) for issue in each.issues]} for each in packed.refused]
+    return {
+        "format": 1,
+        "added": [_entry(each) for each in packed.added],
+        "present": packed.present,
+        "refused": refused,
+    }
+
+
+def list_report(campaigns: Sequence[ArchivedCampaign]) -> Report:
+    """Return the campaigns of an archive as a table."""
+    ordered = sorted(campaigns, key=lambda each: (each.unit, each.date, each.name))
+    rows = [
+        [Cell(each.unit), Cell(each.name), Cell(each.date or "–"), Cell(str(each.runs)), Cell(str(each.rows)),
+         Cell(str(each.channels)), Cell(each.digest[:16])]
+        for each in ordered
+    ]  # fmt: skip
+    units = len({each.unit for each in campaigns})
+    head = ("unit", "campaign", "date", "runs", "rows", "channels", "digest")
+    said = f"{counted(len(campaigns), 'campaign')} of {counted(units, 'unit')}"
+    return Report([said], [Sheet("Campaigns", head, rows, left=(0, 1, 2, 6))])
+
+
+def list_json(campaigns: Sequence[ArchivedCampaign]) -> dict[str, Any]:
+    """Return the campaigns of an archive, for `--json`."""
+    return {"format": 1, "campaigns": [_entry(each) for each in campaigns]}
+
+
+def archive_check(files: int, issues: Sequence[Issue]) -> Report:
+    """Return what is wrong with an archive."""
+    said = f"{counted(files, 'campaign')} checked: " + (counted(len(issues), "problem") if issues else "all intact")
+    return Report([said], closing=[str(issue) for issue in issues])
+
+
+def check_json(files: int, issues: Sequence[Issue]) -> dict[str, Any]:
+    """Return what is wrong with an archive, for `--json`."""
+    return {"format": 1, "campaigns": files, "issues": [_issue(issue) for issue in issues]}
+
+
+def _entry(each: ArchivedCampaign) -> dict[str, Any]:
+    return {
+        "unit": each.unit, "campaign": each.name, "date": each.date, "file": str(each.file), "digest": each.digest,
+        "runs": each.runs, "rows": each.rows, "channels": each.channels, "checksum": each.checksum,
+    }  # fmt: skip
+
+
+def _issue(issue: Issue) -> dict[str, Any]:
+    return {"what": issue.what, "where": issue.where, "allowed": issue.allowed, "remedy": issue.remedy}
+
+
+_CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|(?<![\w.])\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?!\w)")
+_MOST_NAMES = 4
+
+
+def grouped(notes: Sequence[tuple[str, str]]) -> list[str]:
+    """Return each note once, in the order of first appearance, with the runs it is about.
+
+    Notes that differ in numbers and quoted names only are one note: its numbers are given as a range, its names as a
+    list.
+
+    Parameters
+    ----------
+    notes : pairs of the name of a run, empty for the campaign, and a text.
+    """
+    groups: dict[tuple[bool, str], list[tuple[str, str]]] = {}
+    for run, text in notes:
+        groups.setdefault((bool(run), _CHANGING.sub("\0", text)), []).append((run, text))
+    return [_said(members) for members in groups.values()]
+
+
+def _said(members: Sequence[tuple[str, str]]) -> str:
+    """Return notes of one form as one line."""
+    runs = list(dict.fromkeys(run for run, _ in members if run))
+    columns = list(zip(*(_CHANGING.findall(text) for _, text in members), strict=True))
+    merged = iter([_merged(list(dict.fromkeys(column))) for column in columns])
+    text = _CHANGING.sub(lambda _: next(merged), members[0][1])
+    if not runs:
+        return text
+    who = f"{len(runs)} runs ({listed(runs, _MOST_NAMES)})" if len(runs) > 1 else runs[0]
+    return f"{who}: {text}"
+
+
+def _merged(parts: Sequence[str]) -> str:
+    """Return numbers as a range, and quoted names as a list."""
+    if len(parts) == 1:
+        return parts[0]
+    if parts[0][0] in "'\"":
+        return listed(parts, _MOST_NAMES)
+    ordered = sorted(parts, key=float)
+    return f"{ordered[0]} … {ordered[-1]}"
+
 
 _MOST_RUNS = 8
 """Up to so many runs are listed one by one."""

@@ -1,4 +1,11 @@
-"""Classical estimates beside the joint fit, and the part of the difference that the mounting angle explains."""
+"""Classical estimates beside the joint fit, and how far classical assumptions explain their difference.
+
+A classical estimate takes seat and table as exact and each run at its own temperature.  What these assumptions do to it
+is found by evaluating the outputs that the fit predicts in the same way, which gives what the classical evaluation
+would find where the fit is right.  Where the estimate from the measured outputs agrees with that from the predicted
+ones, the assumptions that the fit gives up explain its difference from the fit.  The mounting angle has its own part of
+the difference.
+"""
 
 import math
 from collections import Counter
@@ -7,15 +14,84 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+import polars as pl
 
-from imubayes.covariates import REFERENCE_TEMPERATURE
-from imubayes.display.classical_of_prediction import OfPrediction
-from imubayes.display.labels import listed, pretty
-from imubayes.display.rounding import significant, value_and_sd
-from imubayes.display.table_layout import Cell, Sheet
-from imubayes.json_record import finite
+from imubayes.display.layout import Cell, Sheet
+from imubayes.display.numbers_and_labels import listed, pretty, significant, value_and_sd
+from imubayes.foundations.campaign_data import Campaign, Run
+from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
+from imubayes.foundations.records import finite
+from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, compared_probability
 from imubayes.results.summary import Conformance, DerivedSummary, Quantity, Summary
+
+# Runs closer to the reference temperature differ by less than a test at one temperature does.
+_SAME_TEMPERATURE = 5.0
+
+
+@dataclass(frozen=True)
+class OfPrediction:
+    """Classical estimates of predicted outputs.
+
+    Attributes
+    ----------
+    value : (name, run) → estimate.
+    of_offset : (name, run) → its change by run offsets of one standard deviation.
+    temperature : run → mean temperature, °C, where it differs from that of the joint values and the model has
+        parameters for it.
+    """
+
+    value: Mapping[tuple[str, str], float]
+    of_offset: Mapping[tuple[str, str], float]
+    temperature: Mapping[str, float]
+
+
+def of_prediction(campaign: Campaign, residuals: pl.DataFrame, summary: Summary) -> OfPrediction:
+    """Return the classical estimates of the outputs that a fit predicts."""
+    offsets = {
+        channel.name: next(
+            (p.mean or 0.0 for p in summary.parameters if p.name == f"run_scatter.tau[{channel.name}]"), 0.0
+        )
+        for channel in campaign.channels
+    }
+    plain = classical_values(with_outputs(campaign, residuals, {}))
+    shifted = classical_values(with_outputs(campaign, residuals, offsets))
+    effects = {p.name.partition(".")[0] for p in summary.parameters}
+    thermal = any("temperature" in name or "converter" in name for name in effects)
+    return OfPrediction(
+        plain,
+        {key: abs(shifted[key] - value) for key, value in plain.items() if key in shifted},
+        {run.name: at for run in campaign.runs if thermal and (at := _temperature(run)) is not None},
+    )
+
+
+def classical_values(campaign: Campaign) -> dict[tuple[str, str], float]:
+    """Return the classical estimates of a campaign by (name, run)."""
+    return {(each.name, each.run): each.value for each in classical(campaign) if isinstance(each, Estimate)}
+
+
+def _temperature(run: Run) -> float | None:
+    known = run.covariates.get("temperature")
+    if known is None:
+        return None
+    mean = float(np.mean(known))
+    return mean if abs(mean - REFERENCE_TEMPERATURE) > _SAME_TEMPERATURE else None
+
+
+def with_outputs(campaign: Campaign, residuals: pl.DataFrame, offsets: Mapping[str, float]) -> Campaign:
+    """Return the campaign with the outputs of its channels as predicted, and an offset of each run added."""
+    found = {name[0]: own for name, own in residuals.group_by("run")}
+    runs = []
+    for run in campaign.runs:
+        observed = run.observed.copy()
+        for place, channel in enumerate(campaign.channels):
+            if channel.kind == "angle" or run.name not in found:
+                continue
+            own = found[run.name].filter(pl.col("channel") == channel.name)
+            observed[own["row"].to_numpy(), place] = own["predicted"].to_numpy() + offsets.get(channel.name, 0.0)
+        runs.append(replace(run, observed=observed))
+    return replace(campaign, runs=tuple(runs))
+
 
 # A difference beyond so many combined standard deviations is one that the classical uncertainty does not cover.
 _BEYOND = 3.0

@@ -6,14 +6,14 @@ from rich.console import Console
 from rich.table import Column
 from rich.table import Table as Grid
 
-from imubayes.campaign_data import Campaign
-from imubayes.covariates import remedy
 from imubayes.effects.base import Effect, MotionEffect, Order
 from imubayes.effects.shared_formulas import Sensor
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import remedy
+from imubayes.foundations.units import BIAS_CONVENTION
+from imubayes.model.bound_effects import observability
 from imubayes.model.effect_registry import EffectClass, Registry
-from imubayes.model.observability import observability
-from imubayes.parameters.parameter_declarations import declared_options, declared_parameters
-from imubayes.units import BIAS_CONVENTION
+from imubayes.parameters.declarations import declared_options, declared_parameters
 
 
 def print_catalogue() -> None:

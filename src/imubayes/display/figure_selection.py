@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from imubayes.campaign_data import Campaign
-from imubayes.covariates import Covariate
+from imubayes.display.figure_style import MOST_PANELS, Picture, covariates_of, numbers, ordered, varies
 from imubayes.display.figures import (
     campaign_timeline_figure,
     corner_figure,
@@ -23,9 +22,9 @@ from imubayes.display.figures import (
 )
 from imubayes.display.figures.panels import neighbour_means
 from imubayes.display.figures.prior_posterior import mounting_quantities
-from imubayes.display.goodness_of_fit import worst_first
-from imubayes.display.residual_columns import covariates_of, numbers, ordered, varies
-from imubayes.display.theme import MOST_PANELS, Picture
+from imubayes.display.fit_cautions import worst_first
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import Covariate
 from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.results.summary import Quantity, Summary
 

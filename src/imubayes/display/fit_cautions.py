@@ -1,15 +1,78 @@
-"""What has to be known before the numbers of a fit are used, in sentences."""
+"""Cautions of a fit in sentences: noise that departs from its model, χ², and priors in conflict with the data.
 
+They are what has to be known before the numbers of a fit are used.  The noise may depart from its model, or from what
+is known of it beforehand.  χ² is given with its p-values per run and channel.  Parameters take up their share of the
+degrees of freedom: of its n values a run and channel has n·dof/N in proportion.  Parameters whose prior disagrees with
+the data are named in words and in a table, with the line of the file to change.
+"""
+
+import math
 from collections.abc import Sequence
 
-from imubayes.display.labels import listed, pretty
-from imubayes.display.noise_violation_text import contradiction_text, violation_text
-from imubayes.display.rounding import percent, relation, significant
-from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
-from imubayes.model.model_spec import SingleRunEffect
-from imubayes.results.summary import PriorScatter, Summary
+from imubayes.adequacy.adequacy_record import NoiseComparison, NoiseViolation
+from imubayes.display.layout import Cell, Sheet
+from imubayes.display.numbers_and_labels import listed, percent, pretty, relation, significant, value_and_sd
+from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival
+from imubayes.inference.identifiability import ImplausibleEstimate, PriorConflict, UnexplainedOutput
+from imubayes.model.model_file import SingleRunEffect
+from imubayes.results.summary import PriorScatter, RunSummary, Summary
 
+_WORDS = {
+    "autocorrelation": "the residuals are autocorrelated",
+    "low_frequency": "the residuals drift within runs",
+    "scatter_between_runs": "runs scatter more than the noise within them",
+    "grows_with_input": "the noise grows with the input",
+    "heavy_tails": "the noise has heavy tails or outliers",
+    "quantisation": "the output is quantised too coarsely for its noise",
+}
 _MOST_NAMED = 3
+
+
+def violation_text(violations: Sequence[NoiseViolation]) -> str:
+    """Return each kind of violation with its channels and evidence, separated by semicolons."""
+    kinds = dict.fromkeys(violation.kind for violation in violations)
+    return "; ".join(_one_kind([each for each in violations if each.kind == kind]) for kind in kinds)
+
+
+def _one_kind(violations: Sequence[NoiseViolation]) -> str:
+    first, said = violations[0], _WORDS[violations[0].kind]
+    channels = list(dict.fromkeys(channel for violation in violations for channel in violation.channels))
+    named = ", ".join(channels[:_MOST_NAMED]) + (" …" if len(channels) > _MOST_NAMED else "")
+    if first.step is not None:
+        return f"{said} ({named}: a step is {significant(first.step)} times the noise)"
+    chance = min(violation.p for violation in violations if violation.p is not None)
+    return f"{said} ({named}, p {relation(chance)})"
+
+
+def contradiction_text(contradicted: Sequence[NoiseComparison]) -> str:
+    """Return which noise scale contradicts what is known of it, by what factor, and what that means."""
+    worst, *others = dict.fromkeys(each.parameter for each in contradicted)
+    own = [each for each in contradicted if each.parameter == worst]
+    factors = " and ".join(_factor(each) for each in own if each.excessive or each.ratio > 1)
+    where = "between runs" if own[0].between_runs else "from row to row"
+    meaning = f"scatter {where} stands in for something that the model lacks"
+    if own[0].source == "samples":
+        meaning += ", an effect or noise slower than a row"
+    elif not any(each.excessive and each.source == "sisters" for each in own):
+        meaning += ", or the prior is too narrow for this unit"
+    more = f"; {listed(others, _MOST_NAMED)} likewise" if others else ""
+    return f"{worst}, {significant(own[0].fitted)} {pretty(own[0].unit)}, is {factors}: {meaning}{more}"
+
+
+def _factor(each: NoiseComparison) -> str:
+    if each.source == "samples":
+        return f"{noise_ratio(each)} times what the raw samples of the same rows say"
+    if each.source == "sisters":
+        # Not the scales are compared: that of a sister may be zero.
+        by = "means of their runs" if each.between_runs else "scatter of their rows"
+        return f"{significant(each.ratio, 2)} times that of {' and '.join(each.sisters)} by the {by}"
+    return f"{significant(each.ratio, 2)} times the scale of its prior"
+
+
+def noise_ratio(each: NoiseComparison) -> str:
+    """Return fitted over known noise with its standard uncertainty."""
+    value, sd = value_and_sd(each.ratio, each.ratio_sd)
+    return f"{value} ± {sd}"
 
 
 def alarm_of(summary: Summary) -> str:
@@ -111,4 +174,93 @@ def _rests_on_prior(found: PriorScatter) -> str:
         f"{found.scale} is known mostly from its prior ({percent(found.from_data)} from the data), and the "
         f"intervals of {names}{more} depend on it: the sd is {significant(found.factor)} times larger at the upper end "
         "of that prior than at the lower. More runs, or a prior from experience, would settle it."
+    )
+
+
+SIGNIFICANT = 0.001
+
+
+def share_of_freedom(summary: Summary) -> float:
+    """Return the degrees of freedom per residual, between 0.1 and 1; 1 where there are no residuals."""
+    count = sum(run.n for run in summary.runs)
+    return min(max(summary.dof / count, 0.1), 1.0) if count and summary.dof else 1.0
+
+
+def chi2_text(summary: Summary) -> str:
+    """Return χ² at the noise as fitted, and beside it at the noise known beforehand where that was found."""
+    fitted = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
+    said, known = f"chi2 {fitted} for {summary.dof:.0f} degrees of freedom", summary.known_noise
+    if known is None:
+        return said
+    return f"{said} at the noise as fitted, {known.chi2:.1f} for {known.dof:.0f} at the noise known beforehand"
+
+
+def tail(chi2: float, freedom: float) -> float:
+    """Return the p-value of a χ²: of its upper tail, or minus that of the lower tail where this is smaller."""
+    if not (math.isfinite(chi2) and freedom > 0):
+        return math.nan
+    above = float(chi2_survival(chi2, freedom))
+    below = float(chi2_cdf(chi2, freedom))
+    return above if above <= below else -below
+
+
+def worst_first(summary: Summary) -> list[str]:
+    """Return the names of the runs, the one with the least likely excess of χ² in a channel first."""
+    share = share_of_freedom(summary)
+    chance: dict[str, float] = {}
+    for run in summary.runs:
+        found = math.nan if run.chi2 is None else tail(run.chi2, share * run.n)
+        chance[run.name] = min(chance.get(run.name, 1.0), found if found >= 0 else 1.0)
+    return sorted(chance, key=chance.__getitem__)
+
+
+def worst_channels(runs: Sequence[RunSummary], most: int) -> list[str]:
+    """Return at most `most` channels, those of the largest χ²/n, in their own order."""
+    channels = list(dict.fromkeys(run.channel for run in runs))
+
+    def ratio(channel: str) -> float:
+        own = [run for run in runs if run.channel == channel]
+        return sum(run.chi2 or 0.0 for run in own) / max(sum(run.n for run in own), 1)
+
+    ranked = sorted(channels, key=ratio, reverse=True)[:most]
+    return [channel for channel in channels if channel in ranked]
+
+
+def conflict_sheet(conflicts: Sequence[PriorConflict]) -> Sheet:
+    """Return a table of priors that disagree with the data, with the lines to change below."""
+    rows = []
+    for conflict in conflicts:
+        prior = value_and_sd(conflict.prior_mean, conflict.prior_sd)
+        alone = value_and_sd(conflict.data_value, conflict.data_sd)
+        posterior = value_and_sd(conflict.value, conflict.sd)
+        texts = [conflict.name, *(" ± ".join(pair) for pair in (prior, alone, posterior)), pretty(conflict.unit)]
+        decided = Cell(conflict.decided_by, "bad" if conflict.decided_by == "prior" else "")
+        rows.append((*map(Cell, texts), Cell(significant(conflict.distance, 2)), decided))
+    head = ("parameter", "prior", "data alone", "posterior", "unit", "distance, sd", "decided by")
+    remedies = dict.fromkeys(map(remedy, conflicts))
+    return Sheet("Prior and data disagree", head, rows, (0, 4, 6), note="\n".join(remedies))
+
+
+def conflict_line(conflict: PriorConflict) -> str:
+    """Return a sentence on a prior that disagrees with the data, and what to change."""
+    alone, spread = value_and_sd(conflict.data_value, conflict.data_sd)
+    mean, sd = value_and_sd(conflict.prior_mean, conflict.prior_sd)
+    value, uncertainty = value_and_sd(conflict.value, conflict.sd)
+    whose = "The prior decides" if conflict.decided_by == "prior" else "The prior is unusual for"
+    return (
+        f"{whose} {conflict.name} = {value} ± {uncertainty} {pretty(conflict.unit)}: the data alone ask for {alone} ± "
+        f"{spread}, the prior is {mean} ± {sd}, {significant(conflict.distance, 2)} standard deviations apart. "
+        f"{remedy(conflict)}"
+    )
+
+
+def remedy(conflict: PriorConflict) -> str:
+    """Return which line of which file to change so that the data decide."""
+    if conflict.stated_in == "campaign":
+        owner = conflict.name[conflict.name.index("[") + 1 : -1]
+        return f"If the data are right: campaign.toml, a larger uncertainty of '{owner}'."
+    wider = conflict.wider or "a wider prior"
+    return (
+        f'If the data are right: model file, [[effect]] name = "{conflict.effect}", '
+        f'prior = {{ {conflict.parameter} = "{wider}" }}.'
     )

@@ -1,25 +1,34 @@
-"""A fit and its classical evaluation as reports for the terminal."""
+"""A fit and its classical evaluation as reports: for the terminal, and as self-contained HTML for a notebook.
 
-from imubayes.display.calibration_sheet import MARK, CalibrationSheet, axis_sheet, calibration_sheets
+The HTML has no scripts, links or external styles; all text is escaped.
+"""
+
 from imubayes.display.classical_comparison import (
     ClassicalComparison,
     classical_sheet,
     decision_sheet,
     undetermined_sheet,
 )
-from imubayes.display.combination_tables import combination_sheet, weak_sheet, weak_text
-from imubayes.display.fit_cautions import alarm_of, disagreement_lines, notices
-from imubayes.display.fit_quality_tables import (
+from imubayes.display.fit_cautions import alarm_of, chi2_text, conflict_sheet, disagreement_lines, notices
+from imubayes.display.layout import Report, Sheet, render, without_alarm
+from imubayes.display.loop.history import provenance_line
+from imubayes.display.numbers_and_labels import listed, percent
+from imubayes.display.quality_tables import (
     NOT_DETERMINED,
+    combination_sheet,
     contribution_sheet,
     narrowing_text,
     next_run_sheet,
+    run_design_text,
     run_sheet,
+    weak_sheet,
+    weak_text,
 )
-from imubayes.display.goodness_of_fit import chi2_text
-from imubayes.display.labels import listed
-from imubayes.display.prior_conflicts import conflict_sheet
 from imubayes.display.quantity_tables import (
+    MARK,
+    CalibrationSheet,
+    axis_sheet,
+    calibration_sheets,
     derived_sheet,
     equipment_sheet,
     is_nuisance,
@@ -28,10 +37,6 @@ from imubayes.display.quantity_tables import (
     sampling_note,
     scale_and_angle_sheet,
 )
-from imubayes.display.report_layout import Report
-from imubayes.display.rounding import percent
-from imubayes.display.run_design_words import run_design_text
-from imubayes.display.table_layout import Sheet, without_alarm
 from imubayes.results.summary import Summary
 
 _FEW_COMBINATIONS = 8
@@ -115,3 +120,22 @@ def classical_report(comparison: ClassicalComparison) -> Report:
     sheets = (classical_sheet(comparison.estimates), decision_sheet(comparison), undetermined_sheet(comparison))
     none = "No classical evaluation applies to these runs."
     return Report((), sheets, () if comparison.estimates else (none,))
+
+
+def summary_html(summary: Summary) -> str:
+    """Return the whole result: convergence and calibration; folded, every table of the fit."""
+    at_a_glance = [*calibration_sheets(summary), axis_sheet(summary), scale_and_angle_sheet(summary)]
+    tables = (at_a_glance, every_table(summary, nuisance=False))
+    shown, folded = ([block for sheet in sheets for block in sheet.blocks()] for sheets in tables)
+    return render(
+        "summary",
+        summary=summary,
+        alarm=alarm_of(summary),
+        notices=notices(summary),
+        chi2=chi2_text(summary),
+        # Without a channel of its own, such as a result of equipment alone, the parameters stand open.
+        shown=shown or folded[:1],
+        weak=weak_lines(summary),
+        folded=folded if shown else folded[1:],
+        origin=provenance_line(summary.provenance),
+    )

@@ -1,7 +1,11 @@
-"""Model against measurement, whole: all tables and pictures of a result folder.
+"""Model against measurement: all tables and pictures of a result folder, and the index page of the comparison.
 
-Pictures go to `figures/` one by one, each written beside and then put in its place, so that a picture seen is a whole
-picture.  `figures/captions.json` lists what was drawn; what an earlier comparison drew and this one does not, goes.
+Pictures go to `figures/` one by one, each written beside and then put in its place, so that no incomplete picture is
+ever seen.  `figures/captions.json` lists what was drawn; what an earlier comparison drew and this one does not is
+removed.
+
+The page shows the five figures that matter first, all others folded, and the tables.  It is one file beside the folder
+`figures`, without scripts or external styles; its pictures are the files of that folder.
 """
 
 import gc
@@ -14,36 +18,62 @@ from typing import Any
 
 import lazy_loader
 import polars as pl
+from markupsafe import Markup
 from rich.console import Console, ConsoleOptions
 
-from imubayes.atomic_files import write_json, write_text
-from imubayes.display.classical_comparison import ClassicalComparison, compare_classical, discrepancy_sheet
-from imubayes.display.classical_of_prediction import of_prediction
-from imubayes.display.combination_tables import combination_sheet, weak_sheet
-from imubayes.display.comparison_page import FIRST, comparison_page
+from imubayes.display.classical_comparison import (
+    ClassicalComparison,
+    compare_classical,
+    discrepancy_sheet,
+    of_prediction,
+)
 from imubayes.display.figure_selection import corner_choice, most_telling_first, plan, runs_shown
+from imubayes.display.figure_style import Picture, ordered
 from imubayes.display.fit_cautions import disagreement_lines
-from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
-from imubayes.display.notebook_progress import progress_of
+from imubayes.display.fit_report import summary_html
+from imubayes.display.layout import SheetTable, render, terminal
+from imubayes.display.progress import progress_of
+from imubayes.display.quality_tables import combination_sheet, fit_sheet, run_sheet, weak_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
-from imubayes.display.residual_columns import ordered
-from imubayes.display.summary_html import summary_html
-from imubayes.display.table_layout import SheetTable, terminal
-from imubayes.display.theme import Picture
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.files import write_json, write_text
+from imubayes.foundations.progress import Tell, counted
 from imubayes.model.model_file import read_model
-from imubayes.procedures.classical import classical
+from imubayes.procedures import classical
 from imubayes.qualification.temperature_range import ThermalModel, thermal_model
-from imubayes.results.fit_record import campaign_of
-from imubayes.results.posterior_draws import draws_of
-from imubayes.results.read_folder import read_summary_and_residuals
-from imubayes.results.record_files import damaged
-from imubayes.results.record_names import MODEL, PAGE, POSTERIOR
+from imubayes.results.folder_files import MODEL, PAGE, POSTERIOR, damaged
+from imubayes.results.history_tree import campaign_of
+from imubayes.results.stored_tables import draws_of, read_summary_and_residuals
 from imubayes.results.summary import Summary
-from imubayes.step_counter import Tell, counted
+
+FIRST = 5
+"""Number of figures that are shown unfolded."""
+
+
+@dataclass(frozen=True)
+class PageFigure:
+    """A figure of the page: its file, relative to the page, and its caption."""
+
+    file: str
+    caption: str
+
+
+def comparison_page(summary: Summary, ranked: Sequence[str], captions: Mapping[str, str], notes: Sequence[str]) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    ranked : files in `figures`, those that matter most first.
+    captions : of each file.
+    notes : what was left out.
+    """
+    shown = [PageFigure(f"figures/{name}", captions[name]) for name in ranked]
+    page = {"first": shown[:FIRST], "others": shown[FIRST:], "notes": notes, "tables": Markup(summary_html(summary))}
+    return render("comparison", title=f"{summary.campaign}, model {summary.model}", **page).lstrip() + "\n"
+
 
 # They load JAX, which most comparisons do not need.
-effects_behind: Any = lazy_loader.load("imubayes.display.effects_behind", suppress_warning=True)
+effects_behind: Any = lazy_loader.load("imubayes.display.loop.effects_behind", suppress_warning=True)
 fit_file: Any = lazy_loader.load("imubayes.results.fit_file", suppress_warning=True)
 
 _MOST_COLUMNS = 9

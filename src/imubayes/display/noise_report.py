@@ -1,16 +1,286 @@
-"""The noise terms of static records as tables, sentences, a figure per record, and a model snippet of priors."""
+"""The noise terms of static records as tables, sentences and figures, and as a model file of priors.
 
+The priors serve the other campaigns of the unit.  Determined terms have lognormal priors as wide as their intervals,
+and keep the correlation of their estimate.  Flicker noise and random walk that the record does not determine are not
+zero: they have half-normal priors with 95 % below the upper limit.  A ramp of one record may go the other way in the
+next.
+
+There is a figure per record.  The sentences state what a static record holds beside noise, and why terms are withheld.
+"""
+
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
-from imubayes.atomic_files import write_text
+import numpy as np
+
 from imubayes.display.figures.allan import allan_figure
-from imubayes.display.noise_findings import beside_noise, density_unit, withheld_because
-from imubayes.display.noise_priors_file import has_priors, priors_text
-from imubayes.display.report_layout import Report
-from imubayes.display.rounding import rounded, significant
-from imubayes.display.table_layout import Cell, Sheet
+from imubayes.display.layout import Cell, Report, Sheet
+from imubayes.display.numbers_and_labels import pretty, rounded, significant
+from imubayes.foundations.files import write_text
+from imubayes.noise_analysis.cosine_spectra import NoiseTerm
+from imubayes.noise_analysis.described_band import Cause, Gap
 from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, TermRecord
-from imubayes.noise_analysis.noise_spectra import NoiseTerm
+
+# Effect, parameter and factor from output units and seconds of each coefficient; white noise is scaled by the sampling
+# rate besides.
+_EFFECTS = {
+    NoiseTerm.WHITE: ("white_noise", "sigma", 1.0),
+    NoiseTerm.QUANTISATION: ("pulse_quantisation", "q", 1.0),
+    NoiseTerm.FLICKER: ("flicker_noise", "b", 1.0),
+    NoiseTerm.RANDOM_WALK: ("random_walk_noise", "k", 60.0),
+    NoiseTerm.MARKOV: ("gauss_markov_noise", "sigma", 1.0),
+}
+_TIME = "correlation_time"
+_ALWAYS = (NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
+_QUANTILE = 1.959964  # of the normal distribution, at 97.5 %
+_LEAST_WIDTH = 1e-3
+
+
+def priors_text(noise: StaticNoise, sample_rate: float | None = None) -> str:
+    """Return the noise of the last record of every channel as a model file.
+
+    Parameters
+    ----------
+    sample_rate : of the raw samples of the other campaigns, Hz; that of the record where None.
+    """
+    last = {channel.channel: channel for channel in noise.channels if has_priors(channel)}
+    text = [
+        "# Noise of the unit from its static records, as priors for models of its other campaigns. In such a model:",
+        '#     noise_priors = "noise-priors.toml"        # path from the folder of the model file',
+        "# It takes the place of effects of the same names. sigma of white noise is that of one raw sample.",
+        "format = 1",
+        f'name = "noise of {noise.campaign}"',
+    ]
+    for channel in last.values():
+        rate = sample_rate or 1 / channel.interval_s
+        text += ["", f"# {channel.channel}, run {channel.run}; raw samples at {rate:.6g} Hz"]
+        if withheld := [str(term.term) for term in channel.terms if term.withheld]:
+            text.append(f"# not determined by this record, and not here: {', '.join(withheld)}")
+        text += _effects(channel, rate)
+        text += _correlation(channel)
+    left_out = dict.fromkeys(channel.channel for channel in noise.channels if channel.channel not in last)
+    if left_out:
+        text += ["", f"# without priors, as the record does not determine their white noise: {', '.join(left_out)}"]
+    return "\n".join(text) + "\n"
+
+
+def has_priors(channel: ChannelNoise) -> bool:
+    """Whether a record gives priors: from a fit that converged and determines the white noise."""
+    return channel.converged and channel.of(NoiseTerm.WHITE).determined
+
+
+def _effects(channel: ChannelNoise, rate: float) -> list[str]:
+    text: list[str] = []
+    for term, (effect, parameter, factor) in _EFFECTS.items():
+        found = channel.of(term)
+        scale = factor * (math.sqrt(rate) if term is NoiseTerm.WHITE else 1.0)
+        if found.determined:
+            priors = {parameter: _lognormal(found, scale)}
+            if term is NoiseTerm.MARKOV:
+                assert channel.correlation_time_s is not None
+                width = (channel.correlation_time_sd_s or 0.0) / channel.correlation_time_s
+                priors["time"] = f"lognormal({channel.correlation_time_s:.8g} s, {max(width, _LEAST_WIDTH):.3g})"
+        elif term in _ALWAYS and found.upper_limit is not None:
+            priors = {parameter: _below(found, scale * found.output_per_unit)}
+        else:
+            continue
+        text += _entry(effect, channel.channel, priors, optional=term is not NoiseTerm.WHITE)
+    ramp = channel.of(NoiseTerm.RAMP)
+    if ramp.determined:
+        assert ramp.value is not None
+        assert ramp.sd is not None
+        effect = "gyro_bias_drift" if channel.kind == "gyro" else "accel_bias_drift"
+        priors = {"slope": f"normal(0, {math.hypot(ramp.value, ramp.sd):.6g} {ramp.unit})"}
+        text += [f"# ramp of this record: {ramp.value:.4g} ± {ramp.sd:.2g} {ramp.unit}"]
+        text += _entry(effect, channel.channel, priors, optional=True)
+    return text
+
+
+def _entry(effect: str, channel: str, priors: dict[str, str], optional: bool) -> list[str]:
+    listed = ", ".join(f'{name} = "{prior}"' for name, prior in priors.items())
+    entry = ["[[effect]]", f'name = "{effect}"', f'channels = ["{channel}"]', f"prior = {{ {listed} }}"]
+    return [*entry, *(["optional = true"] if optional else []), ""]
+
+
+def _lognormal(found: TermRecord, scale: float) -> str:
+    """Return the prior of a determined coefficient, in output units, by the ends of its interval."""
+    assert found.value is not None
+    assert found.low is not None
+    assert found.high is not None
+    per, middle = scale * found.output_per_unit, found.value
+    width = math.log(found.high / middle) / _QUANTILE
+    if found.low > 0:
+        middle, width = math.sqrt(found.low * found.high), math.log(found.high / found.low) / (2 * _QUANTILE)
+    return f"lognormal({per * middle:.8g} output, {max(width, _LEAST_WIDTH):.3g})"
+
+
+def _below(found: TermRecord, scale: float) -> str:
+    assert found.upper_limit is not None
+    return f"halfnormal({scale * found.upper_limit / _QUANTILE:.6g} output)"
+
+
+def _correlation(channel: ChannelNoise) -> list[str]:
+    """Return the correlation of the logarithms of the determined coefficients as a block of the model file."""
+    names = []
+    for term in channel.correlated_terms:
+        effect, parameter = ("gauss_markov_noise", "time") if term == _TIME else _EFFECTS[NoiseTerm(term)][:2]
+        names.append(f"{effect}.{parameter}[{channel.channel}]")
+    if len(names) < 2:
+        return []
+    rows = [f"    [{_numbers(row)}]," for row in channel.correlation]
+    listed = ", ".join(f'"{name}"' for name in names)
+    return ["[[prior_correlation]]", f"parameters = [{listed}]", "matrix = [", *rows, "]", "optional = true", ""]
+
+
+def _numbers(row: Sequence[float]) -> str:
+    return ", ".join(f"{value:.6f}" for value in np.asarray(row))
+
+
+_COARSE = 0.1  # part of rounding in the variance of samples from which it is told
+_MOST_LINES = 5
+
+
+def beside_noise(noise: ChannelNoise) -> list[str]:
+    """Return a sentence for each finding."""
+    return [
+        *_of_repetition(noise), *_of_outliers(noise), *_of_temperature(noise), *_of_lines(noise), *_of_change(noise),
+        *_of_filter(noise), *_of_gaps(noise), *_of_levels(noise), *_of_rounding(noise),
+    ]  # fmt: skip
+
+
+def withheld_because(noise: ChannelNoise, cause: Cause) -> str:
+    """Return why terms are withheld, and what to do."""
+    time = noise.correlation_time_s
+    if cause is Cause.AMBIGUOUS and time is not None:
+        square = sum(
+            (scale * noise.of(term).maximum_in_output_units) ** 2
+            for term, scale in ((NoiseTerm.WHITE, 1.0), (NoiseTerm.MARKOV, (2 * time) ** 0.5))
+        )
+        white = noise.of(NoiseTerm.WHITE)
+        low = f"{significant(square**0.5 / white.output_per_unit)} {density_unit(white.unit)}"
+        return (
+            f"Gauss–Markov noise with a correlation time of {significant(time)} s and white noise behind a low-pass "
+            f"filter look the same. Of a filter, N is {low}."
+        )
+    return _CAUSES[cause]
+
+
+_CAUSES = {
+    Cause.CONVERGENCE: "the estimate did not converge. Give a part of the record without disturbances.",
+    Cause.UNDESCRIBED: "the noise terms do not describe the spectrum. Give a part of the record without disturbances.",
+    Cause.FILTER: "a filter shapes the frequencies that would tell. Give a log without it, or a longer record.",
+    Cause.DRIFT: "low frequencies are not those of noise. Give a settled part of the record, or a temperature_degC.",
+    Cause.CHANGE: "low frequencies hold the change. Give a settled part of the record.",
+    Cause.DISTURBANCE: "the tails of the disturbance reach over the spectrum. Give a part of the record without it.",
+    Cause.REPETITION: "the log is too coarse to tell repeated values from equal ones. Give the sensor's own log.",
+    Cause.ROUNDING: (
+        "the noise is below half a step of the log and not rounded at random, so that its spectrum is not that of the "
+        "sensor. Give a log of finer steps."
+    ),
+    Cause.AMBIGUOUS: "a Gauss–Markov process and a low-pass filter look the same.",
+}
+
+
+def density_unit(unit: str) -> str:
+    """Return the unit of a noise term for display, with √h and √Hz."""
+    return pretty(unit).replace("sqrt(h)", "√h").replace("sqrt(Hz)", "√Hz")
+
+
+def _of_repetition(noise: ChannelNoise) -> list[str]:
+    found = noise.repetition
+    if found is None:
+        return []
+    times = f"{found.mean:.3g}" if found.shortest == found.longest else f"{found.shortest} to {found.longest}"
+    told = f"each value is repeated {times} times: the output is new every {significant(found.interval_s)} s."
+    return [f"{told} The record is taken at that rate."]
+
+
+def _of_outliers(noise: ChannelNoise) -> list[str]:
+    found = noise.outliers
+    if found is None:
+        return []
+    many = "an outlier is" if found.count == 1 else f"{found.count} outliers are"
+    size = f"{found.size:.3g} {pretty(noise.output_unit)}"
+    return [f"{many} left out; the largest is {size} off at {found.time_s:.6g} s."]
+
+
+def _of_temperature(noise: ChannelNoise) -> list[str]:
+    found = noise.temperature
+    if found is None:
+        return []
+    slope = f"{found.slope:.3g} ± {found.sd:.1g} {pretty(noise.output_unit)} per K"
+    return [f"the output follows temperature_degC, by {slope}; this is taken out before the noise."]
+
+
+def _of_lines(noise: ChannelNoise) -> list[str]:
+    if not noise.lines:
+        return []
+    named = [
+        f"{line.frequency_hz:.5g} Hz (amplitude {line.amplitude:.3g} ± {line.amplitude_sd:.1g})"
+        for line in noise.lines[:_MOST_LINES]
+    ]
+    more = len(noise.lines) - len(named)
+    listed = f"{', '.join(named)} {pretty(noise.output_unit)}" + (f" and {more} more" if more else "")
+    word = "a line" if len(noise.lines) == 1 else "lines"
+    return [f"the spectrum has {word} at {listed}, taken out before the fit."]
+
+
+def _of_change(noise: ChannelNoise) -> list[str]:
+    change = noise.sudden_change
+    if change is None:
+        return []
+    size = f"{change.change:.3g} {pretty(noise.output_unit)}"
+    return [
+        f"at {change.time_s:.6g} s the output changes by {size} from one mean over {change.tau_s:.3g} s to the next, "
+        f"{change.ratio:.0f} times the scatter of such changes: a step or a transient, not noise."
+    ]
+
+
+def _of_filter(noise: ChannelNoise) -> list[str]:
+    cut = next((gap for gap in noise.gaps if gap.cause is Cause.FILTER), None)
+    if cut is None and noise.roll_off is None:
+        return []
+    told = "a filter shapes the spectrum: "
+    if cut is not None:
+        tau = significant(noise.shortest_tau_s)
+        return [f"{told}frequencies above {cut.low_hz:.3g} Hz are left out, as with --shortest-tau {tau}."]
+    assert noise.roll_off is not None
+    lost = -10 * noise.roll_off.attenuation / math.log(10)
+    return [f"{told}its power is {lost:.2g} dB at {noise.roll_off.frequency_hz:.3g} Hz. N is that of low frequencies."]
+
+
+def _of_gaps(noise: ChannelNoise) -> list[str]:
+    return [_gap_text(gap) for gap in noise.gaps if gap.cause is not Cause.FILTER]
+
+
+def _gap_text(gap: Gap) -> str:
+    what = "a drift or a transient" if gap.cause is Cause.DRIFT else "a vibration or a disturbance"
+    span = (
+        f"below {gap.high_hz:.3g} Hz" if gap.cause is Cause.DRIFT else f"from {gap.low_hz:.3g} to {gap.high_hz:.3g} Hz"
+    )
+    return f"the noise terms do not describe the spectrum {span}, left out of the fit: {what} may shape it."
+
+
+def _of_levels(noise: ChannelNoise) -> list[str]:
+    if noise.unequal_levels <= 1:
+        return []
+    return [
+        f"the level of noise scatters {noise.unequal_levels:.2g} times as much over the record as Gaussian noise of "
+        "one level does: it changes, or has heavy tails. The interval of N is as much wider."
+    ]
+
+
+def _of_rounding(noise: ChannelNoise) -> list[str]:
+    share = noise.rounding_share
+    if share < _COARSE or noise.of(NoiseTerm.QUANTISATION).determined:
+        return []
+    part = "is taken out of N" if noise.rounding_removed else "is part of N"
+    return [
+        f"the log has steps of {noise.resolution_in_output_units:.3g} {pretty(noise.output_unit)}. Rounding to them "
+        f"makes {min(share, 1.0):.0%} of the variance of single samples, and {part}."
+    ]
+
 
 _NAMES = {
     NoiseTerm.QUANTISATION: "quantisation Q",

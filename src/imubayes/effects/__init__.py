@@ -6,25 +6,22 @@ The catalogue lists the families in the order of the signal path, each in the or
 from imubayes.effects import (
     accelerometer,
     converter,
-    gyro_bias_and_scale,
-    gyro_sensitivities,
+    gyro,
     mounting,
-    outer_axes,
-    reference_gyro,
     table,
     thermometer,
 )
 from imubayes.effects.base import Effect, MotionEffect, Order, PlaceEffect, RecordEffect, SignalEffect, Stage
-from imubayes.parameters.parameter_declarations import named_in
+from imubayes.parameters.declarations import named_in
 
 FAMILIES = (
     table,
-    outer_axes,
-    reference_gyro,
+    table,
+    mounting,
     thermometer,
     mounting,
-    gyro_sensitivities,
-    gyro_bias_and_scale,
+    gyro,
+    gyro,
     accelerometer,
     converter,
 )

@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 
-from imubayes.array_shapes import Scalar
 from imubayes.effects.base import Order, SignalEffect
 from imubayes.effects.shared_formulas import (
     Accelerometer,
@@ -24,8 +23,9 @@ from imubayes.effects.shared_formulas import (
     ThirdOrderNonlinearity,
     WarmUp,
 )
-from imubayes.parameters.parameter_declarations import parameter, thermal_play, time_constant
-from imubayes.signal_path_state import Sample
+from imubayes.foundations.arrays import Scalar
+from imubayes.foundations.signal_path_state import Sample
+from imubayes.parameters.declarations import parameter, thermal_play, time_constant
 
 
 class AccelMisalignment(Accelerometer, Misalignment):

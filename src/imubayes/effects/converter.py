@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 
-from imubayes.array_shapes import Scalar
 from imubayes.effects.base import Order, SignalEffect
 from imubayes.effects.shared_formulas import (
     Converter,
@@ -19,8 +18,9 @@ from imubayes.effects.shared_formulas import (
     ThermalRateScale,
     WarmUp,
 )
-from imubayes.parameters.parameter_declarations import parameter, reference_temperature, thermal_play, time_constant
-from imubayes.signal_path_state import Sample
+from imubayes.foundations.arrays import Scalar
+from imubayes.foundations.signal_path_state import Sample
+from imubayes.parameters.declarations import parameter, reference_temperature, thermal_play, time_constant
 
 
 class InjectionError(Converter, SignalEffect):

@@ -9,12 +9,10 @@ from dataclasses import replace
 import equinox as eqx
 import jax.numpy as jnp
 
-from imubayes.array_shapes import Scalar, Vector3, vector3
-from imubayes.effects.base import Effect, MotionEffect, Order, RecordEffect, SignalEffect, Stage
-from imubayes.effects.memory import Decay, Play
-from imubayes.parameters.parameter_declarations import reference_temperature
-from imubayes.rotations import compose, exponential
-from imubayes.signal_path_state import Ambient, Motion, Sample
+from imubayes.effects.base import Decay, Effect, MotionEffect, Order, Play, RecordEffect, SignalEffect, Stage
+from imubayes.foundations.arrays import Scalar, Vector3, compose, exponential, vector3
+from imubayes.foundations.signal_path_state import Ambient, Motion, Sample
+from imubayes.parameters.declarations import reference_temperature
 
 Parameter = eqx.AbstractVar[Scalar]
 

@@ -2,10 +2,10 @@
 
 from typing import ClassVar
 
-from imubayes.array_shapes import Scalar
 from imubayes.effects.base import AmbientEffect, Order, Stage
-from imubayes.parameters.parameter_declarations import parameter
-from imubayes.signal_path_state import Ambient
+from imubayes.foundations.arrays import Scalar
+from imubayes.foundations.signal_path_state import Ambient
+from imubayes.parameters.declarations import parameter
 
 
 class TemperatureOffset(AmbientEffect):
@@ -15,7 +15,7 @@ class TemperatureOffset(AmbientEffect):
 
     Attributes
     ----------
-    covariate : the temperature that is in error, as `imubayes.covariates.COVARIATES` names it.
+    covariate : the temperature that is in error, as `imubayes.foundations.covariates.COVARIATES` names it.
     """
 
     stage, order = Stage.TABLE, Order.CIRCUMSTANCES

@@ -1,4 +1,7 @@
-"""Candidate runs: what the campaign's tables, mountings, chamber and converters allow."""
+"""Candidate runs: what the campaign's tables, mountings, chamber and converters allow, and the next run as a record.
+
+The next run is one that would determine what the data did not.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -7,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Mounting, Run, Table
-from imubayes.json_record import Record
+from imubayes.foundations.campaign_data import Campaign, Mounting, Run, Table
+from imubayes.foundations.records import Record
 from imubayes.procedures import PROCEDURES
 from imubayes.procedures.ambient import instant
 
@@ -244,3 +247,13 @@ def _rates(campaign: Campaign, table: Table) -> list[float]:
     rates = np.unique(np.degrees(np.round(np.concatenate(made), 9))) if made else np.zeros(0)
     turning = [float(rate) for rate in rates if rate != 0]
     return turning or list(_DEFAULT_RATES)
+
+
+class NextRun(Record):
+    """A run that would narrow a quantity: expected standard deviation before and after it."""
+
+    run: RunDesign
+    quantity: str
+    sd_before: float
+    sd_after: float
+    unit: str

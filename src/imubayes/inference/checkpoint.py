@@ -15,8 +15,8 @@ import h5py
 import lazy_loader
 import numpy as np
 
-from imubayes.atomic_files import replacing
-from imubayes.errors import InputError, Issue
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.files import replacing
 
 if TYPE_CHECKING:
     import emcee

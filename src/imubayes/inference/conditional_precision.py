@@ -1,11 +1,17 @@
-"""What the data know about θ at any noise scales, from blocks that are stored once.
+"""Precision of θ at any noise scales, from blocks stored once, and coordinates of the scales for correlated noise.
 
 The offset that all rows of a run share moves their mean alone, so knowledge falls into two parts.  Differences within a
-run do not feel the scatter between runs: with scales d_j = log s_j(h)/s_j(ĥ) their precision and gradient are
-Σ_j exp(−2 d_j) of one block a scale, exact for independent noise.  A correlation φ of rows multiplies the blocks of its
-rows as it does their information on the mean of a run.  The mean of run
-and channel g has variance T_g(h) + 1/n_g(h), T_g the shared variance and n_g the information of its rows on the mean,
-whatever the ratio of the two; run means of the same variance at every h are one block together.
+run do not feel the scatter between runs: with scales d_j = log s_j(h)/s_j(ĥ) their precision and gradient are Σ_j
+exp(−2 d_j) of one block a scale, exact for independent noise.  A correlation φ of rows multiplies the blocks of its
+rows as it does their information on the mean of a run.  The mean of run and channel g has variance T_g(h) + 1/n_g(h),
+T_g the shared variance and n_g the information of its rows on the mean, whatever the ratio of the two; run means of the
+same variance at every h are one block together.
+
+Correlated noise makes a ridge in the posterior of its scales.  Of AR(1) noise r_k = φ r_(k−1) + √(1 − φ²) ε_k a series
+tells the standard deviation of the innovations, σ √(1 − φ²), at once, and σ and φ only after many correlation times: as
+φ nears 1 both grow together, along a curve (Box and Jenkins).  With the scale of the innovations in place of that of
+the noise there is no ridge: in the logarithm of σ √(1 − φ²) the curve is straight.  The shear that leads there does not
+change φ, so its determinant is 1.
 """
 
 import equinox as eqx
@@ -13,15 +19,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Float, Int
-from imubayes.gather import take
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import Array, Float, Int, take
+from imubayes.inference.laplace_marginal import Linearised, knowledge
 from imubayes.inference.posterior_mode import Mode
-from imubayes.inference.posterior_precision import Linearised, knowledge
-from imubayes.kept_programs import kept
-from imubayes.model.noise_covariance import group_sum, noise_distribution, row_correlations, rows_correlate, whitener
+from imubayes.model.likelihood import pseudo_values
+from imubayes.model.noise_covariance import (
+    group_sum,
+    noise_distribution,
+    row_correlations,
+    rows_correlate,
+    whitener,
+)
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.model.robust_likelihood import pseudo_values
-from imubayes.noise.base import EntryNoise, SeriesNoise, SharedNoise, TailNoise
+from imubayes.noise.components import EntryNoise, SeriesNoise, SharedNoise, TailNoise
 
 # Run means are of one class where their variances agree to this, relative, at the mode and at a few points besides.
 _DIGITS, _PROBES = 9, 3
@@ -203,3 +214,63 @@ def _is_scale(problem: Problem) -> Float[Array, " H"]:
             for place in layer.places.values():
                 found = found.at[place].min(1 - layer.acts)
     return found
+
+
+# Least singular value, relative to the largest, that counts for how scales move the variance of a run.
+_LEAST = 1e-6
+
+
+class InnovationScale(eqx.Module):
+    """The shear h = u + S (λ(u) − λ(ĥ)) with λ = ½ log(1 − φ²) of each run and channel.
+
+    Attributes
+    ----------
+    slope : S, shape (H, G); its rows are 0 for the correlations themselves.
+    at_mode : λ(ĥ), shape (G,).
+    """
+
+    slope: Float[Array, "H G"]
+    at_mode: Float[Array, " G"]
+
+    def straightened(self, problem: Problem, h: Float[Array, " H"]) -> Float[Array, " H"]:
+        """Return u of noise scales h."""
+        return h - self._along_ridge(problem, h)
+
+    def scales(self, problem: Problem, straight: Float[Array, " H"]) -> Float[Array, " H"]:
+        """Return the noise scales h of u."""
+        return straight + self._along_ridge(problem, straight)
+
+    def straightened_information(
+        self, problem: Problem, h: Float[Array, " H"], information: Float[Array, "H H"]
+    ) -> Float[Array, "H H"]:
+        """Return the negative Hessian in u of a density of h at its mode, from that in h."""
+        slope = jax.jacfwd(lambda straight: self.scales(problem, straight))(h)
+        return slope.T @ information @ slope
+
+    def _along_ridge(self, problem: Problem, h: Float[Array, " H"]) -> Float[Array, " H"]:
+        return self.slope @ (_log_innovation(problem, h) - self.at_mode)
+
+
+def innovation_scale(problem: Problem, h: Float[Array, " H"]) -> InnovationScale | None:
+    """Return the shear about the mode h; None where no rows are correlated."""
+    if problem.timeline is not None or not rows_correlate(problem):
+        return None
+    sensitivity, at_mode = _at(problem, h)
+    return InnovationScale(-jnp.asarray(np.linalg.pinv(np.asarray(sensitivity), rcond=_LEAST)), at_mode)
+
+
+@kept
+def _at(problem: Problem, h: Float[Array, " H"]) -> tuple[Float[Array, "G H"], Float[Array, " G"]]:
+    """Return how scales move the mean logarithm of the noise of each run and channel, and λ there."""
+
+    def mean_log(h: Float[Array, " H"]) -> Float[Array, " G"]:
+        own, observations = noise_distribution(problem, h).squared_scale, problem.observations
+        there = jnp.where(observations.weight > 0, 1.0, 0.0)
+        logarithm = jnp.where(there > 0, jnp.log(jnp.where(there > 0, own, 1.0)), 0.0)
+        return 0.5 * group_sum(logarithm, observations) / jnp.maximum(group_sum(there, observations), 1.0)
+
+    return jax.jacfwd(mean_log)(h), _log_innovation(problem, h)
+
+
+def _log_innovation(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
+    return 0.5 * jnp.log1p(-(row_correlations(problem, problem.hyper_priors.values(h)) ** 2))

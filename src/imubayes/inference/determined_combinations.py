@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imubayes.inference.identifiability import WEAK_SHARE
-from imubayes.procedures.standard_combinations import LinearCombination, ProjectedScaleFactor, StandardCombination
+from imubayes.procedures.fitted_terms import LinearCombination, ProjectedScaleFactor, StandardCombination
 
 # A parameter is a member where weak directions contribute more than this share of its posterior variance.
 _FROM_WEAK = 0.5

@@ -5,9 +5,9 @@ mode, where there is one, is found by one of them and shows as disagreement.  Th
 block the checkpoint is replaced as a whole and convergence is judged.
 
 How long a chain has to be follows from the importance weights of its proposal: a walker stays for as many steps as the
-weight of its place, so the chain takes several times the largest weight found (`imubayes.inference.proposal_weights`);
+weight of its place, so the chain takes several times the largest weight found (`imubayes.inference.laplace_proposal`);
 and from the tails of the posterior, whose standard deviations and intervals are to have small Monte Carlo errors
-(`imubayes.inference.monte_carlo_error`).
+(`imubayes.inference.convergence`).
 
 Without good independent proposals a walker that begins far off a narrow ridge may never arrive, while the others move
 along it.  Such walkers are drawn anew in the burn-in, from those in the bulk of their ensemble.
@@ -22,12 +22,10 @@ from typing import TYPE_CHECKING
 import lazy_loader
 import numpy as np
 
+from imubayes.foundations.progress import duration, silent
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.convergence import MOST_DRAWS, STAYS, Convergence, diagnose, far_below
-from imubayes.inference.laplace_move import LaplaceMove
-from imubayes.inference.monte_carlo_error import normal_length
-from imubayes.inference.proposal_weights import BatchedDensity, WeighedProposal
-from imubayes.step_counter import duration, silent
+from imubayes.inference.convergence import MOST_DRAWS, STAYS, Convergence, diagnose, far_below, normal_length
+from imubayes.inference.laplace_proposal import BatchedDensity, LaplaceMove, WeighedProposal
 
 if TYPE_CHECKING:
     import emcee

@@ -1,11 +1,13 @@
-"""What the data determined and what they did not, said in names.
+"""What the data determined and what they did not, and which estimates, priors and outputs disagree with a fit.
 
-For a quantity the share from the data is 1 − posterior variance / prior variance.  For combinations the same number
-is an eigenvalue matter: in z the prior is the unit normal, so an eigenvalue λ of the posterior precision means that
-the data contributed 1 − 1/λ along its direction.  The weak directions span a space without preferred axes; they are
-written in reduced echelon form, one named parameter leading each, which is how an engineer thinks of them: "this
-one together with those".  Quantities that are confused with each other are found among pairs of derived ones by the
-same measure.
+For a quantity the share from the data is 1 − posterior variance / prior variance.  For combinations the same number is
+an eigenvalue matter: in z the prior is the unit normal, so an eigenvalue λ of the posterior precision means that the
+data contributed 1 − 1/λ along its direction.  The weak directions span a space without preferred axes; they are written
+in reduced echelon form, one named parameter leading each, which is how an engineer thinks of them: "this one together
+with those".  Quantities that are confused with each other are found among pairs of derived ones by the same measure.
+
+Records hold what each test procedure contributes to a quantity, estimates that no working unit can have, outputs that a
+fit leaves unexplained, and estimates far from their priors.
 """
 
 from collections.abc import Sequence
@@ -14,8 +16,26 @@ from typing import Literal
 import numpy as np
 from pydantic import computed_field
 
-from imubayes.json_record import Record
-from imubayes.procedures.estimable_functions import written
+from imubayes.foundations.records import Record
+from imubayes.procedures.fitted_terms import written
+
+
+class ProcedureShare(Record):
+    """Standard deviation of a quantity from the runs of one procedure alone, and without them."""
+
+    procedure: str
+    alone: float
+    without: float
+
+
+class Contribution(Record):
+    """Posterior standard deviation of a quantity, and by test procedure."""
+
+    quantity: str
+    unit: str
+    sd: float
+    by: tuple[ProcedureShare, ...]
+
 
 # A direction is reported where the data contributed less than this share of the knowledge.
 WEAK_SHARE = 0.5
@@ -146,3 +166,76 @@ def confusions(
             both = (names[i], names[j])
             found.append(WeakDirection(quantities=both, kind="confusion", from_data=share))
     return sorted(found, key=lambda weak: weak.from_data)
+
+
+class ImplausibleEstimate(Record):
+    """An estimate that a working unit on the stated equipment cannot have.
+
+    Attributes
+    ----------
+    reason : outside the domain of the parameter, or far from its prior.
+    name, unit, value : of the parameter, the value being that of the posterior mode.
+    lowest, highest : ends of the domain in the unit; None where the reason is another.
+    prior_mean, prior_sd : median and standard deviation of the prior, in the unit; None where it has none.
+    distance : of the estimate from the middle of the prior, in its standard deviations.
+    """
+
+    reason: Literal["outside_domain", "far_from_prior"]
+    name: str
+    unit: str
+    value: float
+    lowest: float | None = None
+    highest: float | None = None
+    prior_mean: float | None
+    prior_sd: float | None
+    distance: float
+
+
+class UnexplainedOutput(Record):
+    """A channel whose outputs the model does not describe.
+
+    Attributes
+    ----------
+    channel, unit : name, and unit of the input.
+    residual, within_runs : rms of the residual, in all and about its mean in each run, in the unit.
+    output : rms of the outputs, in the unit.
+    noise : recorded standard deviation of the rows' means, in the unit.
+    """
+
+    channel: str
+    unit: str
+    residual: float
+    within_runs: float
+    output: float
+    noise: float
+
+
+class PriorConflict(Record):
+    """A parameter whose prior disagrees with the data.
+
+    Attributes
+    ----------
+    name, unit, effect, parameter : of the parameter.
+    prior_mean, prior_sd : median and standard deviation of the prior, in the unit; None where it has none.
+    value, sd : posterior mode and standard deviation, in the unit.
+    data_value, data_sd : what the data alone ask for, in the unit.
+    distance : between prior and data, in standard deviations of their difference.
+    decided_by : which of the two contributes more to the estimate.
+    stated_in : where the prior is to be changed: the model file, or the equipment's uncertainty in the campaign file.
+    wider : a prior that has room for what the data ask for, as written in a model file; empty for other families.
+    """
+
+    name: str
+    unit: str
+    effect: str
+    parameter: str
+    prior_mean: float
+    prior_sd: float | None
+    value: float
+    sd: float
+    data_value: float
+    data_sd: float
+    distance: float
+    decided_by: Literal["prior", "data"]
+    stated_in: Literal["model", "campaign"]
+    wider: str

@@ -5,8 +5,8 @@ The width of all θ depends on the noise scales: h is drawn first, from its Lapl
 precision that θ has at that h (`imubayes.inference.conditional_precision`).  The marginal of a noise scale is skewed;
 that of a scatter between few runs is as wide as its prior and may have a second mode: it is evaluated along each of its
 axes and drawn from as tabulated (Rue, Martino & Chopin 2009, § 3.1).  Correlated noise has a curved ridge, which the
-scale of its innovations makes straight (`imubayes.inference.innovation_scale`).  The few directions that the data leave
-to the prior are curved ridges: along them the strong directions are bent by half the second derivative,
+scale of its innovations makes straight (`imubayes.inference.conditional_precision`).  The few directions that the data
+leave to the prior are curved ridges: along them the strong directions are bent by half the second derivative,
 δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic acceleration, Transtrum & Sethna 2011).  The bend does
 not change w, so its determinant is 1 and it is inverted by subtraction: the density of the proposal is exact, whatever
 its quality.  Where the marginal of a weak direction is not normal it is tabulated, too
@@ -21,15 +21,27 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import solve_triangular
 
-from imubayes.array_shapes import Array, Float, Scalar
-from imubayes.inference.conditional_precision import ExactPrecision, PrecisionBlocks, conditional, precision_blocks
-from imubayes.inference.innovation_scale import InnovationScale, innovation_scale
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import Array, Float, Scalar
+from imubayes.inference.conditional_precision import (
+    ExactPrecision,
+    InnovationScale,
+    PrecisionBlocks,
+    conditional,
+    innovation_scale,
+    precision_blocks,
+)
+from imubayes.inference.laplace_marginal import inverse_of_precision, inverse_within, knowledge, log_marginal
 from imubayes.inference.posterior_mode import Mode
-from imubayes.inference.posterior_precision import inverse_of_precision, inverse_within, knowledge, log_marginal
-from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density, tabulate
-from imubayes.inference.tabulated_density import to_normal as to_standard
-from imubayes.inference.tabulated_directions import TabulatedDirections, tabulated_directions
-from imubayes.kept_programs import kept
+from imubayes.inference.tabulated_directions import (
+    TabulatedDensity,
+    TabulatedDirections,
+    from_normal,
+    log_density,
+    tabulate,
+    tabulated_directions,
+)
+from imubayes.inference.tabulated_directions import to_normal as to_standard
 from imubayes.model.likelihood import log_normaliser, residuals_of
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, predict_many, prior_widths

@@ -16,9 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
-from imubayes.array_shapes import Array, Float
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import Array, Float
 from imubayes.inference.conditional_precision import ExactPrecision
-from imubayes.inference.laplace_move import in_blocks
+from imubayes.inference.laplace_marginal import climb
+from imubayes.inference.laplace_proposal import in_blocks, systematic
 from imubayes.inference.nested_laplace import (
     HyperMarginal,
     NestedLaplace,
@@ -27,10 +29,7 @@ from imubayes.inference.nested_laplace import (
     nested_laplace,
     point_and_marginal,
 )
-from imubayes.inference.noise_marginal import climb
 from imubayes.inference.posterior_mode import Mode, find_mode, log_evidence
-from imubayes.inference.proposal_weights import systematic
-from imubayes.kept_programs import kept
 from imubayes.model.noise_covariance import rows_correlate
 from imubayes.model.problem import Problem
 

@@ -11,21 +11,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Float
-from imubayes.errors import InputError, Issue
+from imubayes.foundations.arrays import Array, Float
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.progress import counted
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.ensemble_sampling import Chains, Settings, sample, thinned, walkers_for
 from imubayes.inference.fitted_model import Fit, Posterior
-from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
+from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, WeighedProposal, weigh_tail
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
 from imubayes.inference.noise_scale_modes import NEGLIGIBLE, modes_of_scales, posterior_points
-from imubayes.inference.plausible_estimates import implausible_estimates, unexplained_outputs
+from imubayes.inference.plausibility import implausible_estimates, unexplained_outputs
 from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, log_evidence, message
-from imubayes.inference.proposal_weights import WeighedProposal, weigh_tail
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import Problem
-from imubayes.step_counter import counted
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.

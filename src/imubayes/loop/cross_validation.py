@@ -12,23 +12,21 @@ from typing import Literal
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Float
+from imubayes.compiled.kept_programs import kept
 from imubayes.criticism.verdict import RmsChange
+from imubayes.foundations.arrays import Array, Float
+from imubayes.foundations.progress import counted
+from imubayes.foundations.records import finite
+from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.noise_marginal import curvature, slope
+from imubayes.inference.laplace_marginal import Linearised, curvature, linearise, slope
 from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
-from imubayes.inference.posterior_precision import Linearised, linearise
-from imubayes.json_record import finite
-from imubayes.kept_programs import kept
-from imubayes.loop.held_out_record import CrossValidation, GroupGain, HeldOutVerdict
+from imubayes.loop.model_history import CrossValidation, GroupGain, HeldOutVerdict
 from imubayes.loop.warm_start import REFIT_LOSS
 from imubayes.model.bind import Model
-from imubayes.model.likelihood import residuals
+from imubayes.model.likelihood import has_heavy_tails, residuals
 from imubayes.model.problem import hyper_prior_square, masked
-from imubayes.model.robust_likelihood import has_heavy_tails
-from imubayes.parameters.vector import Layout
-from imubayes.step_counter import counted
-from imubayes.units import to_si
+from imubayes.parameters.declarations import Layout
 
 _GAIN_STANDARD_ERRORS, _GAIN_CHANCE, _GAIN_MIN = 2.0, 0.0228, 0.5
 """A gain in log predictive density helps if it exceeds GAIN_MIN, and so many standard errors or, by flips of signs, the

@@ -12,25 +12,25 @@ import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.array_shapes import Array, Float
-from imubayes.campaign_data import Campaign
+from imubayes.compiled.kept_programs import kept
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.verdict import Verdict
-from imubayes.errors import InputError, Issue
+from imubayes.foundations.arrays import Array, Float
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.progress import counted
+from imubayes.foundations.records import Presented
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.run_fit import judged_fit
-from imubayes.kept_programs import kept
 from imubayes.loop.warm_start import extended, whitened
 from imubayes.model.bind import Model, bind
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict
-from imubayes.parameters.parameter_declarations import Declared
-from imubayes.representation import Presented
+from imubayes.parameters.declarations import Declared
 from imubayes.responses.candidate_effects import searchable
 from imubayes.simulation.simulate import random_stream, simulate
-from imubayes.step_counter import counted
 
 _SIZING_STEPS, _SIZING_TOLERANCE = 6, 0.02
 """Steps to find the injected size, and relative tolerance of its Δχ².  Numerical."""

@@ -3,19 +3,57 @@
 A node is what `history.json` of a result folder says; its parent is named by its folder, relative to the node's own, so
 that results may move together.  It is written with the fit and never again: a model made from it leaves it as it is.
 Of a tree one node is selected: the one that is exported.
+
+What a change of a model brought is told, among other things, by the prediction of rows that were left out.  The odds of
+effects that are removed come from the diagnosis that found them: they are the reverse of the odds of adding them.
 """
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
 from imubayes.adequacy.adequacy_record import ChannelRms
-from imubayes.criticism.verdict import EffectChoice, Verdict
-from imubayes.json_record import Record
-from imubayes.loop.held_out_record import CrossValidation
-from imubayes.representation import Presented
+from imubayes.criticism.verdict import EffectChoice, EffectSlot, Evidence, RmsChange, Verdict
+from imubayes.foundations.records import Presented, Record
+
+HeldOutVerdict = Literal["helps", "unclear", "not", "costs", "spares"]
+"""An addition helps or does not; a removal costs prediction or spares it; either is unclear."""
+
+
+class GroupGain(Record):
+    """Rise of the log predictive density of one group of rows that was left out."""
+
+    name: str
+    delta: float
+
+
+class CrossValidation(Record):
+    """What a change of a model does to the prediction of rows that were left out.
+
+    Attributes
+    ----------
+    by : what is left out at a time.
+    delta, se : rise of the expected log predictive density (Δ elpd) and its standard error, from the scatter among the
+        groups; None for a single group.
+    helped, of : number of groups that are predicted better, and of all groups.
+    verdict : whether the addition ``helps`` (Δ elpd above two standard errors, or above what flips of the signs of the
+        groups reach by chance), that it is ``unclear``, or does ``not`` help.  A removal ``costs`` prediction where
+        adding the same would help, and ``spares`` it where it would not.
+    each : Δ elpd of each group.
+    rates : of poses: rms of each gyro at rest about its prediction, before and after.
+    """
+
+    by: Literal["run", "pose", "block"]
+    delta: float
+    se: float | None
+    helped: int
+    of: int
+    verdict: HeldOutVerdict
+    each: tuple[GroupGain, ...] = ()
+    rates: tuple[RmsChange, ...] = ()
+
 
 # Effects of one step that its title names.
 _MOST_NAMED = 3
@@ -153,3 +191,35 @@ def rms_by_unit(channels: Iterable[ChannelRms]) -> dict[str, float]:
     for channel in channels:
         sizes.setdefault(channel.unit, []).append(channel.rms)
     return {unit: math.sqrt(sum(size**2 for size in each) / len(each)) for unit, each in sizes.items()}
+
+
+def removal_log_odds(found: Evidence, removed: Collection[str], kept: Collection[str]) -> float | None:
+    """Return the natural logarithm of the odds of a model with effects against the one without them.
+
+    Where an effect that stays may stand in the place of one that goes, the odds are those between the two.
+
+    Parameters
+    ----------
+    found : of the diagnosis of a model that had none of the effects.
+    removed, kept : effects that go, and that the model keeps.
+
+    Returns
+    -------
+    None where the likeliest explanation does not name them all.
+    """
+    total, told = 0.0, set()
+    for slot in found.slots:
+        names = {each.effect for each in slot.candidates}
+        if names & set(removed):
+            told |= names & set(removed)
+            total += _slot_log_odds(slot, removed, kept)
+    return total if told and told == set(removed) and math.isfinite(total) else None
+
+
+def _slot_log_odds(slot: EffectSlot, removed: Collection[str], kept: Collection[str]) -> float:
+    gone, stay = (
+        sum(each.probability for each in slot.candidates if each.effect in names) for names in (removed, kept)
+    )
+    if not stay:
+        return slot.gain
+    return math.log(gone / stay) if gone else -math.inf

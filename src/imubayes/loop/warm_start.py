@@ -1,12 +1,12 @@
-"""A model with effects added, and the start of its refit: the mode before, and one-step estimates of what is new.
+"""A model with effects added or removed, before its fit, and the start of its refit.
 
-The model is linearised about the mode before.  With its columns projected out, the new coefficients follow from one
-small linear system (the one-step estimate).  The refit starts there, and its Δχ² and coefficients are
-predicted before it is made.
+The refit starts at the mode before, with one-step estimates of what is new.  The model is linearised about the mode
+before.  With its columns projected out, the new coefficients follow from one small linear system (the one-step
+estimate).  The Δχ² of the refit and its coefficients are predicted before it is made.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import jax
@@ -14,27 +14,79 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from imubayes.array_shapes import Array, Float
-from imubayes.campaign_data import Campaign
-from imubayes.criticism.verdict import CoefficientEstimate
+from imubayes.compiled.kept_programs import kept
+from imubayes.criticism.verdict import CoefficientEstimate, EffectChoice
 from imubayes.effects.base import MotionEffect
+from imubayes.foundations.arrays import Array, Float
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.records import finite
+from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_precision import Linearised, linearise
-from imubayes.json_record import finite
-from imubayes.kept_programs import kept
-from imubayes.loop.changed_model import ChangedModel, beyond, new_in
-from imubayes.model.bind import Model, bind
-from imubayes.model.dry_run import dry_run
+from imubayes.inference.laplace_marginal import Linearised, linearise
+from imubayes.model.bind import Model, bind, dry_run
 from imubayes.model.effect_registry import EffectClass, Registry
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.likelihood import pseudo_values
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.model.robust_likelihood import pseudo_values
-from imubayes.parameters.parameter_declarations import Declared
+from imubayes.parameters.declarations import Declared, Layout, Parameter
 from imubayes.parameters.priors import HalfNormal, Normal, Prior, rounded_width
-from imubayes.parameters.vector import Layout, Parameter
 from imubayes.responses.candidate_effects import fitting_channels
-from imubayes.tail_probabilities import chi2_survival, normal_survival
+
+_NOTHING = np.zeros(0)
+
+
+@dataclass(frozen=True)
+class ChangedModel:
+    """A model with effects added or removed, before its fit.
+
+    Attributes
+    ----------
+    model : as changed, bound.
+    z, h : start of the fit, shapes (P,) and (H,).
+    null : shape (P,), the mode before, with the new parameters at their null values.
+    new : shape (P,), True for the parameters that the model before did not have.
+    added, removed : what it has more and less than the model before.
+    delta_chi2 : of effects added: predicted drop of χ² at the noise scales before; None where the gradient at the null
+        values vanishes, and where the linear prediction is a rise.
+    coefficients : of effects added: predicted, with uncertainty; empty where the gradient vanishes.
+    asked : shape (K,), estimates of the new parameters from the data alone, SI, where they contradict the prior; 0
+        elsewhere.
+    widened : priors that were widened for these estimates, by ``effect.parameter``, as written in a model file.
+    residual, explained : shape (E,), whitened residual and the part explained by the effects added, both projected off
+        the model before: the added-variable plot, of slope 1 where the prediction is right.  Empty of a removal.
+    """
+
+    model: Model
+    z: np.ndarray
+    h: np.ndarray
+    null: np.ndarray
+    new: np.ndarray
+    added: tuple[EffectChoice, ...] = ()
+    removed: tuple[EffectChoice, ...] = ()
+    delta_chi2: float | None = None
+    coefficients: tuple[CoefficientEstimate, ...] = ()
+    asked: np.ndarray = field(default_factory=_NOTHING.copy)
+    residual: np.ndarray = field(default_factory=_NOTHING.copy)
+    explained: np.ndarray = field(default_factory=_NOTHING.copy)
+    widened: Mapping[str, str] = field(default_factory=dict)
+
+
+def beyond(spec: ModelSpec, other: ModelSpec) -> tuple[EffectChoice, ...]:
+    """Return the effects with their channels that a model has and another one lacks."""
+    known = {(each.name, each.channels) for each in other.effects}
+    return tuple(
+        EffectChoice(effect=each.name, channels=each.channels)
+        for each in spec.effects
+        if (each.name, each.channels) not in known
+    )
+
+
+def new_in(layout: Layout, before: Layout) -> np.ndarray:
+    """Return which parameters of a layout the one before lacks, shape (P,) bool."""
+    known = set(before.names)
+    return np.array([name not in known for name in layout.names], dtype=bool)
+
 
 _NO_GRADIENT, _SINGULAR = 1e-14, 1e-9
 """A new coefficient whose squared whitened column is below this in prior units has no gradient at its null (it enters

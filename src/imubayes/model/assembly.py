@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.array_shapes import Array
-from imubayes.campaign_data import Campaign
-from imubayes.earth import earth_rate
 from imubayes.effects.base import AmbientEffect, Effect, MotionEffect, RecordEffect, Stage
+from imubayes.foundations.arrays import Array
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.earth import earth_rate
+from imubayes.foundations.signal_path_state import Ambient, Motion, Nodes
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
 from imubayes.model.nodes_and_entries import KINDS, NodeTable, outer_axes, records_of
@@ -22,8 +23,7 @@ from imubayes.model.signal_path import (
     Project,
     Resolve,
 )
-from imubayes.parameters.vector import Layout
-from imubayes.signal_path_state import Ambient, Motion, Nodes
+from imubayes.parameters.declarations import Layout
 
 
 @dataclass(frozen=True)

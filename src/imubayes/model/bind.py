@@ -1,22 +1,29 @@
 """A model bound to a campaign: which parameters there are, what they mean, and the problem as arrays.
 
-Names end here and arrays begin.  Everything that does not fit (an unknown effect, a channel of the wrong kind, an
-effect that no run can show, two that exclude each other) is collected and reported at once.
+Names end here and arrays begin: layers, sparsity, observations, noise and priors.  Everything that does not fit (an
+unknown effect, a channel of the wrong kind, an effect that no run can show, two that exclude each other) is collected
+and reported at once.
+
+User-defined effects are evaluated abstractly, by shapes and types alone, before anything is fitted.
 """
 
+import sys
+import traceback
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Float, Scalar
-from imubayes.campaign_data import Campaign
+from imubayes.compiled.jax_settings import clear_if_crowded, prepare_jax
+from imubayes.effects.base import MotionEffect, Stage
 from imubayes.effects.thermometer import TemperatureOffset
-from imubayes.errors import InputError, Issue, closest_first, input_error
-from imubayes.gather import on_device
-from imubayes.jax_settings import prepare_jax
+from imubayes.foundations.arrays import Array, Float, Scalar, on_device
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.bound_effects import (
     BoundEffect,
@@ -27,22 +34,198 @@ from imubayes.model.bound_effects import (
     bind_effect,
     unknown_covariates_issue,
 )
-from imubayes.model.build_problem import build_problem
-from imubayes.model.compile_cache_limit import clear_if_crowded
-from imubayes.model.dry_run import dry_run
-from imubayes.model.effect_registry import EffectClass, Registry
-from imubayes.model.grouping import Grouping
-from imubayes.model.hyper_prior import hyper_correlation
+from imubayes.model.effect_registry import EffectClass, Registry, with_noise_priors
+from imubayes.model.grouping import Grouping, colour_columns
+from imubayes.model.integrated_outputs import bind_servos, bind_transitions
 from imubayes.model.likelihood import log_density
-from imubayes.model.model_spec import EffectSpec, ModelSpec, SingleRunEffect
-from imubayes.model.nodes_and_entries import Entries, NodeTable, join_entries, join_nodes, servo_runs
-from imubayes.model.noise_priors import with_noise_priors
+from imubayes.model.model_file import EffectSpec, ModelSpec, SingleRunEffect
+from imubayes.model.nodes_and_entries import (
+    Entries,
+    NodeTable,
+    join_entries,
+    join_nodes,
+    nominal_rates,
+    output_indices,
+    reference_scales,
+    servo_runs,
+    time_ranks,
+    timeline,
+)
 from imubayes.model.nominal_response import is_independent
-from imubayes.model.parameter_priors import stated_uncertainty
-from imubayes.model.problem import Problem
-from imubayes.noise.base import EntryNoise
-from imubayes.parameters.vector import Layout
+from imubayes.model.parameter_priors import HyperCorrelation, hyper_correlation, stated_uncertainty
+from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity, signal_path, values_of
+from imubayes.noise.components import Entry, EntryNoise, Noise, SlowNoise
+from imubayes.parameters.declarations import Layout, Priors
 from imubayes.procedures import PROCEDURES
+
+
+def build_problem(assembly: Assembly, hyper_correlation: HyperCorrelation | None = None) -> Problem:
+    """Return the arrays of an assembly, as NumPy arrays on the host."""
+    nodes = assembly.grouping.nodes
+    spread_of, spread_unit = _learnt_prior_widths(assembly)
+    observations = _observations(assembly.grouping)
+    slow = any(issubclass(effect.effect_class, SlowNoise) for effect in assembly.effects)
+    return Problem(
+        nodes=assembly.nodes,
+        channels=assembly.channels,
+        layers=assembly.path(np.arange(len(nodes.run)), tuple(Stage), injected=nodes.injected),
+        transitions=bind_transitions(assembly),
+        servos=bind_servos(assembly),
+        turns=nodes.turns,
+        node_weight=nodes.stimulus.weight,
+        nulls=assembly.nulls,
+        priors=Priors.stack([parameter.prior for parameter in assembly.layout.parameters]),
+        hyper_priors=Priors.stack([parameter.prior for parameter in assembly.hyper_layout.parameters]),
+        hyper_correlation=hyper_correlation,
+        noise=tuple(
+            _noise_layer(effect, assembly) for effect in assembly.effects if issubclass(effect.effect_class, Noise)
+        ),
+        observations=observations,
+        timeline=timeline(assembly.grouping.campaign, assembly.grouping.entries, np.asarray(observations.group))
+        if slow
+        else None,
+        sparsity=_sparsity(assembly),
+        spread_of=spread_of,
+        spread_unit=spread_unit,
+    )
+
+
+def _sparsity(assembly: Assembly) -> Sparsity:
+    """Return which entries each parameter can change, and the compression of the Jacobian that follows from it."""
+    grouping = assembly.grouping
+    runs = set(range(len(grouping.campaign.runs)))
+    reach = []
+    for effect in assembly.effects:
+        channels = None if issubclass(effect.effect_class, MotionEffect) else effect.channels
+        for parameter in effect.parameters:
+            label = () if parameter.label == ("all",) else parameter.label
+            reach.append(grouping.reach(effect.per_of(parameter.field), label, channels, runs - effect.gated))
+    reached = np.stack(reach) if reach else np.zeros((0, len(grouping.entries)), dtype=bool)
+    colour = colour_columns(reached)
+    seeds = (colour[None, :] == np.arange(colour.max(initial=-1) + 1)[:, None]).astype(float)
+    return Sparsity(colour, reached.T, seeds)
+
+
+def _learnt_prior_widths(assembly: Assembly) -> tuple[np.ndarray, np.ndarray]:
+    """Return for each parameter the index in h of its learnt prior width, and the width of its own prior."""
+    hyper = assembly.hyper_layout
+    spread_of = np.full(len(assembly.layout), len(hyper))
+    unit = np.ones(len(assembly.layout))
+    pairs = ((effect, parameter) for effect in assembly.effects for parameter in effect.parameters)
+    for index, (effect, parameter) in enumerate(pairs):
+        spread = effect.declared[parameter.field].spread
+        if spread:
+            names = dict(zip(effect.per_of(parameter.field), parameter.label, strict=True))
+            label = ",".join(names[axis] for axis in effect.per_of(spread))
+            spread_of[index] = hyper.index(f"{parameter.effect}.{spread}[{label}]")
+            unit[index] = parameter.prior.sd()
+    return spread_of, unit
+
+
+def _observations(grouping: Grouping) -> Observations:
+    entries = grouping.entries
+    key = entries.run * (len(grouping.campaign.channels) + 3) + entries.channel
+    _, group = np.unique(key, return_inverse=True)
+    sizes = np.bincount(group)
+    members = np.full((len(sizes), sizes.max(initial=1)), len(entries))
+    order = np.argsort(group, kind="stable")
+    members[group[order], np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)] = order
+    rank = time_ranks(grouping.campaign, entries)
+    padded = np.append(rank, np.iinfo(rank.dtype).max)
+    return Observations(
+        value=entries.value.astype(float),
+        weight=np.ones(len(entries)),
+        entry=Entry(
+            samples=entries.samples.astype(float),
+            rate=nominal_rates(grouping.campaign, grouping.nodes, entries),
+            reference=reference_scales(grouping.campaign, grouping.nodes, entries),
+        ),
+        readout=output_indices(grouping.campaign, grouping.nodes, entries),
+        group=group,
+        members=members,
+        in_time=np.take_along_axis(members, np.argsort(padded[members], axis=1, kind="stable"), axis=1),
+        rank=rank,
+    )
+
+
+def _noise_layer(effect: BoundEffect, assembly: Assembly) -> NoiseLayer:
+    """Return a noise member with the indices of its values, per entry, or per group for what is shared."""
+    member, grouping = effect.effect_class, assembly.grouping
+    assert issubclass(member, Noise)
+    entries = grouping.entries
+    names = [channel.name for channel in grouping.campaign.channels] + [""] * 3
+    first = np.arange(len(entries))
+    if not issubclass(member, EntryNoise | SlowNoise):
+        _, first = np.unique(entries.run * len(names) + entries.channel, return_index=True)
+    run, channel, closing = entries.run[first], entries.channel[first], entries.closing[first]
+    acts = closing if "closure" in member.kinds else np.isin(channel, [names.index(name) for name in effect.channels])
+    acts = acts & np.isin(run, list(effect.runs))
+    labels = {(p.field, p.label): assembly.hyper_layout.index(p.name) for p in effect.hyperparameters}
+    pairs, group = np.unique(np.stack([run, channel]), axis=1, return_inverse=True)
+    places = {}
+    for field in effect.declared:
+        per = effect.per_of(field)
+        found = [grouping.label(per, names[c], r) or ("all",) for r, c in pairs.T.tolist()]
+        places[field] = np.array([labels.get((field, label), 0) for label in found], dtype=int)[group.reshape(-1)]
+    return NoiseLayer(member, places, acts.astype(float))
+
+
+def dry_run(problem: Problem, effects: Sequence[BoundEffect], files: Sequence[str]) -> None:
+    """Trace the signal path and the log density without computing them.
+
+    Parameters
+    ----------
+    problem, effects : the model with the user's effects.
+    files : where these are defined.
+
+    Raises
+    ------
+    InputError
+        where a user-defined class raises, or does not return one real number; names file, line and cause.
+    """
+    own = [effect.effect_class for effect in effects if _is_own(effect, files)]
+    if not own:
+        return
+    try:
+        path = jax.eval_shape(lambda z: signal_path(problem, values_of(problem, z)), _like(problem.size[0]))
+        nodes = len(problem.nodes.stand)
+        for kind, channels in problem.channels.items():
+            found, wanted = path.signal[kind], (nodes, len(channels.scale))
+            if found.shape != wanted or not jnp.issubdtype(found.dtype, jnp.floating):
+                raise TypeError(f"the signal of a sample must be one real number, not {found.dtype}{found.shape[2:]}")
+        jax.eval_shape(lambda z, h: log_density(problem, z, h), *map(_like, problem.size))
+    except (Exception, SystemExit) as error:
+        line = _line(error, files)
+        names = ", ".join(member.__name__ for member in own)
+        raise input_error(
+            f"an effect of the user cannot be evaluated: {type(error).__name__}: {_short(error)}",
+            line or f"{', '.join(files)}: {names}",
+            "methods as their base class describes them, written with jax.numpy, for one sample, returning what "
+            "they are given, changed",
+            "mend the class; a choice that depends on a value is jnp.where, not if",
+        ) from error
+
+
+def _like(size: int) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct((size,), jnp.zeros(0).dtype)
+
+
+def _is_own(effect: BoundEffect, files: Sequence[str]) -> bool:
+    module = getattr(sys.modules.get(effect.effect_class.__module__), "__file__", None)
+    return module is not None and any(Path(module) == Path(file) for file in files)
+
+
+def _line(error: BaseException, files: Sequence[str]) -> str:
+    """Return file, line and method of the last step in a file of the user; empty where there is none."""
+    own = {str(Path(file).resolve()) for file in files}
+    steps = [frame for frame in traceback.extract_tb(error.__traceback__) if str(Path(frame.filename).resolve()) in own]
+    return f"{steps[-1].filename}:{steps[-1].lineno}, in {steps[-1].name}" if steps else ""
+
+
+def _short(error: BaseException) -> str:
+    text = str(error).strip()
+    return text.splitlines()[0] if text else "no message"
+
 
 # Unknowns of the procedures themselves, added whether or not the model file lists them.
 _IMPLIED_BY_TUMBLE = ("pose_attitude", "tumble_heading", "rotation_closure")

@@ -1,22 +1,26 @@
-"""One effect of a model, bound to a campaign: its channels, runs, labels and priors, or what is wrong with it."""
+"""Effects of a model bound to a campaign: channels, runs, labels and priors; and which effects it could show.
+
+What is wrong with an effect that cannot be bound is reported.  For an effect that the campaign cannot show, what is
+missing for it is named.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Run
-from imubayes.covariates import COVARIATES, ambient_names, remedy
 from imubayes.effects.base import AmbientEffect, MotionEffect
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.foundations.campaign_data import Campaign, Run
+from imubayes.foundations.covariates import COVARIATES, ambient_names, remedy
+from imubayes.foundations.errors import InputError, Issue, closest_first
 from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channels
 from imubayes.model.grouping import Grouping
-from imubayes.model.model_spec import EffectSpec
+from imubayes.model.model_file import EffectSpec
+from imubayes.model.nodes_and_entries import join_entries, join_nodes
 from imubayes.model.nominal_response import missing_stimulus, noisy_runs, probes, responding_runs
 from imubayes.model.parameter_priors import exact_by_equipment, hyper_fields, parameter_of
-from imubayes.noise.base import Noise, SharedNoise, SlowNoise
-from imubayes.parameters.parameter_declarations import Declared, declared_options, declared_parameters
-from imubayes.parameters.vector import Parameter
+from imubayes.noise.components import Noise, SharedNoise, SlowNoise
+from imubayes.parameters.declarations import Declared, Parameter, declared_options, declared_parameters
 from imubayes.procedures.ambient import unknown_covariates
 
 # An effect that needs one of these, or a covariate that is absent there, must be switched off in the runs without it.
@@ -397,3 +401,55 @@ class _Settings:
             except InputError as error:
                 self.issues.extend(issue for issue in error.issues if issue not in self.issues)
         return made
+
+
+@dataclass(frozen=True)
+class Observability:
+    """What a campaign has for one effect or noise member.
+
+    Attributes
+    ----------
+    effect_class : the class.
+    runs : names of the runs that respond to it.
+    channels : names of the channels it can act on; none for effects on the motion.
+    missing : covariates that no run recorded, or that a run which it changes lacks, or the stimulus that no run has;
+        empty where the campaign could show it.
+    """
+
+    effect_class: EffectClass
+    runs: tuple[str, ...]
+    channels: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+def observability(campaign: Campaign, registry: Registry | None = None) -> tuple[Observability, ...]:
+    """Return for every effect and noise member what the campaign has for it; nothing is fitted."""
+    registry = registry or Registry()
+    grouping = Grouping(campaign, join_nodes(campaign), join_entries(campaign))
+    return tuple(_of_class(known, grouping, registry) for known in registry.effects.values())
+
+
+def _of_class(effect_class: EffectClass, grouping: Grouping, registry: Registry) -> Observability:
+    if _of_tumbles(effect_class) and not any(run.tumble for run in grouping.campaign.runs):
+        return Observability(effect_class, (), (), ("free tumble",))
+    try:
+        bound = bind_effect(EffectSpec(effect_class.name), grouping, registry)
+    except NoChannelError:
+        return Observability(effect_class, (), (), tuple(effect_class.kinds))
+    except NotObservableError as error:
+        return Observability(effect_class, (), (), error.missing or ("response",))
+    return Observability(effect_class, _shown_in(bound, grouping.campaign), bound.channels, ())
+
+
+def _of_tumbles(effect_class: EffectClass) -> bool:
+    """Whether an effect is an unknown of free tumbles themselves."""
+    of_others = issubclass(effect_class, AmbientEffect) or "driven" in effect_class.needs
+    return effect_class.nuisance and not of_others
+
+
+def _shown_in(bound: BoundEffect, campaign: Campaign) -> tuple[str, ...]:
+    """Return the names of the runs that respond; of an error in what they state, of those that state one."""
+    names = [campaign.runs[run].name for run in sorted(bound.shown_in)]
+    if issubclass(bound.effect_class, AmbientEffect):
+        names = [name for name in names if any(parameter.label == (name,) for parameter in bound.parameters)]
+    return tuple(names)

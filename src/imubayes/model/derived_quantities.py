@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Float, Int
-from imubayes.campaign_data import Channel
+from imubayes.compiled.kept_programs import kept
 from imubayes.effects.base import Effect, Order, RecordEffect, Stage
-from imubayes.gather import in_batches, on_device
-from imubayes.kept_programs import kept
+from imubayes.foundations.arrays import Array, Float, Int, in_batches, on_device
+from imubayes.foundations.campaign_data import Channel, component_names
+from imubayes.foundations.units import to_si
 from imubayes.model.assembly import Assembly
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import RUN_AXES
@@ -29,9 +29,7 @@ from imubayes.model.sensitive_axes import (
     unit_vectors,
 )
 from imubayes.model.signal_path import Layer
-from imubayes.parameters.input_axis_names import component_names
 from imubayes.procedures.converter_temperature import NEAR_ONE_G
-from imubayes.units import to_si
 
 # A relative slope is not determined by an input below this share of g.
 _LEAST_INPUT_G = 0.1

@@ -1,18 +1,23 @@
-"""Registry of effect and noise classes: those of the package and those from user files."""
+"""Registry of effect and noise classes, of the package and of user files; noise of static records in a model.
+
+`imubayes noise` writes what it finds in the static records of a unit as a model of noise alone.  In the models of its
+other campaigns it takes the place of the effects of the same names, on the channels that it has and the campaign has.
+"""
 
 import hashlib
 import importlib.util
 import sys
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from imubayes.effects import EFFECTS, Effect
 from imubayes.effects.base import MotionEffect
-from imubayes.errors import InputError, closest_first, input_error
-from imubayes.model.trusted_effects import note_run
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import InputError, closest_first, input_error
+from imubayes.model.model_file import EffectSpec, ModelSpec, note_run
 from imubayes.noise import NOISES, Noise
-from imubayes.parameters.parameter_declarations import declared_parameters
+from imubayes.parameters.declarations import declared_parameters
 
 EffectClass = type[Effect] | type[Noise]
 """The class of an effect or of a noise member; a model file lists both as effects."""
@@ -100,3 +105,44 @@ def _members_of(file: Path) -> list[EffectClass]:
         if not isinstance(getattr(member, "name", None), str) or not declared_parameters(member):
             raise refuse(f"the class {member.__name__} has no name or no parameter")
     return found
+
+
+def with_noise_priors(spec: ModelSpec, campaign: Campaign, registry: Registry) -> ModelSpec:
+    """Return the model with the noise from static records in it; the model itself where it names none."""
+    if spec.noise_priors is None:
+        return spec
+    names = tuple(channel.name for channel in campaign.channels)
+    given = [entry for each in spec.noise_priors.effects if (entry := _among(each, names)) is not None]
+    own = []
+    for each in spec.effects:
+        kinds = registry.find(each.name, each.where).kinds
+        suitable = [channel.name for channel in campaign.channels if channel.kind in kinds]
+        entry = _beside(each, given, suitable)
+        own += [] if entry is None else [entry]
+    blocks = (
+        block
+        for block in spec.noise_priors.correlations
+        if all(name.rsplit("[", 1)[-1].rstrip("]") in names for name in block.parameters)
+    )
+    correlations = (*spec.correlations, *blocks)
+    return replace(spec, effects=(*own, *given), correlations=correlations, noise_priors=None)
+
+
+def _among(entry: EffectSpec, names: Sequence[str]) -> EffectSpec | None:
+    """Return an entry for the channels that the campaign has; None where it has none of them."""
+    if entry.channels is None:
+        return entry
+    shared = tuple(name for name in entry.channels if name in names)
+    return replace(entry, channels=shared) if shared else None
+
+
+def _beside(entry: EffectSpec, given: Sequence[EffectSpec], suitable: Sequence[str]) -> EffectSpec | None:
+    """Return an entry of the model for the channels that no given entry of its name has; None where none is left."""
+    same = [each for each in given if each.name == entry.name]
+    if not same:
+        return entry
+    if any(each.channels is None for each in same):
+        return None
+    taken = {name for each in same for name in each.channels or ()}
+    left = tuple(name for name in entry.channels or suitable if name not in taken)
+    return replace(entry, channels=left) if left else None

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.model.nodes_and_entries import Entries, NodeTable
 from imubayes.model.nominal_response import NominalSamples, Probe, nominal_samples, responding_runs
 

@@ -1,11 +1,149 @@
-"""A model file becomes a `ModelSpec`: what it says, free of the file."""
+"""A model file becomes a `ModelSpec`, a list of effects with their settings; and which effect files may run.
 
+The specification is what the file says, free of the file.
+
+Effect files are code.  A model file that the user names runs with its effect files.  What comes along with something
+else, a result folder or a test plan, runs only if the user has said that he trusts it: its SHA-256 is remembered then,
+so that a changed file is another one.  What has run in this process may run in it again.
+"""
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+
+from pydantic import ValidationError
 
 from imubayes.campaign.campaign_reader import read_model_file
 from imubayes.campaign.file_schemas import ModelFile
-from imubayes.model.model_spec import EffectSpec, ModelSpec, PriorCorrelation
-from imubayes.model.trusted_effects import refuse_untrusted
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.files import only_writer, write_text
+from imubayes.foundations.records import Record
+
+
+@dataclass(frozen=True)
+class EffectSpec:
+    """One effect of a model.
+
+    Attributes
+    ----------
+    name : of the effect or noise member.
+    channels : the channels it acts on; None for all that it can act on.
+    per : sharing of values (channel, all, run, mounting); None for the default of the effect.
+    prior : parameter → prior as written.
+    options : fixed settings of the effect.
+    optional : drop it where no run can show it or the unit lacks the channel, instead of refusing the model.
+    where : file and key, for errors.
+    """
+
+    name: str
+    channels: tuple[str, ...] | None = None
+    per: str | None = None
+    prior: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, float] = field(default_factory=dict)
+    optional: bool = False
+    where: str = "model"
+
+
+class SingleRunEffect(Record):
+    """An effect that is what differs from run to run, on channels of one run each: it is not in the bound model."""
+
+    effect: str
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PriorCorrelation:
+    """Correlation of the priors of noise parameters, of their logarithms where these are lognormal.
+
+    Attributes
+    ----------
+    parameters : names of K noise parameters, `effect.parameter[label]`.
+    matrix : K rows of K correlations.
+    optional : leave out the parameters that the model does not have, instead of refusing it.
+    where : file and key, for errors.
+    """
+
+    parameters: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+    optional: bool = False
+    where: str = "model"
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """A model: a name and its effects; `files` are sources of the user's own effects, as given.
+
+    `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all inputs, as a ratio; None for
+    that of the campaign.  `correlations` are those of the priors of noise parameters.  `noise_priors` is the noise
+    of the unit from its static records, which takes the place of the model's own once bound to a campaign.
+    """
+
+    name: str
+    effects: tuple[EffectSpec, ...]
+    files: tuple[str, ...] = ()
+    where: str = "model"
+    delta_k_threshold: float | None = None
+    correlations: tuple[PriorCorrelation, ...] = ()
+    noise_priors: "ModelSpec | None" = None
+
+
+_FILE = "trusted.json"
+_ran: set[str] = set()
+
+
+class TrustedFiles(Record):
+    """The contents of `trusted.json` in the user's configuration: SHA-256 of the files that he trusts."""
+
+    sha256: tuple[str, ...] = ()
+
+
+def note_run(file: Path) -> None:
+    """Note that a file is run in this process."""
+    _ran.add(_digest(file))
+
+
+def trust_files(files: Iterable[str | Path]) -> None:
+    """Remember files as trusted."""
+    place, new = _place(), [_digest(Path(file)) for file in files]
+    if new:
+        with only_writer(place):
+            known = dict.fromkeys((*_trusted(), *new))
+            write_text(place, TrustedFiles(sha256=tuple(known)).json_text())
+
+
+def refuse_untrusted(files: Iterable[str | Path]) -> None:
+    """Raise InputError for effect files that came along and are not trusted."""
+    known = {*_ran, *_trusted()}
+    issues = [
+        Issue(
+            f"'{Path(file).name}' is Python code that came along, and it is not trusted",
+            str(file),
+            "effect files of a model that is named on the command line, and those that were trusted as they are",
+            "read the file; where you trust it add --trust, in Python call imubayes.trust, which remembers it",
+        )
+        for file in files
+        if Path(file).is_file() and _digest(Path(file)) not in known
+    ]
+    if issues:
+        raise InputError(issues)
+
+
+def _place() -> Path:
+    home = os.environ.get("XDG_CONFIG_HOME")
+    return (Path(home) if home else Path.home() / ".config") / "imubayes" / _FILE
+
+
+def _trusted() -> tuple[str, ...]:
+    try:
+        return TrustedFiles.model_validate_json(_place().read_bytes()).sha256
+    except (OSError, ValidationError):
+        return ()
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def read_model(path: str | Path) -> ModelSpec:

@@ -20,27 +20,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array
-from imubayes.campaign_data import Campaign
-from imubayes.covariates import ambient_names
-from imubayes.earth import earth_rate
+from imubayes.compiled.kept_programs import kept
 from imubayes.effects.base import Effect, MotionEffect, PlaceEffect, RecordEffect, SignalEffect, Stage
-from imubayes.kept_programs import kept
+from imubayes.foundations.arrays import Array
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import ambient_names
+from imubayes.foundations.earth import earth_rate
+from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, Sample
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.nodes_and_entries import (
     Entries,
     NodeTable,
+    has_row_times,
     nominal_rates,
     outer_axes,
     reference_scales,
     servo_runs,
 )
 from imubayes.model.parameter_priors import largest_typical, unit_factors
-from imubayes.model.row_times import has_row_times
 from imubayes.model.signal_path import on_body, project
-from imubayes.noise.base import Entry, EntryNoise, Noise, SlowNoise
-from imubayes.parameters.parameter_declarations import declared_parameters
-from imubayes.signal_path_state import Ambient, Experience, Motion, Sample
+from imubayes.noise.components import Entry, EntryNoise, Noise, SlowNoise
+from imubayes.parameters.declarations import declared_parameters
 
 # A relative change of the input below this is the rounding error of the signal path.  Numerical.
 _ROUNDING = 1e-12

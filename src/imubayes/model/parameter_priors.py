@@ -1,20 +1,98 @@
-"""Unit and prior of every scalar parameter: from the model file, the campaign's equipment or the effect's default."""
+"""Unit and prior of every scalar parameter, and correlated priors of noise parameters.
 
-from collections.abc import Callable
+A prior comes from the model file, the campaign's equipment or the effect's default.
+
+The noise terms of a static record come with a covariance: what flicker noise does not explain is random walk.  As a
+prior of other campaigns the terms keep it, by a Gaussian copula in z, where every prior is standard normal by itself.
+Each parameter keeps its own prior; h as a whole is normal(0, C), with C the correlation matrix.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import solve_triangular
 
-from imubayes.campaign.unit_grade import grade_of
-from imubayes.campaign_data import Campaign, Channel, Run, Table
-from imubayes.errors import input_error
+from imubayes.campaign.equipment import grade_of
+from imubayes.foundations.arrays import Array, Float, Scalar
+from imubayes.foundations.campaign_data import Campaign, Channel, Run, Table
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.units import to_si
 from imubayes.model.effect_registry import EffectClass
-from imubayes.model.model_spec import EffectSpec
-from imubayes.noise.base import Noise
-from imubayes.parameters.parameter_declarations import Declared, declared_parameters
+from imubayes.model.model_file import EffectSpec, PriorCorrelation
+from imubayes.noise.components import Noise
+from imubayes.parameters.declarations import Declared, Layout, Parameter, declared_parameters
 from imubayes.parameters.priors import LogNormal, Normal, Prior, parse_prior
-from imubayes.parameters.vector import Parameter
-from imubayes.units import to_si
+
+# Least eigenvalue of a correlation matrix: below, rounding of the printed digits may have made it singular.
+_LEAST_EIGENVALUE = 1e-6
+
+
+class HyperCorrelation(eqx.Module):
+    """The prior normal(0, C) of h: `root` is the Cholesky factor of C, shape (H, H)."""
+
+    root: Float[Array, "H H"]
+
+    def square(self, h: Float[Array, " H"]) -> Scalar:
+        """Return hᵀC⁻¹h + log det C: twice the negative logarithm of the density, up to a constant."""
+        independent = solve_triangular(self.root, h, lower=True)
+        return jnp.sum(independent**2) + 2 * jnp.sum(jnp.log(jnp.diagonal(self.root)))
+
+    def coloured(self, independent: np.ndarray) -> np.ndarray:
+        """Return draws (…, H) of the prior from independent standard normal ones."""
+        return independent @ np.asarray(self.root).T
+
+
+def hyper_correlation(listed: Sequence[PriorCorrelation], layout: Layout) -> HyperCorrelation | None:
+    """Return the correlation of the priors of noise parameters in the order of a layout; None where there is none.
+
+    Raises
+    ------
+    InputError
+        for a name that is not in the layout or stands in two blocks, and for what is no correlation matrix.
+    """
+    if not listed:
+        return None
+    whole, taken, issues = np.eye(len(layout)), set[str](), []
+    for block in listed:
+        found = _faults(block, layout, taken)
+        issues += found
+        taken |= set(block.parameters)
+        if not found:
+            known = [place for place, name in enumerate(block.parameters) if name in layout.names]
+            places = [layout.index(block.parameters[place]) for place in known]
+            whole[np.ix_(places, places)] = np.array(block.matrix)[np.ix_(known, known)]
+    if issues:
+        raise InputError(issues)
+    return HyperCorrelation(jnp.asarray(np.linalg.cholesky(whole)))
+
+
+def _faults(block: PriorCorrelation, layout: Layout, taken: set[str]) -> list[Issue]:
+    faults = []
+    for place, name in enumerate(block.parameters):
+        if name not in layout.names and not block.optional:
+            near = closest_first(name, layout.names)
+            faults.append(
+                Issue(
+                    f"the model has no noise parameter '{name}'", block.where, near, "correct the name, or take it out"
+                )
+            )
+        elif name in taken or name in block.parameters[:place]:
+            allowed = "every parameter once, in one block"
+            faults.append(Issue(f"'{name}' is listed twice", block.where, allowed, "join the blocks"))
+    count = len(block.parameters)
+    if any(len(row) != count for row in block.matrix) or len(block.matrix) != count:
+        allowed = f"{count} rows of {count} numbers"
+        return [*faults, Issue("the matrix does not suit its parameters", block.where, allowed, "correct the matrix")]
+    matrix = np.array(block.matrix, dtype=float)
+    plain = np.allclose(matrix, matrix.T) and np.allclose(np.diag(matrix), 1.0)
+    if not plain or np.linalg.eigvalsh(matrix)[0] < _LEAST_EIGENVALUE:
+        allowed = "a symmetric, positive definite matrix with ones on the diagonal"
+        faults.append(Issue("the matrix is no correlation matrix", block.where, allowed, "correct the matrix"))
+    return faults
+
 
 # Where neither the campaign nor the spread of raw samples gives the noise of a channel: a thousandth of what was
 # recorded, known to a factor of e³ = 20 either way.

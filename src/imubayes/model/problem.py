@@ -11,17 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Bool, Float, Int, Scalar
-from imubayes.gather import in_batches, take
-from imubayes.kept_programs import kept
-from imubayes.model.attitude_closure import Transitions, closing_rotations
-from imubayes.model.hyper_prior import HyperCorrelation
-from imubayes.model.row_times import Timeline
-from imubayes.model.servo_ode import Servos, servo_angles
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import Array, Bool, Float, Int, Scalar, in_batches, take
+from imubayes.foundations.signal_path_state import Nodes, SignalPath
+from imubayes.model.integrated_outputs import Servos, Transitions, closing_rotations, servo_angles
+from imubayes.model.nodes_and_entries import Timeline
+from imubayes.model.parameter_priors import HyperCorrelation
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
-from imubayes.noise.base import Entry, Noise, RowSpan, SlowNoise, StateCovariance
-from imubayes.parameters.vector import Priors
-from imubayes.signal_path_state import Nodes, SignalPath
+from imubayes.noise.components import Entry, Noise, RowSpan, SlowNoise, StateCovariance
+from imubayes.parameters.declarations import Priors
 
 # Batch size of predictions: larger batches would be mostly padding for the usual few points.
 _AT_ONCE = 8

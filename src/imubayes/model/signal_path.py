@@ -1,9 +1,12 @@
 """The signal path: one loop over layers, from the motion of the table to the output of every channel.
 
-A layer is an effect together with the places of its values in the parameter vector, or one of five junctions that
-every path has: `Broadcast` (the stand of a run → its nodes), `Resolve` (motion → rate, force in body axes), `Project`
-(body → channel axes, where the signal starts), `Convert` (SI → output units; an injected current takes the sensor's
-place) and `AddOffset` (the nominal offset).  There is no case per kind of run and none per effect.
+A layer is an effect together with the places of its values in the parameter vector, or one of five junctions that every
+path has: `Broadcast` (the stand of a run → its nodes), `Resolve` (motion → rate, force in body axes), `Project` (body →
+channel axes, where the signal starts), `Convert` (SI → output units; an injected current takes the sensor's place) and
+`AddOffset` (the nominal offset).  There is no case per kind of run and none per effect.
+
+The axes that carry a table's inner one decide where its frame is, and what acts there.  Their formulas are those of
+`imubayes.procedures.kinematics`, here with the errors of the axes in them.
 """
 
 import math
@@ -17,12 +20,61 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Float, Matrix3, Vector3
 from imubayes.effects.base import Effect, Stage
-from imubayes.gather import take
-from imubayes.model.outer_axes import carried
-from imubayes.rotations import cross, rotate, rotate_back, turn_back_about_z
-from imubayes.signal_path_state import Ambient, Experience, Motion, Nodes, Sample, SignalPath
+from imubayes.foundations.arrays import (
+    Array,
+    Float,
+    Matrix3,
+    Vector3,
+    compose,
+    cross,
+    exponential,
+    rotate,
+    rotate_back,
+    take,
+    turn_back_about_z,
+)
+from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, Nodes, Sample, SignalPath
+
+
+class Carried(eqx.Module):
+    """What the outer axes make of the frame that the inner axis starts from.
+
+    Attributes
+    ----------
+    to_local : C of that frame to the local level.
+    rate, acceleration : its rotation against the Earth, rad/s and rad/s², in that frame.
+    force : specific force of a point on the inner axis, m/s², in that frame.
+    """
+
+    to_local: Matrix3
+    rate: Vector3
+    acceleration: Vector3
+    force: Vector3
+
+
+def carried(motion: Motion) -> Carried:
+    """Return what the outer axes make of the frame of the inner axis."""
+    outer = motion.outer
+    if outer is None:
+        still = jnp.zeros(3)
+        return Carried(motion.base, still, still, rotate_back(motion.base, motion.gravity))
+    z, frame = jnp.array([0.0, 0.0, 1.0]), motion.base
+    rate = acceleration = jnp.zeros(3)
+    force = rotate_back(frame, motion.gravity)
+    for place in range(2):
+        speed = outer.rate[place] * z
+        acceleration = acceleration + outer.acceleration[place] * z + cross(rate, speed)
+        turn = exponential(outer.angle[place] * z)
+        rate, acceleration, force = (rotate_back(turn, v) for v in (rate + speed, acceleration, force))
+        frame = compose(frame, turn)
+        velocity = cross(rate, outer.arm[place])
+        coriolis = 2 * cross(rotate_back(frame, motion.earth_rate), velocity)
+        force = force + cross(rate, velocity) + cross(acceleration, outer.arm[place]) + coriolis
+        link = outer.link[place]
+        frame = compose(frame, link)
+        rate, acceleration, force = (rotate_back(link, v) for v in (rate, acceleration, force))
+    return Carried(frame, rate, acceleration, force)
 
 
 class Channels(eqx.Module):

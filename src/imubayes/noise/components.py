@@ -1,8 +1,137 @@
-"""The components of the noise, one class each, registered in the order of their definitions."""
+"""The components of the noise: their bases, and one class each, registered in the order of their definitions.
 
-from imubayes.array_shapes import Scalar
-from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise, TailNoise
-from imubayes.parameters.parameter_declarations import parameter
+A component is a variance, per entry or per run and channel, a correlation, slow noise or a heavy tail.  The covariance
+of the data is Σ = D^½ R D^½ + S + Σ_g T_g 1 1ᵀ: D is diagonal, the sum of the components' variances, R is the
+correlation along the rows of each run and channel g (I without autocorrelation), S is the covariance of slow noise, and
+T_g is the variance that all entries of g share.  With heavy tails the independent part of an entry follows Student's t
+of scale D^½ instead of a normal law.  The parameters of noise are hyperparameters: they change the width of the
+posterior, not the predicted output.
+
+Slow noise is that of IEEE Std 952 in continuous time: flicker, random walk, Gauss–Markov and quantisation noise.  Its
+parameters are those of `imubayes noise`, shared by all runs of a channel, so that a static record determines them for
+short runs too.  Rows are means over time: covariances are integrals of the autocovariance over the rows.  What is
+slower than the longest run is part of the bias: no run tells them apart.
+"""
+
+import math
+from abc import abstractmethod
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from imubayes.foundations.arrays import Array, Float, Scalar, Scalars
+from imubayes.parameters.declarations import parameter
+
+
+class Entry(eqx.Module):
+    """Facts about one measured value that its variance depends on.
+
+    Attributes
+    ----------
+    samples : number of raw samples in the mean.
+    rate : magnitude of the nominal table rate along a gyro's input axis in output units, 0 for all else.
+    reference : magnitude of a gyro's nominal scale in a run beside a reference gyro, output units per rad/s, 0 for all
+        else.
+    """
+
+    samples: Scalars
+    rate: Scalars
+    reference: Scalars
+
+
+class Noise(eqx.Module):
+    """Base of all noise components; `kinds` says what it applies to (gyro, accelerometer, angle, closure)."""
+
+    name: ClassVar[str]
+    per: ClassVar[tuple[str, ...]] = ("channel",)
+    kinds: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "angle")
+    needs: ClassVar[tuple[str, ...]] = ()
+    excludes: ClassVar[tuple[str, ...]] = ()
+    confused_with: ClassVar[str] = ""
+    reference: ClassVar[str] = ""
+    nuisance: ClassVar[bool] = False
+
+
+class EntryNoise(Noise):
+    """Independent from entry to entry."""
+
+    @abstractmethod
+    def variance(self, entry: Entry) -> Scalar:
+        """Return the variance of one entry, output units squared."""
+
+
+class SharedNoise(Noise):
+    """Common to all entries of one run and channel."""
+
+    @abstractmethod
+    def shared_variance(self) -> Scalar:
+        """Return the variance of the common offset, output units squared."""
+
+
+class SeriesNoise(Noise):
+    """Autocorrelated within one run and channel: the independent noise becomes AR(1)."""
+
+    @abstractmethod
+    def lag_one_correlation(self) -> Scalar:
+        """Return the correlation of an entry with that of the row before, in (−1, 1)."""
+
+
+class RowSpan(eqx.Module):
+    """The time that a row averages over.
+
+    Attributes
+    ----------
+    start : of the row, since the start of its run, s.
+    length : of the row, s.
+    gap : between the end of the row before in the same run and channel and the start, s; ∞ for the first row.
+    times : shape (J,), equally spaced logarithms from half the shortest row to the longest run, s; the same for all.
+    """
+
+    start: Scalars
+    length: Scalars
+    gap: Scalars
+    times: Float[Array, " J"]
+
+
+class StateCovariance(eqx.Module):
+    """Covariance of a row, or of many, with the rows of its run and channel, through J independently decaying states.
+
+    With m the mean of a row, c its covariance with the states at its end, and a, k the decay of the states over the
+    gap before a row and over the row, rows i < j have the covariance Σ c_i a_(i+1) k_(i+1) a_(i+2) … a_j m_j.
+
+    Attributes
+    ----------
+    variance : of the mean over the row, output units squared.
+    mean : shape (…, J), mean over the row per unit of the states at its start.
+    end : shape (…, J), covariance of the mean over the row with the states at its end, output units squared.
+    over_gap, over_row : shape (…, J), decay of the states over the gap before the row, and over the row.
+    """
+
+    variance: Scalars
+    mean: Float[Array, "*rows J"]
+    end: Float[Array, "*rows J"]
+    over_gap: Float[Array, "*rows J"]
+    over_row: Float[Array, "*rows J"]
+
+
+class SlowNoise(Noise):
+    """Noise in continuous time, correlated between the rows of one run and channel; runs are independent."""
+
+    @abstractmethod
+    def states(self, row: RowSpan) -> StateCovariance:
+        """Return the covariance of one row with those of its run and channel."""
+
+
+class TailNoise(Noise):
+    """Heavy tails: the independent noise of a run and channel follows Student's t instead of a normal law.
+
+    The variances of the other components are then the square of its scale.
+    """
+
+    @abstractmethod
+    def degrees(self) -> Scalar:
+        """Return the degrees of freedom, above 0; a normal law has infinitely many."""
 
 
 class WhiteNoise(EntryNoise):
@@ -158,3 +287,116 @@ class RotationClosure(EntryNoise):
 
     def variance(self, entry: Entry) -> Scalar:
         return self.sigma**2
+
+
+_HOUR = 3600.0
+# Below this x a series replaces (x − 1 + exp(−x))/x², which cancels there; the first neglected term is x³/120.
+_SMALL = 1e-3
+# Rows are without a gap where the time between them is below this share of a row: rounding of recorded times.
+_TOUCHING = 1e-6
+
+
+class FlickerNoise(SlowNoise):
+    """Spectrum B²/(2πf): a sum of Gauss–Markov processes of variance B² ln(r)/π, correlation times r apart.
+
+    Their times reach from half the shortest row to the longest run, with r of at most 5, where the spectrum deviates
+    from 1/f by less than 1 %.  Faster processes are white noise of the row.
+    """
+
+    name = "flicker_noise"
+    kinds = ("gyro", "accelerometer")
+    excludes = ("correlated_noise", "outliers")
+    confused_with = "random_walk_noise, where all runs are short; run_scatter, where runs have few rows"
+    reference = "IEEE Std 952, annex C, bias instability; Keshner, 1/f noise, Proc. IEEE 70 (1982), 212"
+
+    b: Scalar = parameter(
+        "output", "lognormal(0.1 noise, 2.0)", (1e-9, 0.1), "the coefficient B; the Allan deviation is flat at 0.664 B"
+    )
+
+    def states(self, row: RowSpan) -> StateCovariance:
+        ratio = row.times[1] / row.times[0]
+        each = self.b**2 * jnp.log(ratio) / math.pi
+        found = _decaying(jnp.full_like(row.times, each), row.times, row)
+        faster = 2 * each * row.times[0] / ((ratio - 1) * row.length)
+        return StateCovariance(found.variance + faster, found.mean, found.end, found.over_gap, found.over_row)
+
+
+class RandomWalkNoise(SlowNoise):
+    """Spectrum K²/(2πf)²: the output moves from its value at the start of a run with variance K² t."""
+
+    name = "random_walk_noise"
+    kinds = ("gyro", "accelerometer")
+    excludes = ("correlated_noise", "outliers")
+    confused_with = "flicker_noise, where all runs are short; a drift in time"
+    reference = "IEEE Std 952, annex C, rate random walk"
+
+    k: Scalar = parameter(
+        "output",
+        "lognormal(0.1 noise, 2.0)",
+        (1e-9, 0.1),
+        "the standard deviation of a change over 1 h, K·√(1 h)",
+    )
+
+    def states(self, row: RowSpan) -> StateCovariance:
+        squared = self.k**2 / _HOUR
+        still = jnp.ones(1)
+        end = squared * (row.start + row.length / 2) * still
+        over_gap = jnp.where(jnp.isfinite(row.gap), 1.0, 0.0) * still
+        return StateCovariance(squared * (row.start + row.length / 3), still, end, over_gap, still)
+
+
+class GaussMarkovNoise(SlowNoise):
+    """Gauss–Markov noise: autocovariance σ² exp(−t/T)."""
+
+    name = "gauss_markov_noise"
+    kinds = ("gyro", "accelerometer")
+    excludes = ("correlated_noise", "outliers")
+    confused_with = "flicker_noise and random_walk_noise, where T is not well within the length of a run"
+    reference = "IEEE Std 952, annex C, exponentially correlated (Markov) noise"
+
+    sigma: Scalar = parameter("output", "lognormal(0.1 noise, 2.0)", (1e-9, 0.1), "the standard deviation σ")
+    time: Scalar = parameter("s", "lognormal(600 s, 1.5)", (10, 1e4), "the correlation time T")
+
+    def states(self, row: RowSpan) -> StateCovariance:
+        return _decaying(jnp.reshape(self.sigma**2, (1,)), jnp.reshape(self.time, (1,)), row)
+
+
+class PulseQuantisation(SlowNoise):
+    """Variance 2Q²/T² of a row of T s, covariance −Q²/(T₁T₂) of rows that follow one another without a gap.
+
+    The output counts pulses: their sum, an angle or a velocity, errs by white noise of standard deviation Q at the ends
+    of a row (a twelfth of the squared weight of a pulse is Q²), and what one row lacks the next one has.
+    """
+
+    name = "pulse_quantisation"
+    kinds = ("gyro", "accelerometer")
+    excludes = ("correlated_noise", "outliers", "quantisation")
+    confused_with = "white_noise, where all rows are equally long and apart"
+    reference = "IEEE Std 952, annex C, quantization noise"
+
+    q: Scalar = parameter(
+        "output", "lognormal(0.01 noise, 2.0)", (1e-9, 0.1), "the coefficient Q, in output units times 1 s"
+    )
+
+    def states(self, row: RowSpan) -> StateCovariance:
+        follows = row.gap < _TOUCHING * row.length
+        one = jnp.ones(1)
+        return StateCovariance(
+            2 * (self.q / row.length) ** 2,
+            -one / row.length,
+            self.q**2 / row.length * one,
+            jnp.where(follows, 1.0, 0.0) * one,
+            0.0 * one,
+        )
+
+
+def _decaying(variance: Float[Array, " J"], times: Float[Array, " J"], row: RowSpan) -> StateCovariance:
+    """Return the covariance of a row under independent processes of autocovariance variance · exp(−t/time)."""
+    x = row.length / times
+    series = 0.5 - x / 6 + x**2 / 24
+    safe = jnp.where(x < _SMALL, 1.0, x)
+    of_mean = 2 * jnp.where(x < _SMALL, series, (safe + jnp.expm1(-safe)) / safe**2)
+    mean = jnp.where(x < _SMALL, 1 - x / 2 + x**2 / 6, -jnp.expm1(-safe) / safe)
+    follows = jnp.isfinite(row.gap)
+    over_gap = jnp.where(follows, jnp.exp(-jnp.where(follows, row.gap, 0.0) / times), 0.0)
+    return StateCovariance(jnp.sum(variance * of_mean), mean, variance * mean, over_gap, jnp.exp(-x))

@@ -14,11 +14,10 @@ from enum import StrEnum
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.noise_analysis.cosine_coefficients import CosineStatistics
+from imubayes.foundations.tail_probabilities import normal_survival
+from imubayes.noise_analysis.cosine_spectra import CosineStatistics, NoiseTerm, removed_shares
 from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
-from imubayes.noise_analysis.noise_spectra import NoiseTerm, removed_shares
-from imubayes.noise_analysis.term_evidence import BASIC, highest, within_record
-from imubayes.tail_probabilities import normal_survival
+from imubayes.noise_analysis.noise_terms import BASIC, highest, within_record
 
 MISFIT = 0.003  # chance, over all octaves, at which the fit of one is called bad
 LEAST_OCTAVES = 4

@@ -13,8 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from imubayes.noise_analysis.cosine_coefficients import CosineStatistics
-from imubayes.noise_analysis.noise_spectra import NoiseTerm, level_variances
+from imubayes.noise_analysis.cosine_spectra import CosineStatistics, NoiseTerm, level_variances
 
 _STEPS = 200
 _LARGEST_STEP = 2.0  # in log θ

@@ -6,12 +6,13 @@ from typing import Literal
 
 import numpy as np
 
-from imubayes.campaign.raw_logs import raw_log
-from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.errors import InputError, Issue, closest_first, input_error
-from imubayes.json_record import Record, finite
+from imubayes.campaign.campaign_reader import raw_log
+from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.progress import counted, silent
+from imubayes.foundations.records import Record, finite
 from imubayes.noise_analysis.allan_deviation import AllanVariance, allan_variance
-from imubayes.noise_analysis.cosine_coefficients import cosine_statistics
+from imubayes.noise_analysis.cosine_spectra import NoiseTerm, allan_shape, cosine_statistics
 from imubayes.noise_analysis.described_band import (
     LEAST_OCTAVES,
     Cause,
@@ -22,15 +23,17 @@ from imubayes.noise_analysis.described_band import (
     octave_fits,
 )  # fmt: skip
 from imubayes.noise_analysis.likelihood import NoiseLikelihood
-from imubayes.noise_analysis.noise_spectra import NoiseTerm, allan_shape
-from imubayes.noise_analysis.record_examination import examined, unequal_levels, widened, without_rounding
-from imubayes.noise_analysis.repeated_values import Repetition
-from imubayes.noise_analysis.running_sum import RunningSum, running_sums
+from imubayes.noise_analysis.noise_terms import PROBABILITY, NoiseEstimate, TermEstimate, estimate_terms
+from imubayes.noise_analysis.record_examination import (
+    Repetition,
+    TemperatureDrift,
+    examined,
+    unequal_levels,
+    widened,
+    without_rounding,
+)
+from imubayes.noise_analysis.running_sum import OutlyingSamples, RunningSum, SuddenChange, running_sums
 from imubayes.noise_analysis.spectral_lines import SpectralLine
-from imubayes.noise_analysis.sudden_changes import OutlyingSamples, SuddenChange
-from imubayes.noise_analysis.temperature_drift import TemperatureDrift
-from imubayes.noise_analysis.term_selection import PROBABILITY, NoiseEstimate, TermEstimate, estimate_terms
-from imubayes.step_counter import counted, silent
 
 PROCEDURE = "static_record"
 _TEMPERATURE = "temperature_degC"

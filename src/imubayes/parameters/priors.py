@@ -18,10 +18,10 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtr, ndtri
 from scipy import special
 
-from imubayes.array_shapes import Array, Float, Scalar
-from imubayes.errors import InputError, closest_first, input_error
-from imubayes.tail_probabilities import normal_survival
-from imubayes.units import same_dimension, to_si
+from imubayes.foundations.arrays import Array, Float, Scalar
+from imubayes.foundations.errors import InputError, closest_first, input_error
+from imubayes.foundations.tail_probabilities import normal_survival
+from imubayes.foundations.units import same_dimension, to_si
 
 
 class Prior(eqx.Module):

@@ -1,9 +1,16 @@
-"""The test procedures: one module and one line of registration each."""
+"""The test procedures, one module and one line of registration each, and the textbook estimates of a campaign.
 
+Estimates and standard combinations are found procedure by procedure.
+"""
+
+from dataclasses import replace
+
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.centrifuge import CENTRIFUGE
-from imubayes.procedures.current_injection import CURRENT_INJECTION
+from imubayes.procedures.converter_temperature import CURRENT_INJECTION, THERMAL_RAMP
 from imubayes.procedures.dividing_head import DIVIDING_HEAD
+from imubayes.procedures.fitted_terms import StandardCombination
 from imubayes.procedures.free_tumble import FREE_TUMBLE
 from imubayes.procedures.geographic_tumble import GEOGRAPHIC_TUMBLE
 from imubayes.procedures.multi_axis_table import MULTI_AXIS_TABLE
@@ -13,7 +20,7 @@ from imubayes.procedures.reference_gyro import REFERENCE_GYRO
 from imubayes.procedures.rotation_modulation import ROTATION_MODULATION
 from imubayes.procedures.servo_table import SERVO_TABLE
 from imubayes.procedures.static_record import STATIC_RECORD
-from imubayes.procedures.thermal_ramp import THERMAL_RAMP
+from imubayes.procedures.textbook import TextbookResult
 
 PROCEDURES: dict[str, Procedure] = {
     procedure.name: procedure
@@ -41,4 +48,31 @@ def procedure_named(name: str) -> Procedure:
     return PROCEDURES.get(name) or Procedure(name)
 
 
-__all__ = ["PROCEDURES", "Procedure", "Reduction", "procedure_named"]
+def classical(campaign: Campaign, delta_k_threshold: float | None = None) -> tuple[TextbookResult, ...]:
+    """Return the textbook estimates of a campaign, and the quantities that the textbook methods cannot determine.
+
+    Parameters
+    ----------
+    delta_k_threshold : largest Δk at which the 1 g line of a converter applies to another input, as a ratio; that of
+        the campaign where None.
+    """
+    if delta_k_threshold is not None:
+        campaign = replace(campaign, delta_k_threshold=delta_k_threshold)
+    found: list[TextbookResult] = []
+    for evaluate in dict.fromkeys(procedure.evaluate for procedure in PROCEDURES.values()):
+        runs = [run for run in campaign.runs if PROCEDURES[run.procedure].evaluate is evaluate]
+        found += evaluate(campaign, runs) if evaluate and runs else []
+    return tuple(found)
+
+
+def declared_combinations(campaign: Campaign) -> tuple[StandardCombination, ...]:
+    """Return the standard combinations that the procedures of a campaign declare, each name once."""
+    found: dict[str, StandardCombination] = {}
+    for name, procedure in PROCEDURES.items():
+        runs = [run for run in campaign.runs if run.procedure == name]
+        for each in procedure.combinations(campaign, runs) if procedure.combinations and runs else []:
+            found.setdefault(each.name, each)
+    return tuple(found.values())
+
+
+__all__ = ["PROCEDURES", "Procedure", "Reduction", "classical", "declared_combinations", "procedure_named"]

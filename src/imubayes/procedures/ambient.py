@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Run
-from imubayes.covariates import COVARIATES, ambient_names
+from imubayes.foundations.campaign_data import Campaign, Run
+from imubayes.foundations.covariates import COVARIATES, ambient_names
 
 # A temperature range below half a degree, or fewer rows than a line and its residual variance need, gives no usable
 # rate; windows widen until the noise of the slopes is a tenth of their size.

@@ -17,14 +17,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.errors import input_error
-from imubayes.procedures.base import Procedure
-from imubayes.procedures.fitted_terms import term_estimates
-from imubayes.procedures.nominal_stimulus import Stimulus
-from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules, whole_turns
-from imubayes.procedures.serial_axes import serial_input, serial_stimulus
-from imubayes.procedures.standard_combinations import LinearCombination, StandardCombination, of_drift
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.foundations.errors import input_error
+from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, whole_turns
+from imubayes.procedures.fitted_terms import LinearCombination, StandardCombination, of_drift, term_estimates
+from imubayes.procedures.kinematics import Stimulus, serial_input, serial_stimulus
 from imubayes.procedures.textbook import TextbookResult, Undetermined, by_temperature, names_of
 
 METHOD = "IEEE Std 836 centrifuge test"

@@ -1,10 +1,15 @@
-"""Converter of an accelerometer over temperature: a line per input, and whether one line serves all inputs (P8).
+"""Converter of an accelerometer over temperature (P8): thermal ramp, current injection, and a line per input.
 
-For each input (1 g, 1/√3 g in the trihedral mounting, a current equivalent to several g) the output is linear in the
-converter temperature, D = f(T) = D₀ + s T, with its slope s and its intercept D₀ at 0 °C.  With k the slope per unit of
-input at 1 g and k′ that at another input, Δk = |k′ − k|/|k|.  An injected current is compared with the injected
-current that stands for 1 g, where there is one: the sensor is in neither.  Δk of the raw slopes s, not divided by the
-input, is given beside it: it is zero for a drift of the offset alone.
+In a thermal ramp the unit is at rest while the temperature of sensor or converter varies.  In current injection a known
+current replaces the accelerometer at the converter input.  It is equivalent to inputs beyond the range of a table, 12 g
+and more.  The sensor is out of the loop, which separates the gain drift of the converter from that of the sensor.
+
+The question is whether one line serves all inputs.  For each input (1 g, 1/√3 g in the trihedral mounting, a current
+equivalent to several g) the output is linear in the converter temperature, D = f(T) = D₀ + s T, with its slope s and
+its intercept D₀ at 0 °C.  With k the slope per unit of input at 1 g and k′ that at another input, Δk = |k′ − k|/|k|.
+An injected current is compared with the injected current that stands for 1 g, where there is one: the sensor is in
+neither.  Δk of the raw slopes s, not divided by the input, is given beside it: it is zero for a drift of the offset
+alone.
 
 Up to the threshold the 1 g line applies, above it the input needs its own line.  Both slopes are uncertain.  The
 decision follows the probability that Δk does not exceed the threshold, for Student t distributed slopes; between 5 %
@@ -16,8 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.procedures.standard_combinations import LinearCombination, StandardCombination
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.procedures.base import RAMP_KEYS, PlanRules, Procedure, Reduction
+from imubayes.procedures.fitted_terms import LinearCombination, StandardCombination
 from imubayes.procedures.textbook import (
     Estimate,
     Line,
@@ -201,3 +207,39 @@ def decided(one: ThermalLine, base: ThermalLine, threshold: float) -> str:
         text = "not decided by these data"
     chance = "" if np.isnan(probability) else f", P(Δk ≤ {threshold * 100:g} %) {compared_probability(probability)}"
     return f"threshold {threshold * 100:g} %: {text}{chance}"
+
+
+def _nominal_input(
+    run: Run, channel: Channel, _site: Site, _table: Table | None, _mounting: Mounting | None
+) -> np.ndarray | None:
+    """Return the acceleration equivalent to the current, m/s², shape (R,)."""
+    if not channel.current_per_acceleration or "current" not in run.covariates:
+        return None
+    return run.covariates["current"] / channel.current_per_acceleration
+
+
+CURRENT_INJECTION = Procedure(
+    name="current_injection",
+    reference="IEEE Std 1293, electronics calibration",
+    columns=(("current_mA",),),
+    reduction=Reduction.BINNED,
+    injected=True,
+    abscissae=("converter_temperature", "current", "temperature", "time"),
+    plan=PlanRules(("current_mA",), RAMP_KEYS),
+    nominal_input=_nominal_input,
+    evaluate=converter_test,
+    combinations=combinations,
+)
+
+
+THERMAL_RAMP = Procedure(
+    name="thermal_ramp",
+    reference="IEEE Std 1293, thermal sensitivity test",
+    columns=(("converter_temperature_degC", "temperature_degC"),),
+    needs_table=True,
+    reduction=Reduction.BINNED,
+    abscissae=("converter_temperature", "temperature", "time"),
+    plan=PlanRules(("converter_temperature_degC",), ("rows", "rate_degC_per_h")),
+    evaluate=converter_test,
+    combinations=combinations,
+)

@@ -24,10 +24,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.planned_steps import PlanRules, position_rows
-from imubayes.procedures.standard_combinations import LinearCombination, StandardCombination
+from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.units import to_si
+from imubayes.procedures.base import PlanRules, Procedure, Reduction, position_rows
+from imubayes.procedures.fitted_terms import LinearCombination, StandardCombination
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -37,7 +37,6 @@ from imubayes.procedures.textbook import (
     least_squares,
     measured,
 )
-from imubayes.units import to_si
 
 METHOD = "IEEE Std 1293 tumble test"
 _ACROSS = 0.05

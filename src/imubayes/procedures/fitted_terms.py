@@ -1,22 +1,130 @@
-"""Textbook regression on known inputs: the terms of the model equation that a set of rows separates, by least squares.
+"""Textbook regression on known inputs: terms of the model equation that rows separate, and combinations of terms.
 
-The output is E = K·(Σ c_j x_j) with the input itself first, c = 1: for an accelerometer
-a_i + K0 + δ_o a_p − δ_p a_o + K2 a_i² + … (IEEE Std 1293), for a gyro ω_i + D_F + δ_o ω_o + … + D_I a_i + … (IEEE Std
-517).  Terms enter in the order of their list as long as the rows tell them from those before.  Of those left out the
+The output is E = K·(Σ c_j x_j) with the input itself first, c = 1: for an accelerometer a_i + K0 + δ_o a_p − δ_p a_o +
+K2 a_i² + … (IEEE Std 1293), for a gyro ω_i + D_F + δ_o ω_o + … + D_I a_i + … (IEEE Std 517).  It is fitted by least
+squares.  Terms enter in the order of their list as long as the rows tell them from those before.  Of those left out the
 higher orders of an accelerometer are assumed zero and named; those of a gyro stay in sums with what they are not
 separable from, such as D_F + D_II.
+
+Estimable functions are the combinations of coefficients that a design determines.  With y = X β + ν a combination wᵀβ
+has an unbiased linear estimate exactly where w lies in the row space of X.  Single coefficients come first, then the
+combinations that textbooks quote, and last the rows of the reduced row echelon form of X, which complete a basis of the
+row space.  Source: Searle, Linear Models (1971), § 5.4.
+
+Standard combinations are what a test determines where it does not separate the parameters themselves.  Every procedure
+declares its own, with the symbols of its standard; the textbook evaluation and the joint fit report them under the same
+names.  A combination is declared for what the test determines at best: whether it was determined is found from the
+information in the data, never from this declaration.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.procedures.estimable_functions import written
-from imubayes.procedures.serial_axes import AXES, felt, row_means, serial_stimulus
-from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares, names_of
-from imubayes.units import to_si
+from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.units import to_si
+from imubayes.procedures.kinematics import AXES, felt, row_means, serial_stimulus
+from imubayes.procedures.textbook import (
+    Estimate,
+    TextbookResult,
+    Undetermined,
+    along_table,
+    components,
+    least_squares,
+    names_of,
+)
+
+# Singular values below this fraction of the largest are zero; nominal geometry is exact to rounding.
+_RANK = 1e-7
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A linear combination of coefficients, wᵀβ.
+
+    Attributes
+    ----------
+    symbol : `D_I`, or the sum as it is written: `D_II-D_SS`.
+    weights : shape (p,).
+    """
+
+    symbol: str
+    weights: np.ndarray
+
+    @property
+    def single(self) -> bool:
+        """Whether this is one coefficient by itself."""
+        return int(np.count_nonzero(self.weights)) == 1
+
+
+def estimable(
+    design: np.ndarray, names: Sequence[str], standard: Mapping[str, np.ndarray] | None = None
+) -> list[Combination]:
+    """Return independent combinations that span the row space of a design.
+
+    Parameters
+    ----------
+    design : shape (n, p).
+    names : of the p coefficients.
+    standard : symbol → weights, shape (p,), of the combinations to prefer, in order.
+    """
+    basis = _row_space(design)
+    singles = dict(zip(names, np.eye(len(names)), strict=True))
+    # The echelon form is complete only for itself: singles and standard combinations take the place of its rows.
+    wanted = [Combination(symbol, weights) for symbol, weights in (singles | dict(standard or {})).items()]
+    wanted += [Combination(written(row, names), row) for row in echelon(basis)]
+    found: list[Combination] = []
+    for candidate in wanted:
+        if len(found) == len(basis):
+            break
+        unit = candidate.weights / np.linalg.norm(candidate.weights)
+        if np.linalg.norm(unit - basis.T @ (basis @ unit)) > 1e-6:
+            continue
+        weights = np.array([each.weights / np.linalg.norm(each.weights) for each in (*found, candidate)])
+        if np.linalg.matrix_rank(weights, tol=1e-6) == len(weights):
+            found.append(candidate)
+    return found
+
+
+def rank(design: np.ndarray) -> int:
+    """Return the number of independent combinations that a design determines."""
+    return len(_row_space(design))
+
+
+def _row_space(design: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of the row space, shape (rank, p)."""
+    _, values, rows = np.linalg.svd(design, full_matrices=False)
+    return rows[values > _RANK * max(values.max(initial=0.0), np.finfo(float).tiny)]
+
+
+def echelon(rows: np.ndarray) -> np.ndarray:
+    """Return the reduced row echelon form of independent rows, shape (r, p), with 1 at every pivot."""
+    reduced = rows.copy()
+    place = 0
+    for column in range(reduced.shape[1]):
+        if place == len(reduced):
+            break
+        pivot = place + int(np.argmax(np.abs(reduced[place:, column])))
+        if abs(reduced[pivot, column]) < 1e-6:
+            continue
+        reduced[[place, pivot]] = reduced[[pivot, place]]
+        reduced[place] /= reduced[place, column]
+        others = np.arange(len(reduced)) != place
+        reduced[others] -= np.outer(reduced[others, column], reduced[place])
+        place += 1
+    return np.where(np.abs(reduced) < 1e-6, 0.0, reduced)
+
+
+def written(weights: Sequence[float] | np.ndarray, names: Sequence[str]) -> str:
+    """Return a combination as it is written: `D_F+0.683·D_SS`."""
+    text = ""
+    for weight, name in zip(weights, names, strict=True):
+        if weight:
+            factor = "" if abs(abs(weight) - 1) < 1e-6 else f"{abs(weight):.3g}·"
+            text += f"{'-' if weight < 0 else '+' if text else ''}{factor}{name}"
+    return text
+
 
 # Of the columns at unit length: beyond it a coefficient loses four of the digits of the readings.
 _LARGEST_CONDITION = 1e4
@@ -227,3 +335,88 @@ def _factor(channel: Channel, term: FittedTerm) -> float:
     if term.unit == "arcsec":
         return 1 / to_si("arcsec")
     return 1 / to_si("deg/h") if channel.kind == "gyro" else 1e6
+
+
+DRIFT_COEFFICIENTS = {
+    "D_F": "gyro_bias.bias",
+    "D_I": "gyro_g_sensitivity.d_i", "D_O": "gyro_g_sensitivity.d_o", "D_S": "gyro_g_sensitivity.d_s",
+    "D_II": "gyro_g2_sensitivity.d_ii", "D_OO": "gyro_g2_sensitivity.d_oo", "D_SS": "gyro_g2_sensitivity.d_ss",
+    "D_IO": "gyro_g2_sensitivity.d_io", "D_OS": "gyro_g2_sensitivity.d_os", "D_SI": "gyro_g2_sensitivity.d_si",
+}  # fmt: skip
+"""Textbook symbol of a drift coefficient (IEEE Std 517) → parameter of the joint fit."""
+LEAST_COSINE = 0.1
+"""Gyros with |cos θ| below this to the axis of a rate table are not evaluated."""
+_ROUNDING = 1e-9
+_ANGLES = np.arange(72) * np.pi / 36
+
+
+@dataclass(frozen=True)
+class LinearCombination:
+    """A sum of parameters.
+
+    Attributes
+    ----------
+    name : symbol and label: `D_F+D_II[g]`.
+    unit : of the sum, with each parameter in its own unit.
+    weights : name of the parameter → its weight.
+    constant : added to the sum, in `unit`.
+    total : whether the sum stands for everything that acts together, so that a model may lack some of its members.
+    middle_of : run in the middle of whose record it holds, where it changes with time; else empty.
+    """
+
+    name: str
+    unit: str
+    weights: Mapping[str, float]
+    total: bool = False
+    constant: float = 0.0
+    middle_of: str = ""
+
+
+@dataclass(frozen=True)
+class ProjectedScaleFactor:
+    """k′ = k cos θ, the slope of the output against the table rate.
+
+    Attributes
+    ----------
+    name, unit : `k′[gx,pyramid]`, in the unit of the scale factor.
+    scale, angle : names of the derived quantities k and θ.
+    """
+
+    name: str
+    unit: str
+    scale: str
+    angle: str
+
+
+StandardCombination = LinearCombination | ProjectedScaleFactor
+
+
+def drift_terms(force: np.ndarray) -> np.ndarray:
+    """Return the terms of the drift coefficients at specific forces along I, O and S in g, (3, n) → (n, 10)."""
+    i, o, s = force
+    return np.stack([np.ones_like(i), i, o, s, i * i, o * o, s * s, i * o, o * s, s * i], axis=1)
+
+
+def of_drift(
+    symbol: str, channel: str, unit: str, terms: Mapping[str, float], total: bool = False
+) -> LinearCombination:
+    """Return a combination of the drift coefficients of a gyro; `terms` are textbook symbol → weight."""
+    weights = {f"{DRIFT_COEFFICIENTS[term]}[{channel}]": weight for term, weight in terms.items()}
+    return LinearCombination(f"{symbol}[{channel}]", unit, weights, total)
+
+
+def turn_mean_drift(campaign: Campaign, run: Run, channel: Channel) -> dict[str, float]:
+    """Return the drift of a gyro as the mean over a whole turn of the table: textbook symbol → weight."""
+    mean = drift_terms(components(run, campaign, channel, _ANGLES)).mean(axis=0)
+    terms = zip(DRIFT_COEFFICIENTS, mean, strict=True)
+    return {symbol: float(weight) for symbol, weight in terms if abs(weight) > _ROUNDING}
+
+
+def projected_scale_factors(campaign: Campaign, runs: Sequence[Run]) -> Iterator[ProjectedScaleFactor]:
+    """Return k′ of every gyro in every mounting, except where its axis is nearly across that of the table."""
+    for mounting, run in {run.mounting: run for run in runs if run.mounting is not None}.items():
+        for channel in campaign.of_kind("gyro"):
+            if abs(float(along_table(run, campaign, channel.axes[0])[2])) > LEAST_COSINE:
+                place, unit = f"[{channel.name},{mounting}]", f"{channel.output_unit} per {channel.per}"
+                scale = f"scale_factor[{channel.name}]"
+                yield ProjectedScaleFactor(f"k′{place}", unit, scale, f"mounting_angle{place}")

@@ -12,13 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Run
-from imubayes.errors import input_error
+from imubayes.foundations.campaign_data import Campaign, Run
+from imubayes.foundations.errors import input_error
 from imubayes.procedures.ambient import ambient_of
-from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.kinematics import table_stimulus
-from imubayes.procedures.nominal_stimulus import Stimulus
-from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
+from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
+from imubayes.procedures.kinematics import Stimulus, table_stimulus
 
 _SAMPLING, _FIRST_REST, _REST, _MOVE = 100.0, 15.0, 4.0, 2.0  # Hz and s
 _AXES = ("reference_x", "reference_y", "reference_z")

@@ -13,13 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.earth import earth_rate
-from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.kinematics import table_stimulus
-from imubayes.procedures.nominal_stimulus import Stimulus
-from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
-from imubayes.procedures.standard_combinations import StandardCombination, of_drift
+from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.earth import earth_rate
+from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
+from imubayes.procedures.fitted_terms import StandardCombination, of_drift
+from imubayes.procedures.kinematics import Stimulus, table_stimulus
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares
 
 METHOD = "IEEE Std 517 tumble in geographic positions"

@@ -1,16 +1,117 @@
-"""Nominal kinematics of a unit on a single-axis table: the nodes of a run, and the nominal input of a channel.
+"""Nominal kinematics of a unit on a table or a centrifuge: nodes and stimulus of a run, input of a channel.
 
-Table and mounting are taken as specified; their errors are effects.
+NumPy only, so that reading campaigns does not import JAX.  Table and mounting are taken as specified; their errors are
+effects.  A table may have one axis or several.
+
+On a table of several axes, or on a centrifuge, the outer axis carries the middle one, that the inner one, and that the
+unit.  With e_k the unit vector of axis k, Ω_k the rotation of its frame against the Earth and d_k the distance to the
+next axis, fixed in that frame,
+
+    Ω_k = Σ_{j ≤ k} φ̇_j e_j,   Ω̇_k = Σ_{j ≤ k} (φ̈_j e_j + Ω_{j−1} × φ̇_j e_j),
+    f = g + Σ_k (Ω_k × (Ω_k × d_k) + Ω̇_k × d_k + 2 ω_E × (Ω_k × d_k)),
+
+exact for any simultaneous rotation: the last term is the Coriolis acceleration, 12 ppm of the centripetal one at 10
+rad/s.  The axes of a row turn at constant rates about their angles at the middle of the row.
 """
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.earth import earth_rate
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.foundations.earth import earth_rate
+from imubayes.foundations.errors import input_error
 from imubayes.procedures.ambient import ambient_of
-from imubayes.procedures.nominal_stimulus import Stimulus
+
+
+@dataclass(frozen=True)
+class OuterMotion:
+    """The outer and the middle axis of a table at the nodes of a run, in SI; an axis that it lacks stands still.
+
+    Attributes
+    ----------
+    links : shape (n, 2, 3, 3), nominal `imubayes.foundations.campaign_data.Table.links`.
+    arms : shape (n, 2, 3), from each axis to the next, in its own frame.
+    angle, rate, acceleration : shape (n, 2).
+    """
+
+    links: np.ndarray
+    arms: np.ndarray
+    angle: np.ndarray
+    rate: np.ndarray
+    acceleration: np.ndarray
+
+    @staticmethod
+    def still(count: int) -> "OuterMotion":
+        """Return the axes of a table that has none of them, at some number of nodes."""
+        zero = np.zeros((count, 2))
+        return OuterMotion(np.broadcast_to(np.eye(3), (count, 2, 3, 3)), np.zeros((count, 2, 3)), zero, zero, zero)
+
+
+@dataclass(frozen=True)
+class Stimulus:
+    """The nodes of one run (n of them), in SI.
+
+    Attributes
+    ----------
+    row : shape (n,), the row of the run each node belongs to.
+    weight : shape (n,), sums to 1 over the nodes of a row.
+    base, mounting : shape (n, 3, 3), nominal.
+    table_angle, table_rate, table_acceleration : shape (n,).
+    reference_rate, reference_acceleration : shape (n, 3), body axes; zero without a reference gyro.
+    ambient : covariate name → shape (n,), the covariates of the run.
+    injected : whether a current replaces the sensor at the converter input.
+    pose : shape (n,), static pose of a free tumble, else −1.
+    driven : whether a gyro drives the table.
+    directed : whether the attitude is set by directions of the site, north and the vertical.
+    outer : the axes that carry the table's inner one, whose frame at angle 0 is then no longer `base`; None where
+        there are none.
+    """
+
+    row: np.ndarray
+    weight: np.ndarray
+    base: np.ndarray
+    mounting: np.ndarray
+    table_angle: np.ndarray
+    table_rate: np.ndarray
+    table_acceleration: np.ndarray
+    reference_rate: np.ndarray
+    reference_acceleration: np.ndarray
+    ambient: dict[str, np.ndarray]
+    injected: bool
+    pose: np.ndarray
+    driven: bool = False
+    directed: bool = False
+    outer: OuterMotion | None = None
+
+    @property
+    def referenced(self) -> bool:
+        """Whether a reference gyro measures the rate."""
+        return bool(np.any(self.reference_rate != 0))
+
+    @property
+    def supplies(self) -> frozenset[str]:
+        """Names of what this run recorded, and of what happens in it."""
+        seen = set(self.ambient)
+        # Between the poses of a free tumble the unit is turned by hand.
+        carried = self.outer is not None and np.any(self.outer.rate != 0)
+        if np.any(self.table_rate != 0) or np.any(self.pose >= 0) or self.referenced or carried:
+            seen.add("turning")
+        if self.referenced:
+            seen.add("reference")
+        accelerations = [self.table_acceleration, self.reference_acceleration]
+        accelerations += [self.outer.acceleration] if self.outer is not None else []
+        if any(np.any(values != 0) for values in accelerations):
+            seen.add("acceleration")
+        if self.injected:
+            seen.add("injection")
+        if self.driven:
+            seen.add("driven")
+        if self.directed:
+            seen.add("directions")
+        return frozenset(seen)
+
 
 # The mean over a turn is taken at equally spaced angles, exact for harmonics below their number.  About a vertical
 # axis gravity along an input axis varies only with the tilt, so 4 nodes suffice for products up to the third order;
@@ -108,3 +209,173 @@ def nominal_input(
     if channel.kind == "gyro":
         in_table[:, 2] += rate
     return in_table @ mounting.body_to_table @ channel.axes[0]
+
+
+AXES = ("outer", "middle", "table")
+"""Covariates of the axes begin with these, from the outer to the inner one."""
+# Whole turns at equally spaced angles are exact for harmonics below the number of nodes; squares and cubes of what
+# turns with the axes have three, and those of harmonics of an axis a few more.  A partial turn is integrated by
+# Gauss–Legendre quadrature, exact to rounding with as many nodes per turn and five more.
+_NODES_PER_TURN, _FURTHER_NODES = 12, 5
+_WHOLE = 1e-6
+
+
+def serial_stimulus(run: Run, campaign: Campaign) -> Stimulus:
+    """Return the stimulus of a run on a table of several axes.
+
+    Raises
+    ------
+    InputError
+        where the table states no inner axis, or two axes turn at unknown angles.
+    """
+    assert run.table is not None
+    assert run.mounting is not None
+    return _stimulus(run, campaign.tables[run.table], campaign.mountings[run.mounting], campaign)
+
+
+def serial_input(
+    run: Run, channel: Channel, site: Site, table: Table | None, mounting: Mounting | None
+) -> np.ndarray | None:
+    """Return the nominal input of a channel, mean over each row, rad/s or m/s², (R,); None without equipment."""
+    if table is None or mounting is None:
+        return None
+    stimulus = _stimulus(run, table, mounting)
+    rate, force = felt(stimulus, site)
+    return row_means(stimulus, (rate if channel.kind == "gyro" else force) @ channel.axes[0])
+
+
+def row_means(stimulus: Stimulus, values: np.ndarray) -> np.ndarray:
+    """Return the means over rows of values at nodes, (n, …) → (R, …)."""
+    found = np.zeros((int(stimulus.row.max(initial=-1)) + 1, *values.shape[1:]))
+    np.add.at(found, stimulus.row, values * stimulus.weight.reshape(-1, *[1] * (values.ndim - 1)))
+    return found
+
+
+def _stimulus(run: Run, table: Table, mounting: Mounting, campaign: Campaign | None = None) -> Stimulus:
+    if table.inner_axis is None:
+        raise input_error(
+            f"table '{table.name}' of run '{run.name}' states no inner axis",
+            f"campaign.toml, table '{table.name}', key 'inner_axis'",
+            "the direction at zero angles, in axes with z along the outer axis, such as [0, 0, 1]",
+            "state the directions of the axes: inner_axis, and middle_axis of a table of three axes",
+        )
+    rate = axis_columns(run, "rate", 0.0)
+    per_row = [row_path(*row) for row in zip(axis_angles(run), rate, axis_columns(run, "angle_span", 0.0), strict=True)]
+    row = np.repeat(np.arange(run.rows), [len(weight) for _, weight in per_row])
+    angle = np.concatenate([path for path, _ in per_row])
+    acceleration, count = axis_columns(run, "acceleration", 0.0)[row], len(row)
+    arms = np.array([[table.arm, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    ambient = ambient_of(run, row, campaign)
+    ambient |= {f"{axis}_angle": angle[:, place] for place, axis in enumerate(AXES) if _has(table, axis)}
+    return Stimulus(
+        row=row,
+        weight=np.concatenate([weight for _, weight in per_row]),
+        base=np.broadcast_to(table.outer_to_local, (count, 3, 3)),
+        mounting=np.broadcast_to(mounting.body_to_table, (count, 3, 3)),
+        table_angle=angle[:, 2],
+        table_rate=rate[row, 2],
+        table_acceleration=acceleration[:, 2],
+        reference_rate=np.zeros((count, 3)),
+        reference_acceleration=np.zeros((count, 3)),
+        ambient=ambient,
+        injected=False,
+        pose=np.full(count, -1),
+        outer=OuterMotion(
+            np.broadcast_to(table.links, (count, 2, 3, 3)),
+            np.broadcast_to(arms, (count, 2, 3)),
+            angle[:, :2],
+            rate[row, :2],
+            acceleration[:, :2],
+        ),
+    )
+
+
+def _has(table: Table, axis: str) -> bool:
+    return axis != "middle" or table.middle_axis is not None
+
+
+def axis_columns(run: Run, quantity: str, missing: float) -> np.ndarray:
+    """Return a quantity of the three axes, (R, 3), with a value for what is not recorded."""
+    absent = np.full(run.rows, missing)
+    return np.stack([run.covariates.get(f"{axis}_{quantity}", absent) for axis in AXES], axis=1)
+
+
+def axis_angles(run: Run) -> np.ndarray:
+    """Return the angles of the axes, (R, 3): 0 where an axis at rest has none, NaN where it makes whole turns."""
+    angle, turning = axis_columns(run, "angle", math.nan), axis_columns(run, "rate", 0.0) != 0
+    unknown = np.isnan(angle) & turning
+    if np.any(unknown.sum(axis=1) > 1):
+        row = int(np.argmax(unknown.sum(axis=1) > 1))
+        raise input_error(
+            f"row {row + 1} of run '{run.name}' turns about two axes whose angles are both unknown",
+            f"run '{run.name}', columns {', '.join(f'{axis}_angle_deg' for axis in AXES)}",
+            "the angle of each turning axis at the middle of the row; of one at most empty, for whole turns",
+            "record the angles, or turn about one axis at a time",
+        )
+    return np.where(np.isnan(angle) & ~turning, 0.0, angle)
+
+
+def row_path(angle: np.ndarray, rate: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return angles (k, 3) and weights (k,) of the nodes of one row; all arguments have shape (3,).
+
+    An axis of unknown angle makes a whole turn from 0; where it has angle 0, axes that turn along have their own.
+    """
+    unknown = np.isnan(angle)
+    span = np.where(np.isnan(span), 0.0, np.abs(span))
+    if unknown.any():
+        along = 2 * math.pi * np.abs(rate / rate[unknown][0])
+        span = np.where(unknown, 2 * math.pi, np.where(rate != 0, along, 0.0))
+    swept = np.sign(rate) * np.where(rate != 0, span, 0.0)
+    turns = np.abs(swept).sum() / (2 * math.pi)
+    middle = np.where(unknown, 0.0, angle)
+    if turns == 0:
+        return middle[None, :], np.ones(1)
+    each = np.abs(swept) / (2 * math.pi)
+    if np.all(np.abs(each - np.round(each)) < _WHOLE):
+        count = _NODES_PER_TURN * max(1, round(turns))
+        share, weight = np.arange(count) / count, np.full(count, 1 / count)
+    else:
+        count = _FURTHER_NODES + math.ceil(_NODES_PER_TURN * turns)
+        share, weight = (part / 2 for part in np.polynomial.legendre.leggauss(count))
+    return middle + share[:, None] * swept, weight
+
+
+def about_z(angle: np.ndarray) -> np.ndarray:
+    """Return rotations about z, (n,) → (n, 3, 3)."""
+    c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
+    return np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
+
+
+def turning_rate(stimulus: Stimulus) -> np.ndarray:
+    """Return the nominal rate of the body against the Earth, body axes, rad/s, shape (n, 3)."""
+    if stimulus.outer is None:
+        return stimulus.mounting[:, 2] * stimulus.table_rate[:, None]
+    still = replace(stimulus, base=np.broadcast_to(np.eye(3), stimulus.base.shape))
+    return _felt(still, np.zeros(3), np.zeros(3))[0]
+
+
+def felt(stimulus: Stimulus, site: Site) -> tuple[np.ndarray, np.ndarray]:
+    """Return inertial rate (rad/s) and specific force (m/s²) of the unit at every node, body axes, (n, 3) each."""
+    return _felt(stimulus, earth_rate(site.latitude), np.array([0.0, 0.0, site.gravity]))
+
+
+def _felt(stimulus: Stimulus, earth: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    outer = stimulus.outer
+    assert outer is not None
+    count = len(stimulus.row)
+    # All vectors in the frame that turns with the axis at hand; `rate`, `faster` are Ω_k and Ω̇_k.
+    earth_here, force = (np.einsum("j,nji->ni", vector, stimulus.base) for vector in (earth, gravity))
+    rate, faster, z = np.zeros((count, 3)), np.zeros((count, 3)), np.array([0.0, 0.0, 1.0])
+    turns = [(outer.angle[:, k], outer.rate[:, k], outer.acceleration[:, k]) for k in range(2)]
+    turns.append((stimulus.table_angle, stimulus.table_rate, stimulus.table_acceleration))
+    onward = [outer.links[:, 0], outer.links[:, 1], stimulus.mounting]
+    arms = [outer.arms[:, 0], outer.arms[:, 1], np.zeros((count, 3))]
+    for (angle, speed, growth), link, arm in zip(turns, onward, arms, strict=True):
+        faster = faster + growth[:, None] * z + np.cross(rate, speed[:, None] * z)
+        rate = rate + speed[:, None] * z
+        turned = about_z(angle)
+        here = [np.einsum("nji,nj->ni", turned, vector) for vector in (earth_here, force, rate, faster)]
+        velocity = np.cross(here[2], arm)
+        here[1] = here[1] + np.cross(here[2], velocity) + np.cross(here[3], arm) + 2 * np.cross(here[0], velocity)
+        earth_here, force, rate, faster = (np.einsum("nji,nj->ni", link, vector) for vector in here)
+    return rate + earth_here, force

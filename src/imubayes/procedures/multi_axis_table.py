@@ -12,11 +12,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Run
-from imubayes.procedures.base import Procedure
+from imubayes.foundations.campaign_data import Campaign, Run
+from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, whole_turns
 from imubayes.procedures.fitted_terms import term_estimates
-from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules, whole_turns
-from imubayes.procedures.serial_axes import AXES, serial_input, serial_stimulus
+from imubayes.procedures.kinematics import AXES, serial_input, serial_stimulus
 from imubayes.procedures.textbook import TextbookResult, by_temperature
 
 METHOD = "multiposition test"

@@ -34,16 +34,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.earth import earth_rate
-from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.estimable_functions import Combination, estimable, rank
-from imubayes.procedures.planned_steps import PlanRules, position_rows
-from imubayes.procedures.standard_combinations import (
+from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.earth import earth_rate
+from imubayes.procedures.base import PlanRules, Procedure, Reduction, position_rows
+from imubayes.procedures.fitted_terms import (
     DRIFT_COEFFICIENTS,
+    Combination,
     StandardCombination,
     drift_terms,
+    estimable,
     of_drift,
+    rank,
 )
 from imubayes.procedures.textbook import (
     Estimate,

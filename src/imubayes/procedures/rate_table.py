@@ -26,17 +26,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.procedures.base import Procedure
-from imubayes.procedures.kinematics import mean_input
-from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules, whole_turns
-from imubayes.procedures.standard_combinations import (
+from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.units import to_si
+from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, whole_turns
+from imubayes.procedures.fitted_terms import (
     LEAST_COSINE,
     StandardCombination,
     of_drift,
     projected_scale_factors,
     turn_mean_drift,
 )
+from imubayes.procedures.kinematics import mean_input
 from imubayes.procedures.textbook import (
     Estimate,
     Line,
@@ -50,7 +50,6 @@ from imubayes.procedures.textbook import (
     standard_deviation,
     temperature_of,
 )
-from imubayes.units import to_si
 
 METHOD = "IEEE Std 952 rate test"
 _DEGREE = np.pi / 180

@@ -23,12 +23,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.earth import earth_rate
-from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.kinematics import table_stimulus
-from imubayes.procedures.nominal_stimulus import Stimulus
-from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.foundations.earth import earth_rate
+from imubayes.foundations.units import to_si
+from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
+from imubayes.procedures.kinematics import Stimulus, table_stimulus
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -38,7 +37,6 @@ from imubayes.procedures.textbook import (
     by_temperature,
     names_of,
 )
-from imubayes.units import to_si
 
 AXES = ("reference_x", "reference_y", "reference_z")
 

@@ -17,11 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.earth import earth_rate
-from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
-from imubayes.procedures.standard_combinations import StandardCombination, projected_scale_factors
+from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.earth import earth_rate
+from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
+from imubayes.procedures.fitted_terms import StandardCombination, projected_scale_factors
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,

@@ -21,17 +21,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.earth import earth_rate
+from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.foundations.earth import earth_rate
 from imubayes.procedures.ambient import ambient_of
-from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
-from imubayes.procedures.standard_combinations import (
-    LinearCombination,
-    StandardCombination,
-    of_drift,
-    turn_mean_drift,
-)
+from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
+from imubayes.procedures.fitted_terms import LinearCombination, StandardCombination, of_drift, turn_mean_drift
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,

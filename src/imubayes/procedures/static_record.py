@@ -10,10 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.earth import EARTH_RATE, earth_rate, table_to_local
-from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
+from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.earth import EARTH_RATE, earth_rate, table_to_local
+from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, measured
 
 METHOD = "IEEE Std 952, mean of the static record"

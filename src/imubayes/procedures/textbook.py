@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.campaign_data import Campaign, Channel, Run
 
 RESIDUALS = "type A: residuals of the fitted curve"
 # Tests at temperatures closer than this are tests at the same temperature.

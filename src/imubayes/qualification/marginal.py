@@ -1,20 +1,27 @@
-"""The marginal posterior of one quantity: its draws, their effective number, and a smooth distribution fitted to them.
+"""The marginal posterior of one quantity: draws, a smooth distribution fitted to them, and the digits they deserve.
 
-The fitted marginal is the sinh-arcsinh normal of Jones & Pewsey (Biometrika 96, 2009): x = ξ + η sinh((arsinh z + ε)/δ)
-with z standard normal.  ε skews it, δ weighs both tails, and ε = 0, δ = 1 is the normal distribution.  It is fitted by
-maximum likelihood and serves as the second method of every risk: four numbers smooth over the noise of the draws.
-A quantity of one sign that crowds at zero, such as a small angle, has a logarithm closer to such a distribution.
+The draws have an effective number.  The fitted marginal is the sinh-arcsinh normal of Jones & Pewsey (Biometrika 96,
+2009): x = ξ + η sinh((arsinh z + ε)/δ) with z standard normal.  ε skews it, δ weighs both tails, and ε = 0, δ = 1 is
+the normal distribution.  It is fitted by maximum likelihood and serves as the second method of every risk: four numbers
+smooth over the noise of the draws.  A quantity of one sign that crowds at zero, such as a small angle, has a logarithm
+closer to such a distribution.
+
+How many digits of a number its Monte Carlo error leaves follows from the numerical tolerance of JCGM 101.  A standard
+uncertainty u = c · 10^l, c an integer of one or two digits, is stated to its last digit when nothing in the computation
+moves it by more than δ = ½ · 10^l (JCGM 101, 7.9.2).  Sampling has delivered that digit when twice the Monte Carlo
+standard error of mean, standard deviation and both ends of the interval is at most δ (7.9.4).
 """
 
 import math
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import Literal
 
 import numpy as np
 import scipy  # loads its parts when they are first used
 from scipy import special
 
-from imubayes.tail_probabilities import normal_survival
+from imubayes.foundations.tail_probabilities import normal_survival
 
 # Nodes of the quadrature, and how far beyond the draws an infinite end is placed, in standard normals.
 _NODES, _FAR = 400, 8.0
@@ -211,3 +218,59 @@ def _likeliest(values: np.ndarray, weight: np.ndarray, sign: int) -> tuple[Fitte
     scale = spread * math.exp(log_scale)
     fitted = FittedMarginal(centre + spread * location, scale, skewness, math.exp(log_tail), sign)
     return fitted, -float(found.fun) - math.log(spread)
+
+
+Statistic = Literal["mean", "sd", "low", "high"]
+Digits = Literal[1, 2]
+
+
+@dataclass(frozen=True)
+class DeservedDigits:
+    """Significant digits of the standard uncertainty that a number deserves.
+
+    Attributes
+    ----------
+    digits : 2, 1, or 0 where the number is withheld.
+    tolerance : δ of those digits; of one digit where the number is withheld.
+    error : twice the largest Monte Carlo error.
+    worst : the statistic that has it.
+    """
+
+    digits: Literal[0, 1, 2]
+    tolerance: float
+    error: float
+    worst: Statistic
+
+
+def last_digit(uncertainty: float, digits: int) -> int:
+    """Return l of u = c · 10^l, where c is an integer of so many digits."""
+    return int(f"{uncertainty:.{digits - 1}e}".partition("e")[2]) - (digits - 1)
+
+
+def numerical_tolerance(uncertainty: float, digits: int) -> float:
+    """Return δ = ½ · 10^l of a standard uncertainty stated to one or two significant digits (JCGM 101, 7.9.2)."""
+    return 0.5 * 10.0 ** last_digit(uncertainty, digits)
+
+
+def draws_needed(marginal: Marginal, digits: Digits) -> float:
+    """Return how many times the draws so many digits need: twice the largest Monte Carlo error is then δ."""
+    return (2 * marginal.errors.largest / numerical_tolerance(marginal.sd, digits)) ** 2
+
+
+def digits_deserved(marginal: Marginal) -> DeservedDigits:
+    """Return the digits that the draws of a quantity deserve.  A quantity that does not vary is exact: two digits."""
+    errors: dict[Statistic, float] = {
+        "mean": marginal.errors.mean,
+        "sd": marginal.errors.sd,
+        "low": marginal.errors.low,
+        "high": marginal.errors.high,
+    }
+    worst = max(errors, key=lambda statistic: errors[statistic])
+    error = 2 * errors[worst]
+    if not marginal.sd > 0:
+        return DeservedDigits(2, 0.0, 0.0, worst)
+    for digits in (2, 1):
+        tolerance = numerical_tolerance(marginal.sd, digits)
+        if error <= tolerance:
+            return DeservedDigits(digits, tolerance, error, worst)
+    return DeservedDigits(0, numerical_tolerance(marginal.sd, 1), error, worst)

@@ -8,14 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from imubayes.errors import InputError
+from imubayes.foundations.errors import InputError
+from imubayes.foundations.records import Record, finite
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import expected_deviations
-from imubayes.json_record import Record, finite
-from imubayes.parameters.vector import Parameter
-from imubayes.qualification.assess import standards_input, tested_unit
-from imubayes.qualification.budget_algebra import effective_degrees
-from imubayes.qualification.budget_record import (
+from imubayes.parameters.declarations import Parameter
+from imubayes.qualification.budget_parts import (
     BudgetLine,
     CorrelationMatrix,
     HalvedInput,
@@ -23,11 +21,12 @@ from imubayes.qualification.budget_record import (
     QuantityBudget,
     Source,
     UncertaintyBudgets,
+    effective_degrees,
 )
-from imubayes.qualification.conformity import TestedUnit
+from imubayes.qualification.conformity import TestedUnit, standards_input, tested_unit
+from imubayes.qualification.decision_rules import LEAST_SHARE, USEFUL_RUN
 from imubayes.qualification.posterior_quantities import posterior_quantities, slopes
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, draws_of_standard
-from imubayes.qualification.tolerances import LEAST_SHARE, USEFUL_RUN
 from imubayes.qualification.uncertainty_budget import (
     SOURCES,
     BudgetArrays,
@@ -36,10 +35,9 @@ from imubayes.qualification.uncertainty_budget import (
     distribution,
     nuisance_groups,
 )
-from imubayes.results.estimates import is_constant
-from imubayes.results.manifest import add_to, added
-from imubayes.results.record_names import BUDGETS
+from imubayes.results.folder_files import BUDGETS, add_to, added
 from imubayes.results.result import Result
+from imubayes.results.summary import is_constant
 
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
 _METHOD = 7

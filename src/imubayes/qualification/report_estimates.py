@@ -4,15 +4,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign
 from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.parameters.priors import Normal
-from imubayes.qualification.assess import standards_input
-from imubayes.qualification.conformance import ProbabilityByTwoMethods, ToleranceInterval, conformance_probability
-from imubayes.qualification.conformity import TestedUnit
-from imubayes.qualification.d_si import digital_unit
-from imubayes.qualification.digits import digits_deserved, draws_needed
-from imubayes.qualification.marginal import Marginal
+from imubayes.qualification.conformity import TestedUnit, standards_input
+from imubayes.qualification.decision_rules import (
+    ProbabilityByTwoMethods,
+    ToleranceInterval,
+    conformance_probability,
+)
+from imubayes.qualification.marginal import Marginal, digits_deserved, draws_needed
 from imubayes.qualification.report_record import (
     MonteCarloError,
     MountingAngle,
@@ -29,12 +30,11 @@ from imubayes.qualification.standard_quantities import (
     STANDARD_QUANTITIES,
     StandardDraws,
     StandardQuantity,
+    digital_unit,
     draws_of_standard,
 )
-from imubayes.results.estimates import is_constant
-from imubayes.results.output_units import in_output_units
 from imubayes.results.result import Result
-from imubayes.results.summary import DerivedSummary, ParameterSummary
+from imubayes.results.summary import DerivedSummary, ParameterSummary, in_output_units, is_constant
 
 _MOST_SCREENED = 4
 

@@ -7,13 +7,13 @@ import numpy as np
 import polars as pl
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign_data import Campaign, Channel
-from imubayes.json_record import Record
+from imubayes.foundations.campaign_data import Campaign, Channel
+from imubayes.foundations.records import Record
+from imubayes.foundations.units import to_si
 from imubayes.qualification.conformity import ConformityOfQuantity
 from imubayes.qualification.standard_quantities import SensorKind, UnitUnderTest
 from imubayes.qualification.temperature_range import ThermalModel, course_over_range
-from imubayes.results.posterior_draws import thinned
-from imubayes.units import to_si
+from imubayes.results.stored_tables import thinned
 
 _CURVE, _DENSITY, _BINS = 33, 49, 16
 # Draws behind a curve: its band is then known to a tenth of its width.

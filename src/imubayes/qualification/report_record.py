@@ -9,20 +9,16 @@ from typing import Literal
 
 from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.evidence.evidence_record import Evidence
-from imubayes.criticism.verdict import Verdict
-from imubayes.inference.identifiability import WeakDirection
-from imubayes.inference.prior_conflict import PriorConflict
-from imubayes.json_record import Record
-from imubayes.qualification.assess import Obstacle
-from imubayes.qualification.budget_record import UncertaintyBudgets
-from imubayes.qualification.conformance import Withheld
-from imubayes.qualification.d_si import DigitalUnit
-from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName
-from imubayes.qualification.digits import Statistic
+from imubayes.criticism.verdict import Evidence, Verdict
+from imubayes.foundations.records import Record
+from imubayes.inference.identifiability import PriorConflict, WeakDirection
+from imubayes.qualification.budget_parts import UncertaintyBudgets
+from imubayes.qualification.conformity import Obstacle
+from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
+from imubayes.qualification.marginal import Statistic
 from imubayes.qualification.report_pictures import PictureData
 from imubayes.qualification.report_subject import Provenance, Subject
-from imubayes.qualification.standard_quantities import Standard
+from imubayes.qualification.standard_quantities import DigitalUnit, Standard
 from imubayes.results.summary import NoiseViolation, RunSummary
 
 IntervalKind = Literal["95 % equal-tailed credible interval"]

@@ -1,7 +1,7 @@
 """What a report is about, and what its numbers come from: unit, campaign, equipment, model, hashes, software."""
 
-from imubayes.json_record import Record
-from imubayes.results.provenance_record import SoftwareVersion
+from imubayes.foundations.records import Record
+from imubayes.results.summary import SoftwareVersion
 
 
 class ReportedChannel(Record):

@@ -30,8 +30,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from imubayes.campaign.toml_documents import Ledger, read_document
-from imubayes.qualification.decision_rules import DecisionRule, RuleName
-from imubayes.qualification.tolerances import COVERAGE, GUARD_FACTOR
+from imubayes.qualification.decision_rules import COVERAGE, GUARD_FACTOR, DecisionRule, RuleName
 
 Probability = Annotated[float, Field(gt=0, lt=1)]
 Positive = Annotated[float, Field(gt=0)]

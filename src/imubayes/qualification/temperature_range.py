@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from imubayes.covariates import REFERENCE_TEMPERATURE
-from imubayes.model.model_spec import ModelSpec
-from imubayes.units import STANDARD_GRAVITY, to_si
+from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
+from imubayes.foundations.units import STANDARD_GRAVITY, to_si
+from imubayes.model.model_file import ModelSpec
 
 # Temperatures at which a range is looked at: a quadratic between them deviates by 1/400 of its sag.
 _NODES = 11

@@ -2,10 +2,10 @@
 
 The inputs are independent: the data of each run (type A), and each parameter's prior, which states what is known of
 fixture, table, site, reference and the unit itself before the test (type B).  Their contributions at given noise scales
-add up exactly (`imubayes.qualification.budget_algebra`).  The noise scales have a posterior of their own, so
+add up exactly (`imubayes.qualification.budget_parts`).  The noise scales have a posterior of their own, so
 contributions are averaged over it, and the variance of the conditional mean is a line by itself (total variance).
 What is not linear has a line of its own too, the variance of the second-order part; what the posterior variance
-(`imubayes.qualification.posterior_variance`) has beyond the sum of all these is the remainder.  Where draws are a bit
+(`imubayes.qualification.budget_parts`) has beyond the sum of all these is the remainder.  Where draws are a bit
 wider or narrower than the approximation, contributions are scaled to them, and the factor is stated.
 """
 
@@ -16,21 +16,24 @@ from functools import cached_property, partial
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.inference.angle_components import NEAR, Components, components_near_zero
+from imubayes.inference.experiment_design import NEAR, Components, components_near_zero
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_precision import Linearised, inverse_of_precision, linearise, whitened_jacobian
+from imubayes.inference.laplace_marginal import Linearised, inverse_of_precision, linearise, whitened_jacobian
 from imubayes.model.problem import Problem
+from imubayes.parameters.declarations import Layout, Parameter
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform
-from imubayes.parameters.vector import Layout, Parameter
-from imubayes.qualification.budget_algebra import (
+from imubayes.qualification.budget_parts import (
     LinearContributions,
+    PosteriorDraws,
+    Source,
     degrees_of_freedom,
     deviation_with_halved_groups,
     deviation_with_more_of_a_run,
     posterior_covariance,
+    posterior_variances,
     type_a_contributions,
 )
-from imubayes.qualification.budget_record import Source
+from imubayes.qualification.decision_rules import CONDITIONING_WORK, SPLIT_DRAWS
 from imubayes.qualification.linear_part import (
     ConditionalMoments,
     LinearPart,
@@ -42,10 +45,8 @@ from imubayes.qualification.linear_part import (
     stretched,
 )
 from imubayes.qualification.posterior_quantities import posterior_quantities
-from imubayes.qualification.posterior_variance import PosteriorDraws, posterior_variances
-from imubayes.qualification.tolerances import CONDITIONING_WORK, SPLIT_DRAWS
-from imubayes.results.posterior_draws import complete
 from imubayes.results.result import Result
+from imubayes.results.stored_tables import complete
 
 SOURCES: dict[str, Source] = {
     "mounting_error": "fixture", "pose_attitude": "fixture", "lever_arm": "fixture", "servo_start": "fixture",
@@ -68,7 +69,7 @@ class Improvements:
     """Standard deviations of Q quantities at the mode of the noise scales, as they are and if one input were better.
 
     What a better prior leaves is the share of `at_mode` that it leaves of the variance with the noise scales unknown
-    (`imubayes.qualification.better_priors`).
+    (`imubayes.qualification.linear_part`).
 
     Attributes
     ----------

@@ -12,14 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Float
-from imubayes.campaign_data import Campaign
+from imubayes.compiled.kept_programs import kept
 from imubayes.effects.base import Effect, MotionEffect
-from imubayes.gather import on_device
+from imubayes.foundations.arrays import Array, Float, on_device
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
-from imubayes.kept_programs import kept
 from imubayes.model.assembly import assemble
-from imubayes.model.bind import Model
+from imubayes.model.bind import Model, build_problem
 from imubayes.model.bound_effects import (
     BoundEffect,
     ExactEquipmentError,
@@ -27,13 +26,11 @@ from imubayes.model.bound_effects import (
     NotObservableError,
     bind_effect,
 )
-from imubayes.model.build_problem import build_problem
 from imubayes.model.effect_registry import EffectClass, Registry
-from imubayes.model.model_spec import EffectSpec
+from imubayes.model.model_file import EffectSpec
 from imubayes.model.parameter_priors import stated_uncertainty
 from imubayes.model.problem import Problem, predict_from
-from imubayes.parameters.parameter_declarations import declared_parameters
-from imubayes.parameters.vector import Parameter
+from imubayes.parameters.declarations import Parameter, declared_parameters
 
 # Columns of the Jacobian at once: most places of a scan need the derivatives by a few shapes' coefficients alone.
 _SEEDS_AT_ONCE = 16

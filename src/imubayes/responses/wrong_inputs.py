@@ -16,16 +16,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Run
-from imubayes.covariates import COVARIATES, Covariate, recorded
-from imubayes.gather import on_device
-from imubayes.kept_programs import kept
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import exponential, on_device
+from imubayes.foundations.campaign_data import Campaign, Run
+from imubayes.foundations.covariates import COVARIATES, Covariate, recorded
 from imubayes.model.assembly import nodes_of
 from imubayes.model.bind import Model
 from imubayes.model.nodes_and_entries import join_entries, join_nodes
 from imubayes.model.problem import Problem, predict
 from imubayes.procedures import PROCEDURES
-from imubayes.rotations import exponential
 
 Form = Literal["offset", "factor", "seat", "output_offset", "output_factor"]
 _STEP = 1e-3

@@ -1,32 +1,34 @@
-"""`fit.json`: what it takes to go on from a result without fitting again.
+"""`fit.json`: what it takes to go on from a result without fitting again, and what the fit comes from.
 
-The data stay in the campaign folder; a result says where that was and what its content was, so that a campaign that
-has moved is found and one that has changed is noticed.
+The data stay in the campaign folder; a result says where that was and what its content was, so that a campaign that has
+moved is found and one that has changed is noticed.
+
+The provenance of a fit is its unit, dates of the recordings, hashes of data and model, seed and software.
 """
 
 import math
 import os
+import platform
 from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign_data import Campaign
-from imubayes.errors import InputError, Issue
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.records import finite
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import data_hash, model_hash
-from imubayes.json_record import finite
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_carried_model
-from imubayes.parameters.vector import Layout
-from imubayes.results.fit_record import (
-    CampaignPlaces,
-    FitRecord,
-    _folder,
-    read_fit_record,
-)
-from imubayes.results.record_names import FIT, MODEL
+from imubayes.parameters.declarations import Layout
+from imubayes.procedures.ambient import instant
+from imubayes.results.folder_files import FIT, MODEL
+from imubayes.results.history_tree import CampaignPlaces, FitRecord, _folder, read_fit_record
+from imubayes.results.summary import FitProvenance, SoftwareVersion
 
 
 def fit_record(fit: Fit, folder: Path, seed: int) -> FitRecord:
@@ -120,3 +122,36 @@ def _in_order(layout: Layout, by_name: dict[str, float | None], folder: Path) ->
         )
     numbers = [by_name[name] for name in layout.names]
     return np.array([math.nan if value is None else value for value in numbers], dtype=float)
+
+
+# Packages whose version can change a number of a result.
+PACKAGES = ("imubayes", "jax", "equinox", "optimistix", "emcee", "arviz-base", "numpy", "scipy", "polars", "pydantic")
+
+
+def provenance(fit: Fit, seed: int) -> FitProvenance:
+    """Return what a fit made now comes from."""
+    campaign = fit.model.campaign
+    starts = sorted((run.start for run in campaign.runs if run.start), key=instant)
+    return FitProvenance(
+        serial=campaign.serial,
+        first_run=starts[0] if starts else None,
+        last_run=starts[-1] if starts else None,
+        fitted=datetime.now(UTC).isoformat(timespec="seconds"),
+        data_sha256=campaign_hash(fit.model),
+        model_sha256=model_hash(fit.model),
+        seed=seed,
+        software=software(),
+    )
+
+
+def software() -> tuple[SoftwareVersion, ...]:
+    """Return the versions of Python and of the packages that make the numbers."""
+    found = (SoftwareVersion(package=name, version=_version(name)) for name in PACKAGES)
+    return SoftwareVersion(package="Python", version=platform.python_version()), *found
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed as a package"

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from imubayes.errors import InputError, Issue
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.files import only_writer
 from imubayes.inference.checkpoint import steps_in
-from imubayes.process_lock import only_writer
-from imubayes.results.record_names import CHECKPOINT, FIT, POSTERIOR, SUMMARY
+from imubayes.results.folder_files import CHECKPOINT, FIT, POSTERIOR, SUMMARY
 
 
 @contextmanager

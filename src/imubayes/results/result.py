@@ -1,26 +1,34 @@
-"""A fit with everything that is reported of it, in memory or in a result folder."""
+"""A fit with everything that is reported of it, in memory or in a result folder.
+
+This includes the residuals in output and input units, with every covariate, which are what compare and criticism look
+at, and the posterior as an ArviZ tree.
+"""
 
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import jax.numpy as jnp
 import lazy_loader
+import numpy as np
 import polars as pl
 
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.campaign_data import INPUT_UNIT
+from imubayes.foundations.covariates import shown
+from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.records import Presented
+from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_groups import posterior_groups
-from imubayes.representation import Presented
+from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.inference.posterior_groups import Group, Groups, Labelled, posterior_groups
+from imubayes.model.likelihood import pseudo_values
+from imubayes.model.noise_covariance import noise_deviation, whiten, whitener
+from imubayes.model.problem import Problem
 from imubayes.results.fit_file import read_fit
-from imubayes.results.manifest import checked, same_fit
-from imubayes.results.posterior_draws import Draws, draws_of
-from imubayes.results.posterior_tree import posterior_tree
-from imubayes.results.read_folder import read_summary_and_residuals
-from imubayes.results.record_files import damaged
-from imubayes.results.record_names import POSTERIOR
-from imubayes.results.residual_table import Residuals
-from imubayes.results.residuals import residuals_of
+from imubayes.results.folder_files import POSTERIOR, checked, damaged, same_fit
+from imubayes.results.stored_tables import Draws, Residuals, draws_of, read_summary_and_residuals
 from imubayes.results.summarise import summarise
 from imubayes.results.summary import Quantity, Summary
 
@@ -29,6 +37,95 @@ if TYPE_CHECKING:
     import xarray
 else:
     xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
+
+
+@kept
+def _at_mode(problem: Problem, mode):
+    """Return prediction, its standard deviation, the noise's and the whitened residual, each (E,)."""
+    by = whitener(problem, mode.h)
+    whitened = whiten(problem, by, pseudo_values(problem, mode.h, mode.about.misfit))
+    spread = jnp.linalg.solve(jnp.linalg.cholesky(posterior_precision(problem, mode)), mode.about.jacobian.T)
+    predicted = problem.observations.value - mode.about.misfit
+    return predicted, jnp.sqrt(jnp.sum(spread**2, axis=0)), noise_deviation(problem, by), whitened
+
+
+def residuals_of(fit: Fit) -> Residuals:
+    """Return the residuals of a fit made in this process, at its mode."""
+    assert fit.mode is not None, "a fit read from a folder has its residuals there"
+    model, campaign, entries = fit.model, fit.model.campaign, fit.model.entries
+    predicted, model_sd, sd, whitened = (np.asarray(part) for part in _at_mode(model.problem, fit.mode))
+    channels = campaign.channels
+    closing = np.asarray(entries.closing)
+    place = np.where(closing, 0, entries.channel)
+    names = np.array([*(c.name for c in channels), "closure_x", "closure_y", "closure_z"])[entries.channel]
+    kind = np.where(closing, "closure", np.array([c.kind for c in channels])[place])
+    output_unit = np.where(closing, "deg", np.array([c.output_unit for c in channels])[place])
+    input_unit = np.where(closing, "deg", np.array([INPUT_UNIT[c.kind] for c in channels])[place])
+    per_output = np.array([1 / (c.scale_si * to_si(INPUT_UNIT[c.kind], campaign.site.gravity)) for c in channels])
+    degree = to_si("deg")
+    to_output = np.where(closing, 1 / degree, 1.0)
+    to_input = np.where(closing, 1 / degree, per_output[place])
+    offset = np.where(closing, 0.0, np.array([c.offset for c in channels])[place])
+    residual = entries.value - predicted
+    # The angle of a table that a gyro drives is an output, and is shown on the scale of the table as well.
+    zeros = np.array([campaign.tables[run.table].zero_angle if run.table else 0.0 for run in campaign.runs])
+    reading = np.where(kind == "angle", np.degrees(zeros)[entries.run], 0.0)
+    table = {
+        "run": np.array([run.name for run in campaign.runs])[entries.run],
+        "procedure": np.array([run.procedure for run in campaign.runs])[entries.run],
+        "mounting": pl.Series([run.mounting for run in campaign.runs], dtype=pl.String).gather(entries.run),
+        "row": entries.row,
+        "channel": names,
+        "kind": kind,
+        **_covariates(fit),
+        "samples": entries.samples,
+        "observed": entries.value * to_output + reading,
+        "predicted": predicted * to_output + reading,
+        "sd": sd * to_output,
+        "model_sd": model_sd * to_output,
+        "residual": residual * to_output,
+        "output_unit": output_unit,
+        "input_observed": (entries.value - offset) * to_input,
+        "input_residual": residual * to_input,
+        "input_sd": sd * np.abs(to_input),
+        "input_unit": input_unit,
+        "whitened": whitened,
+    }
+    return Residuals(pl.DataFrame(table))
+
+
+def _covariates(fit: Fit) -> dict[str, pl.Series]:
+    """Return each covariate per entry as it was read; null where a run lacks it and for closing rotations."""
+    campaign, entries = fit.model.campaign, fit.model.entries
+    found = {}
+    for covariate in shown():
+        name, column = covariate.name, covariate.column
+        values, known = np.zeros(len(entries)), np.zeros(len(entries), dtype=bool)
+        for index, run in enumerate(campaign.runs):
+            chosen = (entries.run == index) & ~entries.closing
+            if name in run.covariates and (run.table is not None or not name.startswith("table_")):
+                read = campaign.as_read(run, name) / covariate.factor(campaign.site.gravity)
+                values[chosen] = read[entries.row[chosen]]
+                known[chosen] = True
+        found[column] = pl.Series(column, [v if k else None for v, k in zip(values, known, strict=True)], pl.Float64)
+    return found
+
+
+def posterior_tree(groups: Groups) -> "xarray.DataTree":
+    """Return groups as a tree, with what is said of the whole at its root."""
+    tree = xarray.DataTree.from_dict({name: _dataset(group) for name, group in groups.named.items()})
+    tree.attrs = dict(groups.attributes)
+    return tree
+
+
+def _dataset(group: Group) -> "xarray.Dataset":
+    variables = {name: _variable(each) for name, each in group.variables.items()}
+    coordinates = {name: _variable(each) for name, each in group.coordinates.items()}
+    return xarray.Dataset(variables, coordinates, dict(group.attributes))
+
+
+def _variable(each: Labelled) -> "xarray.Variable":
+    return xarray.Variable(each.dimensions, each.values, dict(each.attributes))
 
 
 @dataclass(frozen=True, repr=False)

@@ -1,23 +1,27 @@
-"""The writer of the result folder.
+"""The writer of the result folder, and of its file with the posterior draws, `posterior.nc`.
 
-A result is written to a scratch folder and put in place as a whole, its manifest last (see `manifest`).
+A result is written to a scratch folder and put in place as a whole, its manifest last (see
+`imubayes.results.folder_files`).
+
+The posterior file holds the groups of ArviZ's schema as netCDF 4, written by h5netcdf alone.  xarray, which reads the
+file, would write the same, but with pandas and Dask it takes longer to import than the file takes to write.
 """
 
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import h5netcdf
+import h5py
 import polars as pl
 import tomlkit
 
-from imubayes.inference.posterior_groups import posterior_groups
+from imubayes.inference.posterior_groups import Group, Groups, Labelled, posterior_groups
 from imubayes.loop.model_history import Node
-from imubayes.model.model_spec import ModelSpec
+from imubayes.model.model_file import ModelSpec
+from imubayes.results.change_records import ModelChange
 from imubayes.results.fit_file import fit_record
-from imubayes.results.manifest import checked, replacing_result
-from imubayes.results.model_change import ModelChange
-from imubayes.results.posterior_file import write_posterior
-from imubayes.results.record_names import (
+from imubayes.results.folder_files import (
     ADDED_VARIABLE,
     CHANGE,
     FIT,
@@ -26,8 +30,47 @@ from imubayes.results.record_names import (
     POSTERIOR,
     RESIDUALS,
     SUMMARY,
+    checked,
+    replacing_result,
 )
 from imubayes.results.result import Result
+
+
+def write_posterior(groups: Groups, file: Path) -> None:
+    """Write groups; a reader that follows the CF conventions finds each coordinate."""
+    with h5netcdf.File(file, "w") as root:
+        root.attrs.update(groups.attributes)
+        for name, group in groups.named.items():
+            _write(root.create_group(name), group)
+
+
+def _write(place: h5netcdf.Group, group: Group) -> None:
+    whole = {**group.coordinates, **group.variables}
+    place.attrs.update(group.attributes)
+    place.dimensions = {
+        dimension: size
+        for each in whole.values()
+        for dimension, size in zip(each.dimensions, each.values.shape, strict=True)
+    }
+    for name, each in whole.items():
+        # A coordinate that has not the name of its dimension is named by each variable that it belongs to.
+        further = [
+            label
+            for label, coordinate in group.coordinates.items()
+            if name not in group.coordinates
+            and label not in each.dimensions
+            and set(coordinate.dimensions) <= set(each.dimensions)
+        ]
+        about = dict(each.attributes) | ({"coordinates": " ".join(further)} if further else {})
+        _create(place, name, each).attrs.update(about)
+
+
+def _create(place: h5netcdf.Group, name: str, each: Labelled) -> h5netcdf.Variable:
+    if each.values.dtype.kind != "U":
+        return place.create_variable(name, each.dimensions, data=each.values)
+    variable = place.create_variable(name, each.dimensions, dtype=h5py.string_dtype())
+    variable[...] = each.values.astype(object)
+    return variable
 
 
 def write_result(

@@ -1,20 +1,38 @@
-"""The summary of a fit: every number that is reported, in datasheet units, with what the data contributed to it."""
+"""The summary of a fit: every number that is reported, in datasheet units, with what the data contributed to it.
+
+It holds the combinations that the data determine although they do not determine their members, with their estimates.
+
+It names the intervals that rest on the prior of a noise scale which the data do not tell.  Few runs say little of the
+scatter between runs.  Where their offsets are also those of a parameter, the posterior of that parameter is a mixture
+of narrow and wide ones, as the prior of the scatter has it: its tails are far beyond what its standard deviation
+suggests, and another prior gives another interval.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from imubayes.adequacy.adequacy_record import KnownNoiseFit, NoiseComparison
+from imubayes.adequacy.deletion_diagnostics import doubted_runs
 from imubayes.adequacy.known_noise import compare_with_known
 from imubayes.adequacy.known_noise_fit import fit_at_known_noise
-from imubayes.adequacy.noise_assumptions import NoiseJudgement, judged_noise_in, projected
-from imubayes.adequacy.run_agreement import doubted_runs
-from imubayes.inference.contribution_record import Contribution
+from imubayes.adequacy.noise_tests import NoiseJudgement, judged_noise_in, projected
+from imubayes.foundations.records import finite
+from imubayes.inference.determined_combinations import (
+    DeterminedCombination,
+    Draws,
+    combined,
+    determined_combinations,
+    members,
+)
 from imubayes.inference.ensemble_sampling import Chains
-from imubayes.inference.experiment_design import next_runs
+from imubayes.inference.experiment_design import QuantityDraws, contributions, next_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import (
+    WEAK_SHARE,
+    Contribution,
     WeakDirection,
     confusions,
     effective_parameters,
@@ -22,19 +40,117 @@ from imubayes.inference.identifiability import (
     weak_directions,
 )
 from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.inference.plausibility import prior_conflicts
 from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.posterior_mode import log_evidence
-from imubayes.inference.prior_agreement import prior_conflicts
-from imubayes.inference.procedure_contributions import QuantityDraws, contributions
-from imubayes.json_record import finite
 from imubayes.model.derived_quantities import DerivedQuantity, derived_jacobian
+from imubayes.procedures import declared_combinations
 from imubayes.procedures.converter_temperature import THRESHOLD
-from imubayes.results.combinations import EstimatedCombination, combinations
-from imubayes.results.estimates import estimated, is_constant
-from imubayes.results.prior_scatter import prior_scatter
-from imubayes.results.provenance import provenance
-from imubayes.results.residual_table import Residuals
-from imubayes.results.summary import Conformance, DerivedSummary, ParameterSummary, Seconds, Summary
+from imubayes.procedures.fitted_terms import written
+from imubayes.results.fit_file import provenance
+from imubayes.results.stored_tables import Residuals
+from imubayes.results.summary import (
+    CombinationSummary,
+    Conformance,
+    DerivedSummary,
+    ParameterSummary,
+    PriorScatter,
+    Seconds,
+    Summary,
+    estimated,
+    is_constant,
+)
+
+
+@dataclass(frozen=True)
+class EstimatedCombination:
+    """A determined combination with draws of its posterior and of its prior, (S,) each, in its unit."""
+
+    summary: CombinationSummary
+    posterior: np.ndarray
+    prior: np.ndarray
+
+
+def combinations(fit: Fit, precision: np.ndarray | None) -> tuple[EstimatedCombination, ...]:
+    """Return the determined combinations of a fit, those with a standard symbol first.
+
+    Parameters
+    ----------
+    precision : shape (P, P), posterior precision of the parameters in z; None where the fit did not converge.
+    """
+    posterior, layout = fit.posterior, fit.model.layout
+    if posterior is None or precision is None:
+        return ()
+    candidates = members(precision) & ~np.array([parameter.nuisance for parameter in layout.parameters], dtype=bool)
+    size, names = len(layout), tuple(quantity.name for quantity in fit.derived.names)
+    units = tuple(quantity.unit for quantity in fit.derived.names)
+    own = tuple(parameter.unit for parameter in layout.parameters)
+    scales = np.zeros((len(posterior.prior_points), len(fit.h)))
+    after = in_units(fit.model, posterior.points)[:, :size]
+    before = in_units(fit.model, np.concatenate([posterior.prior_points, scales], axis=1))[:, :size]
+    parameters, derived = Draws(layout.names, own, after), Draws(names, units, posterior.derived)
+    prior = Draws(layout.names, own, before), Draws(names, units, posterior.prior_derived)
+    standard = declared_combinations(fit.model.campaign)
+    made = []
+    for found in determined_combinations(parameters, candidates, derived, standard):
+        draws, before = _values(found, parameters, derived), _values(found, *prior)
+        made.append(EstimatedCombination(_summary(found, draws, before), draws, before))
+    return tuple(made)
+
+
+def _values(found: DeterminedCombination, parameters: Draws, derived: Draws) -> np.ndarray:
+    """Return draws of a combination, (S,)."""
+    of = derived if found.weights is None else parameters
+    members = [of.values[:, of.names.index(name)] for name in found.quantities]
+    return combined(found.weights, found.constant, members)
+
+
+def _summary(found: DeterminedCombination, draws: np.ndarray, prior: np.ndarray) -> CombinationSummary:
+    weights = found.weights
+    formula = "" if weights is None else written(weights, found.quantities)
+    return CombinationSummary(
+        name=found.symbol or formula,
+        unit=found.unit,
+        prior_sd=finite(float(prior.std())),
+        from_data=float(from_data(float(np.var(draws)), float(np.var(prior)))),
+        standard=bool(found.symbol),
+        quantities=found.quantities,
+        weights=weights,
+        constant=found.constant,
+        middle_of=found.middle_of,
+        **estimated(draws).model_dump(),
+    )
+
+
+# Lowest and highest fifth of the draws of a scale; a standard deviation that changes by less between them is its own.
+_FIFTH, _FACTOR = 0.2, 2.0
+
+
+def prior_scatter(fit: Fit) -> tuple[PriorScatter, ...]:
+    """Return the noise scales known from their priors alone, with the parameters whose intervals follow them."""
+    if fit.posterior is None:
+        return ()
+    size, points, found = len(fit.z), fit.posterior.points, []
+    for place, scale in enumerate(fit.model.hyper_layout.parameters):
+        draws = points[:, size + place]
+        share = float(from_data(float(np.var(draws)), 1.0))
+        if share >= WEAK_SHARE:
+            continue
+        order, count = np.argsort(draws), max(int(_FIFTH * len(draws)), 2)
+        narrow, wide = (points[rows, :size].std(axis=0) for rows in (order[:count], order[-count:]))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = np.nan_to_num(wide / narrow, nan=1.0, posinf=1.0)
+        chosen = [
+            parameter
+            for parameter in np.argsort(-factor)
+            if factor[parameter] > _FACTOR and not fit.model.layout.parameters[parameter].nuisance
+        ]
+        if chosen:
+            names = tuple(fit.model.layout.names[parameter] for parameter in chosen)
+            found.append(
+                PriorScatter(scale=scale.name, from_data=share, parameters=names, factor=float(factor[chosen[0]]))
+            )
+    return tuple(found)
 
 
 def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: int = 0) -> Summary:

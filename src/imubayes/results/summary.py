@@ -1,22 +1,86 @@
 """The summary of a fit: the typed record behind `summary.json`.
 
 Numbers are in datasheet units.  A number that a fit without convergence, or without sampling, does not have is None.
+An estimate from posterior draws is mean, standard deviation and the 95 % equal-tailed interval.  Quantities in output
+units are shown in the unit of their channel.  The record also holds what the fit comes from.
 """
 
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import field_validator
 
 from imubayes.adequacy.adequacy_record import DoubtedRun, KnownNoiseFit, NoiseComparison, NoiseViolation
-from imubayes.inference.contribution_record import Contribution
-from imubayes.inference.identifiability import WeakDirection
-from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
-from imubayes.inference.next_run import NextRun
-from imubayes.inference.prior_conflict import PriorConflict
-from imubayes.json_record import Record
-from imubayes.model.model_spec import SingleRunEffect
-from imubayes.parameters.input_axis_names import channel_of_component
-from imubayes.results.provenance_record import FitProvenance
+from imubayes.campaign.equipment import ANGLE, ANGLE_UNIT
+from imubayes.foundations.campaign_data import channel_of_component
+from imubayes.foundations.records import Record
+from imubayes.foundations.units import with_output_unit
+from imubayes.inference.candidate_runs import NextRun
+from imubayes.inference.identifiability import (
+    Contribution,
+    ImplausibleEstimate,
+    PriorConflict,
+    UnexplainedOutput,
+    WeakDirection,
+)
+from imubayes.model.model_file import SingleRunEffect
+
+_INTERVAL = (2.5, 97.5)
+# A quantity that varies by less than this share of itself varies by rounding.
+_ROUNDING = 1e-12
+
+
+class Estimated(Record):
+    """Posterior mean, standard deviation, and the ends of the 95 % equal-tailed credible interval."""
+
+    mean: float
+    sd: float
+    q025: float
+    q975: float
+
+
+def estimated(draws: np.ndarray) -> Estimated:
+    """Return the estimate from draws of a quantity, (S,); one that only rounding changes is exact."""
+    if is_constant(draws):
+        value = float(draws[0])
+        return Estimated(mean=value, sd=0.0, q025=value, q975=value)
+    low, high = np.percentile(draws, _INTERVAL)
+    return Estimated(mean=float(draws.mean()), sd=float(draws.std()), q025=float(low), q975=float(high))
+
+
+def is_constant(draws: np.ndarray) -> bool:
+    """Return whether draws, (S,), differ by rounding at most."""
+    return float(np.ptp(draws)) <= _ROUNDING * float(np.max(np.abs(draws)))
+
+
+class SoftwareVersion(Record):
+    """A package and its version."""
+
+    package: str
+    version: str
+
+
+class FitProvenance(Record):
+    """What a fit comes from.
+
+    Attributes
+    ----------
+    serial : serial number of the unit; empty where the campaign states none.
+    first_run, last_run : earliest and latest start of a run, ISO 8601 as in the campaign; None where no run states one.
+    fitted : when the fit was made, ISO 8601 in UTC.
+    data_sha256, model_sha256 : identify the data and the model, as in `fit.json`.
+    seed : of the sampler.
+    software : versions that made the fit.
+    """
+
+    serial: str
+    first_run: str | None
+    last_run: str | None
+    fitted: str
+    data_sha256: str
+    model_sha256: str
+    seed: int
+    software: tuple[SoftwareVersion, ...]
 
 
 class Quantity(Record):
@@ -206,3 +270,38 @@ class Summary(Record):
     def _weighted(cls, found: Any) -> Any:
         """Leave out the weak directions of earlier versions that are known as text alone."""
         return [each for each in found if not (isinstance(each, dict) and not each.get("quantities"))]
+
+
+def channel_units(summary: Summary) -> dict[str, tuple[str, str]]:
+    """Return the units of output and input of each channel, which its scale factor has."""
+    scales = [entry for entry in summary.derived if entry.name.startswith("scale_factor[")]
+    parts = [(entry.name[len("scale_factor[") : -1], entry.unit.rpartition(" per ")) for entry in scales]
+    return {channel: (output, per) for channel, (output, _, per) in parts}
+
+
+def in_output_units(summary: Summary) -> Summary:
+    """Return a summary whose parameters have the output units of their channels in place of `output`.
+
+    What belongs to channels of different output units keeps it.
+    """
+    units = {channel: output for channel, (output, _) in channel_units(summary).items()}
+    common = next(iter(units.values())) if len(set(units.values())) == 1 else ""
+
+    units[ANGLE] = ANGLE_UNIT
+
+    def shown[Line: Quantity](line: Line, name: str) -> Line:
+        label = name.partition("[")[2].removesuffix("]").split(",")
+        output = next((units[part] for part in label if part in units), common)
+        return line.model_copy(update={"unit": with_output_unit(line.unit, output)})
+
+    combinations = tuple(shown(line, line.quantities[0]) for line in summary.combinations)
+    own = {line.name: line.unit for line in combinations}
+    return summary.model_copy(
+        update={
+            "parameters": tuple(shown(line, line.name) for line in summary.parameters),
+            "combinations": combinations,
+            "contributions": tuple(
+                each.model_copy(update={"unit": own.get(each.quantity, each.unit)}) for each in summary.contributions
+            ),
+        }
+    )

@@ -1,16 +1,14 @@
 """Reduction of raw logs to rows: means over the spans of constant stimulus.
 
-A log is streamed twice.  The first pass summarises short blocks (`block_survey`), from which the levels of the stimulus
-are detected (`stimulus_levels`) and the spans in which the outputs are steady (`settling`, `constant_spans`), or takes
-the spans from the segment column (`segment_labels`).  The second pass averages each span exactly (`span_means`); means
-with clipped samples are left out (`clipping`).  Memory does not grow with the length of the log.
+A log is streamed twice.  The first pass summarises short blocks (`log_survey`), from which the levels of the stimulus
+and the spans in which the outputs are steady are detected (`constant_spans`), or takes the spans from the segment
+column (`log_reduction`).  The second pass averages each span exactly (`span_means`); means with clipped samples are left
+out.  Memory does not grow with the length of the log.
 """
 
-from imubayes.campaign.reduction.block_survey import BlockBuilder, BlockSurvey, sampling_interval
-from imubayes.campaign.reduction.clipping import Limits, clipping_note
 from imubayes.campaign.reduction.constant_spans import BenchSettings, Span, UnsettledLevel, constant_spans
-from imubayes.campaign.reduction.log_reduction import Rows, reduce_log
-from imubayes.campaign.reduction.segment_labels import SegmentTracker
+from imubayes.campaign.reduction.log_reduction import Limits, Rows, SegmentTracker, clipping_note, reduce_log
+from imubayes.campaign.reduction.log_survey import BlockBuilder, BlockSurvey, sampling_interval
 
 __all__ = [
     "BenchSettings",

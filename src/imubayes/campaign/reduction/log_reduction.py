@@ -1,18 +1,22 @@
-"""Reduction of a raw log to rows, with notes on what was averaged and what was left out."""
+"""Reduction of a raw log to rows, with notes on what was averaged and what was left out.
+
+Spans come from the `segment` column or from other label columns where there are any: consecutive rows with the same
+label form a span, and rows with an empty label are left out.  Means that a clipped channel spoils are left out, because
+a sample at the limit says only that the input was beyond.
+"""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign.reduction.block_survey import BlockSurvey
-from imubayes.campaign.reduction.clipping import Limits, clipped_spans, clipping_note
 from imubayes.campaign.reduction.constant_spans import (
     BIN_KELVIN,
     BIN_SECONDS,
     FOLLOW_DEGREES,
     FOLLOW_SECONDS,
+    REST_RATE,
     BenchSettings,
     Detected,
     Dropped,
@@ -22,11 +26,34 @@ from imubayes.campaign.reduction.constant_spans import (
     constant_spans,
     followed_spans,
 )
+from imubayes.campaign.reduction.log_survey import BlockSurvey
 from imubayes.campaign.reduction.span_means import Row, accumulate
-from imubayes.campaign.run_columns import ColumnLayout
-from imubayes.campaign.run_tables import TableSource
-from imubayes.covariates import recorded_columns
+from imubayes.campaign.run_tables import ColumnLayout, RowBatch, TableSource
+from imubayes.foundations.covariates import recorded_columns
 from imubayes.procedures import Reduction
+
+Limits = Mapping[str, tuple[float, ...]]
+"""Channel → values at which it is clipped."""
+
+
+def clipped_spans(batches: Iterable[RowBatch], spans: Sequence[Span], limits: Limits) -> dict[str, np.ndarray]:
+    """Return for each clipped channel which spans hold samples at its limit, shape (len(spans),) bool."""
+    found = {name: np.zeros(len(spans), dtype=bool) for name in limits}
+    starts, stops = (np.array([getattr(span, end) for span in spans], dtype=int) for end in ("start", "stop"))
+    for batch in batches:
+        for name, values in limits.items():
+            rows = batch.first + np.flatnonzero(np.isin(batch.numbers[name], values))
+            place = np.searchsorted(starts, rows, side="right") - 1
+            inside = (place >= 0) & (rows < stops[place])
+            found[name][place[inside]] = True
+    return {name: clipped for name, clipped in found.items() if clipped.any()}
+
+
+def clipping_note(channel: str, limits: Sequence[float], left_out: int, of: int, noun: str) -> str:
+    """Return a sentence on what was left out because a channel was clipped."""
+    at = " and ".join(f"{value:g}" for value in limits)
+    return f"'{channel}' is clipped at {at}: {left_out} of {of} {noun} left out"
+
 
 CONSTANT = "where the stimulus was constant"
 UNSTEADY = 0.02  # relative standard deviation; a rate table is far more stable
@@ -204,3 +231,45 @@ _STATES = {
 
 def _known(dropped: Dropped) -> int:
     return dropped.changing + dropped.moving + dropped.settling + dropped.unsettled
+
+
+class SegmentTracker:
+    """Collects labelled spans batch by batch; several columns form one combined label."""
+
+    def __init__(self, columns: Sequence[str] = ("segment",)) -> None:
+        self._columns = tuple(columns)
+        self._label: tuple[str, ...] | None = None
+        self._start = 0
+        self._spans: list[tuple[tuple[str, ...] | None, int, int]] = []
+        self._rate_sum: list[float] = []
+        self._rate = 0.0
+        self._rows = 0
+
+    def push(self, batch: RowBatch) -> None:
+        """Add the next batch."""
+        combined = zip(*(batch.texts[name] for name in self._columns), strict=True)
+        labels = [tuple(map(str, parts)) if all(parts) else None for parts in combined]
+        rate = batch.numbers.get("table_rate_deg_s")
+        absolute = np.zeros(batch.rows) if rate is None else np.nan_to_num(np.abs(rate))
+        edges = [i for i in range(1, batch.rows) if labels[i] != labels[i - 1]]
+        for begin, end in zip([0, *edges], [*edges, batch.rows], strict=True):
+            if batch.first + begin == 0 or labels[begin] != self._label:
+                self._close(batch.first + begin)
+                self._label = labels[begin]
+            self._rate = max(self._rate, float(np.max(absolute[begin:end], initial=0.0)))
+        self._rows = batch.first + batch.rows
+
+    def spans(self) -> list[Span]:
+        """Return the labelled spans."""
+        self._close(self._rows)
+        return [
+            Span(start, stop, rate > REST_RATE)
+            for (label, start, stop), rate in zip(self._spans, self._rate_sum, strict=True)
+            if label is not None and stop > start
+        ]
+
+    def _close(self, row: int) -> None:
+        if row > self._start:
+            self._spans.append((self._label, self._start, row))
+            self._rate_sum.append(self._rate)
+        self._start, self._rate = row, 0.0

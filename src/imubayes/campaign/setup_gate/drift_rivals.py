@@ -6,10 +6,9 @@ Over one slow swing of the temperature they look alike: a sine reversed in time 
 
 import numpy as np
 
+from imubayes.campaign.setup_gate.error_model import NormalTerms, Widths
 from imubayes.campaign.setup_gate.evidence import ErrorModel, RunDrift
-from imubayes.campaign.setup_gate.normal_terms import NormalTerms
-from imubayes.campaign.setup_gate.plausible_errors import Widths
-from imubayes.campaign.setup_gate.run_view import RunView
+from imubayes.campaign.setup_gate.setup_view import RunView
 
 LAGS = (300.0, 1200.0, 4800.0)
 """Times in seconds by which a bias may lag behind the temperature."""

@@ -20,8 +20,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.normal_terms import NormalTerms, Numbers, weighted
-from imubayes.campaign.setup_gate.plausible_errors import (
+from imubayes.campaign.equipment import grade_of
+from imubayes.campaign.setup_gate.error_model import (
     COMPENSATED,
     G_SENSITIVITIES,
     G_SQUARED,
@@ -33,12 +33,21 @@ from imubayes.campaign.setup_gate.plausible_errors import (
     POOR,
     TABLE_LEAST,
     TABLE_UNSTATED,
+    NormalTerms,
+    Numbers,
     Steadiness,
+    weighted,
     widths,
 )
-from imubayes.campaign.setup_gate.run_view import RunView, changed, feels_the_earth_alone, in_body, stacked, views_of
-from imubayes.campaign.unit_grade import grade_of
-from imubayes.campaign_data import Campaign
+from imubayes.campaign.setup_gate.setup_view import (
+    RunView,
+    changed,
+    feels_the_earth_alone,
+    in_body,
+    stacked,
+    views_of,
+)
+from imubayes.foundations.campaign_data import Campaign
 
 # Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, three of
 # the converter's temperature (as many as of the sensor's, or a curve would tell that the thermometers are exchanged);

@@ -1,18 +1,22 @@
-"""The judgement of a set-up: the mistakes that explain its outputs, or the runs that nothing explains.
+"""The judgement of a set-up: the mistakes that explain its outputs, or the runs that nothing explains, as findings.
 
-The misfit of the linear model of plausible errors tells a campaign without gross mistakes.  There only the mistakes are
-tried that such errors could conceal.
+The misfit of the linear model of plausible errors identifies a campaign without gross mistakes.  There only those
+mistakes are tried that such errors could conceal.  The findings say what is wrong, by how much, and what to correct.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imubayes.campaign.setup_gate.hidden_mistakes import hidden_mistakes
-from imubayes.campaign.setup_gate.run_view import feels_the_earth_alone
+from imubayes.campaign.setup_gate.reading_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
+from imubayes.campaign.setup_gate.remedies import REMEDIES, Places, Words
 from imubayes.campaign.setup_gate.search import DECISIVE, MOST_MISTAKES, Explanation, Search, equally_good
-from imubayes.campaign.setup_gate.shown_steadiness import noise_as_rival
-from imubayes.campaign.setup_gate.sizes import sized
-from imubayes.campaign_data import Campaign
+from imubayes.campaign.setup_gate.setup_view import feels_the_earth_alone
+from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_rival, sized
+from imubayes.campaign.setup_gate.wrong_rows import WrongRow, with_rows, wrong_rows
+from imubayes.campaign.stream_checks import Finding, Severity
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import COVARIATES
 
 _STEPS = 3
 _TURNED_FAR = 30.0
@@ -78,3 +82,99 @@ def _sized(campaign: Campaign, equal: tuple[Explanation, ...]) -> tuple[Explanat
     """Return explanations with their sizes, without those of sizes that cannot be."""
     found = [sized(campaign, each) for each in equal]
     return tuple(each for each in found if each.mistake.possible(each.size))
+
+
+_MOST_RUNS = 5
+_MOST_ALTERNATIVES = 5
+
+
+def setup_findings(campaign: Campaign, places: Places, accepted: tuple[str, ...]) -> list[Finding]:
+    """Return what the outputs say against the set-up of a campaign.
+
+    Parameters
+    ----------
+    places : where what is said stands in the files.
+    accepted : names of findings that the campaign accepts; they are warnings.
+    """
+    rows = wrong_rows(campaign)
+    said = [_of_row(campaign, each, places) for each in rows]
+    judged = judge_setup(with_rows(campaign, rows))
+    if judged.mistakes:
+        return [*said, *(_explained(campaign, equal, places, accepted) for equal in judged.mistakes)]
+    return [
+        *said,
+        *(_unexplained(name, misfit, places.table(name)) for name, misfit in judged.unexplained[:_MOST_RUNS]),
+    ]
+
+
+def _of_row(campaign: Campaign, found: WrongRow, places: Places) -> Finding:
+    covariate = COVARIATES[f"table_{found.column}"]
+    table = next(run.table for run in campaign.runs if run.name == found.run)
+    zero = campaign.tables[table or ""].zero_angle if found.column == "angle" else 0.0
+    recorded, agreeing = ((value + zero) / covariate.factor() for value in (found.recorded, found.agreeing))
+    sd, unit = found.sd / covariate.factor(), covariate.unit
+    what = (
+        f"all outputs of row {found.row + 1} are as at '{covariate.column}' = {agreeing:.4g} ± {sd:.1g} {unit}, not "
+        f"{recorded:.6g}: {found.distance:.2g} standard deviations of the other rows"
+    )
+    where = f"{places.table(found.run)}, row {found.row + 1}, column '{covariate.column}'"
+    remedy = "correct the value from the record of the test, or take the row out"
+    return Finding("row_disagrees", "warning", found.run, what, where, "what the table did in that row", remedy)
+
+
+def _explained(
+    campaign: Campaign, equal: tuple[Explanation, ...], places: Places, accepted: tuple[str, ...]
+) -> Finding:
+    found: list[tuple[str, Words]] = [
+        (each.mistake.kind, REMEDIES[each.mistake.kind](campaign, each, places)) for each in equal
+    ]
+    run = equal[0].mistake.scope.name if equal[0].mistake.scope.section == "run" else ""
+    first, words, others = equal[0], found[0][1], [each for _, each in found[1:]]
+    others = others[:_MOST_ALTERNATIVES]
+    what = ", or ".join([words.what, *(each.what for each in others)])
+    evidence = f"the outputs fit {'each' if others else 'that'} far better (Δχ² {first.gain:.3g})"
+    if first.rivalled:
+        evidence += f", but cannot tell it from {_rival(first)}"
+    remedy = words.remedy
+    if others:
+        what = f"the data cannot tell whether {what}"
+        remedy += " (or: " + "; or: ".join(each.remedy for each in others) + ")"
+    # Weaker evidence is said and stops nothing.
+    sure = _stops(equal) and not {kind for kind, _ in found} & {*accepted}
+    severity: Severity = "error" if sure else "warning"
+    if sure:
+        remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
+    return Finding(
+        first.mistake.kind, severity, run, f"{what}: {evidence}", words.where, words.allowed, remedy
+    )  # fmt: skip
+
+
+def _stops(equal: tuple[Explanation, ...]) -> bool:
+    """Whether a mistake is supported well enough to stop a fit, and no explanation is one of a poor unit."""
+    first = equal[0]
+    sure = first.support > first.stopping and not first.rivalled
+    return sure and all(each.mistake.stops(each.size) for each in equal)
+
+
+def _rival(found: Explanation) -> str:
+    """Return what passes for a mistake in a valid set-up."""
+    if not isinstance(found.mistake, TEMPERATURE_MISTAKES):
+        return "a bias that changes from run to run"
+    if isinstance(found.mistake, TemperatureReversed):
+        return "biases that drift, or unlike those of other runs"
+    if found.mistake.scope.section == "run":
+        return "biases and scale factors unlike those of other runs"
+    return "outputs that ignore the temperature"
+
+
+def _unexplained(run: str, misfit: float, where: str) -> Finding:
+    what = (
+        f"the outputs differ from what the set-up says by about {math.sqrt(misfit):.2g} times as much as errors of "
+        "unit and equipment allow; no single mistake in the set-up explains it"
+    )
+    remedy = "check mounting, table, units and files of the run"
+    return Finding("setup_disagrees", "warning", run, what, where, "outputs that follow the nominal input", remedy)
+
+
+SETUP_FINDINGS = tuple(REMEDIES)
+"""Names of the findings about the set-up that a campaign can accept."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.file_schemas import CampaignFile
-from imubayes.campaign.setup_gate.mistakes import (
+from imubayes.campaign.setup_gate.equipment_mistakes import (
     ChannelsExchanged,
     FilesExchanged,
     Mistake,
@@ -16,13 +16,21 @@ from imubayes.campaign.setup_gate.mistakes import (
     MountingWrong,
     TimeShift,
 )
-from imubayes.campaign.setup_gate.nominal_scales import NominalScale, TableRates
+from imubayes.campaign.setup_gate.reading_mistakes import (
+    ANGLE_UNITS,
+    RATE_UNITS,
+    AngleUnit,
+    ChannelGain,
+    LatitudeValue,
+    NominalScale,
+    RateUnit,
+    TableRates,
+    TemperatureReversed,
+    TemperatureUnit,
+)
 from imubayes.campaign.setup_gate.search import Explanation
-from imubayes.campaign.setup_gate.site_mistakes import LatitudeValue
-from imubayes.campaign.setup_gate.temperature_mistakes import TemperatureReversed, TemperatureUnit
-from imubayes.campaign.setup_gate.unit_mistakes import ANGLE_UNITS, RATE_UNITS, AngleUnit, ChannelGain, RateUnit
 from imubayes.campaign.toml_documents import Ledger
-from imubayes.campaign_data import Campaign
+from imubayes.foundations.campaign_data import Campaign
 
 _COLUMN = {"temperature": "temperature_degC", "converter_temperature": "converter_temperature_degC"}
 

@@ -12,17 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.setup_gate.drift_rivals import score_with_drift
+from imubayes.campaign.setup_gate.equipment_mistakes import MISTAKES, Mistake
+from imubayes.campaign.setup_gate.error_model import G_SENSITIVITIES, POOR, NormalTerms, Steadiness, stacked_terms
 from imubayes.campaign.setup_gate.evidence import ErrorModel
-from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake
-from imubayes.campaign.setup_gate.normal_terms import NormalTerms, stacked_terms
-from imubayes.campaign.setup_gate.outer_axes import CarryingAxes
-from imubayes.campaign.setup_gate.outer_mistakes import AxisZero
-from imubayes.campaign.setup_gate.plausible_errors import G_SENSITIVITIES, POOR, Steadiness
-from imubayes.campaign.setup_gate.run_view import RunView, views_of
-from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
-from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, ChannelGain
-from imubayes.campaign.setup_gate.wrong_rates import RateFactor
-from imubayes.campaign_data import Campaign
+from imubayes.campaign.setup_gate.reading_mistakes import (
+    TEMPERATURE_MISTAKES,
+    UNIT_MISTAKES,
+    AxisZero,
+    ChannelGain,
+    TemperatureReversed,
+)
+from imubayes.campaign.setup_gate.setup_view import CarryingAxes, RunView, views_of
+from imubayes.campaign.setup_gate.wrong_rows import RateFactor
+from imubayes.foundations.campaign_data import Campaign
 
 ORDINARY_MISFIT, ORDINARY_ERROR = 1.0, 3.5
 """Misfit per output, and largest error in standard deviations, up to which a campaign is valid.  What is left out of

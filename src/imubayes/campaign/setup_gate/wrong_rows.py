@@ -1,20 +1,24 @@
-"""One row of a run whose angle or rate of the table is not the recorded one: every channel is off as that predicts.
+"""Rows whose recorded table angle or rate is wrong, and runs whose table rate is wrong by a factor.
 
-The row is predicted from all others by the linear model of plausible errors, without the row.  How well rows are
-predicted the other rows show, so that no size of errors has to be assumed: a row is told where it stands out from
-everything else that the linear model leaves out, and another angle or rate brings it back in line.
+In such a row every channel is off as the other angle or rate predicts.  The row is predicted from all others by the
+linear model of plausible errors, without the row.  The other rows show how well rows are predicted, so that no size of
+errors has to be assumed: a row is reported where it stands out from everything else that the linear model leaves out,
+and another angle or rate brings it back in line.
+
+The rate of a whole run may be wrong by a factor: that of another range, or of a slipping drive.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
+from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, has_angles, single_runs
+from imubayes.campaign.setup_gate.error_model import NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
-from imubayes.campaign.setup_gate.mistakes import has_angles
-from imubayes.campaign.setup_gate.normal_terms import NormalTerms, stacked_terms
-from imubayes.campaign.setup_gate.run_view import RunView, changed, views_of
-from imubayes.campaign_data import Campaign
+from imubayes.campaign.setup_gate.setup_view import RunView, changed, views_of
+from imubayes.foundations.campaign_data import Campaign
 
 STANDS_OUT = 5.0
 """How many times as far off as the next a row has to be: what a linear model leaves out grows toward the largest
@@ -225,3 +229,28 @@ def _medians(values: np.ndarray) -> np.ndarray:
     ordered, count = np.sort(values, axis=1), np.isfinite(values).sum(axis=1)
     each = np.arange(len(values))
     return ((ordered[each, (count - 1) // 2] + ordered[each, count // 2]) / 2)[:, None]
+
+
+@dataclass(frozen=True)
+class RateFactor(Mistake):
+    """The rates of one run are to be multiplied by 1 + size; the other runs that turn tell by how much."""
+
+    kind: ClassVar[str] = "table_rate"
+    rarity: ClassVar[float] = 8.0
+    sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-0.2, 0.2, 9).tolist())
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every run that turns, where there are several: a scale factor is known by the rate alone."""
+        turning = [scope for scope in single_runs(views) if np.any(views[scope.runs[0]].rate)]
+        if len(turning) > 1 and any(channel.kind == "gyro" for channel in campaign.channels):
+            for scope in turning:
+                yield cls(scope)
+
+    def possible(self, size: float) -> bool:
+        """Return whether there can be such a factor: larger ones are another unit."""
+        return abs(size) < 1.5 * self.sizes[-1]
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with its rates multiplied."""
+        return changed(views[place], rate=views[place].rate * (1 + size))

@@ -14,9 +14,8 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
+from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants, summed_over_widths
 from imubayes.criticism.evidence.free_forms import ChosenForm
-from imubayes.criticism.evidence.heavy_tails import tail_bound, tail_weights
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED, ChannelRows, LinearProblem
 from imubayes.criticism.evidence.noise_structures import (
     HeavyTails,
@@ -25,9 +24,10 @@ from imubayes.criticism.evidence.noise_structures import (
     NoiseUnit,
     log_prior_of_sisters,
     noise_units,
+    tail_bound,
+    tail_weights,
 )
 from imubayes.criticism.evidence.whitened_rows import GramMatrix, WhitenedRows, offsets_of_runs
-from imubayes.criticism.evidence.width_sums import summed_over_widths
 
 ROUNDS = 30
 """Steps to a mode of scales and weights at most.  Numerical."""

@@ -17,18 +17,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise import known_scales, noise_scales, sample_noise
-from imubayes.array_shapes import Array, Float
-from imubayes.campaign_data import Channel
+from imubayes.compiled.kept_programs import kept
 from imubayes.criticism.evidence.row_correlation import RowCorrelation, correlations_of
+from imubayes.foundations.arrays import Array, Float
+from imubayes.foundations.campaign_data import Channel
+from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.inference.fitted_model import Fit
-from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.noise.base import SeriesNoise, SharedNoise, TailNoise
-from imubayes.noise.components import WhiteNoise
+from imubayes.noise.components import SeriesNoise, SharedNoise, TailNoise, WhiteNoise
 from imubayes.responses.candidate_effects import Coefficient, Response, Responses
-from imubayes.tail_probabilities import normal_survival
 
 BELIEVED = 0.03
 """Standard deviation of the logarithm of a noise scale that raw samples tell.  Calibrated on complete shipped models:

@@ -7,7 +7,8 @@ variance changes Gram matrices by a term of low rank, so that they cost nothing.
 - As known; another scale.
 - A state beside white noise (Kalman filter): AR(1) alone or with white noise, or a random walk.
 - White noise that grows with the input, var ∝ 1 + k (input / largest)².
-- Heavy tails: Student's t as a scale mixture, whose weights are found with the fit (West, JRSS B 46, 431, 1984).
+- Heavy tails: Student's t as a scale mixture, a normal law with a weight for each row and a lower bound of the log
+  density.  The weights are found with the fit (West, JRSS B 46, 431, 1984).
 
 Correlation in time that the model states is whitened first: any structure is one of its innovations.  Of it, of heavy
 tails and of a scatter between runs that the model has, each size that the prior allows is noise as stated.
@@ -22,9 +23,17 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
+from scipy import special
 
 from imubayes.adequacy.known_noise import SISTERS_LOG_SD
-from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, UNEXPECTED, UNKNOWN, ChannelRows, Grid, LinearProblem
+from imubayes.criticism.evidence.linear_problem import (
+    NEGLIGIBLE,
+    UNEXPECTED,
+    UNKNOWN,
+    ChannelRows,
+    Grid,
+    LinearProblem,
+)
 
 _BLOCK = 64
 """Rows that are filtered by one matrix.  Numerical: a compromise of loops and products."""
@@ -328,3 +337,25 @@ def _other_noise(
             yield from (NoiseOfUnit(each, tau, share + p, False, k) for tau, k, p in opened)
     for each in beside:
         yield replace(each, log_prior=each_family - math.log(scattered) + each.log_prior)
+
+
+def tail_weights(squares: np.ndarray, degrees: float) -> np.ndarray:
+    """Return the weight of each row, (n,), of expected squared residuals in units of its noise."""
+    return (degrees + 1) / (degrees + squares)
+
+
+def tail_bound(squares: np.ndarray, weight: np.ndarray, degrees: float) -> float:
+    """Return what Student's t adds to the normal of weights w: a lower bound of its logarithm (variational)."""
+    t = _log_density(squares, degrees)
+    normal = -0.5 * math.log(2 * math.pi) + 0.5 * np.log(weight) - 0.5 * weight * squares
+    return float(np.sum(t - normal + 0.5 * np.log(weight)))
+
+
+def tail_log_density(residual: np.ndarray, degrees: float) -> float:
+    """Return the logarithm of the density of residuals (n,) under Student's t of scale 1."""
+    return float(_log_density(residual**2, degrees).sum())
+
+
+def _log_density(squares: np.ndarray, degrees: float) -> np.ndarray:
+    constant = special.gammaln((degrees + 1) / 2) - special.gammaln(degrees / 2) - 0.5 * math.log(degrees * math.pi)
+    return constant - (degrees + 1) / 2 * np.log1p(squares / degrees)

@@ -12,8 +12,11 @@ from functools import cached_property
 
 import numpy as np
 
-from imubayes.criticism.evidence.evidence_record import (
+from imubayes.criticism.evidence.hypothesis import Evaluated, Hypothesis
+from imubayes.criticism.evidence.model_search import ModelSearch
+from imubayes.criticism.verdict import (
     NEAR,
+    CoefficientEstimate,
     EffectSlot,
     Evidence,
     Explanation,
@@ -22,9 +25,6 @@ from imubayes.criticism.evidence.evidence_record import (
     ProbableEffect,
     ProbableExplanation,
 )
-from imubayes.criticism.evidence.hypothesis import Evaluated, Hypothesis
-from imubayes.criticism.evidence.model_search import ModelSearch
-from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import Responses
 

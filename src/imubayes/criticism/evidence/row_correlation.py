@@ -14,18 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise import noise_scales
-from imubayes.array_shapes import Array, Float
-from imubayes.gather import in_batches
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import Array, Float, in_batches
+from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.inference.fitted_model import Fit
-from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
-from imubayes.model.noise_covariance import Series, whitener_of
+from imubayes.model.nodes_and_entries import Timeline
+from imubayes.model.noise_covariance import Series, SlowSeries, whitener_of
 from imubayes.model.problem import Problem
-from imubayes.model.row_times import Timeline
-from imubayes.model.slow_series import SlowSeries
-from imubayes.noise.base import SeriesNoise, SlowNoise
-from imubayes.parameters.vector import Parameter
-from imubayes.tail_probabilities import normal_survival
+from imubayes.noise.components import SeriesNoise, SlowNoise
+from imubayes.parameters.declarations import Parameter
 
 _FACTORS = tuple(2.0**k for k in range(1, -6, -1))
 """Sizes over that as fitted.  Derived: at a factor √2 off, the evidence of a hundred rows falls by some nats only."""

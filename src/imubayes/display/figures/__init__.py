@@ -1,13 +1,10 @@
 """Pictures of a result, one call each: `figure = residual_figure(residuals, "table_rate")`."""
 
-from imubayes.display.figures.campaign_timeline import campaign_timeline_figure
-from imubayes.display.figures.corner import corner_figure
-from imubayes.display.figures.identifiability import identifiability_figure
 from imubayes.display.figures.measurement import measurement_figure
-from imubayes.display.figures.mounting_sketch import mounted_pairs, mounting_sketch_figure
+from imubayes.display.figures.posterior import corner_figure, identifiability_figure
 from imubayes.display.figures.prior_posterior import prior_posterior_figure
-from imubayes.display.figures.residual import residual_figure
-from imubayes.display.figures.run_chi2 import run_chi2_figure
+from imubayes.display.figures.residual import residual_figure, run_chi2_figure
+from imubayes.display.figures.setup import campaign_timeline_figure, mounted_pairs, mounting_sketch_figure
 from imubayes.display.figures.temperature import temperature_figure, thermal_courses
 
 __all__ = [

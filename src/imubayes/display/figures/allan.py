@@ -5,8 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from imubayes.display.labels import pretty
-from imubayes.display.theme import (
+from imubayes.display.figure_style import (
     BLUE,
     GREEN,
     INK,
@@ -21,8 +20,9 @@ from imubayes.display.theme import (
     picture,
     themed,
 )  # fmt: skip
+from imubayes.display.numbers_and_labels import pretty
+from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.noise_record import ChannelNoise, fitted_deviations, undetermined_deviations
-from imubayes.noise_analysis.noise_spectra import NoiseTerm
 
 STYLES = {
     NoiseTerm.QUANTISATION: ("Q, slope −1", PURPLE),

@@ -7,10 +7,8 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 from matplotlib.axes import Axes
 
-from imubayes.display.labels import pretty, readable
-from imubayes.display.rounding import significant
-from imubayes.display.run_signs import HUES
-from imubayes.display.theme import FAINT, SMALL, Picture, panels, picture, themed
+from imubayes.display.figure_style import FAINT, HUES, SMALL, Picture, panels, picture, themed
+from imubayes.display.numbers_and_labels import pretty, readable, significant
 
 _BAR = 0.16
 """Half the length of a bar, in steps."""

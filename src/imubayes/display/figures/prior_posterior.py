@@ -9,12 +9,7 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from imubayes.display.figures.panels import set_decades
-from imubayes.display.fit_cautions import alarm_of
-from imubayes.display.labels import pretty, shortened
-from imubayes.display.quantity_tables import is_nuisance
-from imubayes.display.rounding import concise, significant
-from imubayes.display.theme import (
+from imubayes.display.figure_style import (
     BAND,
     BAND_WIDE,
     BLUE,
@@ -28,8 +23,11 @@ from imubayes.display.theme import (
     picture,
     themed,
 )
-from imubayes.results.output_units import in_output_units
-from imubayes.results.summary import Quantity, Summary
+from imubayes.display.figures.panels import set_decades
+from imubayes.display.fit_cautions import alarm_of
+from imubayes.display.numbers_and_labels import concise, pretty, shortened, significant
+from imubayes.display.quantity_tables import is_nuisance
+from imubayes.results.summary import Quantity, Summary, in_output_units
 
 _MOST = 40
 _NAMES, _NUMBERS = 2.35, 1.3  # room for the names on the left and the numbers on the right, inches

@@ -6,20 +6,30 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from imubayes.campaign_data import Campaign
+from imubayes.display.figure_style import (
+    BAND,
+    BLUE,
+    INK,
+    MOST_PANELS,
+    QUIET,
+    SMALL,
+    Picture,
+    panels,
+    picture,
+    themed,
+)
 from imubayes.display.figures.panels import thinned
-from imubayes.display.labels import pretty
-from imubayes.display.rounding import significant
-from imubayes.display.theme import BAND, BLUE, INK, MOST_PANELS, QUIET, SMALL, Picture, panels, picture, themed
+from imubayes.display.numbers_and_labels import pretty, significant
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.qualification.temperature_range import ThermalModel, course_over_range, depends_on_temperature
 
-_FAMILIES = {
+_OVER_TEMPERATURE = {
     "gyro": ("gyro_bias.bias", "gyro_scale_factor.scale"),
     "accelerometer": ("accel_bias.bias", "accel_scale_factor.scale"),
 }
 _WORDS = ("bias", "scale factor error")
 _LEAST_SPAN = 1.0  # °C
-_CAPTION = (
+_CURVE_CAPTION = (
     "Line: posterior mean over the temperatures at which the unit was recorded; band: 95 % interval (equal-tailed), "
     "often narrower than the line. Marks at the lower edge: mean temperatures of the runs. The band of a good campaign "
     "is narrow beside the change over temperature; where it opens, a run at that temperature would tell most."
@@ -45,7 +55,7 @@ def thermal_courses(
         return {}
     found: dict[str, list[ThermalCourse | None]] = {}
     for channel in campaign.channels:
-        names = [f"{family}[{channel.name}]" for family in _FAMILIES.get(channel.kind, ())]
+        names = [f"{family}[{channel.name}]" for family in _OVER_TEMPERATURE.get(channel.kind, ())]
         if any(name in draws and depends_on_temperature(name, draws) for name in names):
             found[channel.name] = [_course(name, draws, thermal, (low, high)) for name in names]
     return dict(list(found.items())[:MOST_PANELS])
@@ -65,7 +75,7 @@ def _course(
 def temperature_figure(campaign: Campaign, courses: Mapping[str, Sequence[ThermalCourse | None]]) -> Picture:
     """Return bias and scale factor error over temperature: a row per channel with thermal terms."""
     height = max(len(courses) * 1.5 + 0.35, 2.6)
-    figure = picture(11.5, height, "Bias and scale factor over temperature", _CAPTION)
+    figure = picture(11.5, height, "Bias and scale factor over temperature", _CURVE_CAPTION)
     grid = panels(figure, len(courses), 2, (0.95, 0.5, 0.1, 0.2), (1.1, 0.36), share_x=True)
     marks = [float(each.mean()) for each in _recorded(campaign) if each.size]
     for row, (channel, pair) in zip(grid, courses.items(), strict=True):

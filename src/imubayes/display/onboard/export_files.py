@@ -5,16 +5,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from imubayes.atomic_files import write_text
-from imubayes.display.onboard.autopilot_parameters import ardupilot_parameters, px4_parameters
-from imubayes.display.onboard.c_header import c_header
-from imubayes.display.onboard.kalibr_yaml import kalibr_yaml
-from imubayes.display.onboard.losses_in_words import refuse_losses
-from imubayes.display.onboard.ros_covariances import ros_covariances
-from imubayes.errors import input_error
-from imubayes.qualification.noise_densities import NoiseDensity
-from imubayes.qualification.onboard_losses import Loss, losses
-from imubayes.qualification.onboard_record import OnboardConstants
+from imubayes.display.onboard.formats import (
+    ardupilot_parameters,
+    c_header,
+    kalibr_yaml,
+    px4_parameters,
+    refuse_losses,
+    ros_covariances,
+)
+from imubayes.foundations.errors import input_error
+from imubayes.foundations.files import write_text
+from imubayes.qualification.onboard.losses import Loss, NoiseDensity, losses
+from imubayes.qualification.onboard.record import OnboardConstants
 
 Format = Literal["json", "c", "kalibr", "px4", "ardupilot", "ros"]
 

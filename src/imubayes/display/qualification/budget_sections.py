@@ -3,13 +3,12 @@
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
-from imubayes.display.labels import pretty
-from imubayes.display.qualification.budget_drawings import bar_drawings, correlation_drawing
+from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, significant
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
+from imubayes.display.qualification.quantity_drawings import bar_drawings, correlation_drawing
 from imubayes.display.qualification.words import MORE_DRAWS
-from imubayes.display.rounding import NO_NUMBER, significant
-from imubayes.display.run_design_words import run_design_text
-from imubayes.qualification.budget_record import (
+from imubayes.display.quality_tables import run_design_text
+from imubayes.qualification.budget_parts import (
     BudgetLine,
     CorrelationMatrix,
     HalvedInput,
@@ -18,8 +17,8 @@ from imubayes.qualification.budget_record import (
     Source,
     UncertaintyBudgets,
 )
+from imubayes.qualification.decision_rules import ADDS_UP
 from imubayes.qualification.report_record import QualificationReport
-from imubayes.qualification.tolerances import ADDS_UP
 
 _SOURCES: dict[Source, str] = {
     "fixture": "fixture", "table": "table", "site": "site", "reference": "reference", "unit": "unit under test",

@@ -1,9 +1,22 @@
-"""A document independent of the medium: headings, paragraphs, facts, tables and drawings, in order."""
+"""A document independent of the medium: headings, paragraphs, facts, tables and SVG drawings, in order.
 
+Drawings are small figures as SVG text that is the same for the same input.  They are embedded in one page, so names
+inside an SVG get a prefix of their own.  Text stays text: it can be searched, and is a tenth of the size of its
+outlines.
+"""
+
+import io
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from imubayes.display.figure_style import HUES, INK, STYLE, FewTicks
 
 Mood = Literal["", "good", "weak", "bad", "dim"]
 _HYPHEN_AS_MINUS = re.compile(r"(?<![\w.\-+])-(?=\d)")
@@ -128,3 +141,75 @@ class ReportDocument:
     facts: Sequence[tuple[str, str]]
     blocks: Sequence[Block] = field(default=())
     footer: str = ""
+
+
+WIDTH = 4.4
+LINES: tuple[Literal["-", "--", "-.", ":"], ...] = ("-", "--", "-.", ":")
+_STYLE = STYLE.copy()
+_STYLE.update({"svg.fonttype": "none", "svg.hashsalt": "imubayes"})
+_REFERENCE = re.compile(r"(?<=#)[A-Za-z][\w-]*")
+_IDENTITY = re.compile(r' id="([^"]+)"')
+_HEADER = re.compile(r"^.*?(?=<svg)|<metadata>.*?</metadata>|<!--.*?-->\n?", re.DOTALL)
+
+
+def drawn(name: str, words: str, height: float, draw: Callable[[Figure], None], width: float = WIDTH) -> Drawing:
+    """Return what `draw` puts on a figure.
+
+    Parameters
+    ----------
+    name : prefix of the names in the SVG, different for every drawing of a document.
+    words : what is drawn, for readers who do not see it.
+    height, width : inches.
+    """
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(width, height))
+        canvas = FigureCanvasSVG(figure)
+        draw(figure)
+        buffer = io.StringIO()
+        canvas.print_svg(buffer, metadata={"Date": None, "Creator": None})
+    return Drawing(_cleaned(buffer.getvalue(), name), width, words)
+
+
+def _cleaned(svg: str, name: str) -> str:
+    """Return an SVG without header and unused names, and with a prefix before the others."""
+    svg = _HEADER.sub("", svg)
+    used = set(_REFERENCE.findall(svg))
+    svg = _IDENTITY.sub(lambda found: f' id="{name}-{found[1]}"' if found[1] in used else "", svg)
+    return _REFERENCE.sub(lambda found: f"{name}-{found[0]}" if not _is_colour(found[0]) else found[0], svg).strip()
+
+
+def _is_colour(name: str) -> bool:
+    return re.fullmatch(r"[0-9a-fA-F]{6}|[0-9a-fA-F]{3}", name) is not None
+
+
+def place(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Return axes at a place in inches."""
+    across, up = figure.get_size_inches()
+    axes = figure.add_axes((left / across, bottom / up, width / across, height / up))
+    axes.yaxis.set_major_locator(FewTicks())
+    return axes
+
+
+def title(figure: Figure, text: str) -> None:
+    """Write a title at the upper left."""
+    width, height = figure.get_size_inches()
+    figure.text(0.06 / width, 1 - 0.06 / height, text, va="top", weight="bold", color=INK)
+
+
+def hue(place_: int) -> str:
+    """Return the colour of a channel by its place."""
+    return HUES[place_ % len(HUES)]
+
+
+def line(place_: int) -> Literal["-", "--", "-.", ":"]:
+    """Return the line style of a channel by its place: channels can be told apart without colour."""
+    return LINES[place_ % len(LINES)]
+
+
+def legend(figure: Figure, handles: Sequence) -> None:
+    """Put a legend in one line below the title."""
+    width, height = figure.get_size_inches()
+    figure.legend(
+        handles=list(handles), loc="upper left", bbox_to_anchor=(0.06 / width, 1 - 0.25 / height), ncols=len(handles),
+        columnspacing=1.0, handlelength=1.8, handletextpad=0.4,
+    )  # fmt: skip

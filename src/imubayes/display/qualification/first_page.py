@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from imubayes.display.labels import pretty
+from imubayes.display.numbers_and_labels import pretty, significant
 from imubayes.display.qualification.document import Banner, ReportTable, Text
 from imubayes.display.qualification.words import (
     NO_DECISION,
@@ -17,7 +17,6 @@ from imubayes.display.qualification.words import (
     rule_text,
     with_digits,
 )
-from imubayes.display.rounding import significant
 from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,

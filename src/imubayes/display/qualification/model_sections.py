@@ -2,13 +2,19 @@
 
 from collections.abc import Sequence
 
-from imubayes.display.diagnosis_sentences import bias_clause
-from imubayes.display.evidence_text import evidence_text
-from imubayes.display.labels import pretty
-from imubayes.display.noise_violation_text import violation_text
+from imubayes.display.fit_cautions import violation_text
+from imubayes.display.loop.diagnosis_sentences import bias_clause, evidence_text
+from imubayes.display.numbers_and_labels import (
+    NO_NUMBER,
+    chance_text,
+    percent,
+    pretty,
+    ratio_text,
+    significant,
+    value_and_sd,
+)
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
 from imubayes.display.qualification.words import VERDICTS, enumerated, hash_text
-from imubayes.display.rounding import NO_NUMBER, chance_text, percent, ratio_text, significant, value_and_sd
 from imubayes.qualification.report_record import (
     Adequacy,
     Omissions,

@@ -1,17 +1,241 @@
-"""The files of a report, by their endings."""
+"""The qualification report as a document, and its files: HTML, PDF and JSON.
 
+All that is said and drawn comes from the record of the report.  The ending of a file chooses its format.
+
+The HTML page has no script and no link to anything outside; pictures are inline SVG.  The PDF file is PDF/A-3, set by
+Typst, with the record attached as `report.json`.  Fonts are those that come with Typst and with Matplotlib, so that the
+same input gives the same bytes everywhere.
+"""
+
+import json
+import re
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import fields
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
-from imubayes.atomic_files import refuse_existing, replacing
-from imubayes.display.qualification.html_page import html_page
-from imubayes.display.qualification.pdf_file import pdf_file
-from imubayes.display.qualification.report_document import report_document
-from imubayes.errors import InputError, Issue, closest_first
-from imubayes.process_lock import only_writer
+import lazy_loader
+import matplotlib as mpl
+from markupsafe import Markup, escape
+
+from imubayes.display.layout import render
+from imubayes.display.qualification.budget_sections import budget_section
+from imubayes.display.qualification.document import Block, Drawings, Heading, Paragraph, ReportDocument, ReportTable
+from imubayes.display.qualification.first_page import alarms, banner, facts, limits_table, risk_table
+from imubayes.display.qualification.model_sections import (
+    adequacy_section,
+    convergence_section,
+    equipment_section,
+    left_out_section,
+    provenance_section,
+    scope_section,
+)
+from imubayes.display.qualification.quantity_drawings import forest_drawings
+from imubayes.display.qualification.result_sections import (
+    combination_section,
+    converter_section,
+    mounting_section,
+    result_section,
+    standards_section,
+)
+from imubayes.display.qualification.unit_drawings import (
+    angle_drawings,
+    error_drawings,
+    mounting_drawings,
+    worst_drawing,
+)
+from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.files import only_writer, refuse_existing, replacing
 from imubayes.qualification.report_record import QualificationReport
+
+Layout = tuple[tuple[str, ...], tuple[int, ...]]
+
+
+def html_page(document: ReportDocument) -> str:
+    """Return a document as an HTML page."""
+    headings = [block.text for block in document.blocks if block.type == "heading" and block.level == 2]
+    # Drawings are SVG that this package made; all else is escaped.
+    layouts = list(dict.fromkeys(_layout(block) for block in document.blocks if isinstance(block, ReportTable)))
+    page = render(
+        "qualification", document=document, headings=headings, drawing=Markup, anchor=_anchor, formula=_formula,
+        prose=_prose, breakable=_breakable,
+        column_styles=Markup("\n".join(_column_style(place, layout) for place, layout in enumerate(layouts))),
+        layout_of=lambda table: layouts.index(_layout(table)),
+    )  # fmt: skip
+    return page.lstrip() + "\n"
+
+
+def _layout(table: ReportTable) -> Layout:
+    return tuple(table.head), tuple(table.left)
+
+
+def _column_style(place: int, layout: Layout) -> str:
+    """Return the rules for tables with the same columns: alignment, and on a phone the name beside each number.
+
+    One rule for a column in place of an attribute of each cell halves the size of the page.
+    """
+    head, left = layout
+    rules = []
+    for column, name in enumerate(head, 1):
+        cell = f".t{place} td:nth-child({column})"
+        if column - 1 in left:
+            rules.append(f"@media not (max-width: 640px) {{ {cell} {{ text-align: left; }} }}")
+        quoted = name.replace("\\", "\\\\").replace('"', '\\"').replace("<", "\\3c ")
+        rules.append(f'@media (max-width: 640px) {{ {cell}::before {{ content: "{quoted}"; }} }}')
+    return "\n".join(rules)
+
+
+def _formula(text: str) -> Markup:
+    """Return a formula with its subscripts; everything else in it is escaped."""
+    return Markup(re.sub(r"_([^\W²³]+′?)", r"<sub>\1</sub>", str(escape(text))))
+
+
+def _breakable(text: str) -> Markup:
+    """Return the text of a cell, escaped, whose names may break between their parts, and hashes anywhere."""
+    parts = re.sub(r"(?<=[a-z])\.(?=[a-z])", ".<wbr>", str(escape(text))).replace("[", "<wbr>[")
+    return Markup(re.sub(r"(\w{16})(?=\w{24})", r"\1<wbr>", parts))
+
+
+def _prose(text: str) -> Markup:
+    """Return prose with its commands, which stand between backticks, set as code; everything else is escaped."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
+def _anchor(heading: str) -> str:
+    return "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in heading.lower())
+
+
+typst: Any = lazy_loader.load("typst")
+# A column whose longest text is shorter than this keeps its width; wider ones share what is left.  All keep theirs
+# where a row of the longest texts, with the gap beside each, fits the page.
+_NARROW, _WIDEST, _GAP, _PAGE = 24, 60, 2, 125
+
+
+def pdf_file(document: ReportDocument, record: str) -> bytes:
+    """Return a document as PDF.
+
+    Parameters
+    ----------
+    record : JSON text of the record, which is attached.
+
+    Raises
+    ------
+    InputError
+        where Typst is not installed.
+    """
+    _need_typst()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        template = files("imubayes.display").joinpath("templates/qualification.typ").read_text(encoding="utf-8")
+        (folder / "main.typ").write_text(template, encoding="utf-8")
+        (folder / "document.json").write_text(
+            json.dumps(_content(document), ensure_ascii=False, default=_members), encoding="utf-8"
+        )
+        (folder / "report.json").write_text(record, encoding="utf-8")
+        return typst.compile(
+            str(folder / "main.typ"),
+            root=scratch,
+            font_paths=[str(Path(mpl.get_data_path()) / "fonts" / "ttf")],
+            ignore_system_fonts=True,
+            pdf_standards=["a-3a"],
+            timestamp=0,
+        )
+
+
+def _need_typst() -> None:
+    try:
+        typst.compile  # noqa: B018  (the module is loaded when it is first used)
+    except ModuleNotFoundError as error:
+        raise InputError(
+            Issue(
+                "PDF files need the package 'typst'",
+                "option --out",
+                "an .html or .json file without it",
+                "pip install 'imubayes[pdf]'",
+            )
+        ) from error
+
+
+def _content(document: ReportDocument) -> dict[str, Any]:
+    """Return the document for the template, with the widths of columns and drawings."""
+    content = _members(document) | {"blocks": [_members(block) for block in document.blocks]}
+    for part, block in zip(content["blocks"], document.blocks, strict=True):
+        if isinstance(block, ReportTable):
+            part["widths"] = _widths(block)
+        elif isinstance(block, Drawings):
+            part["drawings"] = [_members(each) | {"wide": each.wide} for each in block.drawings]
+    return content
+
+
+def _members(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass."""
+    return {field.name: getattr(value, field.name) for field in fields(value)}
+
+
+def _widths(table: ReportTable) -> list[int]:
+    """Return the share of each column in the free width; 0 for a column as wide as its content."""
+    longest = [
+        max(len(head), *(len(row[column].text) for row in table.rows), 0) for column, head in enumerate(table.head)
+    ]
+    if sum(length + _GAP for length in longest) <= _PAGE:
+        return [0] * len(longest)
+    return [0 if length <= _NARROW else min(length, _WIDEST) for length in longest]
+
+
+def report_document(report: QualificationReport) -> ReportDocument:
+    """Return the report as a document."""
+    serial = report.subject.serial or report.subject.campaign
+    made = report.provenance
+    return ReportDocument(
+        title="Uncertainty report for qualification",
+        subtitle=f"Unit {serial}",
+        banner=banner(report),
+        alarms=alarms(report),
+        facts=facts(report),
+        blocks=tuple(_blocks(report)),
+        footer=f"Unit {serial} · data {made.data_sha256[:12]} · model {made.model_sha256[:12]}",
+    )
+
+
+def _blocks(report: QualificationReport) -> Iterator[Block]:
+    conformity, pictures = report.conformity, report.pictures
+    if conformity is not None and conformity.limits:
+        yield limits_table(conformity.limits)
+    yield Heading("Errors of the unit")
+    drawn = error_drawings(pictures)
+    if drawn is not None:
+        yield drawn
+    else:
+        yield Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
+    if conformity is not None:
+        yield Heading("Conformity to the specification")
+        yield Paragraph(f"Specification “{conformity.specification}”, SHA-256 {conformity.sha256}.")
+        if conformity.limits:
+            yield risk_table(conformity.limits)
+    yield from standards_section(report)
+    yield from mounting_section(report.mounting_angles)
+    for drawings in (mounting_drawings(pictures), angle_drawings(pictures)):
+        if drawings is not None:
+            yield drawings
+    yield from combination_section(report.combinations)
+    yield from converter_section(report.thermal_linearity, report.results)
+    yield from budget_section(report)
+    yield from adequacy_section(report.adequacy)
+    if pictures.worst is not None:
+        yield worst_drawing(pictures.worst)
+    yield from convergence_section(report.convergence)
+    yield from left_out_section(report.left_out)
+    yield from scope_section(report.scope)
+    yield from result_section(report)
+    forest = forest_drawings(report.results)
+    if forest is not None:
+        yield forest
+    yield from equipment_section(report.subject)
+    yield from provenance_section(report.provenance)
 
 
 def _html(report: QualificationReport) -> bytes:

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from imubayes.display.combination_tables import members_text, symbol_text
-from imubayes.display.labels import pretty
+from imubayes.display.numbers_and_labels import NO_NUMBER, percent, pretty, rounded, significant, value_and_sd
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
 from imubayes.display.qualification.words import (
     WITHHELD_NUMBER,
@@ -13,8 +12,8 @@ from imubayes.display.qualification.words import (
     probability_text,
     stated,
 )
-from imubayes.display.rounding import NO_NUMBER, percent, rounded, significant, value_and_sd
-from imubayes.parameters.input_axis_names import channel_of_component
+from imubayes.display.quality_tables import members_text, symbol_text
+from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.qualification.report_record import (
     MountingAngle,
     NotEstimated,

@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 
 from imubayes.criticism.verdict import Verdict
-from imubayes.display.labels import pretty
+from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, rounded, significant
 from imubayes.display.qualification.document import Mood, Text
-from imubayes.display.rounding import NO_NUMBER, rounded, significant
-from imubayes.qualification.assess import Obstacle
-from imubayes.qualification.conformance import Withheld
-from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName
+from imubayes.qualification.conformity import Obstacle
+from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
 from imubayes.qualification.report_record import (
     LimitOutcome,
     MonteCarloError,

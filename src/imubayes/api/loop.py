@@ -1,0 +1,315 @@
+"""The loop as functions: find what a model lacks, add or remove effects, inject effects, and see the tree of models."""
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import replace as with_fields
+from pathlib import Path
+
+from imubayes.api.fitting import bound
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.display.progress import progress_of
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import input_error
+from imubayes.foundations.files import refuse_existing
+from imubayes.inference.checkpoint import steps_in
+from imubayes.inference.ensemble_sampling import Settings
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import joint_fit
+from imubayes.loop.cross_validation import objection
+from imubayes.loop.injection_recovery import Size, Trials, plant_effects
+from imubayes.loop.model_changes import refit_with, refit_without
+from imubayes.loop.model_history import Tree
+from imubayes.loop.refit import Refit
+from imubayes.model.effect_registry import names_in
+from imubayes.model.model_file import ModelSpec, read_model
+from imubayes.qualification.report_budgets import keep_budgets
+from imubayes.results.change_records import (
+    ModelChange,
+    added_variable,
+    change_of,
+    log_odds_of_removal,
+    next_node,
+    read_diagnosis,
+    write_diagnosis,
+)
+from imubayes.results.folder_files import CHECKPOINT
+from imubayes.results.folder_state import claimed_new
+from imubayes.results.history_tree import next_selection, read_tree
+from imubayes.results.result import Result, read_result, result_of
+from imubayes.results.result_folder import write_result
+
+
+def diagnose(
+    result: Result | Fit | str | Path, effect: str = "", *, progress: Callable[[str], None] | None = None
+) -> Diagnosis:
+    """Return which physical effect is missing in a fit, or that none is, from one pass and without a refit.
+
+    What was found is kept in the result folder, where there is one: `add` starts from it.
+
+    Parameters
+    ----------
+    result : a result, its folder, or a fitted model.
+    effect : ask about this effect alone; such an answer is not kept.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for a folder that holds no result, or one whose campaign is gone or has changed.
+    """
+    with progress_of(progress) as tell:
+        tell("reading the fit")
+        if isinstance(result, Fit):
+            return judge(result, effect=effect, progress=tell)
+        read = result if isinstance(result, Result) else read_result(result)
+        found = judge(read.fit, str(read.folder or "RESULT"), effect, tell)
+    if read.folder is not None and not effect:
+        write_diagnosis(read.folder, found, read.identity)
+    return found
+
+
+def plant(
+    campaign: Campaign | str | Path | None = None,
+    model: ModelSpec | str | Path | None = None,
+    *,
+    result: Result | str | Path | None = None,
+    effects: Sequence[str] | None = None,
+    size: Size | None = None,
+    draws: int = 20,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Trials:
+    """Inject each effect that the model lacks into data simulated from the fit, and report which are found.
+
+    Parameters
+    ----------
+    campaign, model : what is fitted first; not needed with a result.
+    result : a fit to take instead.
+    effects : which to inject; all of the catalogue that the model lacks where None.
+    size : how large they are; by default the size with Δχ² = 50.
+    draws : simulations without any effect, for the false-alarm rate.
+    seed : of the simulations.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for anything that cannot be used, and for free tumbles, which cannot be simulated.
+    """
+    with progress_of(progress) as tell:
+        if result is not None:
+            fitted = (result if isinstance(result, Result) else read_result(result)).fit
+        elif campaign is None or model is None:
+            raise input_error(
+                "nothing to inject into", "plant", "a campaign with a model, or a result", "give one of the two"
+            )
+        else:
+            tell("fitting")
+            fitted = joint_fit(bound(campaign, model), None, progress=tell)
+        return plant_effects(fitted, effects, size or Size(), draws, seed, tell)
+
+
+def add(
+    result: Result | str | Path,
+    effects: Sequence[str] = (),
+    out: str | Path | None = None,
+    channels: Sequence[str] | None = None,
+    *,
+    diagnosis: Diagnosis | None = None,
+    sample: bool = False,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> ModelChange:
+    """Add effects to the model of a result, refit from where it stood, and report what that brought.
+
+    A refit is taken only where it converged and is no worse; no result is overwritten.
+
+    Parameters
+    ----------
+    result : a result, or its folder.
+    effects : names of effects or noise members, or Python files that define effects (``found_shape.py``); the simplest
+        explanation of the diagnosis where there are none.
+    out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
+    channels : for the new effects; where None, those on which the diagnosis found them, or else all they can act on.
+    diagnosis : of the result; its estimates are where the refit starts.  Where None, the one that the result folder
+        holds, if any.
+    sample : whether to sample the posterior of a refit that is taken.
+    seed : of the sampler.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for an effect that does not fit, a result that cannot be extended, an `out` that is taken.
+    """
+    before = result if isinstance(result, Result) else read_result(result)
+    if diagnosis is None and before.folder is not None:
+        diagnosis = read_diagnosis(before.folder)
+    files = tuple(word for word in effects if word.endswith(".py"))
+    _refuse_two_files_of_a_name((*before.fit.model.spec.files, *files))
+    named, channels = _named(_words(effects), channels, diagnosis)
+
+    def refit(tell: Callable[[str], None]) -> Refit:
+        return refit_with(before.fit, named, channels, diagnosis, tell, files)
+
+    return _changed(before, refit, out, diagnosis, Settings(seed=seed) if sample else None, seed, progress)
+
+
+def remove(
+    result: Result | str | Path,
+    effects: Sequence[str],
+    out: str | Path | None = None,
+    *,
+    sample: bool = False,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> ModelChange:
+    """Take effects out of the model of a result, refit from where it stood, and report what that costs.
+
+    Parameters that stay start where they were.  A refit is taken only where it converged; no result is overwritten.
+
+    Parameters
+    ----------
+    result : a result, or its folder.
+    effects : names of effects or noise members of its model, or Python files that define some of them.
+    out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
+    sample : whether to sample the posterior of a refit that is taken.
+    seed : of the sampler.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for an effect that the model does not have or that others of it require, and for an `out` that is taken.
+    """
+    before = result if isinstance(result, Result) else read_result(result)
+    words, parent = _words(effects), before.folder
+    if not words:
+        raise input_error("no effect is named", "remove", "effects of the model", "name one")
+    stay = [each.name for each in before.fit.model.spec.effects if each.name not in words]
+    log_odds = log_odds_of_removal(parent, words, stay) if parent is not None else None
+    diagnosis = read_diagnosis(parent) if parent is not None else None
+
+    def refit(tell: Callable[[str], None]) -> Refit:
+        return refit_without(before.fit, words, tell)
+
+    sampling = Settings(seed=seed) if sample else None
+    return _changed(before, refit, out, diagnosis, sampling, seed, progress, log_odds)
+
+
+def _changed(
+    before: Result,
+    make: Callable[[Callable[[str], None]], Refit],
+    out: str | Path | None,
+    diagnosis: Diagnosis | None,
+    sampling: Settings | None,
+    seed: int,
+    progress: Callable[[str], None] | None,
+    log_odds: float | None = None,
+) -> ModelChange:
+    """Return a change of a model, kept in a result folder and in the history where there is one.
+
+    Parameters
+    ----------
+    make : makes the refit; it is called with what tells the progress.
+    sampling : of a refit that is taken; None for the Laplace approximation.
+    log_odds : of effects removed.
+    """
+    parent = before.folder
+    folder = Path(out) if out is not None else None
+    with claimed_new(folder, parent), progress_of(progress) as tell:
+        refit = make(tell)
+        if sampling is not None and not refit.objection:
+            refit = _sampled(refit, folder, sampling, tell)
+        tell("summarising")
+        change = change_of(refit, before, result_of(refit.fit, folder, seed), log_odds)
+        if folder is None:
+            return change
+        written = write_result(
+            change.result,
+            next_node(parent, change, diagnosis, seed),
+            change=change,
+            added_variable=added_variable(refit.change) if change.added else None,
+            selection=next_selection(parent) if parent is not None and change.taken else 0,
+        )
+        _keep_budgets_of(written, refit)
+    return change.with_result(written)
+
+
+def _words(effects: Sequence[str]) -> list[str]:
+    """Return the names of effects; a Python file stands for those that it defines."""
+    return [name for word in effects for name in (names_in(word) if word.endswith(".py") else (word,))]
+
+
+def _keep_budgets_of(after: Result, refit: Refit) -> None:
+    """Keep the budgets of a refit that was sampled and taken: the quick ones of the loop leave them to a report."""
+    posterior = refit.fit.posterior
+    if posterior is not None and posterior.chains is not None and not refit.objection:
+        keep_budgets(after)
+
+
+def _refuse_two_files_of_a_name(files: Sequence[str]) -> None:
+    """Raise where a result folder, which has the files side by side, could not hold them."""
+    known: dict[str, Path] = {}
+    for file in map(Path, files):
+        other = known.setdefault(file.name, file)
+        if other.resolve() != file.resolve() and other.is_file():
+            raise input_error(
+                f"the model has another file '{file.name}' already",
+                str(file),
+                "files with names of their own",
+                "rename the new file, and the effect in it",
+            )
+
+
+def _named(
+    effects: Sequence[str], channels: Sequence[str] | None, diagnosis: Diagnosis | None
+) -> tuple[Sequence[str], Sequence[str] | None]:
+    """Return effects and channels to add: as named, or the simplest explanation of the diagnosis.
+
+    Several effects share one list of channels, so that of the diagnosis is taken for a single effect.
+    """
+    if effects:
+        found = diagnosis.channels_for(effects[0]) if diagnosis is not None and len(effects) == 1 else None
+        return effects, channels if channels is not None else found
+    proposed = diagnosis.proposed if diagnosis is not None else None
+    if proposed is None:
+        allowed = "what a diagnosis of the result proposes, or an effect that `imubayes effects` lists"
+        raise input_error("no effect is named, and no diagnosis proposes one", "add", allowed, "name one")
+    return proposed.effects, channels or proposed.channels
+
+
+def _sampled(refit: Refit, folder: Path | None, sampling: Settings, tell: Callable[[str], None]) -> Refit:
+    """Return the refit with its posterior sampled; where an earlier call was interrupted, its sampling is resumed."""
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    checkpoint = folder / CHECKPOINT if folder is not None else None
+    resume = checkpoint is not None and bool(steps_in(checkpoint))
+    start = (refit.fit.z, refit.fit.h)
+    fit = joint_fit(refit.fit.model, sampling, checkpoint, resume, tell, start)
+    return with_fields(refit, fit=fit, objection=objection(fit, refit.delta_chi2, bool(refit.change.removed)))
+
+
+def history(*folders: str | Path) -> Tree:
+    """Return the tree of models tried that result folders stand in."""
+    return read_tree(folders)
+
+
+def export(folder: str | Path, file: str | Path) -> str:
+    """Write the selected model of the tree that a result stands in to a model file; return its place.
+
+    The user's own effect files go beside it.
+    """
+    tree, place = read_tree([folder]), str(Path(folder).resolve())
+    together = tree.together_with(place)
+    chosen = next(other for other in (*tree.selected, place) if other in together)
+    file = Path(file)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    own = {Path(source): file.parent / Path(source).name for source in read_model(Path(chosen) / "model.toml").files}
+    for source, target in own.items():
+        refuse_existing(target, but=source.read_bytes().__eq__)
+    for source, target in own.items():
+        shutil.copyfile(source, target)
+    shutil.copyfile(Path(chosen) / "model.toml", file)
+    return chosen

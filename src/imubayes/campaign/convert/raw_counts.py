@@ -1,0 +1,227 @@
+"""Nominal scale and offset of channels in raw counts: as given, or estimated from the recording itself.
+
+The static means of the accelerometers lie on an ellipsoid whose semi-axes are g times the scales and whose centre is
+the offset.  The gyro offset is the mean at rest, and the gyro scales are those with which the rotations between poses
+propagate gravity from each pose to the next.  An accuracy of a few per cent suffices for a nominal value; the fit of
+the campaign estimates the rest.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy  # loads its parts when they are first used
+
+from imubayes.campaign.convert.recording_formats import ACCELEROMETERS, GYROS, SIX, Columns, ConvertOptions
+from imubayes.campaign.reduction.static_poses import Rest, angle_between, find_rests, initial_rest, variance_ratio
+from imubayes.foundations.errors import input_error
+
+QUIET = 6.0  # multiple of the variance at rest
+LEAST_POSES = 9
+LEAST_TURNS = 4
+LEAST_ANGLE = 0.3  # rad between the directions of gravity in two poses, for a transition that determines the scale
+SEARCH = np.geomspace(0.2, 2.0, 60)
+REFINEMENTS = 12
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """Nominal calibration, output = scale · input + offset; per axis, shape (3,) each."""
+
+    scale: np.ndarray
+    offset: np.ndarray
+
+
+def find_poses(force: np.ndarray, interval: float, seconds: float | None) -> tuple[list[Rest], Rest]:
+    """Return the rests of a recording and its initial rest; `force` is (N, 3) in any unit."""
+    initial = initial_rest(force, interval, seconds)
+    return find_rests(variance_ratio(force, interval, initial) < QUIET, interval), initial
+
+
+def estimate_accelerometers(force: np.ndarray, rests: list[Rest], gravity: float, where: str) -> Nominal:
+    """Return scale (counts per m/s²) and offset by an ellipsoid fitted to the static means.
+
+    Raises
+    ------
+    InputError
+        if there are too few poses, or they do not determine an ellipsoid.
+    """
+    means = np.array([force[rest.start : rest.stop].mean(0) for rest in rests]).reshape(-1, 3)
+    if len(means) >= LEAST_POSES:
+        centre, size = means.mean(0), np.ptp(means, axis=0).max()
+        scaled = (means - centre) / size
+        solution, _, rank, _ = np.linalg.lstsq(np.hstack([scaled**2, scaled]), np.ones(len(scaled)), rcond=1e-6)
+        square, linear = solution[:3], solution[3:]
+        if rank == 6 and (square > 0).all():
+            middle = -linear / (2 * square)
+            half = np.sqrt((1 + np.sum(square * middle**2)) / square)
+            return Nominal(half * size / gravity, centre + size * middle)
+    raise input_error(
+        f"the accelerometer scale cannot be estimated from {len(means)} static poses",
+        where,
+        f"{LEAST_POSES} or more poses in all directions, or accel_scale and accel_offset",
+        "give the nominal scale and offset of the datasheet",
+    )
+
+
+def estimate_gyros(
+    rate: np.ndarray, down: np.ndarray, time: np.ndarray, rests: list[Rest], initial: Rest, where: str
+) -> Nominal:
+    """Return scale (counts per rad/s) and offset.
+
+    Parameters
+    ----------
+    rate : raw samples, shape (N, 3), counts.
+    down : unit direction of the specific force in each rest, shape (rests, 3).
+    time : shape (N,), s.
+    where : named in errors.
+
+    Raises
+    ------
+    InputError
+        if fewer than four transitions change the direction of gravity.
+    """
+    offset = rate[initial.start : initial.stop].mean(0)
+    pairs = [
+        (index, rest.stop - 1, after.start)
+        for index, (rest, after) in enumerate(pairwise(rests))
+        if angle_between(down[index], down[index + 1]) > LEAST_ANGLE
+    ]
+    if len(pairs) < LEAST_TURNS:
+        raise input_error(
+            f"the gyro scale cannot be estimated from {len(pairs)} rotations between poses",
+            where,
+            f"{LEAST_TURNS} or more rotations about all axes, or gyro_scale and gyro_offset",
+            "give the nominal scale and offset of the datasheet",
+        )
+    before = down[[index for index, _, _ in pairs]]
+    after = down[[index + 1 for index, _, _ in pairs]]
+    turns = _increments(rate - offset, time, pairs)
+    # The integral of |rate| is at least the angle between the two directions of gravity.
+    most = float(np.median(np.linalg.norm(turns, axis=2).sum(1) / angle_between(before, after)))
+    trial = [float(np.sum(_mismatch(np.full(3, 1 / (most * s)), turns, before, after) ** 2)) for s in SEARCH]
+    inverse = np.full(3, 1 / (most * SEARCH[int(np.argmin(trial))]))
+    for _ in range(REFINEMENTS):
+        inverse = _refine(inverse, turns, before, after)
+    return Nominal(1 / inverse, offset)
+
+
+def _increments(rate: np.ndarray, time: np.ndarray, pairs: list[tuple[int, int, int]]) -> np.ndarray:
+    """Return rate × time per sample interval of every rotation, shape (turns, longest, 3), padded with zeros."""
+    longest = max(stop - start for _, start, stop in pairs)
+    steps = np.zeros((len(pairs), longest, 3))
+    for row, (_, start, stop) in enumerate(pairs):
+        mean = 0.5 * (rate[start:stop] + rate[start + 1 : stop + 1])
+        steps[row, : stop - start] = mean * np.diff(time[start : stop + 1])[:, None]
+    return steps
+
+
+def _mismatch(inverse: np.ndarray, turns: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return propagated less observed direction of gravity for every rotation, shape (3·turns,)."""
+    propagated = before[:, :, None]
+    rotations = (
+        scipy.spatial.transform.Rotation.from_rotvec(-(turns * inverse).reshape(-1, 3))
+        .as_matrix()
+        .reshape(*turns.shape, 3)
+    )
+    for step in range(turns.shape[1]):
+        propagated = rotations[:, step] @ propagated
+    return (propagated[:, :, 0] - after).ravel()
+
+
+def _refine(inverse: np.ndarray, turns: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the scales after one Gauss–Newton step, with Huber weights against disturbed rotations."""
+    base = _mismatch(inverse, turns, before, after)
+    change = 1e-4 * np.abs(inverse)
+    slopes = [
+        (_mismatch(inverse + change * unit, turns, before, after) - base) / change[axis]
+        for axis, unit in enumerate(np.eye(3))
+    ]
+    scatter = 1.4826 * np.median(np.abs(base)) + 1e-12
+    root = np.sqrt(1 / np.maximum(1, np.abs(base) / (2 * scatter)))
+    step = np.linalg.lstsq(root[:, None] * np.stack(slopes, axis=1), -root * base, rcond=None)[0]
+    return inverse + np.clip(step, -0.2 * np.abs(inverse), 0.2 * np.abs(inverse))
+
+
+SIGNIFICANT = 5  # digits of an estimated scale
+
+
+def nominal_of_counts(
+    columns: Columns, options: ConvertOptions, gravity: float, notes: list[str], source: str
+) -> dict[str, tuple[float, float]]:
+    """Return channel → (scale, offset) of the channels in counts: given, or estimated from poses and rotations.
+
+    Raises
+    ------
+    InputError
+        if an estimate is needed and columns, poses or rotations are missing.
+    """
+    accel = _given(options.accel_unit, options.accel_scale, options.accel_offset)
+    gyro = _given(options.gyro_unit, options.gyro_scale, options.gyro_offset)
+    if accel is None or gyro is None:
+        accel, gyro = _estimated(columns, options, gravity, accel, gyro, notes, source)
+    pairs = {}
+    if options.accel_unit == "count":
+        pairs |= {name: (accel.scale[i], accel.offset[i]) for i, name in enumerate(ACCELEROMETERS)}
+    if options.gyro_unit == "count":
+        pairs |= {name: (gyro.scale[i], gyro.offset[i]) for i, name in enumerate(GYROS)}
+    return {name: (float(scale), float(offset)) for name, (scale, offset) in pairs.items() if name in columns}
+
+
+def _given(unit: str, scale: Sequence[float] | None, offset: Sequence[float] | None) -> Nominal | None:
+    """Return the nominal calibration of the options, None where incomplete; a channel not in counts has scale 1."""
+    if unit != "count":
+        return Nominal(np.ones(3), np.zeros(3))
+    if scale is None or offset is None:
+        return None
+    return Nominal(np.asarray(scale, dtype=float), np.asarray(offset, dtype=float))
+
+
+def _estimated(
+    columns: Columns,
+    options: ConvertOptions,
+    gravity: float,
+    accel: Nominal | None,
+    gyro: Nominal | None,
+    notes: list[str],
+    source: str,
+) -> tuple[Nominal, Nominal]:
+    missing = [name for name in SIX if name not in columns]
+    if missing:
+        raise input_error(
+            f"the scale of counts cannot be estimated without {', '.join(missing)}",
+            source,
+            "all six columns, or accel_scale, accel_offset, gyro_scale, gyro_offset",
+            "give the nominal scales and offsets",
+        )
+    force, rate = (np.stack([columns[name] for name in names], axis=1) for names in (ACCELEROMETERS, GYROS))
+    time = columns["time_s"]
+    rests, initial = find_poses(force, float(np.median(np.diff(time))), options.initial_rest_s)
+    if accel is None:
+        accel = _combine(
+            estimate_accelerometers(force, rests, gravity, source), options.accel_scale, options.accel_offset
+        )
+        notes.append(_note("accelerometers", "the static poses, |f| = g", accel, "m/s^2"))
+    if gyro is None:
+        means = np.array([force[rest.start : rest.stop].mean(0) for rest in rests])
+        level = (means - accel.offset) / accel.scale
+        down = level / np.linalg.norm(level, axis=1, keepdims=True)
+        gyro = _combine(
+            estimate_gyros(rate, down, time, rests, initial, source), options.gyro_scale, options.gyro_offset
+        )
+        notes.append(_note("gyros", "the initial rest and the rotations between poses", gyro, "rad/s"))
+    return accel, gyro
+
+
+def _combine(found: Nominal, scale: Sequence[float] | None, offset: Sequence[float] | None) -> Nominal:
+    """Return the rounded estimate, replaced by what was given."""
+    return Nominal(
+        np.array([float(f"{value:.{SIGNIFICANT}g}") for value in (found.scale if scale is None else scale)]),
+        np.round(found.offset if offset is None else np.asarray(offset, dtype=float), 1),
+    )
+
+
+def _note(what: str, how: str, nominal: Nominal, unit: str) -> str:
+    scales, offsets = (", ".join(f"{value:g}" for value in values) for values in (nominal.scale, nominal.offset))
+    return f"nominal scale of the {what} estimated from {how}: {scales} count per {unit}; offset {offsets} count"

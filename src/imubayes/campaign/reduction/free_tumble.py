@@ -1,0 +1,342 @@
+"""Reduction of a free tumble: raw log of a hand-held unit → static poses, transitions between them, and axis checks.
+
+In a free tumble a unit is moved by hand through static poses, without a table.  `static_poses` finds the rests and
+condenses the motion between them, and `magnitude_calibration` checks the rests by |f| = g; from these the rows of the
+run are built.  The gyro and accelerometer axes are checked for consistency, which finds reversed or exchanged axes.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import scipy  # loads its parts when they are first used
+
+from imubayes.campaign.reduction import Limits, clipping_note
+from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, MagnitudeFit, fit_magnitude
+from imubayes.campaign.reduction.static_poses import (
+    MOST_ROTATION,
+    Pose,
+    Recording,
+    Rest,
+    angle_between,
+    body_vectors,
+    divide_rests,
+    find_rests,
+    initial_mean,
+    join_rests,
+    magnitude_scatter,
+    padded,
+    pose_means,
+    record,
+    rotation_between,
+    step_edges,
+    step_means,
+    trim_rests,
+    turning,
+    variance_ratio,
+)
+from imubayes.campaign.stream_checks import Finding
+from imubayes.foundations.campaign_data import Channel, Tumble
+from imubayes.foundations.covariates import recorded_columns
+from imubayes.foundations.errors import input_error
+
+# Nominal biases and scale factors propagate gravity to within a few degrees; a reversed axis misses by tens.
+_INCONSISTENT = np.deg2rad(20.0)
+# A reversed axis is named if reversing it reduces the angle to this fraction.
+_BETTER = 0.3
+
+
+def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[Channel], file: Path) -> list[Finding]:
+    """Compare gravity propagated by the gyros from pose to pose with the accelerometer observations.
+
+    A reversed accelerometer is invisible in |f| = g, and a fit would absorb it in other parameters.
+    """
+    angle = propagation_error(recording, poses)
+    if not angle > _INCONSISTENT:
+        return []
+    gyros = [index for index, channel in enumerate(channels) if channel.kind == "gyro"]
+    inertial = [index for index, channel in enumerate(channels) if channel.kind in ("gyro", "accelerometer")]
+    trials = [*([index] for index in inertial), gyros]
+    angles = [propagation_error(_with_reversed(recording, channels, trial, file), poses) for trial in trials]
+    best = int(np.argmin(angles))
+    what = (
+        f"gravity propagated by the gyros from pose to pose is {np.rad2deg(angle):.3g} deg from the direction that the "
+        "accelerometers observe"
+    )
+    allowed = "axes of one right-handed system, for gyros and accelerometers alike"
+    if angles[best] < _BETTER * angle:
+        names = ", ".join(f"'{channels[index].name}'" for index in trials[best])
+        what += f"; with {names} reversed it is {np.rad2deg(angles[best]):.2g} deg"
+        remedy = f"check the sign of input_axis of {names}"
+        return [Finding("sign_reversed", "warning", "", what, str(file), allowed, remedy)]
+    remedy = "check input_axis of all channels: axes may be exchanged, or more than one reversed"
+    return [Finding("axes_do_not_fit", "warning", "", what, str(file), allowed, remedy)]
+
+
+def propagation_error(recording: Recording, poses: Sequence[Pose]) -> float:
+    """Return the angle between propagated and observed gravity, rad, averaged over all transitions."""
+    means = pose_means(recording.force, poses)
+    angles = []
+    for (before, f), (after, h) in pairwise(zip(poses, means, strict=True)):
+        edges = step_edges(recording.time, recording.rate, before.stop - 1, after.start)
+        angles.append(angle_between(rotation_between(recording, edges)[0].T @ f, h))
+    return float(np.mean(angles)) if angles else 0.0
+
+
+def _with_reversed(recording: Recording, channels: Sequence[Channel], indices: Sequence[int], file: Path) -> Recording:
+    sign = np.ones(len(channels))
+    sign[list(indices)] = -1.0
+    force, rate = body_vectors(recording.readings, channels, file, sign)
+    return replace(recording, force=force, rate=rate - initial_mean(rate, recording.initial))
+
+
+MULTIPLES = (2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0)  # candidate thresholds, in variances at rest
+ROTATION_SECONDS = 5.0  # for longer, the drift of a bias may be a rotation
+LEAST_POSES = 4
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class ReducedTumble:
+    """A reduced free tumble: rows of the undisturbed poses by column, the transitions, notes and findings."""
+
+    numbers: dict[str, np.ndarray]
+    tumble: Tumble
+    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Detected poses, the threshold as a multiple of the variance at rest, and the fit of |f| = g to them."""
+
+    poses: tuple[Pose, ...]
+    multiple: float
+    fit: MagnitudeFit
+
+
+def reduce_tumble(
+    numbers: Mapping[str, np.ndarray],
+    channels: Sequence[Channel],
+    gravity: float,
+    initial_seconds: float | None,
+    file: Path,
+    limits: Limits | None = None,
+) -> ReducedTumble:
+    """Reduce the raw log of a free tumble.
+
+    Parameters
+    ----------
+    numbers : column → shape (N,), in the units of the file.
+    channels : all channels of the campaign, with at least three accelerometers and three gyros.
+    gravity : local gravity, m/s².
+    initial_seconds : length of the initial rest, where stated.
+    file : named in errors.
+    limits : channel → values at which it is clipped; transitions and poses that hold such samples are left out.
+
+    Raises
+    ------
+    InputError
+        if channels are missing, fewer than four static poses are found, or a gyro is clipped in every transition.
+    """
+    recording = record(numbers, channels, initial_seconds, file)
+    detection = detect_poses(recording, gravity)
+    if len(detection.poses) < LEAST_POSES:
+        raise input_error(
+            f"{len(detection.poses)} static poses were found in the recording",
+            str(file),
+            f"{LEAST_POSES} or more poses, each held still for two seconds; 20 are recommended",
+            "record more poses, or state the length of the initial rest as initial_rest_s",
+        )
+    rotated = np.array([rotation_within(recording, pose) for pose in detection.poses])
+    flagged = (rotated > MOST_ROTATION) | detection.fit.outliers
+    good = [pose for pose, bad in zip(detection.poses, flagged, strict=True) if not bad]
+    clipped = _clipped(recording, channels, limits or {})
+    whole = _tumble(recording, detection, flagged)
+    tumble, lost = _without_clipped(whole, recording, detection.poses, channels, clipped, limits or {}, file)
+    notes = (*_notes(recording, detection, flagged, rotated, whole), *lost)
+    findings = _findings(recording, detection, gravity, file) or check_axes(recording, good, channels, file)
+    rows = _rows(numbers, channels, good)
+    for index, channel in enumerate(channels):
+        spoilt = np.array([clipped[pose.indices(), index].any() for pose in good])
+        if spoilt.any():
+            rows[channel.name] = np.where(spoilt, np.nan, rows[channel.name])
+            rows[f"{channel.name}_sd"] = np.where(spoilt, np.nan, rows[f"{channel.name}_sd"])
+            notes = (
+                *notes,
+                clipping_note(channel.name, (limits or {})[channel.name], int(spoilt.sum()), len(good), "poses"),
+            )
+    return ReducedTumble(rows, tumble, notes, tuple(findings))
+
+
+def _clipped(recording: Recording, channels: Sequence[Channel], limits: Limits) -> np.ndarray:
+    """Return which samples are at the limit of their channel, shape (N, C)."""
+    return np.stack(
+        [np.isin(recording.readings[:, i], limits.get(channel.name, ())) for i, channel in enumerate(channels)], axis=1
+    )
+
+
+def _without_clipped(
+    tumble: Tumble,
+    recording: Recording,
+    poses: Sequence[Pose],
+    channels: Sequence[Channel],
+    clipped: np.ndarray,
+    limits: Limits,
+    file: Path,
+) -> tuple[Tumble, tuple[str, ...]]:
+    """Return the tumble without the transitions in which a gyro is clipped, and notes on these.
+
+    The heading of a pose beyond such a transition is known by its first estimate alone.
+    """
+    spans = [slice(poses[a].stop - 1, poses[b].start + 1) for a, b in zip(tumble.start, tumble.stop, strict=True)]
+    gyros = [index for index, channel in enumerate(channels) if channel.kind == "gyro"]
+    spoilt = np.array([clipped[span].any(axis=0) for span in spans]).reshape(len(spans), len(channels))
+    kept = ~spoilt[:, gyros].any(axis=1)
+    if len(kept) and not kept.any():
+        names = ", ".join(f"'{channels[index].name}'" for index in gyros if spoilt[:, index].any())
+        raise input_error(
+            f"{names}: clipped in every transition between the poses",
+            str(file),
+            "turns within the range of the gyros",
+            "turn more slowly, or choose a larger range",
+        )
+    notes = tuple(
+        clipping_note(channels[i].name, limits[channels[i].name], int(spoilt[:, i].sum()), len(spans), "transitions")
+        for i in gyros
+        if spoilt[:, i].any()
+    )
+    left = {name: getattr(tumble, name)[kept] for name in ("start", "stop", "step", "readings", "coning")}
+    return replace(tumble, **left), notes
+
+
+def detect_poses(recording: Recording, gravity: float) -> Detection:
+    """Return the detection, over all candidate thresholds, whose poses satisfy |f| = g best."""
+    ratio = variance_ratio(recording.force, recording.interval, recording.initial)
+    turns = turning(recording.rate, recording.interval)
+    candidates = []
+    for multiple in MULTIPLES:
+        rests = divide_rests(find_rests(ratio < multiple, recording.interval), turns, recording.interval)
+        rests = trim_rests(rests, recording.rate, recording.interval)
+        poses = tuple(join_rests(rests, recording.force, recording.interval, turns))
+        scatter = magnitude_scatter(recording.force, poses)
+        fit = fit_magnitude(pose_means(recording.force, poses), gravity, scatter)
+        candidates.append(Detection(poses, multiple, fit))
+    # Enough poses for the full fit come first, then the smallest scatter of |f|.
+    return max(candidates, key=lambda detection: (detection.fit.parameters, -detection.fit.spread))
+
+
+def rotation_within(recording: Recording, pose: Pose) -> float:
+    """Return the largest rotation by the gyros in `ROTATION_SECONDS` of a pose, rad, their median rate removed."""
+    worst, span = 0.0, round(ROTATION_SECONDS / recording.interval)
+    for rest in pose.rests:
+        rate = recording.rate[rest.start : rest.stop]
+        angle = np.cumsum(rate - np.median(rate, axis=0), axis=0) * recording.interval
+        before = np.concatenate([np.zeros((min(span, len(angle)), 3)), angle[:-span]])
+        worst = max(worst, float(np.max(np.abs(angle - before))))
+    return worst
+
+
+def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> Tumble:
+    good = np.flatnonzero(~flagged)
+    level = detection.fit.apply(pose_means(recording.force, detection.poses))
+    attitude = np.array([_levelling(force) for force in level])
+    lengths, readings, corrections = [], [], []
+    for before, after in pairwise(good):
+        edges = step_edges(
+            recording.time, recording.rate, detection.poses[before].stop - 1, detection.poses[after].start
+        )
+        length, mean = step_means(recording.time, recording.readings, edges)
+        rotation, correction = rotation_between(recording, edges)
+        propagated = attitude[before] @ rotation
+        attitude[after] = _levelling(propagated @ level[after]) @ propagated
+        lengths.append(length)
+        readings.append(mean)
+        corrections.append(correction)
+    return Tumble(good, attitude, good[:-1], good[1:], padded(lengths), padded(readings), padded(corrections), flagged)
+
+
+def _levelling(force: np.ndarray) -> np.ndarray:
+    """Return the smallest rotation that makes a force point up, shape (3, 3)."""
+    return scipy.spatial.transform.Rotation.align_vectors(UP, force)[0].as_matrix()
+
+
+def _rows(
+    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], poses: Sequence[Pose]
+) -> dict[str, np.ndarray]:
+    present = np.stack([np.isfinite(numbers[c.name]) for c in channels if c.name in numbers]).all(axis=0)
+    complete = {name: values[present] for name, values in numbers.items()}
+    rows = {"samples": np.array([float(len(pose.indices())) for pose in poses])}
+    for name in recorded_columns():
+        if name in complete and not name.startswith("table_"):
+            rows[name] = np.array([np.nanmean(complete[name][pose.indices()]) for pose in poses])
+    for channel in channels:
+        rows[channel.name] = np.array([complete[channel.name][pose.indices()].mean() for pose in poses])
+        rows[f"{channel.name}_sd"] = np.array([complete[channel.name][pose.indices()].std(ddof=1) for pose in poses])
+    return rows
+
+
+def _notes(
+    recording: Recording, detection: Detection, flagged: np.ndarray, rotated: np.ndarray, tumble: Tumble
+) -> tuple[str, ...]:
+    seconds = recording.time[recording.initial.stop - 1] - recording.time[recording.initial.start]
+    fit = detection.fit
+    notes = [
+        f"{len(flagged)} static poses found (threshold {detection.multiple:g} times the accelerometer variance of the "
+        f"first {seconds:.3g} s), {len(tumble.start)} transitions between the {int((~flagged).sum())} undisturbed ones",
+        f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²"
+        if fit.judges
+        else f"{len(flagged)} poses are too few to tell a disturbed one by |f| = g, {LEAST_TO_JUDGE} are needed",
+    ]
+    for pose in np.flatnonzero(flagged):
+        begin = recording.time[detection.poses[pose].start]
+        why = (
+            f"the gyros show a rotation by {np.rad2deg(rotated[pose]):.2g} deg"
+            if rotated[pose] > MOST_ROTATION
+            else f"|f| − g is {fit.residual[pose]:.2g} m/s²"
+        )
+        notes.append(f"pose {pose} (from {begin:.4g} s) excluded as disturbed: {why}")
+    return tuple(notes)
+
+
+def _findings(recording: Recording, detection: Detection, gravity: float, file: Path) -> list[Finding]:
+    """Return findings of a wrong unit: |f| far from g, or gyro angles far from the changes of attitude."""
+    means = pose_means(recording.force, detection.poses)
+    slope = float(np.median(np.linalg.norm(means, axis=1))) / gravity
+    found = []
+    if not 0.6 < slope < 1.6:
+        found.append(
+            Finding(
+                "acceleration_unit", "error", "",
+                f"in the static poses the accelerometers indicate {slope:.4g} g by their nominal scale",
+                f"{file}, accelerometer columns", "about 1 g", "correct scale, per or offset of the accelerometers",
+            )
+        )  # fmt: skip
+    shares = []
+    for (before, f), (after, h) in pairwise(zip(detection.poses, means, strict=True)):
+        angle = angle_between(f, h)
+        if angle > 0.3:
+            shares.append(_path(recording, before, after) / angle)
+    share = float(np.median(shares)) if shares else 1.0
+    if not 0.3 < share < 20.0:
+        found.append(
+            Finding(
+                "rate_unit", "error", "",
+                f"between poses the gyros rotate by {share:.3g} times the change in the direction of gravity",
+                f"{file}, gyro columns", "a ratio between 1 and a few",
+                "correct scale or per of the gyros: rad/s in place of deg/s is a factor of 57.3",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _path(recording: Recording, before: Pose, after: Pose) -> float:
+    """Return the integral of |rate| between two poses, rad."""
+    moving = slice(before.stop - 1, after.start + 1)
+    speed = np.linalg.norm(recording.rate[moving], axis=1)
+    return float(np.sum(0.5 * (speed[1:] + speed[:-1]) * np.diff(recording.time[moving])))
+
+
+__all__ = ["Pose", "ReducedTumble", "Rest", "detect_poses", "pose_means", "record", "reduce_tumble"]

@@ -1,0 +1,497 @@
+"""The registry of set-up mistakes: what each changes in the nominal set-up of which runs.
+
+A mistake is one small class.  `suspected` lists where in a campaign it may have been made; `corrected` returns the view
+of a run as it would be without the mistake.  A mistake with a size, an angle or a shift, has a grid of sizes, between
+which the best is found.  Mistakes are listed from the most to the least usual; of those that explain the outputs
+equally well, the first is named.
+"""
+
+import itertools
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from imubayes.campaign.setup_gate.setup_view import RunView, changed
+from imubayes.foundations.campaign_data import Campaign
+
+_DEGREE = math.pi / 180
+RIGHT_ANGLES = math.pi / 2, -math.pi / 2, math.pi
+
+
+@dataclass(frozen=True)
+class Scope:
+    """Where a mistake is suspected.
+
+    Attributes
+    ----------
+    section : ``table``, ``mounting`` or ``channel`` of the campaign, ``run``, or ``campaign`` for all of it.
+    name : of that member.
+    runs : places of the views concerned.
+    """
+
+    section: str
+    name: str
+    runs: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Mistake(ABC):
+    """A suspected mistake in the set-up of some runs.
+
+    `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
+    that.  A usual size is taken for the best one if it is within `usual_within` of it and its evidence falls short by
+    less than `as_usual`.  `by_evidence` is whether the size of most evidence is the best, not that of least misfit.
+    """
+
+    scope: Scope
+    kind: ClassVar[str]
+    sizes: ClassVar[tuple[float, ...]] = ()
+    usual_within: ClassVar[float] = math.inf
+    as_usual: ClassVar[float] = 6.0
+    by_evidence: ClassVar[bool] = False
+    rarity: ClassVar[float] = 0.0
+
+    @classmethod
+    @abstractmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator["Mistake"]:
+        """Yield the mistakes of this kind that may have been made in a campaign."""
+
+    @abstractmethod
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the view at a place as it would be without the mistake of that size."""
+
+    def rescaled(self, view: RunView) -> float:
+        """Return log |det| of the change of the outputs of a run, for their density; 0 where they only move."""
+        return 0.0
+
+    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
+        """Return the sizes that lead to what benches usually have."""
+        return ()
+
+    def possible(self, size: float) -> bool:
+        """Return whether there can be a mistake of that size: what lies beyond is the work of something else."""
+        return True
+
+    def stops(self, size: float) -> bool:
+        """Return whether a mistake of that size is beyond a poor unit; else it is a warning."""
+        return True
+
+    def like(self, other: "Mistake") -> bool:
+        """Return whether another mistake, although of more evidence, is none that the outputs tell from this one.
+
+        This one is named first, unless the other is like it as well.
+        """
+        return False
+
+    def removed(self, views: Sequence[RunView], size: float) -> list[RunView]:
+        """Return the runs of a campaign without the mistake."""
+        found = list(views)
+        for place in self.scope.runs:
+            found[place] = self.corrected(views, place, size)
+        return found
+
+    @property
+    def variant(self) -> str:
+        """What tells the mistake from others of its kind and scope that are said beside it."""
+        return ""
+
+    @property
+    def unlikelihood(self) -> float:
+        """−2 times the logarithm of how usual the mistake is where it is suspected."""
+        return self.rarity
+
+
+MISTAKES: list[type[Mistake]] = []
+"""Every kind of mistake, from the most to the least usual."""
+
+
+def register[Kind: type[Mistake]](kind: Kind) -> Kind:
+    """Add a kind of mistake to the registry."""
+    MISTAKES.append(kind)
+    return kind
+
+
+def tables_of(views: Sequence[RunView]) -> list[Scope]:
+    """Return the scope of each table."""
+    names = dict.fromkeys(view.table for view in views if view.table is not None)
+    return [Scope("table", name, tuple(k for k, v in enumerate(views) if v.table == name)) for name in names]
+
+
+def _mountings(views: Sequence[RunView]) -> list[Scope]:
+    names = dict.fromkeys(view.mounting for view in views if view.mounting is not None and view.table is not None)
+    return [Scope("mounting", name, tuple(k for k, v in enumerate(views) if v.mounting == name)) for name in names]
+
+
+def single_runs(views: Sequence[RunView], tables_only: bool = True) -> list[Scope]:
+    """Return the scope of each run; of those on tables alone."""
+    return [Scope("run", v.name, (k,)) for k, v in enumerate(views) if v.table is not None or not tables_only]
+
+
+def all_runs(places: Sequence[int]) -> Scope:
+    """Return the scope of a mistake in the whole campaign."""
+    return Scope("campaign", "", tuple(places))
+
+
+def wide_first(scopes: Sequence[Scope], runs: Sequence[Scope]) -> list[Scope]:
+    """Return scopes of several runs, and then the single runs that are not one of them."""
+    single = {scope.runs for scope in scopes if len(scope.runs) == 1}
+    return [*scopes, *(run for run in runs if run.runs not in single)]
+
+
+def has_angles(view: RunView) -> bool:
+    """Whether the angle of the table is known in some rows."""
+    return bool(np.isfinite(view.angle).any()) and view.attitude is None
+
+
+@register
+@dataclass(frozen=True)
+class FilesExchanged(Mistake):
+    """The tables of two runs are exchanged; `second` is the name of the second, `other` its place."""
+
+    second: str
+    other: int
+    kind: ClassVar[str] = "files_exchanged"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every pair of runs that differ in table or mounting."""
+        for first, second in itertools.combinations(range(len(views)), 2):
+            a, b = views[first], views[second]
+            differ = (a.table, a.mounting) != (b.table, b.mounting)
+            if differ and a.table is not None and b.table is not None:
+                yield cls(Scope("run", a.name, (first, second)), b.name, second)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run on the table and in the mounting of the other."""
+        source = views[self.scope.runs[0] if place == self.other else self.other]
+        return changed(
+            views[place], table=source.table, mounting=source.mounting, azimuth=source.azimuth,
+            elevation=source.elevation, body_to_table=source.body_to_table,
+        )  # fmt: skip
+
+
+@register
+@dataclass(frozen=True)
+class MountingMislabelled(Mistake):
+    """A run was made in `actual`, another mounting of the campaign."""
+
+    actual: str
+    matrix: np.ndarray
+    kind: ClassVar[str] = "mounting_mislabelled"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every other mounting of every run, and of all runs of a mounting."""
+        for scope in wide_first(_mountings(views), single_runs(views)):
+            for name, mounting in campaign.mountings.items():
+                if name != views[scope.runs[0]].mounting:
+                    yield cls(scope, name, mounting.body_to_table)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run in its actual mounting."""
+        return changed(views[place], mounting=self.actual, body_to_table=self.matrix)
+
+
+@register
+@dataclass(frozen=True)
+class MountingsExchanged(Mistake):
+    """Two mountings, `first` and `second`, are exchanged in all runs, or all on a table."""
+
+    first: str
+    second: str
+    kind: ClassVar[str] = "mountings_exchanged"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every pair on every table, and on all."""
+        seated = [k for k, view in enumerate(views) if view.mounting is not None and view.table is not None]
+        tables = tables_of(views)
+        for scope in ([all_runs(seated)] if len(tables) > 1 else []) + tables:
+            names = dict.fromkeys(str(views[k].mounting) for k in scope.runs)
+            for first, second in itertools.combinations(names, 2):
+                runs = tuple(k for k in scope.runs if views[k].mounting in (first, second))
+                # Of one run each it is an exchange of files.
+                if len(runs) > 2:
+                    yield cls(Scope(scope.section, scope.name, runs), first, second)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run in the other mounting."""
+        actual = self.second if views[place].mounting == self.first else self.first
+        matrix = next(views[k].body_to_table for k in self.scope.runs if views[k].mounting == actual)
+        return changed(views[place], mounting=actual, body_to_table=matrix)
+
+
+@register
+@dataclass(frozen=True)
+class TableSense(Mistake):
+    """The table turns against the stated sense; `zero_too` is whether its zero was read in the right one."""
+
+    zero_too: bool = False
+    kind: ClassVar[str] = "table_reversed"
+
+    @property
+    def unlikelihood(self) -> float:
+        """A table turns the same way in all runs."""
+        return 6.0 if self.scope.section == "run" else 0.0
+
+    @property
+    def variant(self) -> str:
+        """Whether the zero is read in the right sense."""
+        return "zero" if self.zero_too else ""
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is the sign of the one channel that sees the rate in the run."""
+        return other.kind == "channel_unit" and other.like(self)
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every table and every run on one."""
+        for scope in wide_first(tables_of(views), single_runs(views)):
+            yield cls(scope)
+            if scope.section == "table" and abs(math.sin(views[scope.runs[0]].zero)) > 0:
+                yield cls(scope, True)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with rate and reading reversed."""
+        view = views[place]
+        angle = -view.angle if self.zero_too else -view.angle - 2 * view.zero
+        return changed(view, rate=-view.rate, angle=angle, span=-view.span)
+
+
+@register
+@dataclass(frozen=True)
+class TableZero(Mistake):
+    """The zero of the table angle is off."""
+
+    kind: ClassVar[str] = "table_zero"
+    usual_within: ClassVar[float] = 3.5 * _DEGREE
+    sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-150, 181, 30) * _DEGREE)
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every table and run whose angle is recorded."""
+        tables = [scope for scope in tables_of(views) if any(has_angles(views[k]) for k in scope.runs)]
+        for scope in wide_first(tables, [run for run in single_runs(views) if has_angles(views[run.runs[0]])]):
+            yield cls(scope)
+
+    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
+        """Return right angles, by which a zero is off most often; a loose mounting does not tell it exactly."""
+        return RIGHT_ANGLES
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is a shift by whole rows: at equal steps it turns the angles as well."""
+        return isinstance(other, TimeShift) and other.whole and other.scope.runs == self.scope.runs
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the zero moved."""
+        return changed(views[place], angle=views[place].angle + size)
+
+
+@register
+@dataclass(frozen=True)
+class MountingTurned(TableZero):
+    """A mounting is turned about the axis of its tables."""
+
+    kind: ClassVar[str] = "mounting_turned"
+    rarity: ClassVar[float] = 8.0
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every mounting of several runs."""
+        for scope in _mountings(views):
+            if len(scope.runs) > 1:
+                yield cls(scope)
+
+
+@register
+@dataclass(frozen=True)
+class TableElevation(Mistake):
+    """The elevation of the axis of a table is wrong."""
+
+    kind: ClassVar[str] = "table_elevation"
+    rarity: ClassVar[float] = 2.0
+    sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-180, 180, 30) * _DEGREE)
+
+    @property
+    def unlikelihood(self) -> float:
+        """A table is not tilted for one run."""
+        return 25.0 if self.scope.section == "run" else self.rarity
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every table, and every run on one."""
+        for scope in wide_first(tables_of(views), single_runs(views)):
+            yield cls(scope)
+
+    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
+        """Return the sizes to a horizontal, a vertical and the polar axis."""
+        view = views[self.scope.runs[0]]
+        return tuple(angle - view.elevation for angle in (0.0, math.pi / 2, -math.pi / 2, view.latitude))
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the axis raised."""
+        return changed(views[place], elevation=views[place].elevation + size)
+
+
+@register
+@dataclass(frozen=True)
+class TableAzimuth(Mistake):
+    """The azimuth of the axis of a table is wrong."""
+
+    kind: ClassVar[str] = "table_azimuth"
+    rarity: ClassVar[float] = 4.0
+    # The g-sensitivity of a poor gyro moves the best azimuth by three standard deviations.
+    as_usual: ClassVar[float] = 12.0
+    by_evidence: ClassVar[bool] = True
+    sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-150, 181, 30) * _DEGREE)
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every table, where there are gyros."""
+        if any(channel.kind == "gyro" for channel in campaign.channels):
+            for scope in tables_of(views):
+                yield cls(scope)
+
+    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
+        """Return the sizes to North, East, South and West."""
+        return tuple(angle * _DEGREE - views[self.scope.runs[0]].azimuth for angle in (0.0, 90.0, 180.0, 270.0))
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the axis turned."""
+        return changed(views[place], azimuth=views[place].azimuth + size)
+
+
+@register
+@dataclass(frozen=True)
+class ChannelsExchanged(Mistake):
+    """Channels of one kind are exchanged: channel `order[i]` is in the column of channel `places[i]`."""
+
+    places: tuple[int, ...]
+    order: tuple[int, ...]
+    kind: ClassVar[str] = "axes_exchanged"
+
+    @property
+    def unlikelihood(self) -> float:
+        """Cables are exchanged for all runs, or columns in one file."""
+        return 10.0 if self.scope.section == "run" else 0.0
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every pair and, of three channels, both cycles; in all runs or one."""
+        for kind in ("gyro", "accelerometer"):
+            places = [k for k, channel in enumerate(campaign.channels) if channel.kind == kind]
+            orders = [((a, b), (b, a)) for a, b in itertools.combinations(places, 2)]
+            orders += [((a, b, c), turned) for a, b, c in itertools.combinations(places, 3)
+                       for turned in ((b, c, a), (c, a, b))]  # fmt: skip
+            scopes = [all_runs(range(len(views))), *single_runs(views, False)]
+            for scope, (before, after) in itertools.product(scopes, orders):
+                yield cls(scope, before, after)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the columns in order."""
+        observed = views[place].observed.copy()
+        observed[:, list(self.order)] = views[place].observed[:, list(self.places)]
+        return changed(views[place], observed=observed)
+
+
+def _is_static(view: RunView) -> bool:
+    """Whether no stimulus is between those of two rows: at rest, or on several axes."""
+    return view.outer is not None or not (np.any(view.span) or view.reference is not None or np.any(view.rate))
+
+
+@register
+@dataclass(frozen=True)
+class TimeShift(Mistake):
+    """The outputs are shifted against the columns of the table, by a size in rows; positive where they lag.
+
+    The shift is `whole` between static rows, between which there is no stimulus to interpolate.
+    """
+
+    whole: bool
+    kind: ClassVar[str] = "time_shift"
+    sizes: ClassVar[tuple[float, ...]] = tuple(np.concatenate([np.arange(-3, 3.1, 0.5), [-5.0, -4.0, 4.0, 5.0]]))
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every run in which the stimulus varies, and all of them."""
+        varying = [k for k, v in enumerate(views) if v.rows > 4 and (np.ptp(v.rate) or np.ptp(v.angle) > 0)]
+        if len(varying) > 1:
+            yield cls(Scope("campaign", "", tuple(varying)), all(_is_static(views[k]) for k in varying))
+        for k in varying:
+            yield cls(Scope("run", views[k].name, (k,)), _is_static(views[k]))
+
+    def possible(self, size: float) -> bool:
+        """Return whether there is a shift at all: it is told to half a row, and to a row between static rows."""
+        return abs(size) >= (0.5 if self.whole else 0.25)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the stimulus of earlier rows; rows that have none are left out."""
+        view = views[place]
+        size = round(size) if _is_static(view) else size
+        row = np.arange(view.rows) - size
+        before = np.clip(np.floor(row).astype(int), 0, view.rows - 1)
+        after, part = np.minimum(before + 1, view.rows - 1), -size % 1
+        outside = (row < 0) | (row > view.rows - 1)
+
+        def at(values: np.ndarray) -> np.ndarray:
+            return values[before] * (1 - part) + values[after] * part if part else values[before]
+
+        turned = view.angle[before]
+        if part:
+            turned = turned + part * np.angle(np.exp(1j * (view.angle[after] - turned)))
+        return changed(
+            view,
+            rate=at(view.rate),
+            angle=turned,
+            span=at(view.span),
+            reference=None if view.reference is None else at(view.reference),
+            attitude=None if view.attitude is None else view.attitude[before],
+            outer=None if view.outer is None else view.outer.at(before),
+            observed=np.where(outside[:, None], np.nan, view.observed),
+        )
+
+
+@register
+@dataclass(frozen=True)
+class MountingWrong(Mistake):
+    """The matrix of a mounting is wrong: transposed, or another of the 24 orientations of the unit."""
+
+    matrix: np.ndarray
+    transposed: bool
+    kind: ClassVar[str] = "mounting_wrong"
+
+    @property
+    def unlikelihood(self) -> float:
+        """A mounting is the same in all its runs."""
+        return 15.0 if self.scope.section == "run" else 8.0
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield the transpose and the other orientations for every mounting and every run."""
+        for scope in wide_first(_mountings(views), single_runs(views)):
+            matrix = views[scope.runs[0]].body_to_table
+            if not np.allclose(matrix, matrix.T, atol=1e-6):
+                yield cls(scope, matrix.T, True)
+            for turn in ORIENTATIONS[1:]:
+                yield cls(scope, turn @ matrix, False)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run in the other orientation."""
+        return changed(views[place], body_to_table=self.matrix)
+
+
+def _orientations() -> list[np.ndarray]:
+    found = []
+    for order, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3)):
+        matrix = np.eye(3)[list(order)] * np.array(signs)[:, None]
+        if np.linalg.det(matrix) > 0:
+            found.append(matrix)
+    return found
+
+
+ORIENTATIONS = _orientations()
+"""The 24 rotations that map the axes of a cube onto each other, the identity first."""

@@ -1,0 +1,481 @@
+"""Set-up mistakes in units, signs, scale factors, table rates, axis zeros, the latitude and temperature columns.
+
+Units and signs may be wrong for channels and for the columns of rate and angle.  On a table of several axes, the zero
+of an axis that carries the inner axis may be off.  A wrong latitude shows where gyros feel the Earth turn.  Mistakes in
+the columns of temperatures show only where the outputs follow the temperature.
+
+Nominal scale factors, and rates of a table, may be wrong by a factor that is no unit's.  An input that is too small
+everywhere is imitated by a response that is: the accelerometer on an axis raised to 60° reads half of what it would on
+a horizontal one, as one of half the nominal scale factor does.  The errors of the outputs stay as large as they are, so
+that a smaller scale factor gains nothing over another input but what the outputs tell.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imubayes.campaign.setup_gate.equipment_mistakes import (
+    RIGHT_ANGLES,
+    Mistake,
+    Scope,
+    TableSense,
+    all_runs,
+    has_angles,
+    single_runs,
+    tables_of,
+    wide_first,
+)
+from imubayes.campaign.setup_gate.setup_view import RunView, changed, feels_the_earth_alone, turns_through
+from imubayes.foundations.campaign_data import Campaign, Channel
+
+OUTER = ("outer", "middle")
+
+
+@dataclass(frozen=True)
+class AxisZero(Mistake):
+    """The zero of the outer or of the middle axis of a table is off in all its runs."""
+
+    axis: int
+    kind: ClassVar[str] = "axis_zero"
+    usual_within: ClassVar[float] = math.radians(3.5)
+    sizes: ClassVar[tuple[float, ...]] = tuple(np.radians(np.arange(-150, 181, 30)))
+
+    @property
+    def variant(self) -> str:
+        """The axis."""
+        return OUTER[self.axis]
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield both axes of every table that has them."""
+        for scope in tables_of(views):
+            if all(views[place].outer is not None for place in scope.runs):
+                yield cls(scope, 0)
+                if campaign.tables[scope.name].middle_axis is not None:
+                    yield cls(scope, 1)
+
+    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
+        """Return right angles."""
+        return RIGHT_ANGLES
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the zero moved."""
+        outer = views[place].outer
+        assert outer is not None
+        angle = outer.angle.copy()
+        angle[:, self.axis] += size
+        return changed(views[place], outer=replace(outer, angle=angle))
+
+
+_DEGREE = math.pi / 180
+
+
+def _feels_the_earth(campaign: Campaign, views: Sequence[RunView]) -> bool:
+    return any(channel.kind == "gyro" for channel in campaign.channels) and any(v.reference is None for v in views)
+
+
+@dataclass(frozen=True)
+class LatitudeSign(Mistake):
+    """The latitude has the wrong sign."""
+
+    kind: ClassVar[str] = "latitude_sign"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield the one mistake, where there are gyros."""
+        if _feels_the_earth(campaign, views) and campaign.site.latitude:
+            yield cls(all_runs(range(len(views))))
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the view on the other hemisphere."""
+        return changed(views[place], latitude=-views[place].latitude)
+
+
+@dataclass(frozen=True)
+class LatitudeValue(Mistake):
+    """The latitude is another one; its size is the true latitude, rad."""
+
+    north: bool
+    kind: ClassVar[str] = "latitude_value"
+    rarity: ClassVar[float] = 15.0
+    sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-90, 91, 15) * _DEGREE)
+
+    @property
+    def variant(self) -> str:
+        """The hemisphere: a gyro that turns about the vertical does not tell it."""
+        return "north" if self.north else "south"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield both hemispheres where gyros turned or sat in several mountings: else biases pass for Earth rate."""
+        turned = feels_the_earth_alone(campaign, views) or any(turns_through(view) for view in views)
+        if _feels_the_earth(campaign, views) and (turned or len({view.mounting for view in views}) > 2):
+            for north in (True, False):
+                yield cls(all_runs(range(len(views))), north)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the view at another latitude of the hemisphere."""
+        low, high = (0.0, math.pi / 2) if self.north else (-math.pi / 2, 0.0)
+        return changed(views[place], latitude=float(np.clip(size, low, high)))
+
+    def possible(self, size: float) -> bool:
+        """Return whether the latitude exists: outputs beyond the poles show more than the Earth rate."""
+        return abs(size) <= math.pi / 2
+
+
+LATITUDE_MISTAKES: tuple[type[Mistake], ...] = (LatitudeSign, LatitudeValue)
+
+
+_LEAST_COURSE = 2.0  # °C; a temperature that changes by less is the same reversed
+_MARGIN = 10.0  # °C, by which a corrected temperature may exceed those of the other runs
+SENSOR, CONVERTER = "temperature", "converter_temperature"
+
+
+def _recorded(views: Sequence[RunView], names: tuple[str, ...]) -> list[Scope]:
+    """Return all runs with these temperatures together, and each by itself."""
+    places = [scope for scope in single_runs(views) if set(names) <= set(views[scope.runs[0]].temperatures)]
+    return [all_runs([place.runs[0] for place in places])] * (len(places) > 1) + places
+
+
+def _among_others(mistake: Mistake, views: Sequence[RunView]) -> bool:
+    """Whether the corrected temperatures of a run are among those of the other runs.
+
+    Elsewhere no run tells what the outputs should be, and any temperature explains them.
+    """
+    (place,) = mistake.scope.runs
+    others = [view for k, view in enumerate(views) if k != place]
+    for name, values in mistake.corrected(views, place, 0.0).temperatures.items():
+        known = [view.temperatures[name] for view in others if name in view.temperatures]
+        if not known:
+            return False
+        reach = np.concatenate(known)
+        if np.min(values) < np.min(reach) - _MARGIN or np.max(values) > np.max(reach) + _MARGIN:
+            return False
+    return True
+
+
+@dataclass(frozen=True)
+class TemperatureUnit(Mistake):
+    """Temperatures of a run are in degrees Fahrenheit.
+
+    In all runs they would be another scale of temperature, with other coefficients, and describe the outputs as well.
+    """
+
+    names: tuple[str, ...]
+    kind: ClassVar[str] = "temperature_unit"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield each thermometer of each run, and both."""
+        for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
+            for scope in _recorded(views, names):
+                mistake = cls(scope, names)
+                if scope.section == "run" and _among_others(mistake, views):
+                    yield mistake
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with its temperatures in °C."""
+        view = views[place]
+        return changed(
+            view,
+            temperatures={
+                name: (values - 32) / 1.8 if name in self.names else values
+                for name, values in view.temperatures.items()
+            },
+        )
+
+
+@dataclass(frozen=True)
+class ThermometersExchanged(Mistake):
+    """The temperatures of sensor and converter are exchanged."""
+
+    kind: ClassVar[str] = "thermometers_exchanged"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield all runs with both thermometers, and each; a converter at one temperature has it stated for the run."""
+        columns = [k for k, view in enumerate(views) if np.ptp(view.temperatures.get(CONVERTER, 0.0)) > 0]
+        for scope in _recorded([views[k] for k in columns], (SENSOR, CONVERTER)):
+            scope = replace(scope, runs=tuple(columns[place] for place in scope.runs))
+            mistake = cls(scope)
+            if scope.section != "run" or _among_others(mistake, views):
+                yield mistake
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the two columns in their places."""
+        recorded = views[place].temperatures
+        return changed(views[place], temperatures={SENSOR: recorded[CONVERTER], CONVERTER: recorded[SENSOR]})
+
+
+@dataclass(frozen=True)
+class TemperatureReversed(Mistake):
+    """Columns of temperatures run backwards in time."""
+
+    names: tuple[str, ...]
+    kind: ClassVar[str] = "temperature_reversed"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield the runs in which a temperature changes, and those in which both do."""
+        for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
+            for scope in single_runs(views):
+                recorded = views[scope.runs[0]].temperatures
+                if all(name in recorded and np.ptp(recorded[name]) > _LEAST_COURSE for name in names):
+                    yield cls(scope, names)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the columns in the order of time."""
+        recorded = views[place].temperatures
+        return changed(views[place], temperatures={**recorded, **{name: recorded[name][::-1] for name in self.names}})
+
+
+TEMPERATURE_MISTAKES: tuple[type[Mistake], ...] = (ThermometersExchanged, TemperatureUnit, TemperatureReversed)
+
+
+GAINS = {
+    "gyro": {
+        "rad/s for deg/s": 1 / _DEGREE, "deg/s for rad/s": _DEGREE, "deg/h for deg/s": 3600.0,
+        "deg/s for deg/h": 1 / 3600, "deg/h for rad/s": 3600.0 * _DEGREE, "rpm for deg/s": 1 / 6, "deg/s for rpm": 6.0,
+        "mdeg/s for deg/s": 1000.0, "deg/s for mdeg/s": 1e-3,
+    },
+    "accelerometer": {
+        "m/s² for g": 9.80665, "g for m/s²": 1 / 9.80665, "mg for g": 1000.0, "g for mg": 1e-3,
+        "ft/s² for g": 32.174, "mg for m/s²": 1000 / 9.80665, "cm/s² for m/s²": 100.0,
+    },
+}  # fmt: skip
+"""Mistaken units of an output, and the factor by which it is too large."""
+_LOGARITHMS = tuple(np.arange(-3.0, 2.6, 0.25).tolist())  # factors of 0.05 to 12
+ORDINARY_SCALE = 0.1
+"""Deviation from the nominal scale factor up to which it may be that of a poor unit rather than a mistake."""
+
+_LEAST_CHANGE = 5 * _DEGREE / 3600  # rad/s, a third of the Earth rate
+_LEAST_INPUT = {"gyro": 0.5 * _DEGREE, "accelerometer": 0.5}  # rad/s and m/s²
+
+
+def driven(campaign: Campaign, channel: Channel, views: Sequence[RunView]) -> bool:
+    """Whether a channel has an input from which its scale factor shows.
+
+    Without one a large factor would only make the errors of the channel small.  Where all feel the Earth rate alone,
+    that is the input, if it changes: a constant one is no other than a bias.
+    """
+    felt = []
+    for view in views:
+        stand = view.local_to_body()
+        inputs = view.rate_in_body(stand) if channel.kind == "gyro" else stand[:, :, 2] * view.gravity
+        felt.append(inputs @ channel.axes[0])
+    along = np.concatenate(felt)
+    if feels_the_earth_alone(campaign, views):
+        return bool(np.ptp(along) > _LEAST_CHANGE)
+    return bool(np.abs(along).max(initial=0.0) > _LEAST_INPUT[channel.kind])
+
+
+@dataclass(frozen=True)
+class _Factor(Mistake):
+    rarity: ClassVar[float] = 8.0
+    sizes: ClassVar[tuple[float, ...]] = _LOGARITHMS
+    usual_within: ClassVar[float] = 0.1
+
+    def possible(self, size: float) -> bool:
+        """Return whether a channel that responds so responds at all."""
+        return abs(size) < 1.2 * abs(_LOGARITHMS[0])
+
+    def stops(self, size: float) -> bool:
+        """Return whether the factor is beyond that of a poor unit."""
+        return abs(math.expm1(size)) > ORDINARY_SCALE
+
+
+@dataclass(frozen=True)
+class NominalScale(_Factor):
+    """The scale factor of channels is the nominal one times a factor, in all runs; the size is its logarithm."""
+
+    channels: tuple[str, ...]
+    places: tuple[int, ...]
+    of_gyros: bool
+    kind: ClassVar[str] = "channel_unit"
+
+    def units(self, size: float) -> str:
+        """Return the mistaken unit of the outputs, if the factor is that of one."""
+        return next((name for name, factor in self._gains.items() if math.log(factor) == size), "")
+
+    @property
+    def _gains(self) -> dict[str, float]:
+        return GAINS["gyro" if self.of_gyros else "accelerometer"]
+
+    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
+        """Return the factors of mistaken units."""
+        return tuple(math.log(factor) for factor in self._gains.values())
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every channel that has an input, and all of a kind."""
+        for kind in ("gyro", "accelerometer"):
+            places = [
+                k for k, each in enumerate(campaign.channels) if each.kind == kind and driven(campaign, each, views)
+            ]
+            for group in [(k,) for k in places] + ([tuple(places)] if len(places) > 1 else []):
+                yield cls(
+                    all_runs(range(len(views))), tuple(campaign.channels[k].name for k in group), group, kind == "gyro"
+                )
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is a factor of the rates that makes the same of the same gyros."""
+        return self.of_gyros and isinstance(other, TableRates)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the response of the channels."""
+        response = np.array(views[place].response)
+        response[list(self.places)] *= math.exp(size)
+        return changed(views[place], response=response)
+
+
+@dataclass(frozen=True)
+class TableRates(_Factor):
+    """The rates of a table are the recorded ones times a factor; the size is its logarithm."""
+
+    kind: ClassVar[str] = "rate_unit"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every table that turns."""
+        for scope in tables_of(views):
+            if any(np.any(views[k].rate) for k in scope.runs):
+                yield cls(scope)
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is the nominal scale factor of gyros, which only the Earth rate tells."""
+        return isinstance(other, NominalScale) and other.of_gyros
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with its rates multiplied."""
+        return changed(views[place], rate=views[place].rate * math.exp(size))
+
+
+SCALE_MISTAKES: tuple[type[Mistake], ...] = (NominalScale, TableRates)
+
+
+RATE_UNITS = {
+    "rpm": 6.0, "rev/s": 360.0, "rad/s": 1 / _DEGREE, "deg/min": 1 / 60, "deg/h": 1 / 3600, "mdeg/s": 1e-3,
+    "rad/h": 1 / _DEGREE / 3600,
+}  # fmt: skip
+"""Units of rate in deg/s."""
+ANGLE_UNITS = {
+    "rad": 1 / _DEGREE, "gon": 0.9, "turns": 360.0, "arcmin": 1 / 60, "arcsec": 1 / 3600, "mrad": 1e-3 / _DEGREE,
+}  # fmt: skip
+"""Units of angle in degrees."""
+_MOST_TURNS = 4
+"""Angles of more turns are in no other unit; multiples of 15 degrees in turns would all be one angle."""
+_SAME_FACTOR = 0.02
+
+
+@dataclass(frozen=True)
+class ChannelGain(Mistake):
+    """Channels respond with a factor: another sign, or another unit (`units`)."""
+
+    channels: tuple[str, ...]
+    places: tuple[int, ...]
+    offsets: tuple[float, ...]
+    factor: float
+    units: str
+    kind: ClassVar[str] = "channel_unit"
+
+    @property
+    def unlikelihood(self) -> float:
+        """A unit or a sign is that of a channel in all runs, a unit that of all channels of a kind."""
+        single = len(self.channels) == 1
+        if self.scope.section == "run":
+            return (30.0 if single else 15.0) if self.units else 15.0
+        return (8.0 if single else 2.0) if self.units else (0.0 if single else 8.0)
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every channel and all of a kind, in all runs or one."""
+        for kind, gains in GAINS.items():
+            places = [k for k, channel in enumerate(campaign.channels) if channel.kind == kind]
+            groups = [(k,) for k in places] + ([tuple(places)] if len(places) > 1 else [])
+            factors = {"": -1.0} | gains
+            scopes = [all_runs(range(len(views))), *single_runs(views, False)]
+            for scope, group in itertools.product(scopes, groups):
+                channels = [campaign.channels[k] for k in group]
+                if not all(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels):
+                    continue
+                names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
+                for units, factor in factors.items():
+                    yield cls(scope, names, group, offsets, factor, units)
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is the sense of the table in the run: alike for the one gyro that turns."""
+        return not self.units and isinstance(other, TableSense) and other.scope == self.scope
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the outputs divided by the factor."""
+        observed, at = views[place].observed.copy(), list(self.places)
+        observed[:, at] = self.offsets + (observed[:, at] - self.offsets) / self.factor
+        return changed(views[place], observed=observed)
+
+    def rescaled(self, view: RunView) -> float:
+        """Return the number of outputs divided by the factor, times its logarithm."""
+        return float(np.isfinite(view.observed[:, list(self.places)]).sum() * np.log(abs(self.factor)))
+
+
+@dataclass(frozen=True)
+class RateUnit(Mistake):
+    """The rate column is in another unit."""
+
+    unit: str
+    kind: ClassVar[str] = "rate_unit"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every unit for every table and run that turns."""
+        turning = [scope for scope in tables_of(views) if any(np.any(views[k].rate) for k in scope.runs)]
+        runs = [scope for scope in single_runs(views) if np.any(views[scope.runs[0]].rate)]
+        for scope, unit in itertools.product(wide_first(turning, runs), RATE_UNITS):
+            yield cls(scope, unit)
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is a gain of gyros in the same turning runs that does the same.
+
+        Only the Earth rate, biases and the lever arms of accelerometers tell the two, all of them loosely.  A gain of
+        one gyro is alike where it alone sees the rate.
+        """
+        if isinstance(other, NominalScale):
+            return self.scope.section == "table" and other.of_gyros
+        if not isinstance(other, ChannelGain):
+            return False
+        same = self.scope.section == "table" if other.scope.section == "campaign" else other.scope == self.scope
+        return same and abs(other.factor / RATE_UNITS[self.unit] - 1) < _SAME_FACTOR
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the rate converted."""
+        return changed(views[place], rate=views[place].rate * RATE_UNITS[self.unit])
+
+
+@dataclass(frozen=True)
+class AngleUnit(Mistake):
+    """The angle column is in another unit."""
+
+    unit: str
+    kind: ClassVar[str] = "angle_unit"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every unit for every table and run at several angles."""
+        several = [k for k, view in enumerate(views) if has_angles(view) and np.nanmax(np.abs(view.angle)) > 0]
+        tables = [scope for scope in tables_of(views) if set(scope.runs) & set(several)]
+        runs = [scope for scope in single_runs(views) if scope.runs[0] in several]
+        for scope, unit in itertools.product(wide_first(tables, runs), ANGLE_UNITS):
+            largest = max(float(np.nanmax(np.abs(views[k].angle + views[k].zero), initial=0.0)) for k in scope.runs)
+            if largest * ANGLE_UNITS[unit] < _MOST_TURNS * 2 * math.pi:
+                yield cls(scope, unit)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the angles converted."""
+        factor, view = ANGLE_UNITS[self.unit], views[place]
+        return changed(view, angle=(view.angle + view.zero) * factor - view.zero, span=view.span * factor)
+
+
+UNIT_MISTAKES: tuple[type[Mistake], ...] = (ChannelGain, RateUnit, AngleUnit, *SCALE_MISTAKES)

@@ -1,0 +1,246 @@
+"""Commands for a calibrated unit: `imubayes apply`, `carrier`, `export` and `report`.
+
+`apply` turns recordings of the unit into rate and specific force, with uncertainty.  `carrier` gives the motion of what
+carries a rotating unit, with the rotation taken out.  `export` writes constants for the computer on board.  `report`
+writes the uncertainty report for qualification.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import cyclopts
+
+from imubayes.cli.session import Flag, Trust
+
+if TYPE_CHECKING:
+    from imubayes.results.result import Result
+
+
+def apply(
+    result: Path,
+    recording: Path,
+    *,
+    out: Path,
+    run: str = "",
+    temperature: float | None = None,
+    converter_temperature: float | None = None,
+    along_axes: Flag = False,
+    trust: Trust = False,
+) -> int:
+    """Correct a recording of a calibrated unit: outputs become rates and accelerations, with uncertainty.
+
+    A recording with all gyros or accelerometers of a unit is solved for rate and specific force in body axes, all
+    channels jointly; the systematic uncertainty of the calibration and the random one of the row are given apart.
+    Readings of single channels, or of channels that do not span three axes, become inputs along the axis of each
+    channel. Effects of the model that depend on what the recording does not tell are left in; they are named, and the
+    uncertainty contains what they may do.
+
+    Example: imubayes apply results/desk-imu data/desk-imu --out results/desk-imu-corrected.csv
+
+    Parameters
+    ----------
+    result
+        Result folder of a fit of the unit.
+    recording
+        Table (CSV or Parquet) with a column per channel in output units, and `converter_temperature_degC` and
+        `temperature_degC` where the model depends on them; or a campaign folder.
+    out
+        The table to write: CSV, or Parquet by the ending .parquet.
+    run
+        Run of the campaign, where it has several.
+    temperature
+        Temperature of the sensors in °C, where no column gives it.
+    converter_temperature
+        Temperature of the converters in °C, where no column gives it.
+    along_axes
+        Treat every channel alone: there was no input across its axis.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    from imubayes.cli.session import trusting
+
+    trusting(result, trust)
+    stated = {"temperature": temperature, "converter_temperature": converter_temperature}
+    known = {name: value for name, value in stated.items() if value is not None}
+    for line in (*_corrected(result, recording, out, run, known, along_axes), f"wrote {out}"):
+        print(line)
+    return 0
+
+
+def _corrected(
+    result: Path, recording: Path, out: Path, run: str, temperatures: dict[str, float], along_axes: bool
+) -> list[str]:
+    """Write the table; return what to say of it."""
+    from imubayes.cli.session import progress, start_jax
+
+    with progress() as tell:
+        start_jax()
+        from imubayes import api
+        from imubayes.campaign.run_tables import read_header
+        from imubayes.display.corrected_readings import correction_lines
+        from imubayes.qualification.onboard.response import complete_kinds
+        from imubayes.results.result import read_result
+
+        tell("reading the fit")
+        found = read_result(result)
+        channels = found.fit.model.campaign.channels
+        whole = not recording.is_file() or bool(complete_kinds(channels, read_header(recording)))
+        if along_axes or not whole:
+            return _along_axes(found, recording, out, temperatures, along_axes)
+        return correction_lines(api.correct(found, recording, out, run=run, temperatures=temperatures, progress=tell))
+
+
+def _along_axes(
+    result: "Result", readings: Path, out: Path, temperatures: dict[str, float], nothing_across: bool
+) -> list[str]:
+    from imubayes import api
+    from imubayes.display.corrected_readings import inputs_lines
+    from imubayes.foundations.files import write_text
+
+    found = api.apply(result, readings, temperatures=temperatures, nothing_across=nothing_across)
+    write_text(out, found.table.write_csv())
+    return inputs_lines(found, nothing_across)
+
+
+def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) -> int:
+    """Write the carrier's rate and specific force, the table's measured rotation taken out, and a picture.
+
+    Example: imubayes carrier data/rotation-modulation pyramid-forward --out carrier.csv
+
+    Parameters
+    ----------
+    campaign
+        Folder with campaign.toml.
+    run
+        A run in which the unit turns, with the table angle recorded.
+    out
+        The table to write (CSV); a picture of the turning bias goes beside it.
+    result
+        Result folder of a fit of the same campaign, whose fitted errors are taken out first.
+    """
+    from imubayes.cli.session import progress
+
+    with progress() as tell:
+        from imubayes.campaign import load_campaign
+        from imubayes.display.carrier_motion import carrier_sheet, rotating_run, write_carrier
+        from imubayes.display.layout import Report, print_report
+        from imubayes.results.corrected_outputs import corrected_run, estimate_carrier
+        from imubayes.results.history_tree import refuse_other_data
+        from imubayes.results.result import read_result
+
+        tell("reading the campaign")
+        loaded = load_campaign(campaign)
+        chosen = rotating_run(loaded, run)
+        corrected = None
+        if result is not None:
+            refuse_other_data(result, loaded)
+            fitted = read_result(result)
+            corrected = corrected_run(loaded, chosen, fitted.residuals, fitted.summary)
+        tell("turning")
+        found = estimate_carrier(loaded, chosen, corrected)
+        written = write_carrier(out, loaded, chosen, found)
+    for file in written:
+        print(f"wrote {file}")
+    print_report(Report((), [carrier_sheet(found, loaded, chosen)]))
+    return 0
+
+
+def export(
+    result: Path,
+    *,
+    out: Path,
+    format: Literal["json", "c", "kalibr", "px4", "ardupilot", "ros"] = "json",
+    noise: Path | None = None,
+    rate_hz: float | None = None,
+    topic: str = "/imu0",
+    accept_loss: Flag = False,
+    trust: Trust = False,
+) -> int:
+    """Write the constants of a unit in the format of the program that will use them.
+
+    Matrix, biases and gains over temperature with the joint covariance of all of them (json), as a C header with the
+    function that applies them, as kalibr's imu.yaml, as PX4 or ArduPilot parameters, or as covariances of a ROS Imu
+    message. A format that cannot hold what is larger than its uncertainty is refused.
+
+    Example: imubayes export results/desk-imu --format c --out results/constants.h
+
+    Parameters
+    ----------
+    result
+        Result folder of a fit of the unit.
+    out
+        The file to write.
+    format
+        json, c, kalibr, px4, ardupilot or ros.
+    noise
+        noise.json of `imubayes noise` on a static record of the unit, for kalibr.
+    rate_hz
+        Rate of the samples on board in Hz, for kalibr.
+    topic
+        ROS topic, for kalibr.
+    accept_loss
+        Leave out what the format cannot hold; the file says what and how large.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    from imubayes.cli.session import start_jax, trusting
+
+    start_jax()
+    trusting(result, trust)
+    from imubayes import api
+    from imubayes.display.onboard.formats import in_words
+    from imubayes.foundations.errors import input_error
+
+    if rate_hz is not None and not 0 < rate_hz < float("inf"):
+        raise input_error(f"a rate of {rate_hz:g} Hz", "--rate-hz", "a number above 0", "correct it")
+    for loss in api.export_constants(
+        result, out, format, noise=noise, rate=rate_hz, topic=topic, accept_loss=accept_loss
+    ):
+        print(f"left out: {in_words(loss)}")
+    print(f"wrote {out}")
+    return 0
+
+
+Out = Annotated[list[Path], cyclopts.Parameter(consume_multiple=True, negative="")]
+
+
+def report(result: Path, *, out: Out, spec: Path | None = None, trust: Trust = False) -> int:
+    """Write the uncertainty report of a unit as a page, a PDF file or a JSON record.
+
+    Example: imubayes report results/full --spec models/qualification-spec.toml --out report.html report.pdf
+
+    The exit status is 1 where the unit does not pass the specification, or where the fit did not converge.
+
+    Parameters
+    ----------
+    result
+        Result folder of a fit; `imubayes diagnose` should have seen it.
+    out
+        Files to write, by their endings: .html, .pdf, .json.
+    spec
+        Specification: limits and decision rules. Without one nothing is decided.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    from imubayes.cli.session import progress, start_jax, trusting
+
+    with progress() as tell:
+        start_jax()
+        trusting(result, trust)
+        from imubayes.api import report as make_report
+        from imubayes.display.qualification.report_files import places_held, write_report
+
+        with places_held(out):
+            tell("evaluating the posterior")
+            found = make_report(result, spec)
+            tell("drawing")
+            write_report(found, out)
+    from imubayes.display.qualification.first_page import alarms, banner
+
+    said = banner(found)
+    print(f"{said.word}: {said.sentence}")
+    for line in alarms(found):
+        print(line)
+    for file in out:
+        print(f"written: {file}")
+    return 0 if found.accepted else 1

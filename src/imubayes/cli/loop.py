@@ -1,0 +1,322 @@
+"""Commands of the model loop: `imubayes diagnose`, `add`, `remove`, `plant` and `history`.
+
+`diagnose` says what is missing in a model.  `add` is a step forward, with what it brought; `remove` is a step back,
+with what it costs.  `plant` says whether an effect would have been found.  `history` shows the models tried.
+"""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import cyclopts
+
+from imubayes.cli.session import Flag, Json, Names, Trust, print_json, progress, split, start_jax
+
+if TYPE_CHECKING:
+    from imubayes.criticism.diagnosis_record import Diagnosis
+    from imubayes.loop.model_history import Tree
+    from imubayes.results.change_records import ModelChange
+
+
+def add(
+    *effects: str,
+    to: Path,
+    out: Path,
+    channels: Names = None,
+    sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False,
+    seed: int = 0,
+    as_json: Json = False,
+    verbose: Flag = False,
+    trust: Trust = False,
+) -> int:
+    """Add effects to the model of a result, fit again from there, and show what that brought.
+
+    Example: imubayes add gyro_g_sensitivity --to results/first --out results/second
+
+    Parameters
+    ----------
+    effects
+        Names of effects or noise members; `imubayes effects` lists them. A Python file, as `imubayes diagnose --python`
+        prints one, stands for the effects that it defines. Without any, the simplest explanation of the diagnosis.
+    to
+        Result folder of the model to go on from; it stays as it is.
+    out
+        Result folder to write.
+    channels
+        Channels that the effects act on; by default those the diagnosis named, or all they can act on.
+    sample
+        Sample the posterior; by default the Laplace approximation is used.
+    seed
+        Seed of the sampler.
+    as_json
+        Print one JSON object on standard output.
+    verbose
+        List the residual rms of every channel and run, also where it did not change.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    from imubayes.cli.session import progress, start_jax, trusting
+
+    with progress() as tell:
+        start_jax("add")
+        trusting(to, trust)
+        from imubayes.api import add as add_effects
+
+        change = add_effects(to, effects, out, split(channels), sample=sample, seed=seed, progress=tell)
+    return print_change(change, as_json, verbose)
+
+
+def print_change(change: "ModelChange", as_json: bool, verbose: bool) -> int:
+    """Print what a change of a model brought; return the exit status: 0 where the refit is taken, else 1."""
+    from imubayes.display.layout import print_report
+    from imubayes.display.loop.change_report import change_report, next_command
+
+    if as_json:
+        print_json(change.model_dump(mode="json") | {"next": next_command(change)})
+    else:
+        print_report(change_report(change, verbose))
+    if not change.taken:
+        print(change.message, file=sys.stderr)
+    return 0 if change.taken else 1
+
+
+def diagnose(
+    result: Path,
+    *,
+    effect: str = "",
+    as_json: Json = False,
+    python: Flag = False,
+    verbose: Flag = False,
+    trust: Trust = False,
+) -> int:
+    """Say which effect the model lacks, from one pass and without a refit.
+
+    Example: imubayes diagnose results/first
+
+    Parameters
+    ----------
+    result
+        Result folder of a fit.
+    effect
+        Ask about this effect alone: there, absent, or not to be seen by these runs.
+    as_json
+        Print one JSON object on standard output.
+    python
+        Print an effect class for the pattern that no effect of the catalogue explains: save it in a file, and add that
+        with `imubayes add FILE.py`.
+    verbose
+        Print every table: all effects, noise, outliers, formulas and undetectable effects.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    from imubayes.cli.session import progress, start_jax, trusting
+
+    with progress() as tell:
+        start_jax("diagnose")
+        trusting(result, trust)
+        from imubayes.api import diagnose as find_missing
+        from imubayes.display.layout import print_report
+        from imubayes.display.loop.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
+
+        found = find_missing(result, effect, progress=tell)
+        tell("drawing")
+        pictures = _pictures(result, found)
+    if python:
+        print(effect_source(found))
+    elif as_json:
+        print_json(diagnosis_json(found))
+    else:
+        print_report(diagnosis_report(found, pictures, verbose))
+    return 1 if found.verdict == "not_converged" else 0
+
+
+def _pictures(result: Path, found: "Diagnosis") -> list[Path]:
+    """Draw what the diagnosis rests on; Matplotlib is imported where there is something to draw."""
+    pictures = []
+    if found.evidence is not None:
+        from imubayes.display.figures.residual_evidence import save_evidence
+
+        pictures.append(save_evidence(result, found.evidence))
+    if found.disagreeing_noise and found.scatter is not None:
+        from imubayes.display.figures.residual_evidence import save_recorded_noise
+
+        pictures.append(save_recorded_noise(result, found.scatter))
+    return pictures
+
+
+def history(
+    *results: Path,
+    select: Path | None = None,
+    export: Path | None = None,
+    html: Path | None = None,
+    as_json: Json = False,
+) -> int:
+    """Show the models tried, how the error fell, and which one is selected.
+
+    Example: imubayes history results/second --html history.html
+
+    Parameters
+    ----------
+    results
+        Result folders; the models before and after each are found from it.
+    select
+        Make this result the selected one; to undo a step, select the result before it.
+    export
+        Write the selected model to this model file.
+    html
+        Write the models tried, with their evidence, as one HTML page.
+    as_json
+        Print one JSON object on standard output.
+    """
+    from imubayes.foundations.errors import input_error
+
+    folders = [*results, *([select] if select is not None and not results else [])]
+    if not folders:
+        raise input_error("no result is named", "command line", "result folders", "name at least one")
+    with progress() as tell:
+        # What reads alone needs no JAX, which takes seconds to import.
+        from imubayes.display.layout import print_report
+        from imubayes.display.loop.history import history_json, history_report
+        from imubayes.foundations.files import refuse_existing
+        from imubayes.results.history_tree import read_tree
+        from imubayes.results.history_tree import select as select_node
+
+        if export is not None:
+            refuse_existing(export)
+        if html is not None:
+            refuse_existing(html, but=lambda content: content.startswith(b"<!doctype html>"))
+        if select is not None:
+            select_node(select)
+        tree = read_tree(folders)
+        if export is not None:
+            start_jax()
+            from imubayes.api import export as export_model
+
+            export_model(folders[0], export)
+        if html is not None:
+            tell("drawing")
+            _write_page(html, tree)
+    if as_json:
+        print_json(history_json(tree))
+    else:
+        print_report(history_report(tree))
+        for file in (file for file in (export, html) if file is not None):
+            print(f"written: {file}")
+    return 0
+
+
+def _write_page(html: Path, tree: "Tree") -> None:
+    start_jax()
+    from imubayes.display.loop.history_page import history_page
+    from imubayes.foundations.files import write_text
+    from imubayes.results.change_records import read_steps
+
+    write_text(html, history_page(tree, {place: read_steps(tree, place) for place in tree.selected}))
+
+
+def plant(
+    campaign: Path | None = None,
+    *,
+    model: Path | None = None,
+    result: Path | None = None,
+    effects: Names = None,
+    size: float | None = None,
+    delta_chi2: Annotated[float, cyclopts.Parameter(name="--delta-chi2")] = 50.0,
+    draws: int = 20,
+    seed: int = 0,
+    as_json: Json = False,
+    trust: Trust = False,
+) -> int:
+    """Plant effects into data simulated from the fit, and see which the diagnosis would have found.
+
+    Example: imubayes plant data/trihedral-imu --model models/trihedral-imu.toml --effects gyro_g2_sensitivity
+
+    Parameters
+    ----------
+    campaign
+        Folder with campaign.toml; not needed with --result.
+    model
+        Model file, fitted first.
+    result
+        Result folder to take instead of fitting.
+    effects
+        Effects to plant; by default all that the model lacks.
+    size
+        Plant at this multiple of the largest size met in practice.
+    delta_chi2
+        Plant at the size at which adding the effect would lower chi2 by this much.
+    draws
+        Simulations with nothing planted, for the rate of false alarms.
+    seed
+        Seed of the simulations.
+    as_json
+        Print one JSON object on standard output.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    from imubayes.cli.session import progress, start_jax, trusting
+
+    with progress() as tell:
+        start_jax()
+        trusting(result, trust)
+        from imubayes.api import plant as plant_effects
+        from imubayes.display.layout import print_report
+        from imubayes.display.loop.change_report import injection_json, injection_report
+        from imubayes.loop.injection_recovery import Size
+
+        trials = plant_effects(
+            campaign, model, result=result, effects=split(effects),
+            size=Size(delta_chi2, size), draws=draws, seed=seed, progress=tell,
+        )  # fmt: skip
+    if as_json:
+        print_json(injection_json(trials))
+    else:
+        print_report(injection_report(trials))
+    return 0
+
+
+def remove(
+    *effects: str,
+    source: Annotated[Path, cyclopts.Parameter(name="--from")],
+    out: Path,
+    sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False,
+    seed: int = 0,
+    as_json: Json = False,
+    verbose: Flag = False,
+    trust: Trust = False,
+) -> int:
+    """Remove effects from the model of a result, fit again from there, and show what that costs.
+
+    Example: imubayes remove gyro_g_sensitivity --from results/second --out results/without
+
+    Parameters
+    ----------
+    effects
+        Names of effects or noise members of the model, or a Python file that defines some of them.
+    source
+        Result folder of the model to go on from; it stays as it is.
+    out
+        Result folder to write.
+    sample
+        Sample the posterior; by default the Laplace approximation is used.
+    seed
+        Seed of the sampler.
+    as_json
+        Print one JSON object on standard output.
+    verbose
+        List the residual rms of every channel and run, also where it did not change.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    from imubayes.cli.session import progress, start_jax, trusting
+    from imubayes.foundations.errors import input_error
+
+    if not effects:
+        raise input_error("no effect is named", "command line", "effects of the model", "name one")
+    with progress() as tell:
+        start_jax("remove")
+        trusting(source, trust)
+        from imubayes.api import remove as remove_effects
+
+        change = remove_effects(source, effects, out, sample=sample, seed=seed, progress=tell)
+    return print_change(change, as_json, verbose)

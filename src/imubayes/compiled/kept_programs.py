@@ -1,0 +1,196 @@
+"""Compiled programs kept between processes, so that a repeated command neither traces nor lowers them again.
+
+JAX keeps compiled code by a digest of the lowered program, so every process traces and lowers anew what it has compiled
+before, which takes several times as long as running it.  `kept` finds the executable by what the program is made of
+(`program_identity`), before anything is traced.  Whatever has no identity, and every call from within another trace,
+takes the ordinary way of `equinox.filter_jit`.
+
+A kept program cannot be differentiated or batched: only outermost functions are kept.
+"""
+
+import functools
+import itertools
+import os
+import pickle
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import equinox as eqx
+import jax
+from jax._src import config, core
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
+
+from imubayes.compiled.program_identity import NoIdentityError, Slot, identity, sources_unchanged
+from imubayes.compiled.stored_programs import Preloading, make_room, packed_program, read_program, write_program
+
+SWITCH = "IMUBAYES_KEEP_PROGRAMS"
+"""Environment variable; at 0 every process traces its programs anew."""
+MOST_BYTES = 300_000_000
+"""Size of the folder above which the programs used longest ago are removed: some thousand, of one fit some hundred."""
+
+
+@dataclass(frozen=True)
+class _Program:
+    """An executable of flat arrays, and what surrounds its results.
+
+    Attributes
+    ----------
+    skeleton : the returned tree with a `Slot` for each array.
+    file : where it was read from; None if it was compiled by this process.
+    """
+
+    executable: jax.stages.Compiled
+    skeleton: Any
+    file: Path | None = None
+
+    @functools.cached_property
+    def _returned(self) -> tuple[list[Any], Any]:
+        return jax.tree.flatten(self.skeleton, is_leaf=lambda leaf: isinstance(leaf, Slot))
+
+    def __call__(self, arrays: list[Any]) -> Any:
+        results = self.executable(*arrays)
+        leaves, tree = self._returned
+        return tree.unflatten([results[leaf.number] if isinstance(leaf, Slot) else leaf for leaf in leaves])
+
+
+class _Folder:
+    """Where programs are kept: none until `keep_programs` names one; and those that are loaded ahead."""
+
+    place: Path | None = None
+    preloading: Preloading | None = None
+
+
+_programs: dict[Any, _Program | None] = {}
+
+
+def keep_programs(folder: Path | None, purpose: str = "") -> None:
+    """Keep programs in a folder that belongs to the user alone, unless the environment says otherwise.
+
+    Parameters
+    ----------
+    purpose : the command that is running: what it used the last time is loaded ahead; nothing where it is empty.
+    """
+    _Folder.place = None if os.environ.get(SWITCH) == "0" else folder
+    if purpose and _Folder.place is not None:
+        _Folder.preloading = Preloading(_Folder.place, purpose)
+
+
+def forget_programs() -> None:
+    """Release the programs that this process has loaded."""
+    _programs.clear()
+
+
+def kept[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Return a function compiled as by `equinox.filter_jit`, whose programs outlast the process.
+
+    Parameters
+    ----------
+    function : of a module, not a closure; what it returns depends on its arguments and the package's sources alone.
+    """
+    return cast(Callable[P, R], _Kept(function))
+
+
+class _Kept:
+    """A function whose programs are kept; an object, as compiled functions are, which take NumPy arrays for JAX's."""
+
+    def __init__(self, function: Callable):
+        self.function, self.ordinary = function, eqx.filter_jit(function)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        if _Folder.place is None or not core.trace_state_clean() or jax.config.jax_disable_jit:
+            return self.ordinary(*args, **kwargs)
+        leaves, tree = jax.tree.flatten((args, kwargs))
+        key = (self.function, tree, tuple(map(_kind, leaves)), config.trace_context())
+        if key not in _programs:
+            _programs[key] = _found_or_made(self.function, leaves, tree)
+        program = _programs[key]
+        if program is None:
+            return self.ordinary(*args, **kwargs)
+        try:
+            return program([leaf for leaf in leaves if eqx.is_array(leaf)])
+        except jax.errors.JaxRuntimeError:
+            if program.file is None:
+                raise
+            program.file.unlink(missing_ok=True)  # code that this processor or jaxlib does not run after all
+            del _programs[key]
+            return self(*args, **kwargs)
+
+
+def _kind(leaf: Any) -> Any:
+    """Return what a program depends on: of an array shape and type, of anything else all of it."""
+    if eqx.is_array(leaf):
+        return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
+    return type(leaf), leaf
+
+
+def _slotted(leaves: list[Any], tree: Any) -> Any:
+    """Return a tree with a `Slot` for each array."""
+    number = itertools.count()
+    return tree.unflatten([Slot.of(next(number), leaf) if eqx.is_array(leaf) else leaf for leaf in leaves])
+
+
+def _found_or_made(function: Callable, leaves: list[Any], tree: Any) -> _Program | None:
+    """Return the program of a function, from the folder or compiled now; None where it cannot be kept."""
+    assert _Folder.place is not None
+    arguments, arrays = _slotted(leaves, tree), [leaf for leaf in leaves if eqx.is_array(leaf)]
+    try:
+        file = _Folder.place / identity(function, arguments)
+    except NoIdentityError:
+        return None
+    stored = (_Folder.preloading.read if _Folder.preloading is not None else read_program)(file)
+    if stored is not None:
+        return _Program(stored.executable, pickle.loads(stored.skeleton), file)
+    program = _compiled(function, arguments, arrays)
+    if program is not None:
+        _write(file, program, len(arrays))
+    return program
+
+
+def _compiled(function: Callable, arguments: Any, arrays: list[Any]) -> _Program | None:
+    """Return a function compiled for arguments with `Slot`s in the place of arrays; None where it calls back."""
+    returned: list[Any] = []
+
+    def flat(*arrays):
+        filled = jax.tree.map(lambda leaf: arrays[leaf.number] if _is_slot(leaf) else leaf, arguments, is_leaf=_is_slot)
+        leaves, tree = jax.tree.flatten(function(*filled[0], **filled[1]))
+        returned.append(_slotted(leaves, tree))
+        return tuple(leaf for leaf in leaves if eqx.is_array(leaf))
+
+    flat.__name__ = flat.__qualname__ = function.__name__
+    executable = _without_cache(jax.jit(flat).lower(*arrays))
+    made = cast(Any, executable)._executable.unsafe_call
+    if made.has_host_callbacks or made.ordered_effects or made.has_unordered_effects:
+        return None
+    return _Program(executable, returned[-1])
+
+
+def _without_cache(lowered: jax.stages.Lowered) -> jax.stages.Compiled:
+    """Compile, and do not take the code from JAX's cache: jaxlib cannot serialise what it has loaded from there."""
+    with config.enable_compilation_cache(False):
+        reset_cache()  # JAX asks once whether it has a cache
+        try:
+            return lowered.compile()
+        finally:
+            reset_cache()
+
+
+def _is_slot(leaf: Any) -> bool:
+    return isinstance(leaf, Slot)
+
+
+def _write(file: Path, program: _Program, arguments: int) -> None:
+    """Keep a program, where jaxlib can and the sources are still those that it was made of."""
+    results = sum(map(_is_slot, jax.tree.leaves(program.skeleton, is_leaf=_is_slot)))
+    try:
+        skeleton = pickle.dumps(program.skeleton)
+    except (TypeError, AttributeError, pickle.PicklingError):
+        return  # compiled by each process
+    content = packed_program(program.executable, arguments, results, skeleton)
+    if content is None or not sources_unchanged():
+        return
+    with suppress(OSError):
+        make_room(file.parent, MOST_BYTES)
+        write_program(file, content)

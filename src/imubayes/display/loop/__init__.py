@@ -1,0 +1,1 @@
+"""The loop in words and tables: diagnosis, changes of a model, history."""

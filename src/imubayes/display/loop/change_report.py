@@ -1,0 +1,374 @@
+"""A change of a model in words and tables, and injection recovery: which injected effects the diagnosis would find.
+
+The words state the change as predicted and as observed, cross-validation, and what the data do not distinguish.  The
+tables give the coefficients, the estimates that moved, and residual rms before and after.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from imubayes.criticism.verdict import RmsChange
+from imubayes.display.fit_cautions import conflict_line
+from imubayes.display.layout import Cell, Report, Sheet
+from imubayes.display.loop.diagnosis_report import add_command
+from imubayes.display.loop.diagnosis_sentences import probability, sentence
+from imubayes.display.loop.history import offsets_moved_text
+from imubayes.display.numbers_and_labels import listed, percent, pretty, readable, significant, value_and_sd
+from imubayes.loop.injection_recovery import Trial, Trials
+from imubayes.loop.model_history import CrossValidation
+from imubayes.loop.refit import NotDistinguished
+from imubayes.results.change_records import ModelChange, RunRmsChange
+
+LEAST_PERCENT = 5
+"""Change of a residual rms that is worth a line, per cent."""
+_MOST_ROWS = 6
+# An estimate that moved by less than a tenth of its standard uncertainty stayed where it was.
+_STAYED = 0.1
+
+
+def change_sheets(change: ModelChange) -> list[Sheet]:
+    """Return every table of a change."""
+    own = [coefficient_sheet(change)] if change.added else []
+    return [*own, moved_sheet(change), channel_sheet(change), run_change_sheet(change)]
+
+
+def leading_sheets_of(change: ModelChange, channels: Sequence[RmsChange]) -> list[Sheet]:
+    """Return the first rows of what a change is about, and the residual rms of some channels."""
+    return [
+        first_rows(coefficient_sheet(change) if change.added else moved_sheet(change)),
+        channel_sheet(change.model_copy(update={"channels": tuple(channels)})),
+    ]
+
+
+def first_rows(sheet: Sheet) -> Sheet:
+    """Return the first rows of a table, with a note of how many there are."""
+    left = len(sheet.rows) - _MOST_ROWS
+    if left <= 0:
+        return sheet
+    narrow = first_rows(sheet.narrow) if sheet.narrow is not None else None
+    note = f"{left} more with --verbose." + (f" {sheet.note}" if sheet.note else "")
+    return replace(sheet, rows=sheet.rows[:_MOST_ROWS], note=note, narrow=narrow)
+
+
+def moved_sheet(change: ModelChange) -> Sheet:
+    """Return the estimates that moved by a tenth of their standard uncertainty or more."""
+    rows, slim = [], []
+    for each in change.moved:
+        if abs(each.in_sd) >= _STAYED:
+            pairs = ((each.before, each.sd_before), (each.after, each.sd_after))
+            before, after = (" ± ".join(value_and_sd(*pair)) for pair in pairs)
+            moved = significant(each.in_sd, 2).replace("-", "−")
+            rows.append(tuple(map(Cell, (each.name, before, after, pretty(each.unit), moved))))
+            slim.append(tuple(map(Cell, (each.name, after, pretty(each.unit), moved))))
+    note = "Change in the smaller of the two standard uncertainties, before and after." if rows else ""
+    narrow = Sheet("Estimates that moved", ("estimate", "after", "unit", "change / sd"), slim, (0, 2), note=note)
+    head = ("estimate", "before", "after", "unit", "change / sd")
+    return Sheet("Estimates that moved", head, rows, (0, 3), note=note, narrow=narrow)
+
+
+def ratio_of(change: RmsChange | RunRmsChange) -> float | None:
+    """Return the residual rms after over that before; None where either is zero or unknown."""
+    return change.after / change.before if change.before and change.after else None
+
+
+def size_of(change: RmsChange | RunRmsChange) -> float:
+    """Return the size of the logarithm of the ratio of two residual rms."""
+    ratio = ratio_of(change)
+    return 0.0 if ratio is None else abs(math.log(ratio))
+
+
+def coefficient_sheet(change: ModelChange) -> Sheet:
+    """Return the table of coefficients, predicted and estimated."""
+    predicted = {each.name: each for each in change.predicted.coefficients}
+    rows, slim = [], []
+    for estimate in change.observed.coefficients:
+        before = predicted.get(estimate.name)
+        value, sd = value_and_sd(estimate.value, estimate.sd)
+        guess, width = value_and_sd(before.value, before.sd) if before is not None else value_and_sd(None, None)
+        unit = pretty(estimate.unit)
+        rows.append(tuple(map(Cell, (estimate.name, guess, width, value, sd, unit))))
+        name = estimate.name.partition(".")[2] if len(change.added) == 1 else estimate.name
+        slim.append(tuple(map(Cell, (name or estimate.name, f"{guess} ± {width}", f"{value} ± {sd}", unit))))
+    title = "Predicted and estimated"
+    narrow = Sheet(title, ("new parameter", "predicted", "estimated", "unit"), slim, (0, 3))
+    head = ("new parameter", "predicted", "± ", "estimated", "±", "unit")
+    return Sheet(title, head, rows, (0, 5), narrow=narrow)
+
+
+def channel_sheet(change: ModelChange) -> Sheet:
+    """Return the table of the residual rms before and after, per channel."""
+    rows = [(Cell(each.channel), *_change_cells(each)) for each in change.channels]
+    note = "At the noise known beforehand, offsets of runs included." if rows else ""
+    head = ("channel", "before", "after", "unit", "change")
+    return Sheet("Residual rms before and after, per channel", head, rows, (0, 1, 3), note=note)
+
+
+def run_change_sheet(change: ModelChange) -> Sheet:
+    """Return the table of the residual rms before and after, per run and channel."""
+    rows, dividers, last = [], set(), None
+    for place, each in enumerate(change.runs):
+        same = each.name == last
+        dividers |= {place} if last is not None and not same else set()
+        rows.append((Cell("" if same else each.name), Cell(each.channel), *_change_cells(each)))
+        last = each.name
+    head = ("run", "channel", "before", "after", "unit", "change")
+    title = "Residual rms before and after, per run and channel"
+    return Sheet(title, head, rows, (0, 1, 2, 4), dividers=frozenset(dividers))
+
+
+def _change_cells(change: RmsChange | RunRmsChange) -> Sequence[Cell]:
+    before, after, unit = _sizes(change)
+    return (*map(Cell, (before, after, unit)), Cell(share(change), "bad" if _rose(change) else ""))
+
+
+def _sizes(change: RmsChange | RunRmsChange) -> tuple[str, str, str]:
+    """Return before and after in a unit of plain numbers, and the unit."""
+    both = (change.before, change.after)
+    factor, unit = readable(change.unit, max((size for size in both if size is not None), default=0.0))
+    before, after = (significant(None if size is None else size * factor) for size in both)
+    return before, after, pretty(unit)
+
+
+def _rose(change: RmsChange | RunRmsChange) -> bool:
+    """Tell whether a residual rms rose by what is worth a line."""
+    ratio = ratio_of(change)
+    return ratio is not None and ratio > 1 + LEAST_PERCENT / 100
+
+
+def share(change: RmsChange | RunRmsChange) -> str:
+    """Return a change in per cent."""
+    ratio = ratio_of(change)
+    return "–" if ratio is None else f"{100 * (ratio - 1):+.0f} %".replace("-", "−")
+
+
+_MOST_CHANGES = 3
+_LEAST_CHANGE = math.log(1 + LEAST_PERCENT / 100)
+
+_ONE_OF_SEVERAL = "The posterior with the first of them alone leaves out what the others may explain."
+
+_VERDICTS = {
+    "helps": "the addition improves the prediction of {by}s that were left out",
+    "unclear": "whether the {step} the prediction of {by}s that were left out is unclear",
+    "not": "THE ADDITION DOES NOT IMPROVE the prediction of {by}s that were left out",
+    "costs": "THE REMOVAL WORSENS the prediction of {by}s that were left out",
+    "spares": "the removal does not worsen the prediction of {by}s that were left out",
+}
+
+
+def change_report(change: ModelChange, verbose: bool = False) -> Report:
+    """Return what a change of a model brought; tables where the refit is taken.
+
+    Parameters
+    ----------
+    verbose : whether the tables list all channels, runs and parameters, or only what changed most.
+    """
+    command = f"next: {next_command(change)}"
+    if verbose or not change.taken:
+        return Report(change_lines(change), change_sheets(change) if change.taken else (), [command])
+    named = {each.channel for each in _changed(change.channels)}
+    shown = sorted((each for each in change.channels if each.channel in named), key=size_of, reverse=True)
+    return Report(change_lines(change), leading_sheets_of(change, shown), [*_run_lines(change), command])
+
+
+def _changed[Change: (RmsChange, RunRmsChange)](changes: Sequence[Change]) -> tuple[Change, ...]:
+    """Return the changes that are worth a line, the largest first."""
+    return tuple(each for each in sorted(changes, key=size_of, reverse=True) if size_of(each) >= _LEAST_CHANGE)
+
+
+def _run_lines(change: ModelChange) -> list[str]:
+    """Return how many runs and channels changed, and the largest changes."""
+    changed, count = _changed(change.runs), len(change.runs)
+    if not changed:
+        return [f"By run and channel, none of {count} residual rms changed by {LEAST_PERCENT} % or more."]
+    each = ", ".join(f"{one.name} {one.channel} {share(one)}" for one in changed[:_MOST_CHANGES])
+    return [
+        f"By run and channel, {len(changed)} of {count} changed by {LEAST_PERCENT} % or more: {each}"
+        f"{', …' if len(changed) > _MOST_CHANGES else ''} (all: --verbose)."
+    ]
+
+
+def next_command(change: ModelChange) -> str:
+    """Return the command to run next; where several effects were not taken, the first of them alone."""
+    result = (change.folder if change.taken else change.parent) or "RESULT"
+    first, *others = change.added or (None,)
+    if change.taken or first is None or not others:
+        return f"imubayes diagnose {result}"
+    return add_command([first.effect], first.channels, result, f"{change.folder or result}-alone")
+
+
+def change_lines(change: ModelChange) -> list[str]:
+    """Return the outcome in a few lines: what was changed, predicted and observed, and cross-validation."""
+    step = "addition" if change.added else "removal"
+    return [
+        *_named_lines(change),
+        *(
+            f"Prior widened: {name} ~ {prior}; the estimate lies outside the typical range."
+            for name, prior in change.widened.items()
+        ),
+        *(conflict_line(conflict) for conflict in change.prior_conflicts),
+        *([change.message] if change.message else []),
+        *([_ONE_OF_SEVERAL] if not change.taken and change.added[1:] else []),
+        *_chi2_lines(change),
+        *_odds_lines(change),
+        *held_out_lines(change.held_out, step),
+        *(_undistinguished_line(each, change.folder or "RESULT") for each in change.undistinguished),
+    ]
+
+
+def _named_lines(change: ModelChange) -> list[str]:
+    lines = []
+    for word, choices in (("Added", change.added), ("Removed", change.removed)):
+        names = [each.effect + (f" on {', '.join(each.channels)}" if each.channels else "") for each in choices]
+        lines += [f"{word}: {', '.join(names)}."] if names else []
+    return lines
+
+
+def _chi2_lines(change: ModelChange) -> list[str]:
+    """Return Δχ² predicted and observed, and why the residual of a channel rose all the same."""
+    noise = "" if change.predicted.delta_chi2 is None else " at the noise known beforehand"
+    predicted, observed = (
+        significant(each).replace("-", "−") for each in (change.predicted.delta_chi2, change.observed.delta_chi2)
+    )
+    risen = [offsets_moved_text(change.offsets_moved)] if change.offsets_moved and change.added else []
+    return [f"Δχ²{noise}: predicted {predicted}, observed {observed}.", *risen]
+
+
+def _odds_lines(change: ModelChange) -> list[str]:
+    """Return the odds of the effects that were removed, where a diagnosis told them."""
+    if change.log_odds is None:
+        return []
+    side, size = "for" if change.log_odds > 0 else "against", significant(abs(change.log_odds))
+    return [f"Log odds {side} what was removed, by the diagnosis before it was added: {size}."]
+
+
+def _undistinguished_line(found: NotDistinguished, folder: str) -> str:
+    """Return that the data do not distinguish effects, and the command that keeps the first alone."""
+    first, *others = found.effects
+    names = f"{', '.join([first, *others[:-1]])} and {others[-1]}"
+    size = f"{found.correlation:.2f}".replace("-", "−")
+    of = "correlation" if len(others) == 1 else "correlation of each with the others together"
+    command = f"imubayes remove {' '.join(others)} --from {folder} --out {folder}-{first}"
+    return f"Not distinguished: {names}, {of} {size}; `{command}` keeps {first} alone."
+
+
+def held_out_lines(held_out: CrossValidation | None, step: str = "addition") -> list[str]:
+    """Return the outcome of cross-validation."""
+    if held_out is None:
+        return ["No cross-validation."]
+    doubt = "addition improves" if step == "addition" else "removal worsens"
+    verdict = _VERDICTS[held_out.verdict].format(by=held_out.by, step=doubt)
+    gain = f"{held_out.delta:+.1f}".replace("-", "−")
+    lines = [
+        f"Leave-one-{held_out.by}-out: Δ elpd {gain} ± {significant(held_out.se, 2)}, better in "
+        f"{held_out.helped} of {held_out.of} {held_out.by}s: {verdict}."
+    ]
+    if held_out.rates:
+        each = ", ".join(
+            f"{rate.channel} {significant(rate.before)} → {significant(rate.after)}" for rate in held_out.rates
+        )
+        lines.append(f"Rate at rest in poses that were left out, rms error, {held_out.rates[0].unit}: {each}.")
+    return lines
+
+
+_MOOD = {"first": "", "other name": "weak", "missed": "bad"}
+
+
+def injection_report(trials: Trials) -> Report:
+    """Return what was injected and what was recovered."""
+    return Report(injection_lines(trials), [injection_sheet(trials)])
+
+
+def injection_lines(trials: Trials) -> list[str]:
+    """Return the outcome in sentences."""
+    lines = [
+        f"{_counted(len(trials.trials), 'effect')} injected one by one into simulated data of '{trials.campaign}', "
+        f"{_size(trials)}: {trials.detected} detected, the right group first for {trials.group_first}."
+    ]
+    if trials.nulls:
+        low, high = trials.false_alarm_interval
+        lines.append(
+            f"Without injection: {_counted(trials.false_alarms, 'false alarm')} in "
+            f"{_counted(len(trials.nulls), 'draw')}, a rate of {percent(trials.false_alarms / len(trials.nulls))} "
+            f"(95 % interval {percent(low)} to {percent(high)})."
+        )
+    missed = [trial.effect for trial in trials.trials if not trial.detected]
+    if missed:
+        lines.append(f"Missed: {', '.join(missed)}.")
+    if trials.skipped:
+        lines.append(f"Not injected, undetectable in these runs: {listed(list(trials.skipped), 12)}.")
+    return lines
+
+
+def _counted(count: int, name: str) -> str:
+    return f"{count} {name}{'' if count == 1 else 's'}"
+
+
+def _size(trials: Trials) -> str:
+    typical = trials.size.typical
+    if typical is None:
+        return f"at the size with Δχ² = {significant(trials.size.delta_chi2)}"
+    return f"at {significant(typical)} times the largest typical size"
+
+
+def injection_sheet(trials: Trials) -> Sheet:
+    """Return a line for each effect injected."""
+    rows = []
+    for trial in trials.trials:
+        outcome = "first" if trial.group_first else ("other name" if trial.detected else "missed")
+        first = listed(trial.effects, 2) or trial.diagnosis.verdict
+        cells = (Cell(trial.effect), Cell(_injected(trial)), Cell(significant(trial.delta_chi2)))
+        rows.append(
+            (
+                *cells,
+                Cell(outcome, _MOOD[outcome]),
+                Cell(first),
+                Cell(probability(trial.diagnosis.probability(trial.effect))),
+            )
+        )
+    head = ("effect", "injected", "Δχ²", "found", "first group", "probability")
+    return Sheet("Injection recovery", head, rows, (0, 1, 3, 4))
+
+
+def _injected(trial: Trial) -> str:
+    if not trial.planted:
+        return "–"
+    first, count = trial.planted[0], len(trial.planted)
+    text = f"{first.name.partition('.')[2]} {significant(first.value)} {pretty(first.unit)}"
+    return text + (f", {count - 1} more" if count > 1 else "")
+
+
+def injection_json(trials: Trials) -> dict[str, Any]:
+    """Return the outcome as `imubayes plant --json` prints it."""
+    size, count = trials.size, len(trials.nulls)
+    return {
+        "format": 1,
+        "campaign": trials.campaign,
+        "model": trials.model,
+        "size": {"delta_chi2": size.delta_chi2} if size.typical is None else {"typical": size.typical},
+        "seed": trials.seed,
+        "effects": [
+            {
+                "effect": trial.effect,
+                "planted": [vars(parameter) for parameter in trial.planted],
+                "delta_chi2": trial.delta_chi2,
+                "verdict": trial.diagnosis.verdict,
+                "detected": trial.detected,
+                "group_first": trial.group_first,
+                "first_group": list(trial.effects),
+                "probability": trial.diagnosis.probability(trial.effect),
+                "sentence": sentence(trial.diagnosis),
+            }
+            for trial in trials.trials
+        ],
+        "detected": trials.detected,
+        "group_first": trials.group_first,
+        "skipped": [{"effect": name, "reason": reason} for name, reason in trials.skipped.items()],
+        "null": {
+            "draws": count,
+            "false_alarms": trials.false_alarms,
+            "rate": trials.false_alarms / count if count else None,
+            "interval_95": list(trials.false_alarm_interval) if count else None,
+        },
+    }

@@ -1,0 +1,364 @@
+"""A diagnosis as it is shown: verdict, expectation and next command, evidence tables, and source of a new effect class.
+
+The report begins with the verdict in a sentence, what to expect and the next command; then comes the evidence.  Its
+tables cover effects, noise, outliers, formulas, and what cannot be detected.  For a formula that the catalogue lacks,
+the source of an effect class is written.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from imubayes.adequacy.adequacy_record import NOISE_AGREES
+from imubayes.criticism.detectability import ParameterBias
+from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, ResidualFormula, ScreenedEffect
+from imubayes.criticism.formula_search import FormulaTerm
+from imubayes.display.fit_cautions import noise_ratio
+from imubayes.display.layout import Cell, Report, Sheet
+from imubayes.display.loop.diagnosis_sentences import evidence_text, noise_text, probability, sentence, why_undetectable
+from imubayes.display.numbers_and_labels import chance_text, listed, percent, pretty, significant, value_and_sd
+from imubayes.display.quality_tables import run_design_text
+from imubayes.foundations.errors import InputError, Issue
+
+_MOST_RANKED, _MOST_OUTLIERS = 10, 8
+# A bias below this share of a posterior standard deviation is not worth a word.
+_SMALL_BIAS = 0.1
+
+
+def ranking_sheet(found: Diagnosis) -> Sheet:
+    """Return the effects by the probability that they are missing, each with the group it belongs to."""
+    ranking = found.ranking if found.asked is not None else found.ranking[:_MOST_RANKED]
+    group = {
+        member.effect: str(place)
+        for place, each in reversed(list(enumerate(found.groups, 1)))
+        for member in each.candidates
+    }
+    rows, slim = [], []
+    for line in ranking:
+        likely = Cell(probability(line.probability), "bad" if line.probability >= 0.5 else "dim")
+        name, drop, odds = Cell(line.effect), Cell(significant(line.delta_chi2)), Cell(significant(line.log_odds))
+        shown = found.estimate(line.effect) or line
+        mark, on, size = Cell(group.get(line.effect, "")), Cell(listed(shown.channels, 3)), Cell(_coefficient(shown))
+        rows.append((name, on, size, drop, odds, likely, mark))
+        slim.append((name, Cell(_coefficient(shown, short=True)), drop, likely, mark))
+    before = _more(len(found.ranking) - len(rows)) + (
+        "Coefficient: the most significant one, at the likeliest shape, such as a time constant; Δχ²: predicted drop "
+        "if the effect is added alone, at the noise known beforehand; "
+    )
+    odds = "log odds: natural logarithm of the odds of the effect alone against nothing missing; "
+    after = (
+        "probability: that it is missing, of all explanations that contain it. These runs cannot distinguish the "
+        "effects of one group."
+    )
+    head = ("effect", "on", "coefficient", "Δχ²", "log odds", "probability", "group")
+    title = "Effects by the probability that they are missing"
+    narrow = Sheet(title, ("effect", "coefficient", "Δχ²", "probability", "group"), slim, (0, 1), "", before + after)
+    return Sheet(title, head, rows, (0, 1, 2), "", before + odds + after, narrow=narrow)
+
+
+def _more(count: int) -> str:
+    return f"{count} more in diagnosis.json. " if count > 0 else ""
+
+
+def _coefficient(line: ScreenedEffect, short: bool = False) -> str:
+    """Return the most significant coefficient, and the shape that was scanned."""
+    known = [(each, each.value) for each in line.coefficients if each.value is not None]
+    if not known:
+        return "–"
+    best, _ = max(known, key=lambda pair: abs(pair[1]) / (pair[0].sd or float("inf")))
+    value, sd = value_and_sd(best.value, best.sd)
+    text = f"{value} ± {sd} {pretty(best.unit)}"
+    if short:
+        return text
+    shape = ", ".join(f"{key.rpartition('.')[2]} {significant(size)}" for key, size in line.shape.items())
+    text = f"{best.name.partition('.')[2] or best.name} {text}" + (f" at {shape}" if shape else "")
+    return text + (f", {len(known) - 1} more" if len(known) > 1 else "")
+
+
+def undetectable_sheet(found: Diagnosis) -> Sheet:
+    """Return the effects that these runs cannot show, and what absorbs them."""
+    hidden = [each for each in found.undetectable if each.reason != "not_supplied"]
+    absent = [each for each in found.undetectable if each.reason == "not_supplied"]
+    without = [f"{each.effect} ({', '.join(each.needs) or 'response zero'})" for each in absent]
+    rows = []
+    for each in hidden:
+        absorbed = ", ".join(f"{percent(part.share)} {part.parameter}" for part in each.absorbed_by[:2])
+        smallest = each.smallest_detectable
+        size = f"{significant(smallest)} {pretty(each.unit)}" if smallest is not None else "–"
+        rows.append((Cell(each.effect), Cell(absorbed or why_undetectable(each)), Cell(size), Cell(_bias(each.bias))))
+    note = ""
+    if rows:
+        note = (
+            "Undetectable is not absent: no statement is made about these effects. The last column is the bias of the "
+            "most affected parameter where an effect is present at its largest typical size."
+        )
+    note += f" The runs do not all supply what these need: {', '.join(without)}." if without else ""
+    head = ("effect", "absorbed by", "smallest detectable", "would bias")
+    return Sheet("Undetectable in these runs", head, rows, (0, 1, 3), "", note.strip())
+
+
+def _bias(bias: ParameterBias | None) -> str:
+    if bias is None or abs(bias.in_sd) < _SMALL_BIAS:
+        return "–"
+    size = f"{significant(abs(bias.value))} {pretty(bias.unit)}"
+    return f"{bias.parameter} by {size}, {significant(abs(bias.in_sd))} sd"
+
+
+def formula_sheet(found: Diagnosis) -> Sheet:
+    """Return the simplest formula for what no effect explains, a line for each term."""
+    rows = [
+        (
+            Cell(each.channel),
+            Cell(term.shape),
+            Cell(f"{' ± '.join(value_and_sd(term.value, term.sd))} {pretty(term.unit)}"),
+            Cell(significant(term.delta_chi2)),
+            Cell(significant(term.log_odds)),
+        )
+        for each in found.formulas
+        for term in each.terms
+    ]
+    angle = any("φ" in each.shape for each in found.formulas)
+    note = "φ is counted from the zero of the table, not from that of its scale." if angle else ""
+    head = ("channel", "term", "coefficient", "Δχ²", "log odds")
+    return Sheet("Simplest formula of what no effect explains", head, rows, (0, 1, 2), "", note)
+
+
+def noise_sheet(found: Diagnosis) -> Sheet:
+    """Return the noise of the likeliest explanation where it is not as the model says."""
+    noise = found.explanations.noise if found.explanations is not None else ()
+    rows = [(Cell(noise_text([each])), Cell(significant(each.scale))) for each in noise]
+    return Sheet("Noise that is not as modelled", ("noise", "scale / known"), rows, (0,))
+
+
+def recorded_noise_sheet(found: Diagnosis) -> Sheet:
+    """Return fitted against recorded noise of the channels where they do not agree."""
+    sources = {"samples": "samples within rows", "prior": "the prior", "channel": "'noise' of the channel"}
+    rows = [
+        (
+            Cell(each.channel),
+            Cell(significant(each.fitted)),
+            Cell(significant(each.recorded)),
+            Cell(sources[each.source]),
+            Cell(noise_ratio(each)),
+            Cell(chance_text(each.p), "bad" if each.excessive else ""),
+        )
+        for each in found.disagreeing_noise
+    ]
+    note = (
+        "Standard deviation of one raw sample: fitted from the scatter of the rows, and as the "
+        "campaign records it. A ratio above 1 is scatter from row to row that the samples do not show; p: its excess "
+        f"over {NOISE_AGREES:.2f} by chance."
+    )
+    head = ("channel", "fitted", "recorded", "from", "ratio", "p")
+    return Sheet("Fitted and recorded noise disagree", head, rows, (0, 3), "", note)
+
+
+def outlier_sheet(found: Diagnosis) -> Sheet:
+    """Return the outliers, the farthest first."""
+    rows = [
+        (
+            *(Cell(each.run), Cell(each.channel), Cell(str(each.row))),
+            *(Cell("–" if value is None else f"{value:.6g}") for value in (each.time_s, each.table_angle_deg)),
+            Cell(f"{each.distance:+.1f}"),
+        )
+        for each in found.outliers[:_MOST_OUTLIERS]
+    ]
+    note = _more(len(found.outliers) - len(rows)) + ("Deletion residuals, in standard deviations of the other samples.")
+    head = ("run", "channel", "row", "time / s", "table angle / °", "residual / sd")
+    return Sheet("Outliers", head, rows, (0, 1), "", note)
+
+
+_NAMES = ("coefficient", "second", "third")
+_SOURCE = '''"""Found in the residuals: {formula}."""
+{numpy}
+from imubayes import Order, Scalar, SignalEffect, Stage, parameter
+
+
+class FoundShape(SignalEffect):
+    """Signal + {formula}."""
+
+    name = "found_{kind}_shape"
+    stage, order, kinds = Stage.SENSOR, Order.BIAS, ("{kind}",)
+    needs = {needs!r}
+{parameters}
+
+    def apply(self, signal, sample):
+        return signal + {total}
+'''
+
+
+def formula_source(found: ResidualFormula) -> str:
+    """Return an effect class for a formula, to save beside the model."""
+    named = list(zip(_NAMES, found.terms, strict=False))
+    total = " + ".join(f"self.{name} * {term.expression}" for name, term in named)
+    return _SOURCE.format(
+        formula=" + ".join(f"{name}·{term.shape}" for name, term in named),
+        numpy="\nimport jax.numpy as jnp\n" if "jnp." in total else "",
+        kind=found.kind,
+        needs=tuple(dict.fromkeys(need for term in found.terms for need in term.needs)),
+        parameters="\n".join(_parameter(name, term) for name, term in named),
+        total=total,
+    )
+
+
+def _parameter(name: str, term: FormulaTerm) -> str:
+    """Return the declaration of a coefficient; its prior is three times as wide as the estimate."""
+    wide = float(f"{3 * abs(term.value):.1g}") or 1.0
+    low = float(f"{abs(term.value) / 10:.1g}")
+    prior = f"normal(0, {wide:g} {term.unit})"
+    return f'    {name}: Scalar = parameter("{term.unit}", "{prior}", ({low:g}, {wide:g}), "the coefficient")'
+
+
+# Rows of the tables that the verdict rests on, so that the whole fits on a screen of 24 lines.
+_MOST_LEADING = 5
+
+
+def diagnosis_report(found: Diagnosis, pictures: Sequence[Path] = (), verbose: bool = False) -> Report:
+    """Return the verdict with its evidence; the answer about one effect where one was asked for.
+
+    Parameters
+    ----------
+    pictures : the files that show the residual behind the first group, and the noise.
+    verbose : add every table; otherwise the first rows of those that the verdict rests on, to fit on one screen.
+    """
+    if found.asked is not None:
+        return Report([sentence(found)], [ranking_sheet(found)])
+    told, commands = diagnosis_lines(found), next_lines(found, pictures)
+    if not verbose:
+        return Report(told, leading_sheets(found), [*_omitted(found), *commands])
+    noise = [noise_sheet(found), recorded_noise_sheet(found)]
+    sheets = [ranking_sheet(found), *noise, outlier_sheet(found), formula_sheet(found)]
+    return Report([*told, *commands], [*sheets, undetectable_sheet(found)])
+
+
+def leading_sheets(found: Diagnosis) -> list[Sheet]:
+    """Return the tables that the verdict rests on, their first rows alone."""
+    sheets = {
+        "unexplained_structure": [formula_sheet(found), ranking_sheet(found)],
+        "noise_model": [noise_sheet(found), recorded_noise_sheet(found)],
+    }.get(found.verdict, [ranking_sheet(found)])
+    sheets = [sheet for sheet in sheets if sheet.rows]
+    each = max(_MOST_LEADING // max(len(sheets), 1), 2)
+    return [_leading(sheet, each) for sheet in sheets]
+
+
+def _leading(sheet: Sheet, most: int) -> Sheet:
+    """Return the first rows of a table, without its note."""
+    narrow = _leading(sheet.narrow, most) if sheet.narrow is not None else None
+    return replace(sheet, rows=sheet.rows[:most], note="", narrow=narrow)
+
+
+def _omitted(found: Diagnosis) -> list[str]:
+    """Return what the tables that are left out hold, in one line."""
+    counts = {
+        "effect": len(found.ranking),
+        "outlier": len(found.outliers),
+        "undetectable effect": len(found.undetectable),
+    }
+    each = [f"{count} {name}{'s' if count > 1 else ''}" for name, count in counts.items() if count]
+    return [f"All tables: {', '.join(each)}: imubayes diagnose {found.result} --verbose"] if each else []
+
+
+def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
+    """Return a diagnosis as `imubayes diagnose --json` prints it: the record with its sentence and next command."""
+    formulas = [each.model_dump(mode="json") | {"python": formula_source(each)} for each in found.formulas]
+    groups = [
+        group.model_dump(mode="json") | {"effects": list(group.effects), "separating_run": _run_text(group)}
+        for group in found.groups
+    ]
+    shown = {"sentence": sentence(found), "groups": groups, "formulas": formulas, "next": next_command(found)}
+    return found.model_dump(mode="json") | shown
+
+
+def diagnosis_lines(found: Diagnosis) -> list[str]:
+    """Return the verdict, the probability of each explanation, and the prediction for what leads."""
+    lines = [sentence(found)]
+    if found.explanations is not None:
+        lines.append(evidence_text(found.explanations))
+    if found.groups:
+        lines.append(_prediction(found))
+        lines += _discriminating(found)
+    if found.verdict == "not_converged" and found.explanations is not None:
+        lines.append("What is said here refers to the point where the fit stopped, and is provisional.")
+    elif found.message and found.verdict != "not_converged":
+        lines.append("The sampling of this fit did not converge; what is said here refers to its mode.")
+    return lines
+
+
+def next_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
+    """Return the pictures and the next commands, one line each: the simplest explanation, and all that fit."""
+    command, other = next_command(found), found.all_that_fit
+    # The only command of the loop that takes minutes.
+    if command.startswith("imubayes plant"):
+        command += "  # minutes: would these runs have shown an effect?"
+    lines = [*(f"picture: {picture}" for picture in pictures), *([f"next: {command}"] if command else [])]
+    if other is not None:
+        whole = add_command(other.effects, other.channels, found.result, f"{found.result}-all")
+        lines.append(f"or, with all that fit as well: {whole}")
+    return lines
+
+
+def next_command(found: Diagnosis) -> str:
+    """Return the command to run next; empty for an answer about one effect."""
+    result, choice = found.result, found.proposed
+    if found.asked is not None:
+        return ""
+    if choice is not None:
+        return add_command(choice.effects, choice.channels, result, f"{result}-{choice.effects[0]}")
+    if found.formulas:
+        adding = f"imubayes add found_shape.py --to {result} --out {result}-found_shape"
+        return f"imubayes diagnose {result} --python > found_shape.py && {adding}"
+    if found.verdict == "adequate":
+        return f"imubayes plant --result {result}"
+    return f"imubayes compare {result}"
+
+
+def add_command(effects: Sequence[str], channels: Sequence[str] | None, result: str, out: str) -> str:
+    """Return the command that adds effects to the model of a result, on channels where they are named."""
+    on = f" --channels {' '.join(channels)}" if channels else ""
+    return f"imubayes add {' '.join(effects)} --to {result} --out {out}{on}"
+
+
+def effect_source(found: Diagnosis) -> str:
+    """Return the effect class written for what no effect explains.
+
+    Raises
+    ------
+    InputError
+        where that has no formula.
+    """
+    if found.formulas:
+        return formula_source(found.formulas[0])
+    raise InputError(
+        Issue(
+            "there is no effect class to print",
+            f"diagnosis: {found.verdict}",
+            "a cause outside the catalogue, with a formula",
+            f"do what the diagnosis says next: {next_command(found) or 'nothing'}",
+        )
+    )
+
+
+def _prediction(found: Diagnosis) -> str:
+    best = found.groups[0]
+    rms, together = best.residual, found.delta_chi2 if found.delta_chi2 is not None else best.delta_chi2
+    added = listed([each.effects[0] for each in found.groups])
+    alone = f", with {best.effects[0]} alone" if len(found.groups) > 1 else ""
+    return (
+        f"Predicted with {added} added: Δχ² {significant(together)} at the noise known beforehand; residual of "
+        f"{rms.channel} {significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms{alone}."
+    )
+
+
+def _discriminating(found: Diagnosis) -> list[str]:
+    """Return the run that would distinguish the effects of a group that these do not."""
+    return [
+        f"A run that would distinguish {listed(group.effects)}: {_run_text(group)}."
+        for group in found.groups
+        if group.discriminating_run is not None
+    ]
+
+
+def _run_text(group: EffectGroup) -> str:
+    return run_design_text(group.discriminating_run) if group.discriminating_run is not None else ""

@@ -1,0 +1,191 @@
+"""Numbers with the digits that their uncertainty supports, units in readable sizes, and labels of covariates.
+
+GUM 7.2.6: a standard uncertainty is stated to at most two significant digits, the estimate to the same decimal place.
+Shares get the same care: 99.996 % is never printed as 100 %.
+
+Results carry the units of the interfaces (deg/s, g, ug, degC).  A residual of 0.00003 deg/s says little to anybody, so
+pictures and run tables choose the size of the same unit that gives plain numbers: 0.11 deg/h.  Units have readable
+signs, and a quantity has one label.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from functools import cache
+
+from sciform import Formatter
+
+from imubayes.foundations.covariates import Covariate, shown
+
+# unit → (largest typical size for which the finer unit is chosen, its factor, its name), the finest first
+_FINER: dict[str, tuple[tuple[float, float, str], ...]] = {
+    "deg/s": ((0.01, 3600.0, "deg/h"),),
+    "g": ((1e-3, 1e6, "ug"), (1.0, 1e3, "mg")),
+    "deg": ((0.05, 3600.0, "arcsec"), (1.0, 60.0, "arcmin")),
+    "rad": ((1e-3, 1e6, "urad"), (1.0, 1e3, "mrad")),
+    "m/s^2": ((0.1, 1e3, "mm/s^2"),),
+}
+_COARSER: dict[str, tuple[tuple[float, float, str], ...]] = {
+    "s": ((7200.0, 1 / 3600, "h"), (600.0, 1 / 60, "min")),
+    "ug": ((5e5, 1e-6, "g"), (1e4, 1e-3, "mg")),
+}
+_SIGNS = {"degC": "°C", "^2": "²", "^3": "³"}
+
+
+def pretty(unit: str) -> str:
+    """Return a unit with the signs of print: ug/g^2 → µg/g²."""
+    for plain, sign in _SIGNS.items():
+        unit = unit.replace(plain, sign)
+    return "/".join("µ" + part[1:] if part in ("ug", "urad", "uA", "uA²") else part for part in unit.split("/"))
+
+
+def readable(unit: str, typical: float) -> tuple[float, str]:
+    """Return the factor and the unit in which numbers of a typical size read well."""
+    for limit, factor, name in _FINER.get(unit, ()):
+        if 0 < typical < limit:
+            return factor, name
+    for limit, factor, name in _COARSER.get(unit, ()):
+        if typical >= limit:
+            return factor, name
+    return 1.0, unit
+
+
+ROW = Covariate("row", "row", "", "", "row", origin="derived")
+"""What residuals are drawn against where nothing better is recorded."""
+
+
+def covariates() -> tuple[Covariate, ...]:
+    """Return what residuals can be drawn against."""
+    return (ROW, *shown())
+
+
+def covariate(name: str) -> Covariate:
+    """Return a covariate by its column (`table_rate_deg_s`) or its name (`table_rate`)."""
+    for known in covariates():
+        if name in (known.column, known.name):
+            return known
+    raise KeyError(f"'{name}' is not a covariate: {', '.join(known.name for known in covariates())}")
+
+
+def shortened(name: str, most: int) -> str:
+    """Return a name of at most `most` characters, its middle left out where it is longer."""
+    if len(name) <= most:
+        return name
+    head = (most - 1 + 1) // 2
+    return f"{name[:head]}…{name[len(name) - (most - 1 - head) :]}"
+
+
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """Return names as a phrase: `a, b and 3 more`."""
+    if len(names) <= most:
+        return ", ".join(names)
+    return f"{', '.join(names[:most])} and {len(names) - most} more"
+
+
+NO_NUMBER = "–"
+# Outside of these sizes a power of ten is split off.
+_SMALLEST, _LARGEST = 1e-5, 1e8
+# Means and standard deviations over thousands of equal draws differ from them by some units in the last place.
+_ROUNDING_ERROR = 1e-12
+
+
+def _decade(value: float, digits: int = 1) -> int:
+    """Return the power of ten of the leading digit after rounding to some significant digits."""
+    return int(f"{value:.{digits - 1}e}".partition("e")[2])
+
+
+@cache
+def _formatter(decimals: int, exponent: int) -> Formatter:
+    if exponent:
+        return Formatter(round_mode="dec_place", ndigits=decimals, exp_mode="scientific", exp_val=exponent)
+    return Formatter(round_mode="dec_place", ndigits=decimals)
+
+
+def rounded(values: Iterable[float | None], sd: float | None) -> tuple[str, ...]:
+    """Return numbers to the second significant digit of their standard uncertainty, an en dash for none.
+
+    Without a positive uncertainty the largest value gets five significant digits at least.
+    """
+    values = tuple(values)
+    sizes = [abs(value) for value in values if value is not None and math.isfinite(value) and value]
+    step = sd if sd is not None and math.isfinite(sd) and sd > 0 else max(sizes, default=1.0) * 1e-4
+    largest = max([*sizes, step])
+    exponent = 0 if _SMALLEST <= largest < _LARGEST else math.floor(math.log10(largest))
+    formatter = _formatter(1 - _decade(step, 2) + exponent, exponent)
+    return tuple(
+        _unsigned_zero(formatter(value)) if value is not None and math.isfinite(value) else NO_NUMBER
+        for value in values
+    )
+
+
+def _unsigned_zero(text: str) -> str:
+    return text.removeprefix("-") if float(text) == 0 else text
+
+
+def is_exact(value: float | None, sd: float | None) -> bool:
+    """Return whether an uncertainty is only the rounding of the arithmetic: that of a number which nothing changes."""
+    return value is not None and sd is not None and bool(0 <= sd <= _ROUNDING_ERROR * abs(value))
+
+
+def value_and_sd(value: float | None, sd: float | None) -> tuple[str, str]:
+    """Return estimate and standard uncertainty as text: (12.3456, 0.0213) → ("12.346", "0.021")."""
+    if value is not None and is_exact(value, sd):
+        return rounded((value,), None)[0], "0"
+    estimate, uncertainty = rounded((value, sd), sd)
+    return estimate, uncertainty
+
+
+def concise(value: float, sd: float) -> str:
+    """Return the estimate with its standard uncertainty in parentheses, GUM 7.2.2: 12.346(21), -0.00013(23)."""
+    if not sd > 0:
+        return rounded((value,), sd)[0]
+    estimate, uncertainty = value_and_sd(value, sd)
+    if "e" in uncertainty:
+        return f"{estimate} ± {uncertainty}"
+    digits = uncertainty.removeprefix("0.").lstrip("0") if uncertainty.startswith("0.") else uncertainty
+    return estimate if uncertainty == "0" else f"{estimate}({digits})"
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """Return a number of no stated uncertainty to some significant digits, without an exponent where possible."""
+    if value is None or not math.isfinite(value):
+        return NO_NUMBER
+    if value == 0:
+        return "0"
+    if not _SMALLEST <= abs(value) < _LARGEST:
+        return f"{value:.{digits - 1}e}"
+    return _formatter(digits - 1 - _decade(value, digits), 0)(value)
+
+
+def ratio_text(value: float | None) -> str:
+    """Return a ratio near one, such as χ²/n, to two decimals; to three digits where it is large."""
+    if value is None or not math.isfinite(value):
+        return NO_NUMBER
+    if value < 10:
+        return f"{value:.2f}"
+    return significant(value) if value < 1e4 else f"{value:.1e}".replace("e+0", "e")
+
+
+def percent(share: float | None) -> str:
+    """Return a share in per cent, finer toward certainty: 12 %, 97.3 %, 99.96 %, > 99.99 %."""
+    if share is None or not math.isfinite(share):
+        return NO_NUMBER
+    share = 100 * min(max(share, 0.0), 1.0)
+    if share > 99.99:
+        return "> 99.99 %"
+    decimals = 2 if share >= 99.9 else 1 if share >= 95 else 0
+    # Rounded down where it is near certainty: 99.96 % is not 100 %.
+    share = math.floor(share * 10**decimals) / 10**decimals if decimals else share
+    return f"{share:.{decimals}f} %"
+
+
+def chance_text(p: float | None) -> str:
+    """Return a p-value: two digits, and a power of ten where it is small."""
+    if p is None:
+        return "–"
+    return f"{p:.2g}" if p >= 1e-3 else ("< 1e-30" if p < 1e-30 else f"{p:.0e}".replace("e-0", "e-"))
+
+
+def relation(p: float) -> str:
+    """Return a p-value with its sign of equality, or below what is smallest."""
+    text = chance_text(p)
+    return text if text.startswith("<") else f"= {text}"

@@ -1,0 +1,307 @@
+"""Tables of the quality of a fit: goodness of fit, weak directions, contributions of procedures, candidate runs.
+
+What did not converge is said first, in red.  What the data leave together is shown as weak directions, and as the
+combinations that are determined nevertheless.  A run that could be made is described in words.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Protocol, runtime_checkable
+
+from imubayes.display.fit_cautions import SIGNIFICANT, alarm_of, chi2_text, share_of_freedom, tail
+from imubayes.display.layout import Cell, Sheet
+from imubayes.display.numbers_and_labels import (
+    percent,
+    pretty,
+    ratio_text,
+    readable,
+    rounded,
+    significant,
+    value_and_sd,
+)
+from imubayes.foundations.covariates import COVARIATES
+from imubayes.inference.candidate_runs import RunDesign, TemperatureProfile
+from imubayes.inference.identifiability import WeakDirection
+from imubayes.results.summary import CombinationSummary, Contribution, NextRun, RunSummary, Summary, in_output_units
+
+
+def run_design_text(design: RunDesign) -> str:
+    """Return procedure, table and mounting of a run, and what is varied in it."""
+    place = design.procedure
+    if design.table is not None:
+        place += f" on another table than '{design.table}'" if design.another_table else f" on '{design.table}'"
+    if design.mounting is not None:
+        place += f" in mounting '{design.mounting}'"
+    return ("another run: " if design.repeated else "") + ", ".join([place, *_varied(design)])
+
+
+def _varied(design: RunDesign) -> Iterator[str]:
+    if design.max_rate_deg_s is not None:
+        yield f"rates to ±{design.max_rate_deg_s:.0f} deg/s"
+    if design.positions is not None:
+        yield f"{design.positions} positions"
+    if design.current_mA is not None:
+        yield f"current {design.current_mA:.3g} mA ({design.specific_force_g:g} g)"
+    if design.temperature is not None:
+        yield _profile(design.temperature)
+
+
+def _profile(profile: TemperatureProfile) -> str:
+    name = COVARIATES[profile.covariate].phrase
+    between = f"from {profile.low_degC:.3g} to {profile.high_degC:.3g} degC"
+    if profile.form == "ramp":
+        return f"{name} ramped {between}"
+    return f"{name} cycled within {profile.hours:.2g} h {between}, held, and back three times slower"
+
+
+NOT_DETERMINED = 0.1
+_MOST_CONTRIBUTIONS = 6
+
+
+def run_sheet(summary: Summary, most: int | None = None) -> Sheet:
+    """Return n, χ²/n and rms residual of each run and channel, at most `most` lines."""
+    share = share_of_freedom(summary)
+    rows, dividers = [], set()
+    shown = summary.runs[:most]
+    for place, run in enumerate(shown):
+        repeated = place > 0 and shown[place - 1].name == run.name
+        if place and not repeated:
+            dividers.add(place)
+        rms, unit = _rms([run])
+        name = Cell("" if repeated else run.name)
+        rows.append((name, Cell(run.channel), Cell(str(run.n)), _fit_cell(run, share), Cell(rms), Cell(unit)))
+    note = f"{_fit_note(summary)} {more(len(summary.runs) - len(shown))}".strip()
+    head = ("run", "channel", "n", "chi2/n", "rms residual", "unit")
+    return Sheet(
+        "Goodness of fit by run and channel", head, rows, (0, 1, 5), alarm_of(summary), note, frozenset(dividers)
+    )
+
+
+def fit_sheet(summary: Summary) -> Sheet:
+    """Return χ²/n with a line per run and a column per channel, the rms residual of each channel below."""
+    share = share_of_freedom(summary)
+    entries = {(run.name, run.channel): run for run in summary.runs}
+    names = dict.fromkeys(run.name for run in summary.runs)
+    channels = dict.fromkeys(run.channel for run in summary.runs)
+    rows = [(Cell(name), *(_fit_cell(entries.get((name, channel)), share) for channel in channels)) for name in names]
+    sizes = [_rms([run for run in summary.runs if run.channel == channel]) for channel in channels]
+    rows.append((Cell("rms residual"), *(Cell(size) for size, _ in sizes)))
+    rows.append((Cell("unit"), *(Cell(unit) for _, unit in sizes)))
+    head, note = ("chi2/n", *channels), _fit_note(summary)
+    return Sheet("Goodness of fit", head, rows, (0,), alarm_of(summary), note, frozenset({len(names)}))
+
+
+def _fit_cell(run: RunSummary | None, share: float) -> Cell:
+    if run is None or not run.n or run.chi2 is None:
+        return Cell("–", "dim")
+    chance = tail(run.chi2, share * run.n)
+    text = ratio_text(run.chi2 / run.n)
+    if abs(chance) >= SIGNIFICANT or not math.isfinite(chance):
+        return Cell(text)
+    return Cell(text, "bad" if chance >= 0 else "weak")
+
+
+def _rms(runs: Sequence[RunSummary]) -> tuple[str, str]:
+    """Return the root mean square over runs of one channel, and its unit."""
+    known = [(run.n, run.rms) for run in runs if run.n and run.rms is not None]
+    if not known:
+        return "–", pretty(runs[0].unit) if len(runs) == 1 else ""
+    size = math.sqrt(sum(n * rms**2 for n, rms in known) / sum(n for n, _ in known))
+    factor, unit = readable(runs[0].unit, size)
+    return significant(size * factor), pretty(unit)
+
+
+def _fit_note(summary: Summary) -> str:
+    share = share_of_freedom(summary)
+    runs = [run for run in summary.runs if run.n and run.chi2 is not None]
+    excessive = sum(_fit_cell(run, share).mood == "bad" for run in runs)
+    note = ""
+    if summary.chi2 and summary.dof:
+        note = f"Total: {chi2_text(summary)}. "
+    if not excessive:
+        return note + f"No chi2 is larger than noise explains (p < {SIGNIFICANT:g})."
+    verb = "is" if excessive == 1 else "are"
+    return note + f"{excessive} of {len(runs)} {verb} larger than noise explains (p < {SIGNIFICANT:g}, red)."
+
+
+def contribution_sheet(summary: Summary) -> Sheet:
+    """Return the standard uncertainty of angles, scale factors and standard sums from each procedure, and from all."""
+    shown = _leading_contributions(in_output_units(summary))
+    procedures = [share.procedure for share in shown[0].by] if shown else []
+    wide, narrow = [], []
+    for contribution in shown:
+        factor, unit = readable(contribution.unit, contribution.sd)
+        best = min(contribution.by, key=lambda share: share.alone)
+        alone = [Cell(significant(share.alone * factor, 2)) for share in contribution.by]
+        gain = Cell(f"{significant(best.alone / contribution.sd, 2)} ×")
+        last = (Cell(significant(contribution.sd * factor, 2)), gain, Cell(pretty(unit)))
+        wide.append((Cell(contribution.quantity), *alone, *last))
+        sd_of_best = Cell(significant(best.alone * factor, 2))
+        narrow.append((Cell(contribution.quantity), Cell(best.procedure), sd_of_best, *last))
+    note = (
+        "Standard uncertainty from the prior and the runs of one procedure, and from all runs; gain: ratio to the best "
+        f"single procedure. {more(len(summary.contributions) - len(shown))}"
+    ).strip()
+    title, last = "Contribution of each procedure", ("all", "gain", "unit")
+    few = Sheet(title, ("quantity", "best alone", "sd", *last), narrow, (0, 1, 5), "", note)
+    return Sheet(title, ("quantity", *procedures, *last), wide, (0, len(procedures) + 3), "", note, narrow=few)
+
+
+def _leading_contributions(summary: Summary) -> list[Contribution]:
+    """Return the angles, inclined axes first, and the scale factors and standard sums that gain most from all runs."""
+    mean = {derived.name: derived.mean for derived in summary.derived}
+
+    def gain(contribution: Contribution) -> float:
+        return contribution.sd / min(share.alone for share in contribution.by)
+
+    def inclination(contribution: Contribution) -> float:
+        # An angle matters little to the measurement where the axis is along or across the rotation axis.
+        return -abs(round(math.sin(2 * math.radians(mean[contribution.quantity] or 0.0)), 1))
+
+    found = sorted(summary.contributions, key=gain)
+    angles = sorted((c for c in found if c.quantity.startswith("mounting_angle[")), key=inclination)
+    sums = {each.name for each in summary.combinations if not each.standard}
+    others = [c for c in found if not c.quantity.startswith("mounting_angle[") and c.quantity not in sums]
+    return [*angles[:_MOST_CONTRIBUTIONS], *others[:_MOST_CONTRIBUTIONS]]
+
+
+def next_run_sheet(summary: Summary) -> Sheet:
+    """Return the candidate runs, the most informative first; a run is named once for all its quantities."""
+    designs = [run_design_text(run.run) for run in summary.next_runs]
+    first = [not place or designs[place] != designs[place - 1] for place in range(len(designs))]
+    rows = [
+        (Cell(design if new else ""), Cell(run.quantity), Cell(narrowing_text(run)))
+        for design, new, run in zip(designs, first, summary.next_runs, strict=True)
+    ]
+    dividers = frozenset(place for place, new in enumerate(first) if new and place)
+    note, head = "" if rows else "No candidate run was ranked.", ("next run", "quantity", "sd now → after")
+    return Sheet("Most informative next runs", head, rows, (0, 1, 2), "", note, dividers)
+
+
+def narrowing_text(run: NextRun) -> str:
+    """Return the standard deviation of the quantity of a candidate run before and after it."""
+    factor, unit = readable(run.unit, abs(run.sd_before))
+    sizes: Iterable[float] = (run.sd_before, run.sd_after)
+    return f"{' → '.join(significant(sd * factor, 2) for sd in sizes)} {pretty(unit)}"
+
+
+def more(count: int) -> str:
+    """Return where the rows are that are not shown."""
+    return f"{count} more {'row is' if count == 1 else 'rows are'} in summary.json." if count > 0 else ""
+
+
+_NOTE = (
+    "The data determine these sums much better than their leading members; each member counts in its own unit. Symbols "
+    "are those of the standard of the test. "
+)
+
+
+@runtime_checkable
+class Combined(Protocol):
+    """A determined combination, as the summary and as the report have it."""
+
+    @property
+    def name(self) -> str:
+        """Standard symbol, or the sum as it is written."""
+        ...
+
+    @property
+    def standard(self) -> bool:
+        """Whether it has a standard symbol."""
+        ...
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Members."""
+        ...
+
+    @property
+    def weights(self) -> tuple[float, ...] | None:
+        """Weights of the members; None for k cos θ."""
+        ...
+
+    @property
+    def constant(self) -> float:
+        """What is added to the sum."""
+        ...
+
+    @property
+    def middle_of(self) -> str:
+        """Run in the middle of whose record it holds; empty where it does not change with time."""
+        ...
+
+
+def weak_sheet(summary: Summary) -> Sheet:
+    """Return the combinations of parameters that the data did not determine."""
+    rows = [
+        (Cell(weak_text(found)), Cell(percent(found.from_data), "weak" if found.from_data < NOT_DETERMINED else ""))
+        for found in summary.weak_directions
+    ]
+    note = "" if rows else "The data determine every combination of the parameters."
+    return Sheet("Weakly determined combinations", ("combination", "from data"), rows, (0,), "", note)
+
+
+def weak_text(found: WeakDirection) -> str:
+    """Return a weak direction as a sum, or the two quantities of a confusion."""
+    if found.kind == "confusion":
+        return " against ".join(found.quantities)
+    further = f" and {found.left_out} more" if found.left_out else ""
+    return weighted_sum(found.quantities, found.weights) + further
+
+
+def weighted_sum(quantities: tuple[str, ...], weights: tuple[float, ...]) -> str:
+    """Return a sum as it is printed: `a + 0.56·b − c`."""
+    text = ""
+    for name, weight in zip(quantities, weights, strict=True):
+        sign = "− " if weight < 0 else "+ "
+        size = "" if abs(weight) == 1 else f"{abs(weight):.4g}·"
+        text += f"{' ' if text else ''}{sign if text or weight < 0 else ''}{size}{name}"
+    return text
+
+
+def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) -> Sheet:
+    """Return the combinations that the data determine much better than each of their members.
+
+    Parameters
+    ----------
+    most : number of rows.
+    standard : only those that have a symbol in the standard of a test.
+    """
+    known = [found for found in in_output_units(summary).combinations if found.standard or not standard]
+    shown = known[:most]
+    rows = [_row(found) for found in shown]
+    few = [
+        (
+            Cell(symbol_text(found) or members_text(found)),
+            Cell(f"{' ± '.join(value_and_sd(found.mean, found.sd))} {pretty(found.unit)}"),
+        )
+        for found in shown
+    ]
+    title, note = "Determined combinations", (_NOTE + more(len(known) - len(shown))).strip()
+    narrow = Sheet(title, ("combination", "estimate ± sd"), few, (0, 1), alarm_of(summary), note)
+    head = ("symbol", "combination", "estimate", "sd", summary.interval, "unit")
+    return Sheet(title, head, rows, (0, 1, 5), alarm_of(summary), note, narrow=narrow)
+
+
+def _row(found: CombinationSummary) -> tuple[Cell, ...]:
+    mean, sd, low, high = rounded((found.mean, found.sd, found.q025, found.q975), found.sd)
+    return (
+        Cell(symbol_text(found)), Cell(members_text(found)), Cell(mean), Cell(sd), Cell(f"{low} … {high}"),
+        Cell(pretty(found.unit)),
+    )  # fmt: skip
+
+
+def symbol_text(found: Combined) -> str:
+    """Return the standard symbol, with the instant at which it holds: `D[g] at mid-record of servo-day`."""
+    if not found.standard:
+        return ""
+    return f"{found.name} at mid-record of {found.middle_of}" if found.middle_of else found.name
+
+
+def members_text(found: Combined) -> str:
+    """Return a combination as a sum of its members, or k cos θ."""
+    if found.weights is None:
+        scale, angle = found.quantities
+        return f"{scale}·cos({angle})"
+    constant = f"{found.constant:.6g} + " if found.constant else ""
+    return constant + weighted_sum(found.quantities, found.weights)

@@ -1,0 +1,86 @@
+"""How records show themselves: their headlines, and the text and HTML for terminal and notebook.
+
+Text and HTML are registered on import.  The headline is the one line that stands where the whole report would be too
+much.
+"""
+
+from functools import partial
+
+from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.display.fit_report import summary_html, summary_report
+from imubayes.display.layout import report_html, report_text
+from imubayes.display.loop.change_report import change_report, injection_report
+from imubayes.display.loop.diagnosis_report import diagnosis_report
+from imubayes.display.loop.history import history_report
+from imubayes.display.numbers_and_labels import significant
+from imubayes.foundations.records import headline_of, html_of, text_of
+from imubayes.loop.injection_recovery import Trials
+from imubayes.loop.model_history import Tree
+from imubayes.results.change_records import ModelChange
+from imubayes.results.history_tree import shown_place
+from imubayes.results.result import Result
+
+
+def result_headline(result: Result) -> str:
+    """Return campaign, model, convergence, goodness of fit and place of a result."""
+    summary = result.summary
+    fit = "" if summary.chi2 is None else f", χ² {summary.chi2:.0f} for {summary.dof:.0f} degrees of freedom"
+    state = "converged" if summary.converged else "NOT CONVERGED"
+    how = "sampled" if summary.sampled else "Laplace approximation"
+    where = f", in {result.folder}" if result.folder is not None else ""
+    count = len(summary.parameters)
+    return f"<Result {summary.campaign}, model {summary.model}: {state}{fit}, {count} parameters, {how}{where}>"
+
+
+def diagnosis_headline(found: Diagnosis) -> str:
+    """Return the verdict and what to add."""
+    verdict, choice = found.verdict.replace("_", " "), found.suggested
+    return f"<Diagnosis {verdict}{'' if choice is None else ': ' + _on(', '.join(choice.effects), choice.channels)}>"
+
+
+def change_headline(change: ModelChange) -> str:
+    """Return what was added and removed, whether it was taken, and Δχ²."""
+    names = [f"{sign} {_on(each.effect, each.channels)}" for sign, each in change.signed]
+    taken = "taken" if change.taken else "not taken"
+    return f"<ModelChange {', '.join(names)}: {taken}, Δχ² {significant(change.observed.delta_chi2)}>"
+
+
+def tree_headline(tree: Tree) -> str:
+    """Return how many models were tried and which is selected."""
+    return f"<Tree {len(tree.nodes)} models, selected: {', '.join(map(shown_place, tree.selected)) or 'none'}>"
+
+
+def trials_headline(trials: Trials) -> str:
+    """Return how many injected effects were detected."""
+    return f"<Trials {trials.campaign}: {trials.detected} of {len(trials.trials)} injected effects detected>"
+
+
+def _on(effects: str, channels: tuple[str, ...] | None) -> str:
+    return effects + (f" on {', '.join(channels)}" if channels else "")
+
+
+_REPORTS = {
+    ModelChange: partial(change_report, verbose=True),
+    Diagnosis: partial(diagnosis_report, verbose=True),
+    Tree: history_report,
+    Trials: injection_report,
+}
+for _record, _report in _REPORTS.items():
+    text_of.register(_record, lambda record, report=_report: report_text(report(record)))
+    html_of.register(_record, lambda record, report=_report: report_html(report(record)))
+
+headline_of.register(ModelChange, change_headline)
+headline_of.register(Diagnosis, diagnosis_headline)
+headline_of.register(Tree, tree_headline)
+headline_of.register(Trials, trials_headline)
+headline_of.register(Result, result_headline)
+
+
+@text_of.register
+def _(record: Result) -> str:
+    return report_text(summary_report(record.summary))
+
+
+@html_of.register
+def _(record: Result) -> str:
+    return summary_html(record.summary)

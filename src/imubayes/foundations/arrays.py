@@ -1,0 +1,154 @@
+"""Arrays in compiled functions: names of shapes, indexing, transfer to the device, batches, and rotations in JAX.
+
+The letters used in shapes throughout: N nodes (instants at which the signal path is evaluated), R rows (recorded
+values), C channels of one kind, E entries (rows × channels that were measured), P parameters (θ, in z), H
+hyperparameters (noise scales, in z).
+
+Indexing is unchecked, and batches have a fixed size.
+
+Frames: n local level (x East, y North, z Up), t table (z along the rotation axis), b body.  `C_nb` transforms a vector
+from b to n.  Rotations are twice differentiable at zero angle.  Their products are written out by component, so that
+XLA fuses them with the surrounding elementwise operations; a batched 3 × 3 matrix product would become a library call.
+"""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+# What is NumPy when a model is declared is a JAX array when it is computed with.
+Array = jax.Array | np.ndarray
+
+Scalar = Float[Array, ""]
+Vector3 = Float[Array, "3"]
+Matrix3 = Float[Array, "3 3"]
+# One value for each node or channel, or a single one: what travels along the path is batched by vmap.
+Scalars = Float[Array, "*batch"]
+Vectors = Float[Array, "*batch 3"]
+Matrices = Float[Array, "*batch 3 3"]
+Flag = Bool[Array, ""]
+
+
+def vector3(x: Scalar, y: Scalar, z: Scalar) -> Vector3:
+    """Return the vector of three components."""
+    return jnp.stack([x, y, z])
+
+
+__all__ = [
+    "Array",
+    "Bool",
+    "Flag",
+    "Float",
+    "Int",
+    "Matrices",
+    "Matrix3",
+    "Scalar",
+    "Scalars",
+    "Vector3",
+    "Vectors",
+    "vector3",
+]
+
+
+def take(values: Array, places: Int[Array, "..."]) -> Array:
+    """Return values[places]; all indices must be non-negative and within the first axis.
+
+    Plain indexing compiles to bounds and sign checks that cost more than the gather itself.
+    """
+    return jnp.asarray(values).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+def on_device(tree: Any) -> Any:
+    """Return a pytree with its arrays on the device, so that calls of a compiled function do not copy them again.
+
+    Indices become int32, as the compiled gather uses them.
+    """
+    return jax.device_put(jax.tree.map(_shorten, tree))
+
+
+def _shorten(leaf: Any) -> Any:
+    is_long = isinstance(leaf, np.ndarray | jax.Array) and leaf.dtype == np.int64
+    return leaf.astype(np.int32) if is_long else leaf
+
+
+def in_batches(function: Callable[[np.ndarray], Array], points: np.ndarray, size: int) -> np.ndarray:
+    """Apply a function of `size` points to any number of points, (n, P) → (n, …).
+
+    All batches have one size, the last padded with zeros, so that the function is compiled only once.
+    """
+    count = max(1, math.ceil(len(points) / size))
+    padded = np.concatenate([points, np.zeros((count * size - len(points), points.shape[1]))])
+    return np.concatenate([np.asarray(function(batch)) for batch in np.split(padded, count)])[: len(points)]
+
+
+# Below this angle² the series of sin(x)/x and (1 − cos x)/x² to x⁴ is exact to the last bit of a double.
+_SERIES_BELOW = 1e-4
+# Traced once for all that call it, and then a part of their program: tracing takes longer than compiled code to load.
+_traced_once = partial(jax.jit, inline=True)
+
+
+@_traced_once
+def rotate(matrix: Matrix3, vector: Vector3) -> Vector3:
+    """Return matrix · vector."""
+    x, y, z = vector[0], vector[1], vector[2]
+    return jnp.stack([matrix[i, 0] * x + matrix[i, 1] * y + matrix[i, 2] * z for i in range(3)])
+
+
+@_traced_once
+def rotate_back(matrix: Matrix3, vector: Vector3) -> Vector3:
+    """Return matrixᵀ · vector."""
+    x, y, z = vector[0], vector[1], vector[2]
+    return jnp.stack([matrix[0, i] * x + matrix[1, i] * y + matrix[2, i] * z for i in range(3)])
+
+
+@_traced_once
+def compose(first: Matrix3, second: Matrix3) -> Matrix3:
+    """Return first · second."""
+    return jnp.stack([rotate(first, second[:, column]) for column in range(3)], axis=1)
+
+
+@_traced_once
+def cross(a: Vector3, b: Vector3) -> Vector3:
+    """Return a × b."""
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@_traced_once
+def exponential(rotation: Vector3) -> Matrix3:
+    """Return exp([rotation]×), the matrix of a rotation vector in rad.
+
+    At small angles the coefficients are series, and the unused branch is evaluated at a safe angle, so that first
+    and second derivatives are finite and correct at zero.
+    """
+    x, y, z = rotation[0], rotation[1], rotation[2]
+    square = x * x + y * y + z * z
+    small = square < _SERIES_BELOW
+    safe = jnp.where(small, 1.0, square)
+    angle = jnp.sqrt(safe)
+    sinc = jnp.where(small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), jnp.sin(angle) / angle)
+    versine = jnp.where(small, 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56)), (1 - jnp.cos(angle)) / safe)
+    return jnp.stack(
+        [
+            jnp.stack([1 - versine * (y * y + z * z), versine * x * y - sinc * z, versine * x * z + sinc * y]),
+            jnp.stack([versine * x * y + sinc * z, 1 - versine * (x * x + z * z), versine * y * z - sinc * x]),
+            jnp.stack([versine * x * z - sinc * y, versine * y * z + sinc * x, 1 - versine * (x * x + y * y)]),
+        ]
+    )
+
+
+@_traced_once
+def turn_back_about_z(vector: Vector3, angle: Scalar) -> Vector3:
+    """Return Rz(angle)ᵀ · vector; angle in rad."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([c * vector[0] + s * vector[1], c * vector[1] - s * vector[0], vector[2]])
+
+
+@_traced_once
+def small_rotation(matrix: Matrix3) -> Vector3:
+    """Return sin(θ)·axis of a rotation matrix, which is smooth and equals the rotation vector up to O(θ³)."""
+    return 0.5 * jnp.stack([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])

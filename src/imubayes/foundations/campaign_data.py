@@ -1,0 +1,299 @@
+"""What was recorded, in SI, and on which equipment: the data that everything above works on.
+
+A `Campaign` is one unit's set of runs.  A `Run` holds rows: each row is the mean of `samples` raw samples taken while
+the stimulus was what the covariates say.  These are plain frozen records of NumPy arrays; files and units are the
+business of `imubayes.campaign`, pictures and datasheet units of `imubayes.display`.  Names of the components of input
+axes, `input_axis[channel,component]`, are written and read here alone.
+
+A unit has a grade, to which default priors belong.  The default prior of a parameter is that of a tactical or
+navigation-grade unit.  Where coarser units are met with larger errors, the parameter declares the widths for these:
+`coarse`, for an industrial and for a consumer unit.  Widths are the largest values of data sheets: consumer, MPU-6050,
+MPU-9250, BMI160, ICM-20948, LSM6DS3 (zero-rate output 5 to 20 deg/s, sensitivity 3 %, cross-axis 2 %, zero-g 60 to
+80 mg); industrial, ADIS16448, ADIS16465, MTi-30, HG4930 (0.2 to 1 deg/s, 0.2 to 1 %, 0.05 to 0.2 deg, 10 to 20 mg).
+Where data sheets are silent (g², dT/dt, hysteresis) the width follows from the bias or the scale factor in the ratio
+that it has for better units.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from imubayes.foundations.earth import table_to_local, towards
+
+Grade = Literal["consumer", "industrial", "tactical", "navigation"]
+GRADES: tuple[Grade, ...] = get_args(Grade)
+
+
+def graded_prior(prior: str, unit: str, coarse: tuple[float, float] | None, grade: Grade) -> str:
+    """Return the default prior of a parameter for a grade of unit, as written in a model file.
+
+    Parameters
+    ----------
+    prior : for tactical and navigation grade.
+    unit : of the widths.
+    coarse : width (of a lognormal prior the median) for industrial and consumer grade; None where it is the same.
+    """
+    if coarse is None or grade not in ("industrial", "consumer"):
+        return prior
+    width = f"{coarse[0 if grade == 'industrial' else 1]:g} {unit}"
+    family, arguments = prior.rstrip(")").split("(", 1)
+    if family == "normal":
+        return f"normal(0, {width})"
+    return ", ".join([f"{family}({width}", *arguments.split(",")[1:]]).replace(",  ", ", ") + ")"
+
+
+Kind = Literal["gyro", "accelerometer", "angle"]
+INPUT_UNIT: dict[str, str] = {"gyro": "deg/s", "accelerometer": "g", "angle": "deg"}
+"""Unit in which inputs and residuals at the input are stated, by kind of channel."""
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where the test was made: latitude in rad, height in m, gravity and its standard uncertainty in m/s².
+
+    The uncertainty is 0 where gravity is exact, and None where it is not stated.
+    """
+
+    latitude: float
+    height: float
+    gravity: float
+    gravity_uncertainty: float | None = None
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One sensitive axis with its readout.
+
+    Attributes
+    ----------
+    name : its column in the run tables.
+    kind : ``gyro`` or ``accelerometer``; ``angle`` for the reading of a table that a gyro drives, which is no channel
+        of the unit.
+    axes : shape (3, 3); rows are the nominal input, output and spin/pendulous axis (I, O, S) in body axes,
+        a right-handed orthonormal set.
+    output_unit : free text, for labels.
+    scale : nominal output units per `per`.
+    per : input unit of the datasheet: deg/s, deg/h, rad/s, g or m/s^2.
+    scale_si : nominal output units per rad/s or per m/s².
+    offset : nominal output at zero input, output units.
+    noise : standard deviation of one raw sample, output units, or None where nothing is known.
+    current_per_acceleration : sensor current in A per m/s², or None; for injected currents.
+    """
+
+    name: str
+    kind: Kind
+    axes: np.ndarray
+    output_unit: str
+    scale: float
+    per: str
+    scale_si: float
+    offset: float = 0.0
+    noise: float | None = None
+    current_per_acceleration: float | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of one, two or three axes, or a centrifuge.
+
+    Azimuth and elevation are those of the outer axis, which carries the middle one and that the inner one, on which the
+    unit is mounted.  Each axis has a frame with z along it; at zero angles the frame of an axis is that of the outer
+    one after the smallest rotation that takes z to its direction.  A table of one axis is an inner axis alone.
+
+    Attributes
+    ----------
+    name : as in campaign files.
+    azimuth, elevation : rad.
+    axis_uncertainty, rate_uncertainty, angle_uncertainty : of the direction of the outer axis, rad; of rates, ratio; of
+        an angle that is read, rad.
+    middle_axis, inner_axis : unit vectors in the frame of the outer axis at zero angles; None where there is none, or
+        where one axis is all.
+    arm : distance of the inner from the outer axis along x of the outer one, m; 0 but for a centrifuge.
+    zero_uncertainty, squareness_uncertainty : of the zero of each axis and of the angle between successive axes, rad.
+    intersection_uncertainty, arm_uncertainty : of the distance between successive axes and of the arm, m.
+    azimuth_uncertainty, elevation_uncertainty : rad; None where they are that of the axis.
+    zero_angle : reading of the angle of the inner axis at its zero, rad; angles of runs are counted from that zero.
+
+    All uncertainties are one sigma; 0 is exact.
+    """
+
+    name: str
+    azimuth: float
+    elevation: float
+    axis_uncertainty: float | None = None
+    rate_uncertainty: float | None = None
+    angle_uncertainty: float | None = None
+    middle_axis: tuple[float, float, float] | None = None
+    inner_axis: tuple[float, float, float] | None = None
+    arm: float = 0.0
+    zero_uncertainty: float | None = None
+    squareness_uncertainty: float | None = None
+    intersection_uncertainty: float | None = None
+    arm_uncertainty: float | None = None
+    azimuth_uncertainty: float | None = None
+    elevation_uncertainty: float | None = None
+    zero_angle: float = 0.0
+
+    @property
+    def tilt_uncertainty(self) -> tuple[float | None, float | None]:
+        """Uncertainty of the direction of the outer axis about table x and y at angle 0, rad; None where not stated.
+
+        Table x is horizontal: a tilt about it is one of the elevation, and one about y moves the axis by the azimuth
+        times the cosine of the elevation.
+        """
+        across, about_x, about_y = self.axis_uncertainty, self.elevation_uncertainty, self.azimuth_uncertainty
+        return (
+            across if about_x is None else about_x,
+            across if about_y is None else about_y * math.cos(self.elevation),
+        )
+
+    @property
+    def outer_to_local(self) -> np.ndarray:
+        """C of the frame of the outer axis at angle 0 to the local level, shape (3, 3)."""
+        return table_to_local(self.azimuth, self.elevation)
+
+    @property
+    def to_local(self) -> np.ndarray:
+        """C of the frame of the inner axis at zero angles to the local level, shape (3, 3)."""
+        return self.outer_to_local if self.inner_axis is None else self.outer_to_local @ towards(self.inner_axis)
+
+    @property
+    def links(self) -> np.ndarray:
+        """Rotations from the frame of the next axis to that of the outer and of the middle axis, shape (2, 3, 3).
+
+        A table of two axes has no middle one: its place is taken by one along the inner axis that stands still.
+        """
+        inner = np.eye(3) if self.inner_axis is None else towards(self.inner_axis)
+        middle = inner if self.middle_axis is None else towards(self.middle_axis)
+        return np.stack([middle, middle.T @ inner])
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """How the unit sits on a table: nominal body_to_table (3, 3), seat uncertainty per angle in rad, 0 exact."""
+
+    name: str
+    body_to_table: np.ndarray
+    uncertainty: float | None = None
+
+
+@dataclass(frozen=True)
+class Tumble:
+    """The moving part of a free tumble: what the gyros saw between one static pose and the next.
+
+    Attributes
+    ----------
+    pose : shape (R,); the pose (0, 1, …) that each row of the run was taken in.
+    attitude : shape (poses, 3, 3); first estimate of body → local level of each pose, heading arbitrary.
+    start, stop : shape (transitions,); the poses that a transition joins.
+    step : shape (transitions, K); length of each integration step in s, 0 where padded.
+    readings : shape (transitions, K, C); mean channel outputs over each step, output units, 0 where padded.
+    coning : shape (transitions, K, 3); body rotation vector of each step less its mean rate times its length, in
+        rad, from the nominal calibration: what averaging the rate over a step leaves out.
+    flagged : shape (poses,); True where the pose was disturbed and is excluded from the fit.
+    """
+
+    pose: np.ndarray
+    attitude: np.ndarray
+    start: np.ndarray
+    stop: np.ndarray
+    step: np.ndarray
+    readings: np.ndarray
+    coning: np.ndarray
+    flagged: np.ndarray
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recorded run, reduced to rows.
+
+    Attributes
+    ----------
+    name, procedure : as in the campaign file.
+    table, mounting : names in the campaign, or None where the procedure has none.
+    covariates : name in `imubayes.foundations.covariates.COVARIATES` → shape (R,) in SI.  `table_angle` is NaN where a
+        row is a mean over whole turns.  `table_angle_span` is the angle swept during a row, 0 at rest.
+    observed : shape (R, C) over the campaign's channels, output units, NaN where missing.
+    samples : shape (R,) number of raw samples in each row's mean.
+    sample_sd : shape (R, C) standard deviation of the raw samples of each row, NaN where unknown.
+    start : ISO date and time of the run's beginning, or None.
+    tumble : the moving part, for a free tumble.
+    attitude : shape (R, 3, 3), body → local level of each row, where the record names directions instead of angles.
+    notes : what the reduction did and what it left out, one sentence each.
+    temperature_uncertainty, converter_temperature_uncertainty : standard uncertainty of what all rows have in common of
+        these temperatures, °C; None or 0 where they are exact.
+    """
+
+    name: str
+    procedure: str
+    table: str | None
+    mounting: str | None
+    covariates: Mapping[str, np.ndarray]
+    observed: np.ndarray
+    samples: np.ndarray
+    sample_sd: np.ndarray
+    start: str | None = None
+    tumble: Tumble | None = None
+    attitude: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+    temperature_uncertainty: float | None = None
+    converter_temperature_uncertainty: float | None = None
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.samples)
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """One unit, its equipment and its runs.
+
+    `digest` identifies the data (SHA-256 of files as read), `folder` is where they were read; both empty where the
+    campaign came from no files.  `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all
+    inputs, as a ratio; None for the default.
+    """
+
+    name: str
+    site: Site
+    channels: tuple[Channel, ...]
+    tables: Mapping[str, Table]
+    mountings: Mapping[str, Mounting]
+    runs: tuple[Run, ...]
+    serial: str = ""
+    digest: str = ""
+    notes: tuple[str, ...] = field(default=())
+    folder: str = ""
+    grade: Grade | None = None
+    delta_k_threshold: float | None = None
+
+    def of_kind(self, kind: str) -> list[Channel]:
+        """Return the channels of a kind, in order."""
+        return [channel for channel in self.channels if channel.kind == kind]
+
+    def as_read(self, run: Run, covariate: str) -> np.ndarray:
+        """Return a covariate of a run as it was read, (R,) in SI: the angle of a table on its scale."""
+        table = self.tables.get(run.table or "")
+        zero = table.zero_angle if table is not None and covariate == "table_angle" else 0.0
+        return run.covariates[covariate] + zero
+
+    def only(self, *names: str) -> "Campaign":
+        """Return the campaign restricted to the named runs, in their original order."""
+        return replace(self, runs=tuple(run for run in self.runs if run.name in names))
+
+
+COMPONENTS = ("x", "y", "z")
+_START = "input_axis["
+
+
+def component_names(channel: str) -> tuple[str, ...]:
+    """Return the names of the three components of a channel's input axis."""
+    return tuple(f"{_START}{channel},{component}]" for component in COMPONENTS)
+
+
+def channel_of_component(name: str) -> str | None:
+    """Return the channel where a derived quantity is a component of its input axis; None of any other quantity."""
+    return name.removeprefix(_START).rpartition(",")[0] if name.startswith(_START) else None

@@ -1,0 +1,230 @@
+"""The registry of covariates: what a run may carry beside the outputs of its channels, one entry each.
+
+An entry holds every fact about a covariate: its column in run tables and results, the unit there and in SI, the words
+and the symbol it is shown by, and whether effects see it, figures show it and diagnosis regresses residuals on it.
+Adding a covariate is adding an entry.  In a unit, g is the gravity of the site.  Beside covariates, effects need
+conditions of a run, such as a table that turns; they are registered at the end.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from imubayes.foundations.units import STANDARD_GRAVITY, to_si
+
+Origin = Literal["recorded", "derived", "sample"]
+REFERENCE_TEMPERATURE = 25.0
+"""Temperature at which scale factors and biases are stated, and to which thermal terms refer by default, °C."""
+
+
+@dataclass(frozen=True)
+class Covariate:
+    """One covariate.
+
+    Attributes
+    ----------
+    name : key in `Run.covariates` and attribute of `sample.ambient`.
+    column : name in run tables, residuals and diagnoses; the suffix is the unit.
+    unit : unit of the column, for files and display.
+    si : SI unit of the values inside (temperatures stay in °C).
+    phrase : name in sentences and on axes.
+    origin : ``recorded`` in a column, ``derived`` from recorded columns by the procedure, or evaluated by the model at
+        each ``sample`` along the axes of the channel.
+    ambient : whether effects see it as `sample.ambient.<name>`.
+    shown : whether residual tables and figures have it.
+    regressor : whether diagnosis looks for residuals that depend on it.
+    symbol : symbol in formulas; empty where the formula search leaves it out.
+    centre : value that formulas subtract from it, `unit`.
+    expression : Python of the value in SI in a generated effect; `sample.ambient.<name>` where empty.
+    needs : what a run must supply for it; its own name where None.
+    source : what brings it into a run, where the column alone does not.
+    periodic : whether it is an angle, which enters formulas by harmonics.
+    symmetric : whether it acts alike in both directions, so that a resonance lies at its magnitude.
+    absent : what a run without it has; empty where it has some value that nobody knows, so that an effect that needs
+        it cannot be bound to that run.
+    """
+
+    name: str
+    column: str
+    unit: str
+    si: str
+    phrase: str
+    origin: Origin = "recorded"
+    ambient: bool = True
+    shown: bool = True
+    regressor: bool = True
+    symbol: str = ""
+    centre: float = 0.0
+    expression: str = ""
+    needs: tuple[str, ...] | None = None
+    source: str = ""
+    periodic: bool = False
+    symmetric: bool = False
+    absent: str = ""
+
+    def factor(self, gravity: float = STANDARD_GRAVITY) -> float:
+        """Return the factor from `unit` to SI at a site of the given gravity, m/s²."""
+        return to_si(self.unit, gravity)
+
+    @property
+    def python(self) -> str:
+        """The value less its centre, in SI, as a generated effect writes it."""
+        plain = self.expression or f"sample.ambient.{self.name}"
+        return f"({plain} - {self.centre})" if self.centre else plain
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """What a run must supply for it."""
+        return (self.name,) if self.needs is None else self.needs
+
+
+def _sample_axes() -> Iterable[Covariate]:
+    for number, (letter, axis) in enumerate(zip("ios", ("input", "output", "third"), strict=True)):
+        yield Covariate(
+            f"rate_{letter}", f"rate_{letter}", "deg/s", "rad/s", f"rate along the {axis} axis", "sample",
+            ambient=False, shown=False, symbol=f"Ω_{letter}", expression=f"sample.rate[{number}]", needs=(),
+            symmetric=True,
+        )  # fmt: skip
+    for number, (letter, axis) in enumerate(zip("ios", ("input", "output", "third"), strict=True)):
+        yield Covariate(
+            f"force_{letter}", f"force_{letter}", "g", "m/s^2", f"specific force along the {axis} axis", "sample",
+            ambient=False, shown=False, symbol=f"f_{letter}", expression=f"sample.force[{number}]", needs=(),
+            symmetric=True,
+        )  # fmt: skip
+
+
+def _outer_axes() -> Iterable[Covariate]:
+    for name, letter in (("outer", "o"), ("middle", "m")):
+        yield Covariate(
+            f"{name}_rate", f"{name}_rate_deg_s", "deg/s", "rad/s", f"rate of the {name} axis", regressor=False,
+            absent="no such axis",
+        )  # fmt: skip
+        yield Covariate(
+            f"{name}_angle", f"{name}_angle_deg", "deg", "rad", f"angle of the {name} axis", symbol=f"φ_{letter}",
+            periodic=True, source=f"a run on a table with {_ARTICLE[name]} {name} axis", absent="no such axis",
+        )  # fmt: skip
+        yield Covariate(
+            f"{name}_angle_span", f"{name}_angle_span_deg", "deg", "rad", f"angle swept by the {name} axis",
+            ambient=False, shown=False, regressor=False,
+        )  # fmt: skip
+        yield Covariate(
+            f"{name}_acceleration", f"{name}_acceleration_deg_s2", "deg/s^2", "rad/s^2",
+            f"acceleration of the {name} axis", ambient=False, shown=False, regressor=False,
+        )  # fmt: skip
+
+
+_ARTICLE = {"outer": "an", "middle": "a"}
+_KELVIN_PER_SECOND = "degC/s"
+_ENTRIES = (
+    Covariate("time", "time_s", "s", "s", "time since the start of the run", symbol="t"),
+    Covariate(
+        "campaign_time", "campaign_time_h", "h", "s", "time since the first run", "derived", shown=False,
+        source="time_s, and 'start' of the run where other runs have it",
+    ),
+    Covariate("power_on", "power_on_s", "s", "s", "time since power-on", symbol="t_on", absent="long since on"),
+    Covariate(
+        "table_rate", "table_rate_deg_s", "deg/s", "rad/s", "table rate", regressor=False, absent="a table at rest"
+    ),
+    Covariate(
+        "table_angle", "table_angle_deg", "deg", "rad", "table angle", symbol="φ", periodic=True,
+        source="a run on a table", absent="no table, or means over whole turns",
+    ),
+    Covariate(
+        "table_angle_span", "table_angle_span_deg", "deg", "rad", "table angle swept", ambient=False, shown=False,
+        regressor=False,
+    ),
+    Covariate(
+        "table_acceleration", "table_acceleration_deg_s2", "deg/s^2", "rad/s^2", "table acceleration", ambient=False,
+        shown=False, regressor=False,
+    ),
+    *_outer_axes(),
+    Covariate(
+        "temperature", "temperature_degC", "degC", "degC", "temperature", symbol="ΔT", centre=25.0,
+        source="temperature_degC, as a column or for the whole run",
+    ),
+    Covariate(
+        "temperature_rate", "temperature_rate_degC_min", "degC/min", _KELVIN_PER_SECOND,
+        "the rate of change of temperature", "derived", shown=False, symbol="dT/dt", symmetric=True,
+        source="time_s and a temperature_degC that changes",
+    ),
+    Covariate(
+        "converter_temperature", "converter_temperature_degC", "degC", "degC", "converter temperature", symbol="ΔT_c",
+        centre=25.0, source="converter_temperature_degC, as a column or for the whole run",
+    ),
+    Covariate(
+        "converter_temperature_rate", "converter_temperature_rate_degC_min", "degC/min", _KELVIN_PER_SECOND,
+        "the rate of change of the converter's temperature", "derived", shown=False,
+        source="time_s and a converter_temperature_degC that changes",
+    ),
+    Covariate("current", "current_mA", "mA", "A", "injected current", absent="none"),
+    Covariate(
+        "vibration", "vibration_g_rms", "g", "m/s^2", "vibration, rms", shown=False, regressor=False, absent="none"
+    ),
+    *(
+        Covariate(
+            f"reference_{axis}", f"reference_{axis}_deg_s", "deg/s", "rad/s", f"rate of the reference about {axis}",
+            ambient=False, shown=False, regressor=False,
+        )
+        for axis in "xyz"
+    ),
+    *_sample_axes(),
+)  # fmt: skip
+
+COVARIATES: dict[str, Covariate] = {covariate.name: covariate for covariate in _ENTRIES}
+"""Name → covariate."""
+
+
+def recorded() -> tuple[Covariate, ...]:
+    """Return the covariates that are columns of run tables."""
+    return tuple(covariate for covariate in COVARIATES.values() if covariate.origin == "recorded")
+
+
+def recorded_columns() -> tuple[str, ...]:
+    """Return the columns of run tables that hold covariates."""
+    return tuple(covariate.column for covariate in recorded())
+
+
+def ambient_names() -> tuple[str, ...]:
+    """Return the names of the covariates that effects see."""
+    return tuple(covariate.name for covariate in COVARIATES.values() if covariate.ambient)
+
+
+def shown() -> tuple[Covariate, ...]:
+    """Return the covariates of residual tables and figures."""
+    return tuple(covariate for covariate in COVARIATES.values() if covariate.shown)
+
+
+def regressors() -> tuple[Covariate, ...]:
+    """Return the covariates of diagnosis: rates and forces, temperatures, the other recorded ones, the derived."""
+    order = {"sample": 0, "recorded": 1, "derived": 2}
+    chosen = [covariate for covariate in COVARIATES.values() if covariate.regressor]
+    return tuple(sorted(chosen, key=lambda covariate: (order[covariate.origin], covariate.si != "degC")))
+
+
+CONDITIONS: dict[str, str] = {
+    "turning": "a run that turns",
+    "acceleration": "table_acceleration_deg_s2 that is not 0",
+    "larger input": "a larger input",
+    "response": "a run that responds to it",
+    "second run": "a second run of the channel",
+    "reference": "a reference gyro that rides along",
+    "injection": "a run of procedure current_injection",
+    "temperature uncertainty": "a run that states temperature_uncertainty_degC",
+    "converter_temperature uncertainty": "a run that states converter_temperature_uncertainty_degC",
+    "driven": "a table that the gyro drives",
+    "directions": "positions named by directions of the site (i_axis, o_axis)",
+    "table": "a run on a table",
+    "mounting": "a run in a mounting",
+    "pose": "a free tumble",
+    "free tumble": "a free tumble",
+    "gyro": "a gyro",
+    "accelerometer": "an accelerometer",
+}
+"""What would bring an effect out that no run shows, other than a covariate → the same in words."""
+
+
+def remedy(need: str) -> str:
+    """Return what brings a covariate or condition into a run, in words."""
+    if need in COVARIATES:
+        return COVARIATES[need].source or COVARIATES[need].column
+    return CONDITIONS.get(need, need)

@@ -1,0 +1,331 @@
+"""What a format for constants on board cannot hold, with the errors; kalibr's matrices and noise densities.
+
+A loss is *significant* where the error of leaving it out is larger than its expanded uncertainty, k = 2 (GUM § 6.2):
+then the constants are not those of the fit, and the format is refused unless the loss is accepted.  A smaller one is
+within what is known of it.
+
+kalibr's `scale-misalignment` model goes from the truth to the reading, r_a = M_a f + b_a and r_g = M_g C ω + A C f +
+b_g in the frame i of its IMU, with M_a and M_g lower triangular and C = C_gyro_i a rotation
+(kalibr_imu_camera_calibration/IccSensors.py, IccScaledMisalignedImu).  Frame i is therefore fixed by the
+accelerometers: the inverse of the matrix of the constants is split into a lower triangle and a rotation, C_i_body.
+
+The noise of a triad is given as filters ask for it: white noise density and random walk, of its noisiest axis.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.noise_analysis.cosine_spectra import NoiseTerm
+from imubayes.noise_analysis.noise_record import StaticNoise, coefficient_unit
+from imubayes.qualification.onboard.record import OnboardConstants, ThermalPolynomial, TriadConstants
+from imubayes.results.result import Result
+
+
+@dataclass(frozen=True)
+class KalibrMatrices:
+    """Matrices of kalibr's model, shape (3, 3) each; those of a triad that the unit lacks are None.
+
+    Attributes
+    ----------
+    accelerometers, gyroscopes : M_a and M_g, lower triangular with positive diagonals.
+    g_sensitivity : A, rad/s per m/s².
+    gyro_from_imu : C_gyro_i.
+    imu_from_body : rotation from the body axes of the constants to kalibr's frame i.
+    """
+
+    accelerometers: np.ndarray | None
+    gyroscopes: np.ndarray | None
+    g_sensitivity: np.ndarray | None
+    gyro_from_imu: np.ndarray | None
+    imu_from_body: np.ndarray
+
+
+def kalibr_matrices(constants: OnboardConstants) -> KalibrMatrices:
+    """Return the constants at the reference temperature as kalibr's matrices; triads must have three channels."""
+    accelerometers, gyros = constants.triad("accelerometer"), constants.triad("gyro")
+    lower, imu_from_body = None, np.eye(3)
+    if accelerometers is not None:
+        lower, imu_from_body = lower_and_rotation(np.linalg.inv(np.array(accelerometers.matrix)))
+    if gyros is None:
+        return KalibrMatrices(lower, None, None, None, imu_from_body)
+    forward = np.linalg.inv(np.array(gyros.matrix))
+    own, rotation = lower_and_rotation(forward @ imu_from_body.T)
+    body = np.zeros((3, 3)) if gyros.g_sensitivity is None else forward @ np.array(gyros.g_sensitivity)
+    return KalibrMatrices(lower, own, body @ imu_from_body.T @ rotation.T, rotation, imu_from_body)
+
+
+def lower_and_rotation(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return L and Q of matrix = L Q: lower triangular with a positive diagonal, and orthogonal; shape (3, 3) each."""
+    q, r = np.linalg.qr(matrix.T)
+    signs = np.sign(np.diag(r))
+    return (r.T * signs), (q * signs).T
+
+
+_SECONDS = math.sqrt(3600.0)
+
+
+@dataclass(frozen=True)
+class NoiseDensity:
+    """The noise of the gyros or the accelerometers.
+
+    Attributes
+    ----------
+    white : rad/s/√Hz or m/s²/√Hz; None where unknown.
+    walk : rad/s²/√Hz or m/s³/√Hz; None where unknown.
+    walk_is_limit : whether the walk is an upper limit of 95 %.
+    """
+
+    white: float | None
+    walk: float | None
+    walk_is_limit: bool = False
+
+
+def read_noise(file: Path) -> StaticNoise:
+    """Read what `imubayes noise --out` wrote.
+
+    Raises
+    ------
+    InputError
+        where the file is missing or no such record.
+    """
+    file = file / "noise.json" if file.is_dir() else file
+    try:
+        return StaticNoise.model_validate_json(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        fault = "there is no such file" if not file.is_file() else "the file is no noise record"
+        raise InputError(
+            Issue(fault, str(file), "noise.json, as `imubayes noise CAMPAIGN --out FOLDER` writes it", "give its path")
+        ) from error
+
+
+def of_record(noise: StaticNoise, campaign: Campaign) -> dict[str, NoiseDensity]:
+    """Return the noise of a static record, kind → density."""
+    found = {}
+    for kind in ("gyro", "accelerometer"):
+        white, walk, limit = [], [], False
+        for record in noise.channels:
+            channel = next((c for c in campaign.of_kind(kind) if c.name == record.channel), None)
+            if channel is None:
+                continue
+            for term, into in ((NoiseTerm.WHITE, white), (NoiseTerm.RANDOM_WALK, walk)):
+                si = coefficient_unit(channel, term, campaign.site.gravity)[1]
+                own = record.of(term)
+                value = own.value if own.determined else own.upper_limit
+                if value is not None:
+                    into.append((value * si, not own.determined))
+        if white:
+            largest = max(walk) if walk else (None, False)
+            limit = largest[1]
+            found[kind] = NoiseDensity(max(white)[0], largest[0], limit)
+    return found
+
+
+def of_fit(result: Result, constants: OnboardConstants, rate: float | None) -> dict[str, NoiseDensity]:
+    """Return the noise that a fit knows: white noise of one sample at a rate in Hz, a random walk where it has one."""
+    walks = {
+        line.name[len("random_walk_noise.k[") : -1]: line.mean
+        for line in result.summary.parameters
+        if line.name.startswith("random_walk_noise.k[") and line.mean is not None
+    }
+    return {triad.kind: of_triad(triad, walks, rate) for triad in constants.triads}
+
+
+def of_triad(triad: TriadConstants, walks: Mapping[str, float], rate: float | None) -> NoiseDensity:
+    """Return the noise of a triad from that of a sample and random walks by channel, in output units over 1 h."""
+    scales = dict(zip(triad.channels, triad.nominal_scale, strict=True))
+    own = [walks.get(name, walks.get("all", 0.0)) / abs(scale) / _SECONDS for name, scale in scales.items()]
+    return NoiseDensity(max(triad.sample_noise) / math.sqrt(rate) if rate else None, max(own) or None)
+
+
+COVERAGE = 2.0
+_TEMPERATURES = 11
+_ALONG = 0.9
+
+Target = Literal["c", "kalibr", "px4", "ardupilot"]
+LossKind = Literal[
+    "misalignment", "scale_factor", "g_sensitivity", "gain_temperature", "bias_order", "converter_temperature", "effect"
+]
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """What a format holds beside biases.
+
+    Attributes
+    ----------
+    matrix, g_sensitivity, gain_temperature : whether M, A and κ(T) are held.
+    scale : kinds of channels of which the diagonal of M is held.
+    bias_order : highest power of sensor temperature in b(T); None where there is no limit.
+    converter : whether polynomials may depend on the converter's temperature.
+    """
+
+    matrix: bool
+    g_sensitivity: bool
+    gain_temperature: bool
+    scale: tuple[str, ...]
+    bias_order: int | None
+    converter: bool
+
+
+_BOTH = ("gyro", "accelerometer")
+_AUTOPILOT = Abilities(False, False, False, ("accelerometer",), 3, False)
+ABILITIES: dict[Target, Abilities] = {
+    "c": Abilities(True, True, True, _BOTH, None, True),
+    # Kalibr estimates biases itself, as functions of time.
+    "kalibr": Abilities(True, True, False, _BOTH, None, True),
+    "px4": _AUTOPILOT,
+    "ardupilot": _AUTOPILOT,
+}
+
+
+@dataclass(frozen=True)
+class Loss:
+    """One thing that a format cannot hold.
+
+    Attributes
+    ----------
+    kind : what it is.
+    triad : kind of channels.
+    size, sd : largest error within the ranges of the campaign and its standard uncertainty, m/s² or rad/s.
+    unit : of the two.
+    effect : name of the effect, where it is one.
+    """
+
+    kind: LossKind
+    triad: str
+    size: float
+    sd: float
+    unit: str
+    effect: str = ""
+
+    @property
+    def significant(self) -> bool:
+        """Whether the error is larger than its expanded uncertainty."""
+        return self.size > COVERAGE * self.sd
+
+
+def losses(constants: OnboardConstants, target: Target) -> tuple[Loss, ...]:
+    """Return what a format loses of the constants of a unit."""
+    able = ABILITIES[target]
+    found: list[Loss] = []
+    for triad in constants.triads:
+        found += [] if able.matrix else _of_matrix(constants, triad, able)
+        if triad.g_sensitivity is not None and not able.g_sensitivity:
+            found.append(_of_g_sensitivity(constants, triad))
+        if triad.gain.terms and not able.gain_temperature:
+            found.append(_of_polynomial(constants, triad, "gain", np.ones(len(triad.gain.terms), dtype=bool)))
+        found += _of_bias(constants, triad, able)
+    units = {triad.kind: triad.unit for triad in constants.triads}
+    found += [
+        Loss("effect", each.kind, each.size or 0.0, each.sd or 0.0, units[each.kind], each.effect)
+        for each in constants.unexpressed
+        if each.kind in units
+    ]
+    return tuple(loss for loss in found if loss.size > 0)
+
+
+def along_axes(triad: TriadConstants) -> bool:
+    """Tell whether there are three channels and each lies along its own body axis, x, y and z in this order."""
+    matrix = np.array(triad.matrix)
+    return matrix.shape == (3, 3) and bool((np.diag(matrix) > _ALONG * np.abs(matrix).sum(axis=1)).all())
+
+
+def _names(triad: TriadConstants) -> np.ndarray:
+    return np.array([[f"M[{axis},{name}]" for name in triad.channels] for axis in "xyz"])
+
+
+def _deviations(constants: OnboardConstants, names: list[str]) -> np.ndarray:
+    """Return the covariance of constants by name."""
+    places = {constant.name: place for place, constant in enumerate(constants.constants)}
+    chosen = [places[name] for name in names]
+    return np.array(constants.covariance)[np.ix_(chosen, chosen)]
+
+
+def _of_matrix(constants: OnboardConstants, triad: TriadConstants, able: Abilities) -> list[Loss]:
+    """Return the loss of the elements off the diagonal, of the worst axis, and of scale factors."""
+    matrix, names = np.array(triad.matrix), _names(triad)
+    found = []
+    rows = []
+    for row in range(3):
+        off = [column for column in range(matrix.shape[1]) if column != row]
+        size = float(np.linalg.norm(matrix[row, off]))
+        covariance = _deviations(constants, [str(name) for name in names[row, off]])
+        toward = matrix[row, off] / size if size else np.zeros(len(off))
+        rows.append((size, float(np.sqrt(toward @ covariance @ toward))))
+    size, sd = max(rows, key=lambda each: each[0] - COVERAGE * each[1])
+    found.append(Loss("misalignment", triad.kind, size * triad.input_range, sd * triad.input_range, triad.unit))
+    if triad.kind not in able.scale:
+        scales = [
+            (abs(matrix[k, k] - 1), float(np.sqrt(_deviations(constants, [str(names[k, k])])[0, 0]))) for k in range(3)
+        ]
+        size, sd = max(scales, key=lambda each: each[0] - COVERAGE * each[1])
+        found.append(
+            Loss("scale_factor", triad.kind, float(size) * triad.input_range, sd * triad.input_range, triad.unit)
+        )
+    return found
+
+
+def _of_g_sensitivity(constants: OnboardConstants, triad: TriadConstants) -> Loss:
+    accelerometers = constants.triad("accelerometer")
+    span = accelerometers.input_range if accelerometers is not None else constants.gravity_m_s2
+    sensitivity, rows = np.array(triad.g_sensitivity), []
+    for axis, row in zip("xyz", sensitivity, strict=True):
+        size = float(np.linalg.norm(row))
+        covariance = _deviations(constants, [f"A[{axis},{other}]" for other in "xyz"])
+        toward = row / size if size else np.zeros(3)
+        rows.append((size, float(np.sqrt(toward @ covariance @ toward))))
+    size, sd = max(rows, key=lambda each: each[0] - COVERAGE * each[1])
+    return Loss("g_sensitivity", triad.kind, size * span, sd * span, triad.unit)
+
+
+def _of_bias(constants: OnboardConstants, triad: TriadConstants, able: Abilities) -> list[Loss]:
+    terms = triad.bias.terms
+    by_converter = np.array([term.converter > 0 for term in terms])
+    too_high = np.array([able.bias_order is not None and term.sensor > able.bias_order for term in terms])
+    found = []
+    if not able.converter and by_converter.any():
+        found.append(_of_polynomial(constants, triad, "converter_temperature", by_converter))
+    if (too_high & ~by_converter).any():
+        found.append(_of_polynomial(constants, triad, "bias_order", too_high & ~by_converter))
+    return found
+
+
+def _of_polynomial(
+    constants: OnboardConstants,
+    triad: TriadConstants,
+    part: Literal["gain", "bias_order", "converter_temperature"],
+    lost: np.ndarray,
+) -> Loss:
+    """Return the loss of some terms of a polynomial, at the worst temperature and channel."""
+    of_gain = part == "gain"
+    found: ThermalPolynomial = triad.gain if of_gain else triad.bias
+    terms = [term for term, gone in zip(found.terms, lost, strict=True) if gone]
+    grid = np.array(list(product(*(_span(constants, name) for name in ("temperature", "converter_temperature")))))
+    warmer = grid - constants.reference_degC
+    basis = np.stack([warmer[:, 0] ** term.sensor * warmer[:, 1] ** term.converter for term in terms], axis=1)
+    each_channel = []
+    for channel, coefficients in zip(triad.channels, np.array(found.coefficients)[:, lost], strict=True):
+        name = "gain" if of_gain else "bias"
+        powers = [f",{t.sensor},{t.converter}" if t.sensor or t.converter else "" for t in terms]
+        covariance = _deviations(constants, [f"{name}[{channel}{power}]" for power in powers])
+        sizes = np.abs(basis @ coefficients)
+        place = int(sizes.argmax())
+        sd = float(np.sqrt(basis[place] @ covariance @ basis[place]))
+        each_channel.append((float(sizes[place]), sd))
+    worst = max(each_channel, key=lambda each: each[0] - COVERAGE * each[1])
+    factor = triad.input_range if of_gain else 1.0
+    kind: LossKind = "gain_temperature" if part == "gain" else part
+    return Loss(kind, triad.kind, worst[0] * factor, worst[1] * factor, triad.unit)
+
+
+def _span(constants: OnboardConstants, name: str) -> np.ndarray:
+    low, high = constants.ranges_degC.get(name, (constants.reference_degC,) * 2)
+    return np.linspace(low, high, _TEMPERATURES)

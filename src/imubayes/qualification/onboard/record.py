@@ -1,0 +1,289 @@
+"""Constants to use on board, as a record: the JSON of `imubayes export --format json`, and its conventions.
+
+The conventions of the constants (sign, order, frame and unit) stand in one table.  What the constants do to a sample is
+computed here.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+
+from imubayes.foundations.records import Record
+from imubayes.foundations.units import BIAS_CONVENTION
+from imubayes.inference.identifiability import WeakDirection
+
+
+class ThermalPowers(Record):
+    """One term of a polynomial: powers of T − T_ref of the sensor and T_c − T_ref of the converter."""
+
+    sensor: int
+    converter: int
+
+
+class ThermalPolynomial(Record):
+    """A polynomial in temperature for each channel: coefficients[channel][term] · (T − T_ref)^sensor · …."""
+
+    terms: tuple[ThermalPowers, ...]
+    coefficients: tuple[tuple[float, ...], ...]
+
+    def order(self, device: Literal["sensor", "converter"]) -> int:
+        """Return the highest power of a temperature."""
+        return max((getattr(term, device) for term in self.terms), default=0)
+
+
+class CarriedParameter(Record):
+    """A parameter of an effect, with its factor to SI."""
+
+    name: str
+    value: float
+    sd: float
+    unit: str
+    si_factor: float
+
+
+Cause = Literal["nonlinear", "memory", "limit", "covariate"]
+
+
+class UnexpressedEffect(Record):
+    """An effect of the model that the constants do not express.
+
+    Attributes
+    ----------
+    effect, channels, formula : as in the catalogue.
+    cause : ``nonlinear`` in the input, with ``memory``, a ``limit``, or of a ``covariate`` that is not known.
+    size, sd : largest error within the range of the campaign where it is left out, and its standard uncertainty, in
+        m/s² or rad/s; None where only the parameters tell.
+    parameters : with which it can be computed.
+    """
+
+    effect: str
+    channels: tuple[str, ...]
+    kind: str
+    formula: str
+    cause: Cause
+    size: float | None
+    sd: float | None
+    parameters: tuple[CarriedParameter, ...]
+
+    @property
+    def standard_uncertainty(self) -> float:
+        """Of leaving the effect out: that of a rectangular distribution over ± its size (GUM 4.3.7), and that of it."""
+        return math.hypot((self.size or 0.0) / math.sqrt(3), self.sd or 0.0)
+
+
+class TriadConstants(Record):
+    """Constants of all gyros or all accelerometers of a unit (C channels).
+
+    Attributes
+    ----------
+    channels : names, in the order of all columns.
+    output_units, nominal_scale, nominal_offset : r = (output − offset)/scale, in rad/s or m/s².
+    matrix : M, shape (3, C).
+    bias : b(T), rad/s or m/s².
+    gain : κ(T) − 1; no terms where the gain does not depend on temperature.
+    g_sensitivity : A, shape (3, 3), rad/s per m/s²; None where the model has none.
+    input_range : largest magnitude of input in the campaign, rad/s or m/s².
+    error_left : largest error of these constants against the model over that range, with all that is not expressed.
+    sample_noise : standard deviation of one sample of each channel, r.
+    run_offset : standard deviation of the offset that a recording has of its own, of each channel, r.
+    """
+
+    kind: Literal["gyro", "accelerometer"]
+    unit: str
+    channels: tuple[str, ...]
+    output_units: tuple[str, ...]
+    nominal_scale: tuple[float, ...]
+    nominal_offset: tuple[float, ...]
+    matrix: tuple[tuple[float, ...], ...]
+    bias: ThermalPolynomial
+    gain: ThermalPolynomial
+    g_sensitivity: tuple[tuple[float, ...], ...] | None
+    input_range: float
+    error_left: float
+    sample_noise: tuple[float, ...]
+    run_offset: tuple[float, ...]
+
+
+class Constant(Record):
+    """One constant with its marginal posterior; `from_data` is the share of information that came from the data."""
+
+    name: str
+    unit: str
+    value: float
+    sd: float
+    q025: float
+    q975: float
+    from_data: float | None
+
+
+class Convention(Record):
+    """What a symbol means: sign, order, frame and unit."""
+
+    symbol: str
+    meaning: str
+    unit: str
+
+
+class WorkedSample(Record):
+    """One sample taken through the constants, step by step, for every channel and axis.
+
+    Attributes
+    ----------
+    temperature_degC, converter_temperature_degC : at which it was read.
+    outputs : of the channels, output units.
+    nominal, unbiased, unscaled : r, r − b(T) and (r − b(T))/κ(T).
+    result : rate or specific force in body axes.
+    """
+
+    temperature_degC: float
+    converter_temperature_degC: float
+    channels: tuple[str, ...]
+    outputs: tuple[float, ...]
+    nominal: tuple[float, ...]
+    unbiased: tuple[float, ...]
+    unscaled: tuple[float, ...]
+    rate_rad_s: tuple[float, float, float] | None
+    force_m_s2: tuple[float, float, float] | None
+
+
+class OnboardConstants(Record):
+    """Constants with which a computer on board turns outputs into rate and specific force (format 1).
+
+    Attributes
+    ----------
+    reference_degC : T_ref.
+    ranges_degC : calibrated range of each temperature that the model depends on.
+    interval, posterior : kind of interval, and of the draws it comes from.
+    intervals_valid : whether the noise is what the model assumes.
+    constants : all constants of the triads with their uncertainties.
+    covariance : of the constants, in their order and units.
+    not_determined : constants of which less than half of the information came from the data.
+    weak_directions : of the parameters, as in `summary.json`.
+    """
+
+    format: Literal[1] = 1
+    serial: str
+    campaign: str
+    model: str
+    version: str
+    data_sha256: str
+    model_sha256: str
+    gravity_m_s2: float
+    reference_degC: float
+    needs: tuple[str, ...]
+    ranges_degC: dict[str, tuple[float, float]]
+    interval: str
+    posterior: Literal["sampled", "laplace"]
+    intervals_valid: bool
+    triads: tuple[TriadConstants, ...]
+    constants: tuple[Constant, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    not_determined: tuple[str, ...]
+    weak_directions: tuple[WeakDirection, ...]
+    unexpressed: tuple[UnexpressedEffect, ...]
+    slow_noise: tuple[str, ...]
+    conventions: tuple[Convention, ...]
+    worked_sample: WorkedSample
+
+    def triad(self, kind: str) -> TriadConstants | None:
+        """Return the constants of the gyros or the accelerometers."""
+        return next((triad for triad in self.triads if triad.kind == kind), None)
+
+    def sd(self, name: str) -> float:
+        """Return the standard uncertainty of a constant by name."""
+        return next(constant.sd for constant in self.constants if constant.name == name)
+
+
+CONVENTIONS = (
+    Convention(
+        symbol="body axes",
+        meaning="the axes in which campaign.toml states input_axis; not rotated into any vehicle frame",
+        unit="",
+    ),
+    Convention(
+        symbol="r",
+        meaning="output of a channel on its nominal scale: r = (output − nominal_offset)/nominal_scale; gyros and "
+        "accelerometers each in the order of `channels`",
+        unit="rad/s; m/s^2",
+    ),
+    Convention(
+        symbol="b(T)",
+        meaning=f"r at zero input, of the sign of the output. {BIAS_CONVENTION[:-1]}: r − b(T)",
+        unit="rad/s; m/s^2",
+    ),
+    Convention(
+        symbol="κ(T)",
+        meaning="gain relative to that at T_ref, κ(T_ref) = 1: r − b(T) is divided by it, channel by channel",
+        unit="1",
+    ),
+    Convention(
+        symbol="M",
+        meaning="matrix from channels (columns) to body axes (rows): scale factor errors and misalignment together, "
+        "close to the identity where channels lie along the axes. It turns a reading into the truth: "
+        "f = M_a (r_a − b_a(T))/κ_a(T). Kalibr's M goes the other way",
+        unit="1",
+    ),
+    Convention(
+        symbol="A",
+        meaning="g-sensitivity of the gyros, body axes: what is subtracted last, ω = M_g (r_g − b_g(T))/κ_g(T) − A f",
+        unit="rad/s per m/s^2",
+    ),
+    Convention(
+        symbol="f, ω",
+        meaning="specific force, +g along an axis that points up at rest; inertial rate, right-handed, that of the "
+        "Earth included; both in body axes",
+        unit="m/s^2; rad/s",
+    ),
+    Convention(
+        symbol="T, T_c",
+        meaning="temperature of the sensors and of the converter; polynomials are in T − T_ref and T_c − T_ref, "
+        "without a limit at the ends of the calibrated range",
+        unit="degC",
+    ),
+)
+
+
+def polynomial(found: ThermalPolynomial, temperature: float, converter: float, reference: float) -> np.ndarray:
+    """Return the polynomial of every channel at two temperatures in °C, shape (C,)."""
+    warmer, converter_warmer = temperature - reference, converter - reference
+    powers = np.array([warmer**term.sensor * converter_warmer**term.converter for term in found.terms])
+    return np.array(found.coefficients).reshape(-1, len(powers)) @ powers
+
+
+def nominal(triad: TriadConstants, outputs: Mapping[str, float]) -> np.ndarray:
+    """Return r of the channels of a triad, shape (C,)."""
+    read = np.array([outputs[name] for name in triad.channels])
+    return (read - np.array(triad.nominal_offset)) / np.array(triad.nominal_scale)
+
+
+def unscaled(
+    triad: TriadConstants, r: np.ndarray, temperature: float, converter: float, reference: float
+) -> np.ndarray:
+    """Return (r − b(T))/κ(T), shape (C,)."""
+    bias = polynomial(triad.bias, temperature, converter, reference)
+    gain = 1 + (polynomial(triad.gain, temperature, converter, reference) if triad.gain.terms else np.zeros(len(r)))
+    return (r - bias) / gain
+
+
+def body_vector(triad: TriadConstants, unscaled_outputs: np.ndarray, force: np.ndarray | None) -> np.ndarray:
+    """Return rate or specific force in body axes, shape (3,)."""
+    found = np.array(triad.matrix) @ unscaled_outputs
+    if triad.g_sensitivity is not None and force is not None:
+        found = found - np.array(triad.g_sensitivity) @ force
+    return found
+
+
+def measurement_covariances(constants: OnboardConstants, triad: TriadConstants) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariance of a corrected sample about x, y, z from its noise, and that which all samples share.
+
+    The second is that of the bias at the reference temperature and of the offset of a recording: at zero input the
+    matrix is multiplied by nothing else.  Shapes (3, 3), (rad/s)² or (m/s²)².
+    """
+    matrix = np.array(triad.matrix)
+    noise = matrix @ np.diag(np.square(triad.sample_noise)) @ matrix.T
+    places = {constant.name: place for place, constant in enumerate(constants.constants)}
+    chosen = [places[f"bias[{name}]"] for name in triad.channels]
+    biases = np.array(constants.covariance)[np.ix_(chosen, chosen)]
+    return noise, matrix @ (biases + np.diag(np.square(triad.run_offset))) @ matrix.T

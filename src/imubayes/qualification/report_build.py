@@ -1,0 +1,420 @@
+"""From a result, its diagnosis and its history to the record of the report.
+
+Its parts include unit, campaign, site and equipment of the result, and what its numbers come from.
+"""
+
+import hashlib
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import shown
+from imubayes.loop.model_history import Tree
+from imubayes.qualification.conformity import (
+    Assessment,
+    ConformityOfQuantity,
+    TestedUnit,
+    assess,
+    standards_input,
+    tested_unit,
+)
+from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
+from imubayes.qualification.report_budgets import budgets_of
+from imubayes.qualification.report_estimates import (
+    determined_combinations,
+    monte_carlo_error,
+    mounting_angles,
+    not_estimated,
+    probability_of,
+    result_lines,
+    standard_estimates,
+    thermal_linearity,
+)
+from imubayes.qualification.report_pictures import (
+    PictureData,
+    angle_density,
+    error_pictures,
+    mounting_pictures,
+    worst_residual,
+)
+from imubayes.qualification.report_record import (
+    Adequacy,
+    Conformity,
+    CoveredRange,
+    LimitOutcome,
+    ModelTried,
+    MountingAngle,
+    Omissions,
+    OmittedChannel,
+    QualificationReport,
+    ReportedConvergence,
+    StatisticalScope,
+)
+from imubayes.qualification.report_subject import (
+    Provenance,
+    ReportedChannel,
+    ReportedEffect,
+    ReportedMounting,
+    ReportedRun,
+    ReportedTable,
+    Subject,
+)
+from imubayes.qualification.standard_quantities import digital_unit
+from imubayes.results.change_records import read_diagnosis
+from imubayes.results.fit_file import software
+from imubayes.results.folder_files import HISTORY, checked
+from imubayes.results.history_tree import read_fit_record, read_tree
+from imubayes.results.result import Result, read_result
+from imubayes.results.stored_tables import draws_of
+from imubayes.results.summary import ParameterSummary, Quantity, is_constant
+
+
+def _triple(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def subject_of(campaign: Campaign, result: Result) -> Subject:
+    """Return unit, campaign, site and equipment."""
+    site = campaign.site
+    counted = result.residuals.table.filter(pl.col("kind") != "closure").group_by("run").len()
+    used = dict(zip(counted["run"].to_list(), counted["len"].to_list(), strict=True))
+    missing = {
+        run.name: sum(each.values for each in omitted_values(campaign) if each.run == run.name) for run in campaign.runs
+    }
+    return Subject(
+        serial=campaign.serial,
+        grade=campaign.grade,
+        campaign=campaign.name,
+        latitude_deg=math.degrees(site.latitude),
+        height_m=site.height,
+        gravity_m_s2=site.gravity,
+        channels=tuple(
+            ReportedChannel(
+                name=channel.name,
+                kind=channel.kind,
+                input_axis=_triple(channel.axes[0]),
+                output_axis=_triple(channel.axes[1]),
+                output_unit=channel.output_unit,
+                nominal_scale=channel.scale,
+                per=channel.per,
+                nominal_offset=channel.offset,
+            )
+            for channel in campaign.channels
+        ),
+        tables=tuple(
+            ReportedTable(
+                name=table.name,
+                azimuth_deg=math.degrees(table.azimuth),
+                elevation_deg=math.degrees(table.elevation),
+                axis_uncertainty_arcsec=_in(table.axis_uncertainty, math.radians(1 / 3600)),
+                rate_uncertainty_ppm=_in(table.rate_uncertainty, 1e-6),
+                angle_uncertainty_arcsec=_in(table.angle_uncertainty, math.radians(1 / 3600)),
+                azimuth_uncertainty_arcsec=_in(table.azimuth_uncertainty, math.radians(1 / 3600)),
+                elevation_uncertainty_arcsec=_in(table.elevation_uncertainty, math.radians(1 / 3600)),
+            )
+            for table in campaign.tables.values()
+        ),
+        mountings=tuple(
+            ReportedMounting(
+                name=mounting.name,
+                body_to_table=tuple(_triple(row) for row in mounting.body_to_table),
+                uncertainty_arcmin=_in(mounting.uncertainty, math.radians(1 / 60)),
+            )
+            for mounting in campaign.mountings.values()
+        ),
+        runs=tuple(
+            ReportedRun(
+                name=run.name, procedure=run.procedure, table=run.table, mounting=run.mounting, start=run.start,
+                rows=run.rows, values_used=used.get(run.name, 0), values_missing=missing[run.name],
+            )
+            for run in campaign.runs
+        ),
+    )  # fmt: skip
+
+
+def _in(value: float | None, unit: float) -> float | None:
+    return None if value is None else value / unit
+
+
+def omitted_values(campaign: Campaign) -> tuple[OmittedChannel, ...]:
+    """Return missing values of channels that the run recorded at all."""
+    found = []
+    for run in campaign.runs:
+        gone = np.isnan(run.observed)
+        for channel, missing in zip(campaign.channels, gone.T, strict=True):
+            if missing.any() and not missing.all():
+                found.append(OmittedChannel(run=run.name, channel=channel.name, values=int(missing.sum())))
+    return tuple(found)
+
+
+def provenance_of(result: Result) -> Provenance:
+    """Return model, hashes, seed and software."""
+    assert result.folder is not None
+    record, spec = read_fit_record(result.folder), result.fit.model.spec
+    fitted = result.summary.provenance
+    return Provenance(
+        model=spec.name,
+        effects=tuple(
+            ReportedEffect(
+                name=effect.name, channels=effect.channels, prior=dict(effect.prior), options=dict(effect.options)
+            )
+            for effect in spec.effects
+        ),
+        data_sha256=record.data_hash,
+        model_sha256=record.model_hash,
+        seed=record.seed,
+        sampled=result.summary.sampled,
+        software=software(),
+        fitted=None if fitted is None else fitted.fitted,
+        fit_software=() if fitted is None else fitted.software,
+    )
+
+
+# Share of the information below which a quantity is not determined by the data.
+_UNDETERMINED = 0.1
+
+
+def report_of(result: Result | str | Path, specification: str | Path | None = None) -> QualificationReport:
+    """Return the report of a result folder.
+
+    Parameters
+    ----------
+    result : a result that has a folder, or the folder; its diagnosis and history are read from there.
+    specification : file with limits; None for a report without conformity.
+
+    Raises
+    ------
+    InputError
+        for a result that cannot be read, one whose campaign is gone or has changed, and a specification that cannot be
+        used with it.
+    """
+    found = result if isinstance(result, Result) else read_result(result)
+    assert found.folder is not None, "a report is made of a result folder"
+    diagnosis, tree = read_diagnosis(found.folder), _tree(found.folder)
+    campaign = found.fit.model.campaign
+    unit = tested_unit(found) if found.converged else None
+    assessment = assess(found, specification, diagnosis, unit) if specification is not None else None
+    angles = mounting_angles(found, unit)
+    return QualificationReport(
+        subject=subject_of(campaign, found),
+        provenance=provenance_of(found),
+        convergence=convergence_of(found),
+        adequacy=adequacy_of(found, diagnosis, tree),
+        conformity=conformity_of(assessment, specification, campaign.site.gravity),
+        results=result_lines(found, unit),
+        mounting_angles=angles,
+        combinations=determined_combinations(found, unit),
+        standards=standard_estimates(found, unit),
+        not_estimated=not_estimated(found, unit, diagnosis),
+        thermal_linearity=thermal_linearity(found, unit),
+        budgets=budgets_of(found, unit),
+        left_out=left_out_of(campaign, found, diagnosis),
+        scope=scope_of(campaign, found, diagnosis),
+        pictures=pictures_of(found, unit, assessment, angles),
+    )
+
+
+def _tree(folder: Path) -> tuple[Tree, str] | None:
+    """Return the history with the place of a result in it; None where there is none."""
+    return (read_tree([folder]), str(folder.resolve())) if checked(folder).holds(HISTORY) else None
+
+
+def convergence_of(result: Result) -> ReportedConvergence:
+    """Return whether fit and sampling converged, and their worst diagnostics."""
+    summary = result.summary
+    worst = {
+        key: _worst([line for line in summary.parameters if getattr(line, key) is not None], key, sign)
+        for key, sign in (("r_hat", 1), ("ess_bulk", -1), ("ess_tail", -1))
+    }
+    draws = None
+    if summary.converged:
+        draws = len(next(iter(result.draws.values())))
+    return ReportedConvergence(
+        converged=summary.converged,
+        message=summary.message,
+        sampled=summary.sampled,
+        draws=draws,
+        acceptance=summary.acceptance,
+        pareto_k=summary.pareto_k,
+        worst_r_hat=worst["r_hat"][0],
+        worst_r_hat_of=worst["r_hat"][1],
+        least_bulk=worst["ess_bulk"][0],
+        least_bulk_of=worst["ess_bulk"][1],
+        least_tail=worst["ess_tail"][0],
+        least_tail_of=worst["ess_tail"][1],
+    )
+
+
+def _worst(lines: list[ParameterSummary], key: str, sign: int) -> tuple[float | None, str]:
+    if not lines:
+        return None, ""
+    found = max(lines, key=lambda line: sign * getattr(line, key))
+    return getattr(found, key), found.name
+
+
+def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, str] | None) -> Adequacy:
+    """Return whether the model describes the data, and which models were tried."""
+    summary = result.summary
+    history = _history(tree)
+    diagnosed = sum(each.verdict is not None for each in history) + (diagnosis is not None)
+    return Adequacy(
+        verdict=diagnosis.verdict if diagnosis is not None else None,
+        explanations=diagnosis.explanations if diagnosis is not None else None,
+        candidates=len(diagnosis.ranking) if diagnosis is not None else 0,
+        missing=tuple(effect for group in diagnosis.groups for effect in group.effects)
+        if diagnosis is not None
+        else (),
+        undetectable=tuple(dict.fromkeys(each.effect for each in diagnosis.undetectable))
+        if diagnosis is not None
+        else (),
+        most_biasing=diagnosis.most_biasing if diagnosis is not None else None,
+        intervals_valid=summary.intervals_valid,
+        noise_violations=summary.noise_violations,
+        noise_suspected=summary.noise_suspected,
+        chi2=summary.chi2,
+        dof=summary.dof,
+        diagnoses=diagnosed,
+        history=history,
+        runs=summary.runs,
+        prior_conflicts=summary.prior_conflicts,
+    )
+
+
+def _history(tree: tuple[Tree, str] | None) -> tuple[ModelTried, ...]:
+    if tree is None:
+        return ()
+    nodes, here = tree
+    return tuple(
+        ModelTried(
+            id=node.id, title=node.title, verdict=node.verdict, chi2=node.chi2, dof=node.dof, rms=node.rms,
+            depth=depth, taken=node.taken, selected=node.selected, reported=place == here,
+        )
+        for depth, place in nodes.in_order()
+        for node in (nodes.nodes[place],)
+    )  # fmt: skip
+
+
+def conformity_of(assessment: Assessment | None, specification: str | Path | None, gravity: float) -> Conformity | None:
+    """Return the unit against its specification as a record; None where there is none."""
+    if assessment is None or specification is None:
+        return None
+    return Conformity(
+        specification=assessment.specification,
+        sha256=hashlib.sha256(Path(specification).read_bytes()).hexdigest(),
+        outcome=assessment.outcome,
+        obstacles=assessment.obstacles,
+        limits=tuple(_outcome(found, gravity) for found in assessment.limits),
+    )
+
+
+def _outcome(found: ConformityOfQuantity, gravity: float) -> LimitOutcome:
+    limit, estimate, rule = found.limit, found.estimate, found.limit.rule
+    consumer, producer = (found.overall.consumer, found.overall.producer) if found.overall is not None else (None, None)
+    return LimitOutcome(
+        name=limit.quantity.name,
+        unit=limit.quantity.unit,
+        d_si=digital_unit(limit.quantity.unit, gravity),
+        lower=limit.tolerance.lower if math.isfinite(limit.tolerance.lower) else None,
+        upper=limit.tolerance.upper if math.isfinite(limit.tolerance.upper) else None,
+        nominal=limit.nominal,
+        temperature_range=limit.span,
+        temperature=found.temperature,
+        estimate=estimate.value,
+        standard_uncertainty=estimate.standard,
+        expanded_uncertainty=estimate.expanded,
+        conformance=probability_of(found.conformance),
+        rule=rule.name,
+        guard_factor=rule.guard_factor,
+        guard_width=rule.guard_width,
+        rule_probability=rule.probability,
+        guard_band=found.decision.guard_band,
+        outcome=found.decision.outcome,
+        withheld=found.decision.withheld,
+        monte_carlo=None if is_constant(found.marginal.draws) else monte_carlo_error(found.marginal),
+        consumer_risk=found.consumer,
+        producer_risk=found.producer,
+        global_consumer_risk=_optional(consumer),
+        global_producer_risk=_optional(producer),
+    )
+
+
+def _optional(found: ProbabilityByTwoMethods | None):
+    return None if found is None else probability_of(found)
+
+
+def left_out_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> Omissions:
+    """Return what was left out."""
+    return Omissions(
+        channels=omitted_values(campaign),
+        notes=result.summary.notes,
+        outliers=len(diagnosis.outliers) if diagnosis is not None else 0,
+        nuisance_parameters=sum(line.nuisance for line in result.summary.parameters),
+    )
+
+
+def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> StatisticalScope:
+    """Return what the statistics rest on."""
+    table = result.residuals.table
+    ranges = []
+    for covariate in shown():
+        if covariate.column not in table.columns or covariate.name.endswith("time"):
+            continue
+        values = table[covariate.column].cast(pl.Float64).drop_nulls().to_numpy()
+        values = values[np.isfinite(values)]
+        if len(values):
+            low, high = float(values.min()), float(values.max())
+            ranges.append(
+                CoveredRange(
+                    name=covariate.name, phrase=covariate.phrase, unit=covariate.unit, lowest=low, highest=high
+                )
+            )
+    starts = sorted(run.start for run in campaign.runs if run.start is not None)
+    undetectable = diagnosis.undetectable if diagnosis is not None else ()
+    lines = [*result.summary.parameters, *(each for each in result.summary.derived if not each.repeats_misalignments)]
+    return StatisticalScope(
+        ranges=tuple(ranges),
+        first_start=starts[0] if starts else None,
+        last_start=starts[-1] if starts else None,
+        not_supplied=tuple(
+            (each.effect, ", ".join(each.needs)) for each in undetectable if each.reason == "not_supplied"
+        ),
+        weak_directions=result.summary.weak_directions,
+        from_priors=_from_priors(lines),
+    )
+
+
+def _from_priors(lines: Sequence[Quantity]) -> tuple[str, ...]:
+    return tuple(line.name for line in lines if line.from_data is not None and line.from_data < _UNDETERMINED)
+
+
+def pictures_of(
+    result: Result, unit: TestedUnit | None, assessment: Assessment | None, angles: tuple[MountingAngle, ...]
+) -> PictureData:
+    """Return what the pictures show; the residuals alone where the fit did not converge."""
+    table, campaign = result.residuals.table, result.fit.model.campaign
+    covariates = {covariate.column: (covariate.phrase, covariate.unit) for covariate in shown()}
+    worst = worst_residual(table.filter(pl.col("kind") != "closure"), campaign.channels, covariates)
+    if unit is None:
+        return PictureData(worst=worst)
+    limits = assessment.limits if assessment is not None else ()
+    known = [angle for angle in angles if angle.estimate is not None]
+    prior = draws_of(result.posterior.children["prior"], [angle.name for angle in known])
+    posterior = unit.quantities.draws
+    return PictureData(
+        errors=error_pictures(standards_input(result, unit), unit.thermal, table, limits),
+        worst=worst,
+        mountings=mounting_pictures(
+            campaign, {(a.channel, a.mounting): (a.nominal, a.estimate) for a in known if a.estimate is not None}
+        ),
+        angles=tuple(
+            angle_density(a.channel, a.mounting, prior[a.name], posterior[a.name], a.nominal)
+            for a in known
+            if a.name in prior
+        ),
+    )

@@ -1,0 +1,301 @@
+"""Files of a result folder: names, typed records, effect files that come along, and the manifest.
+
+What is missing in a folder, or wrong with a file that cannot be read, is reported as such.
+
+The manifest says which files belong together, and is the one check that they still do.  Files are written beside their
+places and renamed one by one; the manifest, with size and SHA-256 of each, is renamed last and commits them.  A folder
+that was left in between holds files that its manifest does not list as they are, and is refused.  Commands that go on
+from a result add their files to the manifest in the same way: what is not listed is not of this result.
+"""
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.files import interrupted, only_writer, replacing_files, write_text
+from imubayes.foundations.records import Record
+from imubayes.model.model_file import read_model, trust_files
+
+AGAIN = "run `imubayes fit` again with this folder as --out and --replace"
+
+
+# Faults of a damaged record that are listed.
+_MOST_FAULTS = 3
+
+
+def damaged(file: Path, reason: object, key: str = "") -> Issue:
+    """Return the issue of a file that is there but cannot be read."""
+    detail = " ".join(str(reason).split())[:200]
+    where = f"{file}, key {key}" if key else str(file)
+    return Issue(f"{file.name} cannot be read: {detail}", where, "a whole file, as the fit wrote it", AGAIN)
+
+
+def read_record[Kept: Record](file: Path, record: type[Kept], absent: Issue | None = None) -> Kept:
+    """Read a JSON file of a result folder as its typed record.
+
+    Raises
+    ------
+    InputError
+        with its first faults where it cannot be read; `absent` where there is no such file.
+    """
+    if absent is not None and not file.is_file():
+        raise InputError(absent)
+    try:
+        return record.model_validate_json(file.read_bytes())
+    except OSError as error:
+        raise InputError(damaged(file, error)) from error
+    except ValidationError as error:
+        faults = error.errors()[:_MOST_FAULTS]
+        issues = [damaged(file, fault["msg"], ".".join(map(str, fault["loc"]))) for fault in faults]
+        raise InputError(issues) from error
+
+
+SUMMARY = "summary.json"
+FIT = "fit.json"
+MODEL = "model.toml"
+RESIDUALS = "residuals.parquet"
+POSTERIOR = "posterior.nc"
+CHECKPOINT = "checkpoint.h5"
+MANIFEST = "manifest.json"
+HISTORY = "history.json"
+CHANGE, ADDED_VARIABLE = "change.json", "added_variable.parquet"
+DIAGNOSIS, BUDGETS = "diagnosis.json", "budgets.json"
+PAGE = "compare.html"
+BY_OTHER_COMMANDS = {DIAGNOSIS: "diagnose", BUDGETS: "report"}
+"""File that is made of a finished fit → the command that makes it."""
+_NEEDED = (SUMMARY, RESIDUALS)
+
+
+def missing(folder: Path) -> list[Issue]:
+    """Return what keeps a folder from being a result, before any of its files is read."""
+    allowed = "a result folder with " + ", ".join(_NEEDED)
+    if not folder.exists():
+        parent = folder.parent if folder.parent.is_dir() else Path()
+        near = sorted(path.parent.name for path in parent.glob(f"*/{SUMMARY}"))
+        listed = f"{allowed}; in the same place: {closest_first(folder.name, near)}" if near else allowed
+        return [Issue("there is no such result folder", str(folder), listed, "name the folder given to --out")]
+    if not folder.is_dir():
+        return [Issue("this is a file, not a result folder", str(folder), allowed, "name the folder it lies in")]
+    if _only_begun(folder):
+        return [Issue("there is no result yet", str(folder / SUMMARY), allowed, way_back(folder))]
+    absent = [name for name in _NEEDED if not (folder / name).is_file()]
+    return [Issue(f"the result folder has no {name}", str(folder / name), allowed, AGAIN) for name in absent]
+
+
+def way_back(folder: Path) -> str:
+    """Return what to do where a folder holds no result."""
+    if _only_begun(folder):
+        return "its sampling was interrupted: run the same `imubayes fit` again with --resume"
+    return "correct the path, or run the fit again"
+
+
+def _only_begun(folder: Path) -> bool:
+    return (folder / CHECKPOINT).is_file() and not (folder / SUMMARY).is_file()
+
+
+def trust(place: str | Path) -> tuple[Path, ...]:
+    """Remember the effect files of a result folder or a model file, or one such file, as trusted; return them.
+
+    Effect files are code.  They run where the user names their model; those that come along with a result run only
+    where they are trusted, as they are: a file that was changed is another one.
+
+    Raises
+    ------
+    InputError
+        where they cannot be read.
+    """
+    place = Path(place)
+    model = place / MODEL if place.is_dir() else place
+    files = (place,) if place.suffix == ".py" else tuple(map(Path, read_model(model).files))
+    trust_files(files)
+    return files
+
+
+# Seconds that a file waits to be added: another one is added in less, a fit takes longer.
+_PATIENCE = 5.0
+
+
+class KeptFile(Record):
+    """A file of a result folder: its name, size in bytes and SHA-256."""
+
+    name: Annotated[str, Field(pattern=r"^[^/\\]*[^/\\.][^/\\]*$")]
+    size: int
+    sha256: str
+
+
+class Manifest(Record):
+    """The contents of `manifest.json`.
+
+    Attributes
+    ----------
+    fit : files written with the fit.
+    added : files that other commands made of it.
+    selection : the highest of the models of a history is the selected one; 0 where it never was.
+    """
+
+    format: Literal[1] = 1
+    fit: tuple[KeptFile, ...]
+    added: tuple[KeptFile, ...] = ()
+    selection: int = 0
+
+    @property
+    def identity(self) -> str:
+        """What identifies the fit: a hash of the digests of its files."""
+        return hashlib.sha256("\0".join(f"{file.name} {file.sha256}" for file in self.fit).encode()).hexdigest()
+
+    def holds(self, name: str) -> bool:
+        """Tell whether a file was written with the fit."""
+        return any(file.name == name for file in self.fit)
+
+
+def checked(folder: Path) -> Manifest:
+    """Return the manifest of a result folder whose fit is whole, every file as it was written.
+
+    Sizes are compared every time, digests once in a process for a file that has not changed.
+
+    Raises
+    ------
+    InputError
+        where there is no result, or one that is truncated, altered, mixed, or older than manifests.
+    """
+    issues = missing(folder)
+    if issues:
+        raise InputError(issues)
+    manifest = _read(folder)
+    issues = [issue for file in manifest.fit if (issue := _fault(folder, file, AGAIN)) is not None]
+    if issues:
+        raise InputError(issues)
+    return manifest
+
+
+def added(folder: Path, name: str) -> Path | None:
+    """Return a file that another command made of the fit; None where there is none.
+
+    Raises
+    ------
+    InputError
+        as for `checked`, and where such a file is there that is altered or of another fit.
+    """
+    manifest, file = checked(folder), folder / name
+    listed = next((each for each in manifest.added if each.name == name), None)
+    remedy = f"run `imubayes {BY_OTHER_COMMANDS.get(name, 'fit')}` again, or remove the file"
+    if listed is None:
+        if not file.exists():
+            return None
+        raise input_error(f"{name} is not of this result", str(file), f"the files that {MANIFEST} lists", remedy)
+    issue = _fault(folder, listed, remedy)
+    if issue is not None:
+        raise InputError(issue)
+    return file
+
+
+@contextmanager
+def replacing_result(folder: Path, selection: int) -> Iterator[Path]:
+    """Give a scratch folder whose files become the result in `folder`, instead of the one that is there, if any."""
+    with only_writer(folder), replacing_files(folder, MANIFEST, lambda: _names(folder)) as scratch:
+        yield scratch
+        files = tuple(map(_kept, sorted(scratch.iterdir())))
+        write_text(scratch / MANIFEST, Manifest(fit=files, selection=selection).json_text())
+
+
+def add_to(folder: Path, name: str, text: str, identity: str = "") -> None:
+    """Write a file made of the fit in a folder and list it.
+
+    Parameters
+    ----------
+    identity : of the fit it was made of; that in the folder where empty.
+
+    Raises
+    ------
+    InputError
+        where there is no whole result, or another one by now.
+    """
+    with only_writer(folder, _PATIENCE):
+        manifest = same_fit(folder, identity)
+        with replacing_files(folder, MANIFEST) as scratch:
+            write_text(scratch / name, text)
+            files = (*(each for each in manifest.added if each.name != name), _kept(scratch / name))
+            write_text(scratch / MANIFEST, manifest.model_copy(update={"added": files}).json_text())
+
+
+def mark_selected(folder: Path, selection: int) -> None:
+    """Keep the number of the selection that made this the selected model of its history."""
+    with only_writer(folder, _PATIENCE):
+        manifest = checked(folder)
+        with replacing_files(folder, MANIFEST) as scratch:
+            write_text(scratch / MANIFEST, manifest.model_copy(update={"selection": selection}).json_text())
+
+
+def same_fit(folder: Path, identity: str) -> Manifest:
+    """Return the manifest; raises InputError where the folder holds another fit than the one that was read."""
+    manifest = checked(folder)
+    if identity and manifest.identity != identity:
+        raise input_error(
+            "the result was replaced since it was read",
+            str(folder),
+            "a result that stays while a command works with it",
+            "run the command again",
+        )
+    return manifest
+
+
+def _read(folder: Path) -> Manifest:
+    file = folder / MANIFEST
+    if not file.is_file():
+        what = (
+            "its writing was interrupted" if interrupted(folder) else "an earlier version made it, or it is not whole"
+        )
+        raise input_error(
+            f"the result folder has no {MANIFEST}: {what}", str(file), "a folder as `imubayes fit` writes it", AGAIN
+        )
+    try:
+        return Manifest.model_validate_json(file.read_bytes())
+    except (OSError, ValidationError) as error:
+        raise InputError(damaged(file, error)) from error
+
+
+def _fault(folder: Path, listed: KeptFile, remedy: str) -> Issue | None:
+    """Return what is wrong with a listed file; None where it is as listed."""
+    file = folder / listed.name
+    try:
+        found = file.stat()
+        if found.st_size == listed.size:
+            same = _sha256(file, (found.st_ino, found.st_size, found.st_mtime_ns)) == listed.sha256
+            what = "" if same else f"{listed.name} was altered since it was written"
+        else:
+            what = f"{listed.name} has {found.st_size} bytes, not the {listed.size} that were written"
+    except FileNotFoundError:
+        what = f"{listed.name} is missing"
+    if not what:
+        return None
+    if interrupted(folder):
+        what = f"the writing of this result was interrupted, its files do not belong together: {what}"
+    return Issue(what, str(file), f"the file that {folder / MANIFEST} lists", remedy)
+
+
+def _kept(file: Path) -> KeptFile:
+    content = file.read_bytes()
+    return KeptFile(name=file.name, size=len(content), sha256=hashlib.sha256(content).hexdigest())
+
+
+@lru_cache(maxsize=4096)
+def _sha256(file: Path, state: tuple[int, int, int]) -> str:
+    """Return the digest of a file; `state` is its inode, size and time, by which a change is noticed."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _names(folder: Path) -> Iterable[str]:
+    """Return the names of all files that tell of an earlier result, whole or not."""
+    known = (SUMMARY, RESIDUALS, POSTERIOR, PAGE, *BY_OTHER_COMMANDS)
+    try:
+        manifest = _read(folder)
+    except InputError:
+        return known
+    return (*known, *(file.name for file in (*manifest.fit, *manifest.added)))
