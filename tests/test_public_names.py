@@ -1,6 +1,8 @@
 """The names that `imubayes` offers: all resolve, and none is loaded before its use."""
 
 import ast
+import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +24,21 @@ def test_the_stub_exports_what_it_imports():
 @pytest.mark.parametrize("name", imubayes.__all__)
 def test_every_public_name_resolves(name):
     assert getattr(imubayes, name) is not None
+
+
+def test_each_public_name_stands_in_one_of_four_groups():
+    groups = re.findall(r"^- \w+:", imubayes.__doc__ or "", re.MULTILINE)
+    named = re.findall(r"`(\w+)`", (imubayes.__doc__ or "").partition("Public names")[2])
+    assert groups == ["- Data:", "- Fit:", "- Loop:", "- Results:"]
+    assert sorted(named) == sorted(imubayes.__all__)
+
+
+@pytest.mark.parametrize("name", imubayes.__all__)
+def test_every_public_name_is_documented(name):
+    found = getattr(imubayes, name)
+    if inspect.isclass(found) or inspect.isroutine(found):
+        assert inspect.getdoc(found), name
+        assert isinstance(found, type) or inspect.getdoc(found) != inspect.getdoc(type(found)), name
 
 
 def test_an_unknown_name_is_refused():

@@ -6,6 +6,17 @@
 All runs of a campaign (rate table, dividing head, thermal ramps, free tumble) are fitted jointly with differentiable
 forward models; scale factors, misalignment angles, biases and the true mounting angles come with posterior
 uncertainty and a statement of what the data did and did not determine.
+
+Public names, in four groups; everything else is private.
+
+- Data: `load_campaign`, `check_campaign`, `Campaign`, `to_si`, `dimension`, `InputError`.
+- Fit: `fit`, `load_model`, `bind`, `Model`, `Settings`, `sample`, `Samples`; an effect of one's own is a class on
+  `Effect`, `SignalEffect`, `RecordEffect`, `PlaceEffect` or `MotionEffect`, noise one on `Noise`, `EntryNoise`,
+  `SharedNoise`, `SeriesNoise` or `TailNoise`, written with `parameter`, `option`, `time_constant`,
+  `reference_temperature`, `Stage`, `Order`, `Decay`, `Play`, `Sample`, `Motion`, `Ambient`, `Experience`, `Entry`,
+  `Scalar`, `vector3`, `compose`, `cross`, `exponential`, `rotate`; `trust` lets effect files run that came along.
+- Loop: `compare`, `diagnose`, `Diagnosis`, `add`, `remove`, `ModelChange`, `history`, `export`, `plant`.
+- Results: `load`, `read_result`, `Result`, `report`, `apply`, `CalibratedInputs`.
 """
 
 import lazy_loader

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from imubayes.foundations.errors import InputError
-from imubayes.model.bind import bind
+from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.model.noise_covariance import noise_deviation, whitener
 from imubayes.model.problem import predict
 from small_campaign import campaign
 
@@ -30,10 +31,31 @@ class HouseAsymmetry(SignalEffect):
         return signal + self.asymmetry * jnp.abs(sample.rate[0])
 '''
 
+NOISE = '''
+"""Noise of the row, however many samples it has: what lasts as long as a row does not average out."""
+
+from imubayes import Entry, EntryNoise, Scalar, parameter
+
+
+class HouseNoise(EntryNoise):
+    """Variance σ² of a row."""
+
+    name, kinds = "house_noise", ("gyro",)
+    sigma: Scalar = parameter("output", "lognormal(1 noise, 0.5)", (1e-9, 0.1), "the standard deviation of a row")
+
+    def variance(self, entry: Entry):
+        return self.sigma**2
+'''
+
 
 def model_of(*names: str, files: tuple = ()) -> ModelSpec:
     effects = tuple(EffectSpec(name, where=f"model: {name}") for name in (*names, "white_noise"))
     return ModelSpec("own", effects, tuple(map(str, files)))
+
+
+def deviation(model: Model) -> np.ndarray:
+    """Return the standard deviation of the noise at the median of its prior, (E,)."""
+    return np.asarray(noise_deviation(model.problem, whitener(model.problem, jnp.zeros(model.problem.size[1]))))
 
 
 def test_a_user_effect_is_bound_and_predicted(tmp_path):
@@ -47,6 +69,20 @@ def test_a_user_effect_is_bound_and_predicted(tmp_path):
     # 100 ppm of |±100 °/s| at 1000 pulses per degree, in both directions
     np.testing.assert_allclose(change[gz][1:3], 10.0, rtol=1e-3)
     assert not change[model.entries.channel != 2].any()
+
+
+def test_a_noise_of_the_user_is_bound_and_widens_what_it_applies_to(tmp_path):
+    file = tmp_path / "house.py"
+    file.write_text(NOISE, encoding="utf-8")
+    model = bind(model_of("gyro_bias", "house_noise", files=(file,)), campaign())
+    assert [each for each in model.hyper_layout.names if "house" in each] == [
+        f"house_noise.sigma[g{axis}]" for axis in "xyz"
+    ]
+    own, white = (deviation(each) for each in (model, bind(model_of("gyro_bias"), campaign())))
+    gyro = model.entries.channel < 3
+    # The median of the prior is the noise of a raw sample, 0.5 pulses, and that of the white noise is averaged.
+    np.testing.assert_allclose(own[gyro] ** 2 - white[gyro] ** 2, 0.5**2, rtol=1e-6)
+    np.testing.assert_array_equal(own[~gyro], white[~gyro])
 
 
 @pytest.mark.parametrize(

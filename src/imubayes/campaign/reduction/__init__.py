@@ -2,8 +2,8 @@
 
 A log is streamed twice.  The first pass summarises short blocks (`log_survey`), from which the levels of the stimulus
 and the spans in which the outputs are steady are detected (`constant_spans`), or takes the spans from the segment
-column (`log_reduction`).  The second pass averages each span exactly (`span_means`); means with clipped samples are left
-out.  Memory does not grow with the length of the log.
+column (`log_reduction`).  The second pass averages each span exactly (`span_means`); means with clipped samples are
+left out.  Memory does not grow with the length of the log.
 """
 
 from imubayes.campaign.reduction.constant_spans import BenchSettings, Span, UnsettledLevel, constant_spans
