@@ -42,14 +42,18 @@ def test_a_threshold_of_nothing_is_refused(capsys):
     assert "--delta-k-threshold" in capsys.readouterr().err
 
 
-def test_every_estimate_states_how_its_uncertainty_was_evaluated(capsys):
-    for name in ("accel-channel", "trihedral-imu", "polar-tumble", "reference-gyro", "rotation-modulation"):
-        assert run(["classical", str(ROOT / "data" / name), "--json"]) == 0
-        estimates = json.loads(capsys.readouterr().out)["estimates"]
-        assert estimates
-        for one in estimates:
-            assert one["sd"] is not None, one["name"]
-            assert one["uncertainty"].startswith("type A"), one["name"]
+@pytest.mark.parametrize(
+    "name",
+    ["accel-channel", "polar-tumble", "reference-gyro",
+     *(pytest.param(name, marks=pytest.mark.slow) for name in ("trihedral-imu", "rotation-modulation"))],
+)  # fmt: skip
+def test_every_estimate_states_how_its_uncertainty_was_evaluated(capsys, name):
+    assert run(["classical", str(ROOT / "data" / name), "--json"]) == 0
+    estimates = json.loads(capsys.readouterr().out)["estimates"]
+    assert estimates
+    for one in estimates:
+        assert one["sd"] is not None, one["name"]
+        assert one["uncertainty"].startswith("type A"), one["name"]
 
 
 def test_the_carrier_without_a_fit(tmp_path, capsys):

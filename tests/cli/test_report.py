@@ -25,9 +25,17 @@ WIDE = '[[limit]]\nquantity = "accel_bias.bias"\nlower = -100\nupper = 100\nunit
 HEAD = 'format = 1\nname = "test"\n'
 
 
+@pytest.fixture(scope="module")
+def fitted(accel_channel, tmp_path_factory) -> Path:
+    """The result with its budgets, which a sampled fit keeps and no report computes again."""
+    folder = Path(shutil.copytree(accel_channel, tmp_path_factory.mktemp("report") / "result"))
+    report_budgets.keep_budgets(read_result(folder))
+    return folder
+
+
 @pytest.fixture
-def result(accel_channel, tmp_path) -> Path:
-    return Path(shutil.copytree(accel_channel, tmp_path / "result"))
+def result(fitted, tmp_path) -> Path:
+    return Path(shutil.copytree(fitted, tmp_path / "result"))
 
 
 def specification(folder: Path, text: str = WIDE) -> str:

@@ -58,6 +58,7 @@ def test_a_second_mode_of_a_scale_is_named():
     np.testing.assert_allclose(probes.points[other], [-2.0, 0.0], atol=0.3)
 
 
+@pytest.mark.slow
 def test_a_correlation_near_one_leaves_the_precision_positive_and_right_for_means():
     plain = bind(spec("gyro_bias", noise=("white_noise", "correlated_noise")), campaign())
     correlated = np.array([each.effect == "correlated_noise" for each in plain.hyper_layout.parameters])

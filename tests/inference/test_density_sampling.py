@@ -98,6 +98,7 @@ def require_ridge(found):
     assert np.exp(found.draws[:, 2]).max() < 3
 
 
+@pytest.mark.slow
 def test_a_ridge_is_sampled_from_its_mode_and_covariance():
     require_ridge(imubayes.sample(jax.jit(jax.vmap(log_ridge)), *RIDGE))
 
@@ -138,6 +139,7 @@ def test_shapes_that_the_moves_cannot_follow_do_not_converge(density, start, sca
     assert not found.converged
 
 
+@pytest.mark.slow
 def test_two_modes_within_the_starts_are_both_sampled():
     def density(points):
         return jnp.logaddexp(-0.5 * (points**2).sum(axis=1), -0.5 * ((points - 5) ** 2).sum(axis=1))

@@ -55,6 +55,7 @@ def test_without_the_ridge_proposals_miss_tails():
     assert effective_share(bent) < 0.5
 
 
+@pytest.mark.slow
 def test_a_point_and_its_standard_normal_vector_belong_together():
     problem, proposal = made()[0].problem, made()[2]
     drawn, density = points(proposal)

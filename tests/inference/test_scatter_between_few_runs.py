@@ -20,6 +20,9 @@ from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.results.result import Result
 from small_campaign import ARCSEC, DEGREE, LATITUDE, _axes, _run, campaign, channels
 
+# Whole fits against quadrature; at every run test_conditional_precision.py has the precision at any scatter.
+pytestmark = pytest.mark.slow
+
 GYROS, SENSE, ROWS, SAMPLES = ("g1", "g2"), np.array([1, -1, 1, -1]), 12, 100
 SCALE, RATE, EARTH = 1000.0, 100.0, 7.292115e-5 / DEGREE * np.sin(LATITUDE)  # pulse/s per deg/s, deg/s
 NOISE, SCATTER, BIAS, ERROR = 0.5, 0.25, 10 / 3600, 5e-6  # pulse/s, pulse/s, deg/s, ratio: σ, and widths of priors
@@ -134,7 +137,7 @@ def quadrature(data: Callable[[], Data]) -> tuple[np.ndarray, np.ndarray, np.nda
     return whole, np.sqrt(weight @ (own + (mean - whole) ** 2)), Z[places[np.argmax(density)]]
 
 
-@pytest.mark.parametrize("data", [pytest.param(contradicted, marks=pytest.mark.slow), disagreeing])
+@pytest.mark.parametrize("data", [contradicted, disagreeing])
 def test_the_summary_is_of_the_marginal_over_the_scales(data):
     mean, sd, _ = quadrature(data)
     biases = (f"gyro_bias.bias[{name}]" for name in GYROS[: len(data().output)])
@@ -145,7 +148,7 @@ def test_the_summary_is_of_the_marginal_over_the_scales(data):
         assert found[name].sd == pytest.approx(sd[place], rel=0.05), name
 
 
-@pytest.mark.parametrize("data", [pytest.param(contradicted, marks=pytest.mark.slow), disagreeing])
+@pytest.mark.parametrize("data", [contradicted, disagreeing])
 def test_the_mode_is_the_highest_maximum(data):
     names = fitted(data).fit.model.hyper_layout.names
     found = [fitted(data).fit.h[names.index(name)] for name in data().scatters]

@@ -51,9 +51,8 @@ def test_the_signal_path_agrees_with_attitude_and_place_differentiated(name):
     assert half.max() > 100
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "centrifuge" else name for name in MODULES]
-)
+@pytest.mark.slow  # two large campaigns; test_joint.py fits two others at every run
+@pytest.mark.parametrize("name", MODULES)
 def test_the_truth_is_within_its_uncertainty(name):
     model, _, true = shipped(name)
     mode = find_mode(model.problem, *(jnp.zeros(size) for size in model.problem.size))
