@@ -6,22 +6,19 @@ folders as one Parquet dataset.
 """
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import cyclopts
 
-from imubayes.cli.session import Flag, Json, print_json
+from imubayes.cli.session import Flag, Json, progress, show, start_jax
 from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from imubayes.batch.batch_folder import BatchSettings
-    from imubayes.batch.run_batch import BatchProgress, Executor
-    from imubayes.display.layout import Report
-    from imubayes.foundations.records import Record
+    from imubayes.batch.run_batch import Executor
 
 
 batch = cyclopts.App(name="batch", help="Fit every campaign of an archive with one model, and compare the units.")
@@ -72,40 +69,20 @@ def fit_all(
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.cli.session import start_jax
-
     start_jax()
     from imubayes.batch.batch_folder import BatchSettings
-
-    state = _run(archive, model, out, BatchSettings(sample, diagnose, seed), retry, executor(workers, scheduler))
-    return _report(state, out, as_json)
-
-
-def _run(
-    archive: Path, model: Path, out: Path, settings: "BatchSettings", retry: bool,
-    executor: AbstractContextManager["Executor"],
-) -> "BatchProgress":  # fmt: skip
+    from imubayes.batch.posterior_table import read_outcomes
     from imubayes.batch.run_batch import run_batch
-    from imubayes.cli.session import progress
-    from imubayes.display.batch_report import progress_text
+    from imubayes.display.batch_report import batch_json, batch_report, progress_text
 
-    with progress() as tell, executor as execute:
+    settings = BatchSettings(sample, diagnose, seed)
+    with progress() as tell, executor(workers, scheduler) as execute:
         tell("listing the campaigns")
-        return run_batch(
+        state = run_batch(
             archive, model, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
         )
-
-
-def _report(state: "BatchProgress", out: Path, as_json: bool) -> int:
-    from imubayes.batch.posterior_table import read_outcomes
-    from imubayes.display.batch_report import batch_json, batch_report
-    from imubayes.display.layout import print_report
-
     units = read_outcomes(out, state.key)
-    if as_json:
-        print_json(batch_json(state, units, state.key))
-    else:
-        print_report(batch_report(state, units, out))
+    show(lambda: batch_json(state, units, state.key), lambda: batch_report(state, units, out), as_json)
     return 1 if (units["status"] != "fitted").any() else 0
 
 
@@ -168,15 +145,6 @@ def _write(table: "pl.DataFrame", file: Path | None) -> None:
             table.write_parquet(scratch)
 
 
-def _show(found: "Record", report: "Report", as_json: bool) -> None:
-    from imubayes.display.layout import print_report
-
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        print_report(report)
-
-
 @batch.command
 def population(
     results: Path,
@@ -185,7 +153,7 @@ def population(
     picture: Path | None = None,
     model_hash: str | None = None,
     as_json: Json = False,
-) -> int:
+) -> None:
     """Show mean and spread of every parameter over the units, and the units that are unlike the others.
 
     Example: imubayes batch population results/batch --out units.parquet
@@ -212,12 +180,11 @@ def population(
         from imubayes.display.figures.batch import population_picture
 
         population_picture(found, units).save(picture)
-    _show(found, population_report(found), as_json)
-    return 0
+    show(lambda: found, lambda: population_report(found), as_json)
 
 
 @batch.command
-def prior(results: Path, *, out: Path, name: str = "", model_hash: str | None = None, as_json: Json = False) -> int:
+def prior(results: Path, *, out: Path, name: str = "", model_hash: str | None = None, as_json: Json = False) -> None:
     """Write a model for the next unit, whose priors are the population of the units so far.
 
     Example: imubayes batch prior results/batch --out models/next-unit.toml
@@ -241,7 +208,6 @@ def prior(results: Path, *, out: Path, name: str = "", model_hash: str | None = 
     from imubayes.batch.parameter_population import populations
     from imubayes.batch.posterior_table import MODEL_FILE, model_folder
     from imubayes.display.batch_report import prior_report
-    from imubayes.display.layout import print_report
     from imubayes.foundations.files import refuse_existing, write_text
     from imubayes.model.model_file import read_carried_model
     from imubayes.results.result_folder import model_text
@@ -251,17 +217,14 @@ def prior(results: Path, *, out: Path, name: str = "", model_hash: str | None = 
     spec, replaced = next_unit_model(read_carried_model(model_folder(folder, found.model) / MODEL_FILE), found, name)
     refuse_existing(out)
     write_text(out, model_text(spec))
-    if as_json:
-        print_json({"format": 1, "model": str(out), "priors": [asdict(each) for each in replaced]})
-    else:
-        print_report(prior_report(replaced, out))
-    return 0
+    record = {"format": 1, "model": str(out), "priors": [asdict(each) for each in replaced]}
+    show(lambda: record, lambda: prior_report(replaced, out), as_json)
 
 
 @batch.command
 def diagnose(
     results: Path, *, picture: Path | None = None, model_hash: str | None = None, as_json: Json = False
-) -> int:
+) -> None:
     """Look for effects that the model lacks, with the evidence of all units added up.
 
     The scores of every unit are computed once and kept in the results folder.
@@ -279,8 +242,6 @@ def diagnose(
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.cli.session import progress, start_jax
-
     start_jax()
     from imubayes.batch.pooled_discovery import pooled_discovery
     from imubayes.batch.posterior_table import read_units
@@ -297,14 +258,13 @@ def diagnose(
         from imubayes.display.figures.batch import evidence_picture
 
         evidence_picture(found, units).save(picture)
-    _show(found, discovery_report(found, issues), as_json)
-    return 0
+    show(lambda: found, lambda: discovery_report(found, issues), as_json)
 
 
 @batch.command
 def compare(
     old: Path, new: Path, *, out: Path | None = None, picture: Path | None = None, as_json: Json = False
-) -> int:
+) -> None:
     """Show what changed with the model: per parameter and unit, with significance.
 
     Example: imubayes batch compare results/old results/new --out changes.parquet
@@ -331,8 +291,7 @@ def compare(
         from imubayes.display.figures.batch import change_picture
 
         change_picture(changes).save(picture)
-    _show(found, comparison_report(found), as_json)
-    return 0
+    show(lambda: found, lambda: comparison_report(found), as_json)
 
 
 @batch.command
@@ -343,7 +302,7 @@ def trends(
     picture: Path | None = None,
     model_hash: str | None = None,
     as_json: Json = False,
-) -> int:
+) -> None:
     """Show trends over dates and serial numbers, and drift between calibrations of one unit.
 
     Example: imubayes batch trends results/batch --out drifts.parquet
@@ -373,8 +332,7 @@ def trends(
 
         names = dict.fromkeys(each.parameter for each in (*found.drifts[:3], *found.trends))
         trend_picture(dated_estimates(*tables), list(names)).save(picture)
-    _show(found, trends_report(found), as_json)
-    return 0
+    show(lambda: found, lambda: trends_report(found), as_json)
 
 
 archive = cyclopts.App(name="archive", help="Keep many campaigns as one Parquet dataset: pack, list, check.")
@@ -395,24 +353,18 @@ def pack(*folders: Path, out: Path, as_json: Json = False) -> int:
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.cli.session import progress
-
     with progress() as tell:
         from imubayes.archive import campaign_folders
         from imubayes.archive import pack as pack_folders
         from imubayes.display.check_report import packed_json, packed_report
-        from imubayes.display.layout import print_report
 
         packed = pack_folders(campaign_folders(folders), out, tell)
-    if as_json:
-        print_json(packed_json(packed))
-    else:
-        print_report(packed_report(packed, out))
+    show(lambda: packed_json(packed), lambda: packed_report(packed, out), as_json)
     return 1 if packed.refused else 0
 
 
 @archive.command(name="list")
-def list_campaigns(archive: Path, *, as_json: Json = False) -> int:
+def list_campaigns(archive: Path, *, as_json: Json = False) -> None:
     """List the campaigns of an archive, by unit and date.
 
     Example: imubayes archive list archive
@@ -426,14 +378,9 @@ def list_campaigns(archive: Path, *, as_json: Json = False) -> int:
     """
     from imubayes.archive.store import open_archive
     from imubayes.display.check_report import list_json, list_report
-    from imubayes.display.layout import print_report
 
     campaigns = open_archive(archive).campaigns()
-    if as_json:
-        print_json(list_json(campaigns))
-    else:
-        print_report(list_report(campaigns))
-    return 0
+    show(lambda: list_json(campaigns), lambda: list_report(campaigns), as_json)
 
 
 @archive.command
@@ -450,15 +397,10 @@ def check(archive: Path, *, as_json: Json = False) -> int:
         Print one JSON object on standard output.
     """
     from imubayes.archive.store import open_archive
-    from imubayes.cli.session import progress
     from imubayes.display.check_report import archive_check, check_json
-    from imubayes.display.layout import print_report
 
     opened = open_archive(archive)
     with progress() as tell:
-        issues = opened.check(tell)
-    if as_json:
-        print_json(check_json(len(opened.files()), issues))
-    else:
-        print_report(archive_check(len(opened.files()), issues))
+        issues, files = opened.check(tell), len(opened.files())
+    show(lambda: check_json(files, issues), lambda: archive_check(files, issues), as_json)
     return 1 if issues else 0

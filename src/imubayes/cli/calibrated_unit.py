@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import cyclopts
 
-from imubayes.cli.session import Flag, Trust
+from imubayes.cli.session import Flag, Trust, progress, start_jax, trusting
+from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
     from imubayes.results.result import Result
@@ -26,7 +27,7 @@ def apply(
     converter_temperature: float | None = None,
     along_axes: Flag = False,
     trust: Trust = False,
-) -> int:
+) -> None:
     """Correct a recording of a calibrated unit: outputs become rates and accelerations, with uncertainty.
 
     A recording with all gyros or accelerometers of a unit is solved for rate and specific force in body axes, all
@@ -57,22 +58,17 @@ def apply(
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import trusting
-
     trusting(result, trust)
     stated = {"temperature": temperature, "converter_temperature": converter_temperature}
     known = {name: value for name, value in stated.items() if value is not None}
     for line in (*_corrected(result, recording, out, run, known, along_axes), f"wrote {out}"):
         print(line)
-    return 0
 
 
 def _corrected(
     result: Path, recording: Path, out: Path, run: str, temperatures: dict[str, float], along_axes: bool
 ) -> list[str]:
     """Write the table; return what to say of it."""
-    from imubayes.cli.session import progress, start_jax
-
     with progress() as tell:
         start_jax()
         from imubayes import api
@@ -102,7 +98,7 @@ def _along_axes(
     return inputs_lines(found, nothing_across)
 
 
-def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) -> int:
+def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) -> None:
     """Write the carrier's rate and specific force, the table's measured rotation taken out, and a picture.
 
     Example: imubayes carrier data/rotation-modulation pyramid-forward --out carrier.csv
@@ -118,8 +114,6 @@ def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) 
     result
         Result folder of a fit of the same campaign, whose fitted errors are taken out first.
     """
-    from imubayes.cli.session import progress
-
     with progress() as tell:
         from imubayes.campaign import load_campaign
         from imubayes.display.carrier_motion import carrier_sheet, rotating_run, write_carrier
@@ -142,7 +136,6 @@ def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) 
     for file in written:
         print(f"wrote {file}")
     print_report(Report((), [carrier_sheet(found, loaded, chosen)]))
-    return 0
 
 
 def export(
@@ -155,7 +148,7 @@ def export(
     topic: str = "/imu0",
     accept_loss: Flag = False,
     trust: Trust = False,
-) -> int:
+) -> None:
     """Write the constants of a unit in the format of the program that will use them.
 
     Matrix, biases and gains over temperature with the joint covariance of all of them (json), as a C header with the
@@ -183,13 +176,10 @@ def export(
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import start_jax, trusting
-
     start_jax()
     trusting(result, trust)
     from imubayes import api
     from imubayes.display.onboard.formats import in_words
-    from imubayes.foundations.errors import input_error
 
     if rate_hz is not None and not 0 < rate_hz < float("inf"):
         raise input_error(f"a rate of {rate_hz:g} Hz", "--rate-hz", "a number above 0", "correct it")
@@ -198,7 +188,6 @@ def export(
     ):
         print(f"left out: {in_words(loss)}")
     print(f"wrote {out}")
-    return 0
 
 
 Out = Annotated[list[Path], cyclopts.Parameter(consume_multiple=True, negative="")]
@@ -222,8 +211,6 @@ def report(result: Path, *, out: Out, spec: Path | None = None, trust: Trust = F
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, start_jax, trusting
-
     with progress() as tell:
         start_jax()
         trusting(result, trust)

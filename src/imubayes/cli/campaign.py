@@ -12,7 +12,19 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from imubayes.cli.session import Flag, Json, Names, Trust, print_json, split
+from imubayes.cli.session import (
+    Flag,
+    Json,
+    Names,
+    Trust,
+    inspecting,
+    print_json,
+    progress,
+    show,
+    split,
+    start_jax,
+    trusting,
+)
 from imubayes.foundations.errors import closest_first, input_error
 
 if TYPE_CHECKING:
@@ -20,7 +32,7 @@ if TYPE_CHECKING:
     from imubayes.display.check_report import CheckedModel
 
 
-def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, verbose: Flag = False) -> int:
+def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, verbose: Flag = False) -> None:
     """Read everything, say what is there and what is wrong.
 
     The outputs are compared with the stated set-up: zero, sense, azimuth and elevation of tables, mountings, units,
@@ -40,9 +52,7 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, v
     verbose
         List every run and every note; otherwise those of one kind are one line.
     """
-    from imubayes.cli.session import progress
     from imubayes.display.check_report import check_record, check_report
-    from imubayes.display.layout import print_report
 
     if model is None:
         from imubayes.campaign import inspect_campaign
@@ -51,16 +61,18 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, v
             inspection, size = inspect_campaign(campaign), None
     else:
         inspection, size = _with_model(campaign, model)
-    if as_json:
-        print_json(check_record(inspection, size).model_dump(mode="json"))
-    else:
-        print_report(check_report(inspection, size, _next(campaign, model), verbose))
-    return 0
+    following = f"check {campaign} --model MODEL"
+    if model is not None:
+        following = f"fit {campaign} --model {model} --out results/{campaign.resolve().name}"
+    show(
+        lambda: check_record(inspection, size),
+        lambda: check_report(inspection, size, f"imubayes {following}", verbose),
+        as_json,
+    )
 
 
 def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel | None]":
     """Return the inspection of a campaign and the size of the model bound to it; None where it cannot be used."""
-    from imubayes.cli.session import inspecting, progress, start_jax
     from imubayes.display.check_report import CheckedModel
 
     with progress("reading the campaign") as tell, inspecting(campaign) as inspected:
@@ -82,14 +94,7 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
     )
 
 
-def _next(campaign: Path, model: Path | None) -> str:
-    """Return the command to run next."""
-    if model is None:
-        return f"imubayes check {campaign} --model MODEL"
-    return f"imubayes fit {campaign} --model {model} --out results/{campaign.resolve().name}"
-
-
-def effects(name: str | None = None, *, campaign: Annotated[Path | None, Parameter(name="--for")] = None) -> int:
+def effects(name: str | None = None, *, campaign: Annotated[Path | None, Parameter(name="--for")] = None) -> None:
     """List the catalogue of effects, explain one, or say which a campaign could show.
 
     Example: imubayes effects gyro_g_sensitivity
@@ -101,8 +106,6 @@ def effects(name: str | None = None, *, campaign: Annotated[Path | None, Paramet
     campaign
         Folder with campaign.toml: which effects its runs could show, and what is missing for the others.
     """
-    from imubayes.cli.session import progress, start_jax
-
     with progress():
         start_jax()
         from imubayes.display.effect_catalogue import print_catalogue, print_effect, print_observable
@@ -115,7 +118,6 @@ def effects(name: str | None = None, *, campaign: Annotated[Path | None, Paramet
         print_effect(name)
     elif campaign is None:
         print_catalogue()
-    return 0
 
 
 def noise(
@@ -149,8 +151,6 @@ def noise(
         Print one JSON object on standard output.
     """
     from imubayes.campaign import load_campaign
-    from imubayes.cli.session import progress
-    from imubayes.foundations.errors import input_error
     from imubayes.noise_analysis.noise_record import static_noise
 
     for name, value in (("--shortest-tau", shortest_tau), ("--sample-rate", sample_rate or 0.0)):
@@ -194,7 +194,7 @@ _RECORDS = {
 """Kind of file → module and name of its pydantic record."""
 
 
-def schema(kind: str) -> int:
+def schema(kind: str) -> None:
     """Print the JSON Schema of a file, for completion and validation in an editor.
 
     Example: imubayes schema campaign > campaign.schema.json
@@ -211,10 +211,9 @@ def schema(kind: str) -> int:
     module, record = _RECORDS[kind]
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     print(json.dumps(dialect | getattr(import_module(module), record).model_json_schema(), indent=1))
-    return 0
 
 
-def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = False) -> int:
+def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = False) -> None:
     """Simulate a test plan: a campaign folder with a truth file.
 
     Example: imubayes simulate data/plans/trihedral-example.toml --out campaigns/simulated
@@ -230,8 +229,6 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = F
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, start_jax, trusting
-
     with progress() as tell:
         start_jax()
         from imubayes.simulation.simulate import simulate_plan
@@ -241,4 +238,3 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = F
         tell("simulating")
         folder = simulate_plan(plan, out, seed)
     print(f"campaign in {folder}, truth in {folder / 'truth.toml'}; next: imubayes check {folder}")
-    return 0

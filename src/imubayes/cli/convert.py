@@ -35,11 +35,8 @@ def convert(
     out: Path,
     column: Annotated[list[str] | None, Parameter(negative="")] = None,
     options: Annotated[_Options, Parameter(name="*", negative="", name_transform=_option_name)] = _NO_OPTIONS,
-) -> int:
+) -> None:
     """Convert a recording of another tool into a campaign folder.
-
-    Example: imubayes convert imu-tk acc.mat gyro.mat --out campaigns/xsens --accel-unit count --gyro-unit count
-    --gravity-m-s2 9.81744
 
     Parameters
     ----------
@@ -59,7 +56,6 @@ def convert(
     for note in entry.notes if entry else ():
         print(f"note: {note}")
     print(f"campaign in {folder}; next: imubayes check {folder}")
-    return 0
 
 
 def _column_source(word: str) -> tuple[str, str | int]:

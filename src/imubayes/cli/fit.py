@@ -9,12 +9,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from imubayes.cli.session import Flag, Json, Trust, print_json, progress, start_jax, trusting
+from imubayes.cli.session import Flag, Json, Trust, inspecting, progress, show, start_jax, trusting
 from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
     from imubayes.foundations.campaign_data import Campaign
-    from imubayes.results.summary import Summary
 
 
 def classical(
@@ -43,14 +42,11 @@ def classical(
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, trusting
-
     with progress() as tell:
         trusting(result, trust)
         from imubayes.campaign import load_campaign
         from imubayes.display.classical_comparison import classical_json, compare_classical, of_prediction
         from imubayes.display.fit_report import classical_report
-        from imubayes.display.layout import print_report
         from imubayes.display.loop.effects_behind import effects_behind
         from imubayes.procedures import classical as evaluate
         from imubayes.results.fit_file import read_fit
@@ -71,10 +67,7 @@ def classical(
     if result is not None and summary is not None and comparison.beyond:
         behind = effects_behind(read_fit(result), read_summary_and_residuals(result)[1].table, summary)
         comparison = comparison.with_causes(behind)
-    if as_json:
-        print_json(classical_json(comparison))
-    else:
-        print_report(classical_report(comparison))
+    show(lambda: classical_json(comparison), lambda: classical_report(comparison), as_json)
     return 0 if comparison.estimates else 1
 
 
@@ -90,7 +83,7 @@ def compare(
     runs: list[str] | None = None,
     every: Flag = False,
     trust: Trust = False,
-) -> int:
+) -> None:
     """Compare the model with the measurements: figures, and goodness of fit per run and channel.
 
     Example: imubayes compare results/trihedral-imu
@@ -108,8 +101,6 @@ def compare(
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, trusting
-
     with progress() as tell:
         trusting(result, trust)
         from imubayes.display.model_against_measurement import compare as compare_result
@@ -117,7 +108,6 @@ def compare(
 
         comparison = compare_result(result, parameters=parameters, runs=runs, every=every, progress=tell)
     print_comparison(comparison)
-    return 0
 
 
 def fit(
@@ -173,17 +163,17 @@ def fit(
                 recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
                 until_digits=until_digits, progress=tell,
             )  # fmt: skip
-    if as_json:
-        print_json(result.summary.model_dump(mode="json"))
-    else:
-        _print_summary(result.summary, verbose, campaign, out)
+    from imubayes.display.fit_cautions import next_command
+    from imubayes.display.fit_report import summary_report
+
+    show(lambda: result.summary, lambda: summary_report(result.summary, verbose=verbose), as_json)
+    if not as_json:
+        print(f"\nresult in {out}; next: {next_command(result.summary, str(campaign), str(out))}")
     return 0 if result.converged else 1
 
 
 def _read(campaign: Path, held: ExitStack, out: Path, resume: bool, replace: bool) -> "Campaign":
     """Return the campaign, after its warnings are printed; the folder of the result is held before, in `held`."""
-    from imubayes.cli.session import inspecting
-
     with progress() as tell, inspecting(campaign) as inspected:
         from imubayes.results.folder_state import claimed
 
@@ -195,12 +185,3 @@ def _read(campaign: Path, held: ExitStack, out: Path, resume: bool, replace: boo
         recorded = usable(inspection := inspected())
     print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
     return recorded
-
-
-def _print_summary(summary: "Summary", verbose: bool, campaign: Path, out: Path) -> None:
-    from imubayes.display.fit_cautions import next_command
-    from imubayes.display.fit_report import summary_report
-    from imubayes.display.layout import print_report
-
-    print_report(summary_report(summary, verbose=verbose))
-    print(f"\nresult in {out}; next: {next_command(summary, str(campaign), str(out))}")

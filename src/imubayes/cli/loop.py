@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import cyclopts
 
-from imubayes.cli.session import Flag, Json, Names, Trust, print_json, progress, split, start_jax
+from imubayes.cli.session import Flag, Json, Names, Trust, progress, show, split, start_jax, trusting
+from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
     from imubayes.criticism.diagnosis_record import Diagnosis
@@ -55,8 +56,6 @@ def add(
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, start_jax, trusting
-
     with progress() as tell:
         start_jax("add")
         trusting(to, trust)
@@ -68,13 +67,10 @@ def add(
 
 def print_change(change: "ModelChange", as_json: bool, verbose: bool) -> int:
     """Print what a change of a model brought; return the exit status: 0 where the refit is taken, else 1."""
-    from imubayes.display.layout import print_report
     from imubayes.display.loop.change_report import change_report, next_command
 
-    if as_json:
-        print_json(change.model_dump(mode="json") | {"next": next_command(change)})
-    else:
-        print_report(change_report(change, verbose))
+    record = change.model_dump(mode="json") | {"next": next_command(change)}
+    show(lambda: record, lambda: change_report(change, verbose), as_json)
     if not change.taken:
         print(change.message, file=sys.stderr)
     return 0 if change.taken else 1
@@ -109,13 +105,10 @@ def diagnose(
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, start_jax, trusting
-
     with progress() as tell:
         start_jax("diagnose")
         trusting(result, trust)
         from imubayes.api import diagnose as find_missing
-        from imubayes.display.layout import print_report
         from imubayes.display.loop.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
 
         found = find_missing(result, effect, progress=tell)
@@ -123,10 +116,8 @@ def diagnose(
         pictures = _pictures(result, found)
     if python:
         print(effect_source(found))
-    elif as_json:
-        print_json(diagnosis_json(found))
     else:
-        print_report(diagnosis_report(found, pictures, verbose))
+        show(lambda: diagnosis_json(found), lambda: diagnosis_report(found, pictures, verbose), as_json)
     return 1 if found.verdict == "not_converged" else 0
 
 
@@ -150,7 +141,7 @@ def history(
     export: Path | None = None,
     html: Path | None = None,
     as_json: Json = False,
-) -> int:
+) -> None:
     """Show the models tried, how the error fell, and which one is selected.
 
     Example: imubayes history results/second --html history.html
@@ -168,14 +159,11 @@ def history(
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.foundations.errors import input_error
-
     folders = [*results, *([select] if select is not None and not results else [])]
     if not folders:
         raise input_error("no result is named", "command line", "result folders", "name at least one")
     with progress() as tell:
         # What reads alone needs no JAX, which takes seconds to import.
-        from imubayes.display.layout import print_report
         from imubayes.display.loop.history import history_json, history_report
         from imubayes.foundations.files import refuse_existing
         from imubayes.results.history_tree import read_tree
@@ -196,13 +184,10 @@ def history(
         if html is not None:
             tell("drawing")
             _write_page(html, tree)
-    if as_json:
-        print_json(history_json(tree))
-    else:
-        print_report(history_report(tree))
-        for file in (file for file in (export, html) if file is not None):
+    show(lambda: history_json(tree), lambda: history_report(tree), as_json)
+    for file in (export, html) if not as_json else ():
+        if file is not None:
             print(f"written: {file}")
-    return 0
 
 
 def _write_page(html: Path, tree: "Tree") -> None:
@@ -226,7 +211,7 @@ def plant(
     seed: int = 0,
     as_json: Json = False,
     trust: Trust = False,
-) -> int:
+) -> None:
     """Plant effects into data simulated from the fit, and see which the diagnosis would have found.
 
     Example: imubayes plant data/trihedral-imu --model models/trihedral-imu.toml --effects gyro_g2_sensitivity
@@ -254,13 +239,10 @@ def plant(
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, start_jax, trusting
-
     with progress() as tell:
         start_jax()
         trusting(result, trust)
         from imubayes.api import plant as plant_effects
-        from imubayes.display.layout import print_report
         from imubayes.display.loop.change_report import injection_json, injection_report
         from imubayes.loop.injection_recovery import Size
 
@@ -268,11 +250,7 @@ def plant(
             campaign, model, result=result, effects=split(effects),
             size=Size(delta_chi2, size), draws=draws, seed=seed, progress=tell,
         )  # fmt: skip
-    if as_json:
-        print_json(injection_json(trials))
-    else:
-        print_report(injection_report(trials))
-    return 0
+    show(lambda: injection_json(trials), lambda: injection_report(trials), as_json)
 
 
 def remove(
@@ -308,9 +286,6 @@ def remove(
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.cli.session import progress, start_jax, trusting
-    from imubayes.foundations.errors import input_error
-
     if not effects:
         raise input_error("no effect is named", "command line", "effects of the model", "name one")
     with progress() as tell:

@@ -42,8 +42,15 @@ for _command in _COMMANDS:
     app.command(_command)
 app.command(archive)
 app.command(batch)
-# Its options are a dataclass of the campaign package: imported only when the command runs.
-app.command("imubayes.cli.convert:convert", name="convert")
+# Its options are a dataclass of the campaign package: imported only when the command runs; its help stands here, or
+# `imubayes --help` would import it as well.
+app.command(
+    "imubayes.cli.convert:convert",
+    name="convert",
+    help="Convert a recording of another tool into a campaign folder.\n\n"
+    "Example: imubayes convert imu-tk acc.mat gyro.mat --out campaigns/xsens --accel-unit count --gyro-unit count "
+    "--gravity-m-s2 9.81744",
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

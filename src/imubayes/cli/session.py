@@ -19,9 +19,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import cyclopts
 
 from imubayes.display.progress import terminal_progress
+from imubayes.foundations.records import Record
 
 if TYPE_CHECKING:
     from imubayes.campaign import Inspection
+    from imubayes.display.layout import Report
 
 
 @contextmanager
@@ -89,6 +91,17 @@ def print_json(value: Any) -> None:
     plain = (sys.stdout.encoding or "utf-8").lower().replace("-", "") != "utf8"
     json.dump(value, sys.stdout, ensure_ascii=plain)
     print()
+
+
+def show(record: Callable[[], Any], report: Callable[[], "Report"], as_json: bool) -> None:
+    """Print what was found: the record as JSON where that is asked for, else its report; only that one is made."""
+    if as_json:
+        found = record()
+        print_json(found.model_dump(mode="json") if isinstance(found, Record) else found)
+    else:
+        from imubayes.display.layout import print_report
+
+        print_report(report())
 
 
 def start_jax(command: str = "") -> None:
