@@ -12,24 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from imubayes.cli.session import (
-    Flag,
-    Json,
-    Names,
-    Trust,
-    inspecting,
-    print_json,
-    progress,
-    show,
-    split,
-    start_jax,
-    trusting,
-)
+from imubayes.cli.session import Flag, Json, Names, Trust, inspecting, progress, show, split, start_jax, trusting
 from imubayes.foundations.errors import closest_first, input_error
 
 if TYPE_CHECKING:
     from imubayes.campaign import Inspection
     from imubayes.display.check_report import CheckedModel
+    from imubayes.display.layout import Report
 
 
 def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, verbose: Flag = False) -> None:
@@ -165,15 +154,15 @@ def noise(
             tell("drawing")
             out.mkdir(parents=True, exist_ok=True)
             written = write_noise(out, found, sample_rate)
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        from imubayes.display.layout import print_report
-        from imubayes.display.noise_report import noise_report
 
-        print_report(noise_report(found))
-        for file in written:
-            print(f"wrote {file}")
+    def report() -> "Report":
+        from imubayes.display.noise_report import noise_report  # it brings Matplotlib
+
+        return noise_report(found)
+
+    show(lambda: found, report, as_json)
+    for file in written if not as_json else ():
+        print(f"wrote {file}")
     return 0 if all(channel.converged for channel in found.channels) else 1
 
 
