@@ -22,18 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.procedures import textbook
 from imubayes.procedures.base import RAMP_KEYS, PlanRules, Procedure, Reduction
 from imubayes.procedures.fitted_terms import LinearCombination, StandardCombination
-from imubayes.procedures.textbook import (
-    Estimate,
-    Line,
-    TextbookResult,
-    Undetermined,
-    compared_probability,
-    components,
-    line,
-    measured,
-)
+from imubayes.procedures.textbook import Evaluation, Line, TextbookResult, Undetermined
 
 METHOD = "straight line against converter temperature"
 THRESHOLD = 0.1
@@ -94,11 +86,11 @@ def converter_test(campaign: Campaign, runs: Sequence[Run], threshold: float | N
         if temperature is None or np.ptp(temperature) < _LEAST_RAMP:
             found.append(Undetermined(run.name, "the converter temperature is constant"))
             continue
-        for channel, output in measured(run, campaign, "accelerometer"):
+        for channel, output in textbook.measured(run, campaign, "accelerometer"):
             level = _input(run, campaign, channel)
             if abs(level) < _LEAST_INPUT:
                 continue
-            fitted = ThermalLine(run, channel, level, line(temperature, output + channel.offset))
+            fitted = ThermalLine(run, channel, level, textbook.line(temperature, output + channel.offset))
             found += _line(fitted, campaign)
             lines.setdefault(channel.name, []).append(fitted)
     for each in lines.values():
@@ -116,7 +108,7 @@ def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombin
         temperature = run.covariates.get("converter_temperature")
         if temperature is None or np.ptp(temperature) < _LEAST_RAMP:
             continue
-        for channel, _ in measured(run, campaign, "accelerometer"):
+        for channel, _ in textbook.measured(run, campaign, "accelerometer"):
             output = _input(run, campaign, channel) * campaign.site.gravity * channel.scale_si
             weights = {
                 f"converter_offset_drift.slope[{channel.name}]": 1.0,
@@ -145,44 +137,33 @@ def _input(run: Run, campaign: Campaign, channel: Channel) -> float:
         return acceleration / campaign.site.gravity
     if run.mounting is None or run.table is None:
         return 0.0
-    return float(np.mean(components(run, campaign, channel)[0]))
+    return float(np.mean(textbook.components(run, campaign, channel)[0]))
 
 
 def _line(one: ThermalLine, campaign: Campaign) -> list[TextbookResult]:
-    fitted, place, unit = one.fitted, f"{one.channel.name},{one.run.name}", one.channel.output_unit
+    fitted, unit, how = one.fitted, one.channel.output_unit, "D = f(T)"
     nominal = one.input * one.channel.scale_si * campaign.site.gravity * 1e-6
-    sd, text = abs(fitted.slope_sd / nominal), f"type A: residuals of the line, {one.freedom} degrees of freedom"
-    method = f"{METHOD}: D = f(T)"
+    text = f"type A: residuals of the line, {one.freedom} degrees of freedom"
+    tested = Evaluation(f"{one.channel.name},{one.run.name}", one.run.name, METHOD, text)
     return [
-        Estimate(
-            f"slope[{place}]", one.run.name, fitted.slope, fitted.slope_sd, f"{unit}/degC", method, uncertainty=text
-        ),
-        Estimate(
-            f"intercept[{place}]", one.run.name, fitted.intercept, fitted.intercept_sd, unit,
-            f"{method}, at 0 °C", uncertainty=text,
-        ),
-        Estimate(
-            f"thermal_slope[{place}]", one.run.name, fitted.slope / nominal, sd, "ppm/degC", METHOD, uncertainty=text
-        ),
-    ]  # fmt: skip
+        tested.estimate("slope", fitted.slope, fitted.slope_sd, f"{unit}/degC", how),
+        tested.estimate("intercept", fitted.intercept, fitted.intercept_sd, unit, f"{how}, at 0 °C"),
+        tested.estimate("thermal_slope", fitted.slope / nominal, abs(fitted.slope_sd / nominal), "ppm/degC"),
+    ]
 
 
 def _comparison(one: ThermalLine, base: ThermalLine, threshold: float) -> list[TextbookResult]:
     """Return Δk with the decision, and Δk of the raw slopes."""
     found: list[TextbookResult] = []
+    runs, evaluation = f"{one.run.name}, {base.run.name}", "type A: residuals of both lines"
+    tested = Evaluation(f"{one.channel.name},{one.run.name}", runs, METHOD, evaluation)
     for name, raw in (("delta_k", False), ("delta_k_raw", True)):
         slopes = [each.fitted.slope / (1.0 if raw else each.input) for each in (one, base)]
         errors = [each.fitted.slope_sd / (1.0 if raw else abs(each.input)) for each in (one, base)]
         delta = abs(slopes[0] - slopes[1]) / abs(slopes[1])
         spread = float(np.hypot(errors[0], slopes[0] / slopes[1] * errors[1])) / abs(slopes[1])
-        method = f"{METHOD}: of the raw slopes" if raw else METHOD
-        found.append(
-            Estimate(
-                f"{name}[{one.channel.name},{one.run.name}]", f"{one.run.name}, {base.run.name}", delta * 100,
-                spread * 100, "%", method, decision="" if raw else decided(one, base, threshold),
-                uncertainty="type A: residuals of both lines",
-            )
-        )  # fmt: skip
+        how, decision = ("of the raw slopes", "") if raw else ("", decided(one, base, threshold))
+        found.append(tested.estimate(name, delta * 100, spread * 100, "%", how, decision))
     return found
 
 
@@ -205,7 +186,9 @@ def decided(one: ThermalLine, base: ThermalLine, threshold: float) -> str:
         text = f"{one.input:.3g} g needs its own line"
     else:
         text = "not decided by these data"
-    chance = "" if np.isnan(probability) else f", P(Δk ≤ {threshold * 100:g} %) {compared_probability(probability)}"
+    chance = (
+        "" if np.isnan(probability) else f", P(Δk ≤ {threshold * 100:g} %) {textbook.compared_probability(probability)}"
+    )
     return f"threshold {threshold * 100:g} %: {text}{chance}"
 
 

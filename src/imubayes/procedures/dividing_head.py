@@ -26,17 +26,10 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.units import to_si
+from imubayes.procedures import textbook
 from imubayes.procedures.base import PlanRules, Procedure, Reduction, position_rows
 from imubayes.procedures.fitted_terms import LinearCombination, StandardCombination
-from imubayes.procedures.textbook import (
-    Estimate,
-    TextbookResult,
-    Undetermined,
-    along_table,
-    components,
-    least_squares,
-    measured,
-)
+from imubayes.procedures.textbook import ARCSEC, Evaluation, TextbookResult, Undetermined
 
 METHOD = "IEEE Std 1293 tumble test"
 _ACROSS = 0.05
@@ -59,7 +52,7 @@ def tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]
         if positions < 4 or gaps.max() > 1.5 * 2 * np.pi / positions:
             found.append(Undetermined(run.name, f"{positions} positions are not evenly spaced over the circle"))
             continue
-        for channel, output in measured(run, campaign, "accelerometer"):
+        for channel, output in textbook.measured(run, campaign, "accelerometer"):
             found += _of_channel(run, campaign, channel, output, positions)
     return found
 
@@ -99,16 +92,16 @@ def separable_terms(a: np.ndarray, x: np.ndarray) -> Terms:
 def _of_channel(
     run: Run, campaign: Campaign, channel: Channel, output: np.ndarray, positions: int
 ) -> list[TextbookResult]:
-    axes = [along_table(run, campaign, axis) for axis in channel.axes]
+    axes = [textbook.along_table(run, campaign, axis) for axis in channel.axes]
     if abs(axes[0][2]) > _ACROSS:
         return []  # along the axis of rotation, or oblique to it: not a tumble of this channel
     other = next((place for place in (1, 2) if abs(axes[place][2]) < _ACROSS), None)
     if other is None:
         return [Undetermined(run.name, f"{channel.name}: neither its output nor its pendulous axis lies in the plane")]
-    force = components(run, campaign, channel)
+    force = textbook.components(run, campaign, channel)
     letter = "o" if other == 1 else "p"
     terms = separable_terms(force[0], force[other])
-    value, covariance, _ = least_squares(terms.design, output)
+    value, covariance, _ = textbook.least_squares(terms.design, output)
     k1 = float(value[0])
     # Coefficients are relative to K1, whose own uncertainty does not matter to them.
     relative = dict(zip(terms.names, value / k1, strict=True))
@@ -119,21 +112,14 @@ def _of_channel(
     names |= {symbol: (_JOINT[symbol], _UNITS[symbol]) for symbol in _JOINT}
     freedom = len(output) - len(terms.names)
     evaluation = f"type A: residuals of the fitted terms, {freedom} degrees of freedom"
+    tested, k1_sd = Evaluation(channel.name, run.name, METHOD, evaluation), spread["K1"] * abs(k1)
     found: list[TextbookResult] = [
-        Estimate(
-            f"scale_factor[{channel.name}]", run.name, k1 / gravity * per, spread["K1"] * abs(k1) / gravity * per,
-            unit, METHOD, uncertainty=evaluation,
-        )
-    ]  # fmt: skip
+        tested.estimate("scale_factor", k1 / gravity * per, k1_sd / gravity * per, unit),
+    ]
     for symbol in terms.names[1:]:
         name, of = names[symbol]
-        factor = np.degrees(1.0) * 3600 if of == "arcsec" else 1e6
-        found.append(
-            Estimate(
-                f"{name}[{channel.name}]", run.name, float(relative[symbol] * factor), float(spread[symbol] * factor),
-                of, METHOD, uncertainty=evaluation,
-            )
-        )  # fmt: skip
+        factor = 1 / ARCSEC if of == "arcsec" else 1e6
+        found.append(tested.estimate(name, relative[symbol] * factor, spread[symbol] * factor, of))
     found += _first_harmonic(run, channel, terms, value, covariance, per / gravity)
     return [*found, Undetermined(run.name, _left_open(channel.name, letter, terms, positions))]
 
@@ -150,13 +136,9 @@ def _first_harmonic(
         return []
     weights = np.array([_FIRST_HARMONIC.get(name, ("", 0.0))[1] for name in terms.names])
     symbol = "+".join(text for name, (text, _) in _FIRST_HARMONIC.items() if name in terms.names)
-    return [
-        Estimate(
-            f"{symbol}[{channel.name}]", run.name, float(weights @ value) * factor,
-            float(np.sqrt(weights @ covariance @ weights)) * factor, f"{channel.output_unit} per {channel.per}",
-            f"{METHOD}: amplitude of the first harmonic",
-        )
-    ]  # fmt: skip
+    sd, unit = np.sqrt(weights @ covariance @ weights), f"{channel.output_unit} per {channel.per}"
+    tested, how = Evaluation(channel.name, run.name, METHOD), "amplitude of the first harmonic"
+    return [tested.estimate(symbol, weights @ value * factor, sd * factor, unit, how)]
 
 
 def combinations(campaign: Campaign, _runs: Sequence[Run]) -> list[StandardCombination]:

@@ -24,16 +24,9 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.units import to_si
+from imubayes.procedures import textbook
 from imubayes.procedures.kinematics import AXES, felt, row_means, serial_stimulus
-from imubayes.procedures.textbook import (
-    Estimate,
-    TextbookResult,
-    Undetermined,
-    along_table,
-    components,
-    least_squares,
-    names_of,
-)
+from imubayes.procedures.textbook import Evaluation, TextbookResult, Undetermined
 
 # Singular values below this fraction of the largest are zero; nominal geometry is exact to rounding.
 _RANK = 1e-7
@@ -281,34 +274,32 @@ def term_estimates(
     recorded = [run for run in tested if np.isfinite(run.observed[:, place]).any()]
     if not recorded:
         return []
-    channel, gravity, runs = campaign.channels[place], campaign.site.gravity, names_of(recorded)
+    channel, gravity, runs = campaign.channels[place], campaign.site.gravity, textbook.names_of(recorded)
     design, output = known_rows(campaign, recorded, place, still_only)
     terms = model_terms(channel)
     kept = separated(design, terms)
     if 0 not in kept:
         return [Undetermined(runs, f"{channel.name}: its input axis sees no known input that varies")]
     length = np.linalg.norm(design[:, kept], axis=0)
-    value, covariance, _ = least_squares(design[:, kept] / length, output)
+    value, covariance, _ = textbook.least_squares(design[:, kept] / length, output)
     value, covariance = value / length, covariance / np.outer(length, length)
     scale, freedom = float(value[0]), len(output) - len(kept)
     per = to_si(channel.per, gravity) / (1.0 if channel.kind == "gyro" else to_si("g", gravity))
     evaluation = f"type A: residuals of the fitted terms, {freedom} degrees of freedom"
+    of_channel, scale_sd = Evaluation(channel.name, runs, method, evaluation), np.sqrt(covariance[0, 0])
     found: list[TextbookResult] = [
-        Estimate(
-            f"scale_factor[{channel.name}]", runs, scale * per, abs(float(np.sqrt(covariance[0, 0])) * per),
-            f"{channel.output_unit} per {channel.per}", method, uncertainty=evaluation,
+        of_channel.estimate(
+            "scale_factor", scale * per, abs(scale_sd * per), f"{channel.output_unit} per {channel.per}"
         )
-    ]  # fmt: skip
+    ]
     relative, spread = _over_first(value, covariance)
     for column, weights, size, error in zip(kept, combinations_of(design, terms, kept), relative, spread, strict=True):
         term, factor = terms[column], _factor(channel, terms[column])
         alone = term.assumed_zero or np.count_nonzero(weights) == 1
         name = term.name if alone else written(weights, [each.symbol for each in terms])
-        estimate = Estimate(
-            f"{name}[{channel.name}]", runs, float(size * factor), float(error * factor), term.unit,
-            f"{method}: {term.symbol}" if alone else method, uncertainty=evaluation,
-        )  # fmt: skip
-        found += [estimate] if column else []
+        if column:
+            how = term.symbol if alone else ""
+            found.append(of_channel.estimate(name, size * factor, error * factor, term.unit, how))
     return [*found, *_left_open(channel, terms, kept, runs)]
 
 
@@ -407,7 +398,7 @@ def of_drift(
 
 def turn_mean_drift(campaign: Campaign, run: Run, channel: Channel) -> dict[str, float]:
     """Return the drift of a gyro as the mean over a whole turn of the table: textbook symbol → weight."""
-    mean = drift_terms(components(run, campaign, channel, _ANGLES)).mean(axis=0)
+    mean = drift_terms(textbook.components(run, campaign, channel, _ANGLES)).mean(axis=0)
     terms = zip(DRIFT_COEFFICIENTS, mean, strict=True)
     return {symbol: float(weight) for symbol, weight in terms if abs(weight) > _ROUNDING}
 
@@ -416,7 +407,7 @@ def projected_scale_factors(campaign: Campaign, runs: Sequence[Run]) -> Iterator
     """Return k′ of every gyro in every mounting, except where its axis is nearly across that of the table."""
     for mounting, run in {run.mounting: run for run in runs if run.mounting is not None}.items():
         for channel in campaign.of_kind("gyro"):
-            if abs(float(along_table(run, campaign, channel.axes[0])[2])) > LEAST_COSINE:
+            if abs(float(textbook.along_table(run, campaign, channel.axes[0])[2])) > LEAST_COSINE:
                 place, unit = f"[{channel.name},{mounting}]", f"{channel.output_unit} per {channel.per}"
                 scale = f"scale_factor[{channel.name}]"
                 yield ProjectedScaleFactor(f"k′{place}", unit, scale, f"mounting_angle{place}")

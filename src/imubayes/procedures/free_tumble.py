@@ -14,9 +14,8 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.errors import input_error
-from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
-from imubayes.procedures.kinematics import Stimulus, table_stimulus
+from imubayes.procedures.kinematics import Stimulus, at_rest, table_stimulus
 
 _SAMPLING, _FIRST_REST, _REST, _MOVE = 100.0, 15.0, 4.0, 2.0  # Hz and s
 _AXES = ("reference_x", "reference_y", "reference_z")
@@ -59,8 +58,8 @@ def _in_motion(run: Run, campaign: Campaign) -> Stimulus:
     assert run.attitude is not None
     still = table_stimulus(run, campaign)
     rate = np.stack([run.covariates[name] for name in _AXES], axis=1)
-    at_rest = np.zeros_like(still.table_angle)
-    return replace(still, base=run.attitude[still.row], table_angle=at_rest, reference_rate=rate[still.row])
+    zero = np.zeros_like(still.table_angle)
+    return replace(still, base=run.attitude[still.row], table_angle=zero, reference_rate=rate[still.row])
 
 
 def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
@@ -73,22 +72,8 @@ def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
             "a raw log of all channels with time_s",
             "give the raw log, not means; the poses are found in it",
         )
-    rows = np.arange(run.rows)
-    zero = np.zeros(run.rows)
-    return Stimulus(
-        row=rows,
-        weight=np.ones(run.rows),
-        base=np.broadcast_to(np.eye(3), (run.rows, 3, 3)),
-        mounting=run.tumble.attitude[run.tumble.pose],
-        table_angle=zero,
-        table_rate=zero,
-        table_acceleration=zero,
-        reference_rate=np.zeros((run.rows, 3)),
-        reference_acceleration=np.zeros((run.rows, 3)),
-        ambient=ambient_of(run, rows, campaign),
-        injected=False,
-        pose=run.tumble.pose,
-    )
+    attitude = run.tumble.attitude[run.tumble.pose]
+    return replace(at_rest(run, campaign, [np.ones(1)] * run.rows, np.eye(3), attitude), pose=run.tumble.pose)
 
 
 FREE_TUMBLE = Procedure(

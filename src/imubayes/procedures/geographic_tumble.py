@@ -15,13 +15,13 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.earth import earth_rate
+from imubayes.procedures import textbook
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
 from imubayes.procedures.fitted_terms import StandardCombination, of_drift
 from imubayes.procedures.kinematics import Stimulus, table_stimulus
-from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares
+from imubayes.procedures.textbook import DEGREE_PER_HOUR, Evaluation, TextbookResult, Undetermined
 
 METHOD = "IEEE Std 517 tumble in geographic positions"
-_DEGREE_PER_HOUR = np.pi / 180 / 3600
 _UP = 0.99
 _AXES = "ios"
 
@@ -29,13 +29,12 @@ _AXES = "ios"
 def geographic_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
     """Return the g-sensitive drift coefficients of every gyro, and its fixed drift plus each g² coefficient."""
     found: list[TextbookResult] = []
-    names = ", ".join(run.name for run in runs)
     for place, channel in enumerate(campaign.channels):
         if channel.kind != "gyro":
             continue
         force, drift = _drift(campaign, runs, place, channel)
         if len(drift):
-            found += _of_channel(channel.name, names, force, drift)
+            found += _of_channel(Evaluation(channel.name, textbook.names_of(runs), METHOD), force, drift)
     return found
 
 
@@ -49,31 +48,28 @@ def _drift(campaign: Campaign, runs: Sequence[Run], place: int, channel: Channel
         axes = np.einsum("rij,kj->rki", run.attitude[finite], channel.axes)
         earth = axes[:, 0] @ earth_rate(campaign.site.latitude)
         forces.append(axes[:, :, 2])
-        drifts.append(((output[finite] - channel.offset) / channel.scale_si - earth) / _DEGREE_PER_HOUR)
+        drifts.append(((output[finite] - channel.offset) / channel.scale_si - earth) / DEGREE_PER_HOUR)
     return np.concatenate(forces), np.concatenate(drifts)
 
 
-def _of_channel(name: str, names: str, force: np.ndarray, drift: np.ndarray) -> list[TextbookResult]:
+def _of_channel(tested: Evaluation, force: np.ndarray, drift: np.ndarray) -> list[TextbookResult]:
     found: list[TextbookResult] = []
     # One column per axis and sign: the residual variance is pooled over all positions.
     columns = [(axis, sign) for axis in range(3) for sign in (1, -1) if np.any(sign * force[:, axis] > _UP)]
     design = np.stack([(sign * force[:, axis] > _UP).astype(float) for axis, sign in columns], axis=1)
-    value, covariance, _ = least_squares(design, drift)
+    value, covariance, _ = textbook.least_squares(design, drift)
     for axis, letter in enumerate(_AXES):
         pair = [columns.index((axis, sign)) for sign in (1, -1) if (axis, sign) in columns]
         if len(pair) < 2:
-            missing = f"{name}: D_{letter.upper()} needs positions with its {letter.upper()} axis up and down"
-            found.append(Undetermined(names, missing))
+            missing = f"{tested.of}: D_{letter.upper()} needs positions with its {letter.upper()} axis up and down"
+            found.append(Undetermined(tested.run, missing))
             continue
         half = np.sqrt(covariance[pair[0], pair[0]] + covariance[pair[1], pair[1]]) / 2
         up, down = value[pair]
-        square = f"D_F+D_{letter.upper() * 2}[{name}]"
-        found.append(
-            Estimate(f"gyro_g_sensitivity.d_{letter}[{name}]", names, (up - down) / 2, half, "deg/h/g", METHOD)
-        )
-        found.append(Estimate(square, names, (up + down) / 2, half, "deg/h", METHOD))
-    sentence = f"{name}: D_IO, D_OS and D_SI (only one axis sees gravity at a time); D_F apart from D_II, D_OO, D_SS"
-    return [*found, Undetermined(names, sentence)]
+        found.append(tested.estimate(f"gyro_g_sensitivity.d_{letter}", (up - down) / 2, half, "deg/h/g"))
+        found.append(tested.estimate(f"D_F+D_{letter.upper() * 2}", (up + down) / 2, half, "deg/h"))
+    left = "D_IO, D_OS and D_SI (only one axis sees gravity at a time); D_F apart from D_II, D_OO, D_SS"
+    return [*found, Undetermined(tested.run, f"{tested.of}: {left}")]
 
 
 def combinations(campaign: Campaign, _runs: Sequence[Run]) -> list[StandardCombination]:

@@ -15,6 +15,7 @@ rad/s.  The axes of a row turn at constant rates about their angles at the middl
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,8 +62,8 @@ class Stimulus:
     table_angle, table_rate, table_acceleration : shape (n,).
     reference_rate, reference_acceleration : shape (n, 3), body axes; zero without a reference gyro.
     ambient : covariate name → shape (n,), the covariates of the run.
-    injected : whether a current replaces the sensor at the converter input.
     pose : shape (n,), static pose of a free tumble, else −1.
+    injected : whether a current replaces the sensor at the converter input.
     driven : whether a gyro drives the table.
     directed : whether the attitude is set by directions of the site, north and the vertical.
     outer : the axes that carry the table's inner one, whose frame at angle 0 is then no longer `base`; None where
@@ -79,8 +80,8 @@ class Stimulus:
     reference_rate: np.ndarray
     reference_acceleration: np.ndarray
     ambient: dict[str, np.ndarray]
-    injected: bool
     pose: np.ndarray
+    injected: bool = False
     driven: bool = False
     directed: bool = False
     outer: OuterMotion | None = None
@@ -132,6 +133,26 @@ def _angle_nodes(angle: float, span: float, whole_turn_nodes: int) -> tuple[np.n
     return np.array([angle]), np.ones(1)
 
 
+def at_rest(
+    run: Run, campaign: Campaign | None, weights: Sequence[np.ndarray], base: np.ndarray, mounting: np.ndarray
+) -> Stimulus:
+    """Return the stimulus of a run in which nothing turns.
+
+    Parameters
+    ----------
+    weights : of the nodes of each row.
+    base, mounting : of the run, shape (3, 3), or of each node.
+    """
+    row = np.repeat(np.arange(run.rows), [len(weight) for weight in weights])
+    count = len(row)
+    zero, vectors = np.zeros(count), np.zeros((count, 3))
+    return Stimulus(
+        row, np.concatenate(weights), np.broadcast_to(base, (count, 3, 3)), np.broadcast_to(mounting, (count, 3, 3)),
+        table_angle=zero, table_rate=zero, table_acceleration=zero, reference_rate=vectors,
+        reference_acceleration=vectors, ambient=ambient_of(run, row, campaign), pose=np.full(count, -1),
+    )  # fmt: skip
+
+
 def table_stimulus(run: Run, campaign: Campaign) -> Stimulus:
     """Return the stimulus of a run on a single-axis table; without a table the unit is level and at rest."""
     table = campaign.tables[run.table] if run.table is not None else None
@@ -140,23 +161,15 @@ def table_stimulus(run: Run, campaign: Campaign) -> Stimulus:
     whole_turn_nodes = _NODES_VERTICAL if vertical else _NODES_INCLINED
     angles, spans = run.covariates["table_angle"], run.covariates["table_angle_span"]
     per_row = [_angle_nodes(a, s, whole_turn_nodes) for a, s in zip(angles, spans, strict=True)]
-    row = np.repeat(np.arange(run.rows), [len(nodes) for nodes, _ in per_row])
-    angle = np.concatenate([nodes for nodes, _ in per_row])
-    count = len(row)
     mounting = campaign.mountings[run.mounting].body_to_table if run.mounting is not None else np.eye(3)
-    return Stimulus(
-        row=row,
-        weight=np.concatenate([weights for _, weights in per_row]),
-        base=np.broadcast_to(to_local, (count, 3, 3)),
-        mounting=np.broadcast_to(mounting, (count, 3, 3)),
+    still = at_rest(run, campaign, [weights for _, weights in per_row], to_local, mounting)
+    angle = np.concatenate([nodes for nodes, _ in per_row])
+    return replace(
+        still,
         table_angle=angle,
-        table_rate=run.covariates["table_rate"][row],
-        table_acceleration=run.covariates.get("table_acceleration", np.zeros(run.rows))[row],
-        reference_rate=np.zeros((count, 3)),
-        reference_acceleration=np.zeros((count, 3)),
-        ambient=ambient_of(run, row, campaign) | {"table_angle": angle},
-        injected=False,
-        pose=np.full(count, -1),
+        table_rate=run.covariates["table_rate"][still.row],
+        table_acceleration=run.covariates.get("table_acceleration", np.zeros(run.rows))[still.row],
+        ambient=still.ambient | {"table_angle": angle},
     )
 
 
@@ -199,16 +212,23 @@ def nominal_input(
     ----------
     rate, angle : of the table, rad/s and rad; NaN angles denote means over whole turns.
     """
-    to_level = table.to_local
     local = earth_rate(site.latitude) if channel.kind == "gyro" else np.array([0.0, 0.0, site.gravity])
-    fixed = to_level.T @ local
-    cosine, sine = (np.where(np.isnan(angle), 0.0, f(np.nan_to_num(angle))) for f in (np.cos, np.sin))
-    in_table = np.stack(
-        [cosine * fixed[0] + sine * fixed[1], cosine * fixed[1] - sine * fixed[0], np.full_like(rate, fixed[2])], axis=1
-    )
+    in_table = turned_back(table.to_local.T @ local, np.nan_to_num(angle), np.where(np.isnan(angle), 0.0, 1.0))
     if channel.kind == "gyro":
-        in_table[:, 2] += rate
-    return in_table @ mounting.body_to_table @ channel.axes[0]
+        in_table[2] += rate
+    return in_table.T @ mounting.body_to_table @ channel.axes[0]
+
+
+def turned_back(vector: np.ndarray, angle: np.ndarray, short: float | np.ndarray = 1.0) -> np.ndarray:
+    """Return a vector of the table at angle 0 in axes that turn with the table, shape (3, n).
+
+    Parameters
+    ----------
+    angle : of the table, rad, shape (n,).
+    short : by which the part across the axis is shortened in a mean over an arc; 0 over whole turns.
+    """
+    (x, y, z), c, s = vector, short * np.cos(angle), short * np.sin(angle)
+    return np.stack([c * x + s * y, c * y - s * x, np.full_like(c, z)])
 
 
 AXES = ("outer", "middle", "table")
@@ -261,37 +281,23 @@ def _stimulus(run: Run, table: Table, mounting: Mounting, campaign: Campaign | N
         )
     rate = axis_columns(run, "rate", 0.0)
     per_row = [row_path(*row) for row in zip(axis_angles(run), rate, axis_columns(run, "angle_span", 0.0), strict=True)]
-    row = np.repeat(np.arange(run.rows), [len(weight) for _, weight in per_row])
-    angle = np.concatenate([path for path, _ in per_row])
-    acceleration, count = axis_columns(run, "acceleration", 0.0)[row], len(row)
-    arms = np.array([[table.arm, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    ambient = ambient_of(run, row, campaign)
-    ambient |= {f"{axis}_angle": angle[:, place] for place, axis in enumerate(AXES) if _has(table, axis)}
-    return Stimulus(
-        row=row,
-        weight=np.concatenate([weight for _, weight in per_row]),
-        base=np.broadcast_to(table.outer_to_local, (count, 3, 3)),
-        mounting=np.broadcast_to(mounting.body_to_table, (count, 3, 3)),
-        table_angle=angle[:, 2],
-        table_rate=rate[row, 2],
-        table_acceleration=acceleration[:, 2],
-        reference_rate=np.zeros((count, 3)),
-        reference_acceleration=np.zeros((count, 3)),
-        ambient=ambient,
-        injected=False,
-        pose=np.full(count, -1),
-        outer=OuterMotion(
-            np.broadcast_to(table.links, (count, 2, 3, 3)),
-            np.broadcast_to(arms, (count, 2, 3)),
-            angle[:, :2],
-            rate[row, :2],
-            acceleration[:, :2],
-        ),
+    weights = [weight for _, weight in per_row]
+    still = at_rest(run, campaign, weights, table.outer_to_local, mounting.body_to_table)
+    angle, count = np.concatenate([path for path, _ in per_row]), len(still.row)
+    rate, acceleration = (each[still.row] for each in (rate, axis_columns(run, "acceleration", 0.0)))
+    links, arms = (
+        np.broadcast_to(each, (count, *each.shape))
+        for each in (table.links, np.array([[table.arm, 0.0, 0.0], [0.0, 0.0, 0.0]]))
     )
-
-
-def _has(table: Table, axis: str) -> bool:
-    return axis != "middle" or table.middle_axis is not None
+    there = [axis for axis in AXES if axis != "middle" or table.middle_axis is not None]
+    return replace(
+        still,
+        table_angle=angle[:, 2],
+        table_rate=rate[:, 2],
+        table_acceleration=acceleration[:, 2],
+        ambient=still.ambient | {f"{axis}_angle": angle[:, AXES.index(axis)] for axis in there},
+        outer=OuterMotion(links, arms, angle[:, :2], rate[:, :2], acceleration[:, :2]),
+    )
 
 
 def axis_columns(run: Run, quantity: str, missing: float) -> np.ndarray:

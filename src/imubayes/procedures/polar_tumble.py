@@ -36,6 +36,7 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.earth import earth_rate
+from imubayes.procedures import textbook
 from imubayes.procedures.base import PlanRules, Procedure, Reduction, position_rows
 from imubayes.procedures.fitted_terms import (
     DRIFT_COEFFICIENTS,
@@ -46,18 +47,11 @@ from imubayes.procedures.fitted_terms import (
     of_drift,
     rank,
 )
-from imubayes.procedures.textbook import (
-    Estimate,
-    TextbookResult,
-    Undetermined,
-    by_temperature,
-    components,
-    names_of,
-)
+from imubayes.procedures.kinematics import turned_back
+from imubayes.procedures.textbook import DEGREE_PER_HOUR, Evaluation, TextbookResult, Undetermined
 
 METHOD = "IEEE Std 517 polar-axis tumble"
 COEFFICIENTS = tuple(DRIFT_COEFFICIENTS)
-_DEGREE_PER_HOUR = np.pi / 180 / 3600
 _AXES = "IOS"
 _TOLERANCE = 1e-9
 _LARGEST_CONDITION = 1e3
@@ -131,7 +125,7 @@ def polar_tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookR
     """Return what the sweeps of every gyro determine of its drift coefficients, temperature by temperature."""
     found: list[TextbookResult] = []
     for place, channel in enumerate(campaign.channels):
-        for group in by_temperature(runs) if channel.kind == "gyro" else ():
+        for group in textbook.by_temperature(runs) if channel.kind == "gyro" else ():
             sweeps: list[Sweep] = []
             for run in group:
                 sweep = _sweep(run, campaign, channel, run.observed[:, place])
@@ -155,9 +149,9 @@ def _sweep(run: Run, campaign: Campaign, channel: Channel, output: np.ndarray) -
     kept = next((kept for kept in _HARMONICS if _determined(waves[:, kept])), None)
     if kept is None:
         return None
-    force = components(run, campaign, channel, angle)
+    force = textbook.components(run, campaign, channel, angle)
     signal = (output[there] - channel.offset) / channel.scale_si - _earth(run, campaign, channel, angle)
-    drift = signal / _DEGREE_PER_HOUR
+    drift = signal / DEGREE_PER_HOUR
     inverse = np.linalg.pinv(waves[:, kept])
     residual = drift - waves[:, kept] @ (inverse @ drift)
     return Sweep(
@@ -184,10 +178,7 @@ def _earth(run: Run, campaign: Campaign, channel: Channel, angle: np.ndarray) ->
     """Return the Earth rate along the input axis at table angles, rad/s, (n,)."""
     assert run.table is not None
     assert run.mounting is not None
-    table = campaign.tables[run.table]
-    x, y, z = table.to_local.T @ earth_rate(campaign.site.latitude)
-    c, s = np.cos(angle), np.sin(angle)
-    in_table = np.stack([c * x + s * y, c * y - s * x, np.full_like(angle, z)])
+    in_table = turned_back(campaign.tables[run.table].to_local.T @ earth_rate(campaign.site.latitude), angle)
     return campaign.mountings[run.mounting].body_to_table @ channel.axes[0] @ in_table
 
 
@@ -199,18 +190,14 @@ def _of_channel(campaign: Campaign, channel: Channel, sweeps: Sequence[Sweep]) -
     coefficients = solve @ np.concatenate([sweep.value for sweep in sweeps])
     scatter = Scatter.of(campaign, sweeps)
     covariance = solve @ scatter.covariance(sweeps) @ solve.T
-    runs = names_of([sweep.run for sweep in sweeps])
+    tested = Evaluation(channel.name, textbook.names_of([sweep.run for sweep in sweeps]), METHOD, scatter.evaluation)
     combinations = estimable(design, COEFFICIENTS, standard_combinations(campaign.site.latitude))
-    found: list[TextbookResult] = [
-        Estimate(
-            f"{DRIFT_COEFFICIENTS.get(each.symbol, each.symbol)}[{channel.name}]", runs,
-            float(each.weights @ coefficients), float(np.sqrt(each.weights @ covariance @ each.weights)), _unit(each),
-            METHOD, uncertainty=scatter.evaluation,
-        )
-        for each in combinations
-    ]  # fmt: skip
-    found += _repeatability(channel, runs, sweeps, scatter, combinations)
-    return [*found, *_advice(campaign, channel, runs, design, combinations)]
+    found: list[TextbookResult] = []
+    for each in combinations:
+        name, sd = DRIFT_COEFFICIENTS.get(each.symbol, each.symbol), np.sqrt(each.weights @ covariance @ each.weights)
+        found.append(tested.estimate(name, each.weights @ coefficients, sd, _unit(each)))
+    found += _repeatability(tested, sweeps, scatter, combinations)
+    return [*found, *_advice(campaign, tested, design, combinations)]
 
 
 def _unit(combination: Combination) -> str:
@@ -285,7 +272,7 @@ def _in_same_mounting(campaign: Campaign, sweeps: Iterable[Sweep]) -> list[list[
 
 
 def _repeatability(
-    channel: Channel, runs: str, sweeps: Sequence[Sweep], scatter: Scatter, combinations: Sequence[Combination]
+    tested: Evaluation, sweeps: Sequence[Sweep], scatter: Scatter, combinations: Sequence[Combination]
 ) -> list[TextbookResult]:
     """Return the standard deviation of single determinations, by one sweep in each mounting."""
     if scatter.between is None:
@@ -293,21 +280,21 @@ def _repeatability(
     first = {sweep.design.round(9).tobytes(): sweep for sweep in sweeps if len(sweep.kept) == 5}.values()
     solve = np.linalg.pinv(np.concatenate([sweep.design for sweep in first]), rcond=_TOLERANCE)
     covariance = solve @ np.kron(np.eye(len(first)), scatter.between) @ solve.T
-    found: list[TextbookResult] = []
-    for each in combinations:
-        spread = float(np.sqrt(max(each.weights @ covariance @ each.weights, 0.0)))
-        found.append(
-            Estimate(
-                f"repeatability({each.symbol})[{channel.name}]", runs, spread, spread / np.sqrt(2 * scatter.freedom),
-                _unit(each), f"{METHOD}: standard deviation of one determination",
-                uncertainty=f"type A: {scatter.freedom} degrees of freedom between repeated sweeps",
-            )
-        )  # fmt: skip
+    spreads = [np.sqrt(max(each.weights @ covariance @ each.weights, 0.0)) for each in combinations]
+    how = "standard deviation of one determination"
+    evaluation = f"type A: {scatter.freedom} degrees of freedom between repeated sweeps"
+    found: list[TextbookResult] = [
+        tested.estimate(
+            f"repeatability({each.symbol})", spread, spread / np.sqrt(2 * scatter.freedom), _unit(each), how,
+            uncertainty=evaluation,
+        )
+        for each, spread in zip(combinations, spreads, strict=True)
+    ]  # fmt: skip
     return found
 
 
 def _advice(
-    campaign: Campaign, channel: Channel, runs: str, design: np.ndarray, combinations: Sequence[Combination]
+    campaign: Campaign, tested: Evaluation, design: np.ndarray, combinations: Sequence[Combination]
 ) -> list[TextbookResult]:
     """Return what the sweeps do not separate, and the sweep that would separate most of it."""
     single = {each.symbol for each in combinations if each.single}
@@ -320,12 +307,14 @@ def _advice(
         reached = rank(np.concatenate([design, sweep]))
         if reached > gained:
             best, gained, further = text, reached, np.concatenate([design, sweep])
-    sentence = f"{channel.name}: {', '.join(together)} apart from each other; "
+    sentence = f"{tested.of}: {', '.join(together)} apart from each other; "
     if not best:
-        return [Undetermined(runs, f"{sentence}no sweep separates them, since |f| = 1 g in every static position")]
+        return [
+            Undetermined(tested.run, f"{sentence}no sweep separates them, since |f| = 1 g in every static position")
+        ]
     after = [each.symbol for each in estimable(further, COEFFICIENTS, standard)]
     new = [symbol for symbol in after if symbol not in {each.symbol for each in combinations}]
-    return [Undetermined(runs, f"{sentence}a sweep {best} would determine {', '.join(new)}")]
+    return [Undetermined(tested.run, f"{sentence}a sweep {best} would determine {', '.join(new)}")]
 
 
 def _possible_sweeps(latitude: float) -> dict[str, np.ndarray]:

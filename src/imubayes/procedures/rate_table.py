@@ -28,6 +28,7 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.units import to_si
+from imubayes.procedures import textbook
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, whole_turns
 from imubayes.procedures.fitted_terms import (
     LEAST_COSINE,
@@ -37,23 +38,9 @@ from imubayes.procedures.fitted_terms import (
     turn_mean_drift,
 )
 from imubayes.procedures.kinematics import mean_input
-from imubayes.procedures.textbook import (
-    Estimate,
-    Line,
-    TextbookResult,
-    Undetermined,
-    along_table,
-    by_temperature,
-    line,
-    measured,
-    names_of,
-    standard_deviation,
-    temperature_of,
-)
+from imubayes.procedures.textbook import DEGREE_PER_HOUR, Estimate, Evaluation, Line, TextbookResult, Undetermined
 
 METHOD = "IEEE Std 952 rate test"
-_DEGREE = np.pi / 180
-_DEGREE_PER_HOUR = _DEGREE / 3600
 
 
 @dataclass(frozen=True)
@@ -75,6 +62,16 @@ class RateSeries:
     cosine: float
 
     @property
+    def evaluation(self) -> Evaluation:
+        """Of the channel in the run."""
+        return Evaluation(self.channel.name, self.run.name, METHOD)
+
+    @property
+    def seated(self) -> Evaluation:
+        """Of the channel in the run and its mounting."""
+        return Evaluation(f"{self.channel.name},{self.run.mounting}", self.run.name, METHOD)
+
+    @property
     def turning(self) -> np.ndarray:
         """Which rows turn, shape (R,)."""
         return self.rate != 0
@@ -89,7 +86,7 @@ class RateSeries:
     @property
     def fitted(self) -> Line:
         """The line of the corrected outputs against the table rate."""
-        return line(self.rate[self.turning], self.corrected)
+        return textbook.line(self.rate[self.turning], self.corrected)
 
     @property
     def scale(self) -> tuple[float, float]:
@@ -113,8 +110,8 @@ def rate_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
         if len(np.unique(rate[rate != 0])) < 2:
             found.append(Undetermined(run.name, "fewer than two rates: no straight line can be fitted"))
             continue
-        for channel, output in measured(run, campaign, "gyro"):
-            cosine = float(along_table(run, campaign, channel.axes[0])[2])
+        for channel, output in textbook.measured(run, campaign, "gyro"):
+            cosine = float(textbook.along_table(run, campaign, channel.axes[0])[2])
             if abs(cosine) > LEAST_COSINE:
                 series = RateSeries(run, channel, rate, output, cosine)
                 found += [*_line(series), *_bias(series, campaign), *_shape(series)]
@@ -126,105 +123,91 @@ def rate_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
 
 def _line(series: RateSeries) -> list[TextbookResult]:
     """Return k′, F₀ and the scale factor."""
-    channel, run, fitted = series.channel, series.run, series.fitted
+    channel, fitted, seated = series.channel, series.fitted, series.seated
     factor, unit = to_si(channel.per), f"{channel.output_unit} per {channel.per}"
-    place = f"{channel.name},{run.mounting}"
-    angle, nominal = f"mounting_angle[{place}]", float(np.degrees(np.arccos(series.cosine)))
+    angle, nominal = f"mounting_angle[{seated.of}]", float(np.degrees(np.arccos(series.cosine)))
     k, sd = series.scale
+    scale = series.evaluation.estimate("scale_factor", k * factor, sd * factor, unit, "k = k′/cos θ")
     # The mean of two static records, by which every output is corrected, shifts the intercept.
     intercept_sd = float(np.hypot(fitted.intercept_sd, series.row_sd / np.sqrt(2) * (~series.turning).any()))
     return [
-        Estimate(
-            f"scale_factor[{channel.name}]", run.name, k * factor, sd * factor, unit, f"{METHOD}: k = k′/cos θ",
-            angle, nominal,
-        ),
-        Estimate(f"k′[{place}]", run.name, fitted.slope * factor, fitted.slope_sd * factor, unit, METHOD),
-        Estimate(f"F₀[{place}]", run.name, fitted.intercept, intercept_sd, channel.output_unit, METHOD),
-    ]  # fmt: skip
+        replace(scale, angle=angle, nominal=nominal),
+        seated.estimate("k′", fitted.slope * factor, fitted.slope_sd * factor, unit),
+        seated.estimate("F₀", fitted.intercept, intercept_sd, channel.output_unit),
+    ]
 
 
 def _bias(series: RateSeries, campaign: Campaign) -> list[TextbookResult]:
     """Return the bias, the Earth rate taken out, and the output at rest, which includes it."""
-    run, name = series.run, series.channel.name
     known = mean_input(campaign, series.run, series.channel)
-    fitted = line(known, series.output)
-    freedom = len(known) - 2
-    bias = fitted.intercept / fitted.slope
+    (intercept, slope), covariance, _ = textbook.least_squares(
+        np.stack([np.ones_like(known), known], axis=1), series.output
+    )
+    bias = intercept / slope
     # Delta method for a ratio: dβ = (da − β dk)/k, over the scatter of the rows.
-    design = np.stack([np.ones_like(known), known], axis=1)
-    gradient = np.array([1.0, -bias]) / fitted.slope
-    variance = float(np.sum(fitted.residual**2)) / freedom if freedom > 0 else float("nan")
-    sd = float(np.sqrt(variance * (gradient @ np.linalg.inv(design.T @ design) @ gradient)))
+    gradient = np.array([1.0, -bias]) / slope
+    ratio = bias / DEGREE_PER_HOUR, np.sqrt(gradient @ covariance @ gradient) / DEGREE_PER_HOUR
+    how = "intercept over k, less the Earth rate along the input axis"
     found: list[TextbookResult] = [
-        Estimate(
-            symbol, run.name, bias / _DEGREE_PER_HOUR, sd / _DEGREE_PER_HOUR, "deg/h",
-            f"{METHOD}: intercept over k, less the Earth rate along the input axis",
-        )
-        for symbol in (f"gyro_bias.bias[{name}]", f"F₀/k[{name},{run.mounting}]")
-    ]  # fmt: skip
+        series.evaluation.estimate("gyro_bias.bias", *ratio, "deg/h", how),
+        series.seated.estimate("F₀/k", *ratio, "deg/h", how),
+    ]
     still = ~series.turning
     if still.any():
-        zero = float(np.mean(series.output[still])) / series.scale[0]
-        spread = series.row_sd / np.sqrt(np.sum(still)) / abs(series.scale[0])
-        found.append(
-            Estimate(
-                f"zero_rate_output[{name}]", run.name, zero / _DEGREE_PER_HOUR, spread / _DEGREE_PER_HOUR, "deg/h",
-                f"{METHOD}: at rest, Earth rate included",
-            )
-        )  # fmt: skip
+        zero = np.mean(series.output[still]) / series.scale[0] / DEGREE_PER_HOUR
+        spread = series.row_sd / np.sqrt(np.sum(still)) / abs(series.scale[0]) / DEGREE_PER_HOUR
+        how = "at rest, Earth rate included"
+        found.append(series.evaluation.estimate("zero_rate_output", zero, spread, "deg/h", how))
     return found
 
 
 def _shape(series: RateSeries) -> list[TextbookResult]:
     """Return nonlinearity and asymmetry of the scale factor."""
-    run, name, values = series.run, series.channel.name, series.corrected
-    turning, largest = series.rate[series.turning], float(np.abs(values).max())
+    turning, values = series.rate[series.turning], series.corrected
+    largest, how = float(np.abs(values).max()), "largest deviation from the line over the largest output"
+    worst, sd = (each / largest * 1e6 for each in (np.abs(series.fitted.residual).max(), series.row_sd))
+    scatter = "type A: scatter of one row about the line"
     found: list[TextbookResult] = [
-        Estimate(
-            f"nonlinearity[{name}]", run.name, float(np.abs(series.fitted.residual).max()) / largest * 1e6,
-            series.row_sd / largest * 1e6, "ppm", f"{METHOD}: largest deviation from the line over the largest output",
-            uncertainty="type A: scatter of one row about the line",
-        ),
-    ]  # fmt: skip
+        series.evaluation.estimate("nonlinearity", worst, sd, "ppm", how, uncertainty=scatter)
+    ]
     forward, reverse = turning > 0, turning < 0
     if len(np.unique(turning[forward])) > 1 and len(np.unique(turning[reverse])) > 1:
-        plus, minus = line(turning[forward], values[forward]), line(turning[reverse], values[reverse])
-        mean = (plus.slope + minus.slope) / 2
-        found.append(
-            Estimate(
-                f"asymmetry[{name}]", run.name, abs(plus.slope - minus.slope) / abs(mean) * 1e6,
-                float(np.hypot(plus.slope_sd, minus.slope_sd)) / abs(mean) * 1e6, "ppm",
-                f"{METHOD}: |K₊ − K₋| over their mean",
-            )
-        )  # fmt: skip
+        plus, minus = textbook.line(turning[forward], values[forward]), textbook.line(turning[reverse], values[reverse])
+        mean = abs(plus.slope + minus.slope) / 2
+        apart, sd = abs(plus.slope - minus.slope), np.hypot(plus.slope_sd, minus.slope_sd)
+        how = "|K₊ − K₋| over their mean"
+        found.append(series.evaluation.estimate("asymmetry", apart / mean * 1e6, sd / mean * 1e6, "ppm", how))
     return found
 
 
 def _repeatability(each: Sequence[RateSeries]) -> list[TextbookResult]:
     """Return K_r at every temperature, pooled over them, and over all series."""
     found: list[TextbookResult] = []
-    name = each[0].channel.name
     squares, freedom = 0.0, 0
-    groups = [[series for series in each if series.run in group] for group in by_temperature([s.run for s in each])]
+    groups = [
+        [series for series in each if series.run in group] for group in textbook.by_temperature([s.run for s in each])
+    ]
     for group in groups:
         if len(group) < 2:
             continue
-        at = temperature_of(group[0].run)
+        at = textbook.temperature_of(group[0].run)
         relative = _relative(group)
         squares, freedom = squares + float(np.sum(relative**2)), freedom + len(group) - 1
-        where = f" at {np.mean([temperature_of(series.run) for series in group]):.0f} °C" if np.isfinite(at) else ""
-        found.append(_spread(f"repeatability[{name}]", group, *standard_deviation(relative), where))
+        where = (
+            f" at {np.mean([textbook.temperature_of(series.run) for series in group]):.0f} °C"
+            if np.isfinite(at)
+            else ""
+        )
+        found.append(_spread("repeatability", group, *textbook.standard_deviation(relative), where))
     if len(groups) > 1 and freedom:
         pooled = float(np.sqrt(squares / freedom))
         inside = [series for group in groups if len(group) > 1 for series in group]
         pooled_sd = pooled / np.sqrt(2 * freedom)
-        found.append(_spread(f"repeatability_pooled[{name}]", inside, pooled, pooled_sd, " at each temperature"))
+        found.append(_spread("repeatability_pooled", inside, pooled, pooled_sd, " at each temperature"))
     if len(groups) > 1:
-        found.append(_spread(f"repeatability_overall[{name}]", each, *standard_deviation(_relative(each)), _WITH))
+        where = " at all temperatures, the change with temperature included"
+        found.append(_spread("repeatability_overall", each, *textbook.standard_deviation(_relative(each)), where))
     return found
-
-
-_WITH = " at all temperatures, the change with temperature included"
 
 
 def _relative(each: Sequence[RateSeries]) -> np.ndarray:
@@ -233,17 +216,20 @@ def _relative(each: Sequence[RateSeries]) -> np.ndarray:
     return k / np.mean(k) - 1
 
 
+def _over(each: Sequence[RateSeries]) -> Evaluation:
+    """Return the evaluation of several series of a channel."""
+    return Evaluation(each[0].channel.name, textbook.names_of([series.run for series in each]), METHOD)
+
+
 def _spread(name: str, each: Sequence[RateSeries], value: float, sd: float, where: str) -> Estimate:
-    return Estimate(
-        name, names_of([series.run for series in each]), value * 1e6, sd * 1e6, "ppm",
-        f"{METHOD}: K_r, standard deviation of k over {len(each)} series{where}",
-        uncertainty="type A: s/√(2ν) for ν degrees of freedom between the series",
-    )  # fmt: skip
+    how = f"K_r, standard deviation of k over {len(each)} series{where}"
+    evaluation = "type A: s/√(2ν) for ν degrees of freedom between the series"
+    return _over(each).estimate(name, value * 1e6, sd * 1e6, "ppm", how, uncertainty=evaluation)
 
 
 def _sensitivity(each: Sequence[RateSeries]) -> list[TextbookResult]:
     """Return the temperature sensitivity of the scale factor over series at several temperatures."""
-    temperature = np.array([temperature_of(series.run) for series in each])
+    temperature = np.array([textbook.temperature_of(series.run) for series in each])
     if len(each) < 2 or not np.isfinite(temperature).all() or np.ptp(temperature) < _LEAST_RANGE:
         return []
     k, sd = (np.array(values) for values in zip(*(series.scale for series in each), strict=True))
@@ -253,13 +239,8 @@ def _sensitivity(each: Sequence[RateSeries]) -> list[TextbookResult]:
     slopes = (k[others] - k[reference]) / k[reference] / step
     spread = np.hypot(sd[others], sd[reference]) / abs(k[reference]) / np.abs(step)
     largest = int(np.argmax(np.abs(slopes)))
-    return [
-        Estimate(
-            f"temperature_sensitivity[{each[0].channel.name}]", names_of([series.run for series in each]),
-            float(slopes[largest]) * 1e6, float(spread[largest]) * 1e6, "ppm/degC",
-            f"{METHOD}: largest change of k from the median temperature, per degree",
-        )
-    ]  # fmt: skip
+    value, error, how = slopes[largest], spread[largest], "largest change of k from the median temperature, per degree"
+    return [_over(each).estimate("temperature_sensitivity", value * 1e6, error * 1e6, "ppm/degC", how)]
 
 
 def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombination]:

@@ -26,17 +26,10 @@ import scipy  # loads its parts when they are first used
 from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.foundations.earth import earth_rate
 from imubayes.foundations.units import to_si
+from imubayes.procedures import textbook
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
-from imubayes.procedures.kinematics import Stimulus, table_stimulus
-from imubayes.procedures.textbook import (
-    Estimate,
-    TextbookResult,
-    Undetermined,
-    along_table,
-    axial,
-    by_temperature,
-    names_of,
-)
+from imubayes.procedures.kinematics import Stimulus, table_stimulus, turned_back
+from imubayes.procedures.textbook import ARCSEC, DEGREE_PER_HOUR, Evaluation, TextbookResult, Undetermined
 
 AXES = ("reference_x", "reference_y", "reference_z")
 
@@ -45,7 +38,6 @@ _SCATTER = "type A: scatter over the instants"
 _ALONG, _ACROSS = 0.5, 0.05
 # Speeds within a part in a thousand are the same: the estimates contain the rates of both runs, not their mean.
 _SAME_SPEED = 1e-3
-_DEGREE_PER_HOUR = np.pi / 180 / 3600
 
 
 def reference_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
@@ -56,7 +48,7 @@ def reference_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResu
             by_mounting[run.mounting].append(run)
     found: list[TextbookResult] = []
     for mounted in by_mounting.values():
-        for group in by_temperature(mounted):
+        for group in textbook.by_temperature(mounted):
             found += _of_group(campaign, group)
     return found
 
@@ -65,7 +57,9 @@ def _speed(run: Run, campaign: Campaign) -> np.ndarray:
     """Return the rate of the table from the reference, less the Earth rate along the axis, rad/s, shape (R,)."""
     assert run.mounting is not None
     inertial = reference_rate(run) @ campaign.mountings[run.mounting].body_to_table[2]
-    return inertial - (axial(run, campaign, earth_rate(campaign.site.latitude)) if run.table is not None else 0.0)
+    return inertial - (
+        textbook.axial(run, campaign, earth_rate(campaign.site.latitude)) if run.table is not None else 0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -132,7 +126,7 @@ def matched(forward: np.ndarray, reverse: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _of_group(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
-    names = names_of(runs)
+    names = textbook.names_of(runs)
     forward, reverse = (steps_of(campaign, runs, sign) for sign in (1.0, -1.0))
     if not len(forward.speed) or not len(reverse.speed):
         return [Undetermined(names, "one direction of rotation only: no speeds to match")]
@@ -152,7 +146,7 @@ def _of_group(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
             continue
         plus, minus = (each[there, place] for each in outputs)
         r_plus, r_minus = (each[there] @ channel.axes[0] for each in rates)
-        cosine = float(along_table(runs[0], campaign, channel.axes[0])[2])
+        cosine = float(textbook.along_table(runs[0], campaign, channel.axes[0])[2])
         if abs(cosine) > _ALONG:
             found += _along(channel, names, plus, minus, r_plus, r_minus)
         elif abs(cosine) < _ACROSS:
@@ -172,13 +166,11 @@ def _along(
 ) -> list[TextbookResult]:
     per, unit = to_si(channel.per), f"{channel.output_unit} per {channel.per}"
     scale, scale_sd = _mean((plus - minus) / (forward - reverse))
-    bias, bias_sd = _mean(((plus + minus) / (2 * scale) - (forward + reverse) / 2) / _DEGREE_PER_HOUR)
-    method = f"{METHOD}: {len(plus)} instants"
+    bias, bias_sd = _mean(((plus + minus) / (2 * scale) - (forward + reverse) / 2) / DEGREE_PER_HOUR)
+    tested = Evaluation(channel.name, names, f"{METHOD}: {len(plus)} instants", _SCATTER)
     return [
-        Estimate(
-            f"scale_factor[{channel.name}]", names, scale * per, scale_sd * per, unit, method, uncertainty=_SCATTER
-        ),
-        Estimate(f"gyro_bias.bias[{channel.name}]", names, bias, bias_sd, "deg/h", method, uncertainty=_SCATTER),
+        tested.estimate("scale_factor", scale * per, scale_sd * per, unit),
+        tested.estimate("gyro_bias.bias", bias, bias_sd, "deg/h"),
     ]
 
 
@@ -186,15 +178,14 @@ def _across(
     campaign: Campaign, run: Run, channel: Channel, names: str, inclination: np.ndarray
 ) -> list[TextbookResult]:
     """Return the inclination of an input axis towards an axis of rotation that lies along its O or S axis."""
-    cosines = [along_table(run, campaign, axis)[2] for axis in channel.axes]
+    cosines = [textbook.along_table(run, campaign, axis)[2] for axis in channel.axes]
     place = next((place for place in (1, 2) if abs(cosines[place]) > 1 - _ACROSS), None)
     if place is None:
         return []
     value, sd = _mean(np.sign(cosines[place]) * inclination)
-    arcsec = np.degrees(1.0) * 3600
-    name = f"gyro_misalignment.toward_{'o' if place == 1 else 's'}[{channel.name}]"
-    method = f"{METHOD}: {len(inclination)} instants"
-    return [Estimate(name, names, value * arcsec, sd * arcsec, "arcsec", method, uncertainty=_SCATTER)]
+    tested = Evaluation(channel.name, names, f"{METHOD}: {len(inclination)} instants", _SCATTER)
+    name = f"gyro_misalignment.toward_{'o' if place == 1 else 's'}"
+    return [tested.estimate(name, value / ARCSEC, sd / ARCSEC, "arcsec")]
 
 
 def reference_rate(run: Run) -> np.ndarray:
@@ -257,11 +248,9 @@ def _nominal_columns(
     """Return what an ideal reference measures: the rotation of the table and the Earth rate, mean over each row."""
     angle, span = np.radians(columns["table_angle_deg"]), np.radians(columns["table_angle_span_deg"])
     seconds = np.gradient(columns["time_s"]) if len(angle) > 1 else np.full(len(angle), _SECONDS_PER_ROW)
-    x, y, z = table.to_local.T @ earth_rate(site.latitude)
-    short = np.sinc(span / (2 * np.pi))
-    c, s = short * np.cos(angle), short * np.sin(angle)
-    turning = np.stack([c * x + s * y, c * y - s * x, z + span / seconds], axis=1)
-    felt = np.degrees(turning @ mounting.body_to_table)
+    turning = turned_back(table.to_local.T @ earth_rate(site.latitude), angle, np.sinc(span / (2 * np.pi)))
+    turning[2] += span / seconds
+    felt = np.degrees(turning.T @ mounting.body_to_table)
     return {f"{name}_deg_s": felt[:, place] for place, name in enumerate(AXES)}
 
 

@@ -19,21 +19,13 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.earth import earth_rate
+from imubayes.procedures import textbook
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
 from imubayes.procedures.fitted_terms import StandardCombination, projected_scale_factors
-from imubayes.procedures.textbook import (
-    Estimate,
-    TextbookResult,
-    Undetermined,
-    along_table,
-    axial,
-    least_squares,
-    measured,
-    names_of,
-)
+from imubayes.procedures.textbook import DEGREE_PER_HOUR, Evaluation, TextbookResult, Undetermined
 
 METHOD = "rotation modulation"
-_UNITS = {"gyro": ("gyro_bias.bias", "deg/h", np.pi / 180 / 3600), "accelerometer": ("accel_bias.bias", "ug", None)}
+_UNITS = {"gyro": ("gyro_bias.bias", "deg/h", DEGREE_PER_HOUR), "accelerometer": ("accel_bias.bias", "ug", None)}
 _TURN = 2 * np.pi
 # Over shorter arcs modulated and unmodulated components are not separable.
 _LEAST_ARC = np.pi
@@ -58,19 +50,17 @@ def modulation_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookRes
 def _of_kind(campaign: Campaign, runs: Sequence[Run], kind: str) -> list[TextbookResult]:
     name, unit, factor = _UNITS[kind]
     factor = factor or 1e-6 * campaign.site.gravity
-    names = names_of(runs)
+    names = textbook.names_of(runs)
     found: list[TextbookResult] = []
     for channel in campaign.of_kind(kind):
         bias, sd = _bias(campaign, runs, channel)
         if not np.isfinite(bias):
             found.append(Undetermined(names, f"{channel.name}: its bias is not separable from its input"))
             continue
-        cosine = float(along_table(runs[0], campaign, channel.axes[0])[2])
+        cosine = float(textbook.along_table(runs[0], campaign, channel.axes[0])[2])
         parts = ((name, 1.0), ("modulated", np.sqrt(1 - cosine**2)), ("unmodulated", cosine))
-        found += [
-            Estimate(f"{part}[{channel.name}]", names, bias * share / factor, sd * abs(share) / factor, unit, METHOD)
-            for part, share in parts
-        ]
+        tested = Evaluation(channel.name, names, METHOD)
+        found += [tested.estimate(part, bias * x / factor, sd * abs(x) / factor, unit) for part, x in parts]
     return found + [estimate for run in runs for estimate in _left(campaign, run, kind, unit, factor)]
 
 
@@ -78,11 +68,11 @@ def _bias(campaign: Campaign, runs: Sequence[Run], channel: Channel) -> tuple[fl
     """Return the bias of a channel and its standard deviation, SI; NaN where the runs do not determine it."""
     designs, outputs = [], []
     for run in runs:
-        outputs_of = {other.name: values for other, values in measured(run, campaign, channel.kind)}
+        outputs_of = {other.name: values for other, values in textbook.measured(run, campaign, channel.kind)}
         output = outputs_of.get(channel.name)
         if output is None:
             continue
-        cosine = float(along_table(run, campaign, channel.axes[0])[2])
+        cosine = float(textbook.along_table(run, campaign, channel.axes[0])[2])
         angle, rate, mean = run.covariates["table_angle"], run.covariates["table_rate"], attenuation(run)
         designs.append(
             np.stack(
@@ -99,7 +89,7 @@ def _bias(campaign: Campaign, runs: Sequence[Run], channel: Channel) -> tuple[fl
     design = design[:, length > _REST * length.max()]
     if np.linalg.cond(design / np.linalg.norm(design, axis=0)) > 1e6 or len(output) <= design.shape[1]:
         return float("nan"), float("nan")
-    value, covariance, _ = least_squares(design, output)
+    value, covariance, _ = textbook.least_squares(design, output)
     return float(value[0]), float(np.sqrt(covariance[0, 0]))
 
 
@@ -111,7 +101,7 @@ def attenuation(run: Run) -> np.ndarray:
 def _axial(campaign: Campaign, run: Run, kind: str) -> float:
     """Return the Earth rate or the specific force at rest along the table axis, SI."""
     gravity = np.array([0.0, 0.0, campaign.site.gravity])
-    return axial(run, campaign, earth_rate(campaign.site.latitude) if kind == "gyro" else gravity)
+    return textbook.axial(run, campaign, earth_rate(campaign.site.latitude) if kind == "gyro" else gravity)
 
 
 def swept(run: Run) -> float:
@@ -137,18 +127,14 @@ def _left(campaign: Campaign, run: Run, kind: str, unit: str, factor: float) -> 
     in_plane_sd = float(np.sqrt(direction @ covariance @ direction))
     turns = angle / _TURN
     whole = np.floor(turns + 1e-6)
-    part, part_whole = left_after(angle), left_after(_TURN * whole)
-    return [
-        Estimate(f"{name}[{kind}]", run.name, value / factor, sd / factor, unit, f"{METHOD}: {condition}")
-        for name, value, sd, condition in (
-            ("left_in_plane", in_plane * part, in_plane_sd * part, f"across the axis, after {turns:.2f} turns"),
-            (
-                "left_in_plane_whole", in_plane * part_whole, in_plane_sd * part_whole,
-                f"across the axis, after {whole:.0f} turns",
-            ),
-            ("left_along_axis", along, float(np.sqrt(covariance[2, 2])), "along the axis, after any number of turns"),
-        )
-    ]  # fmt: skip
+    part, rest = left_after(angle), left_after(_TURN * whole)
+    left = {
+        "left_in_plane": (in_plane * part, in_plane_sd * part, f"across the axis, after {turns:.2f} turns"),
+        "left_in_plane_whole": (in_plane * rest, in_plane_sd * rest, f"across the axis, after {whole:.0f} turns"),
+        "left_along_axis": (along, np.sqrt(covariance[2, 2]), "along the axis, after any number of turns"),
+    }
+    tested = Evaluation(kind, run.name, METHOD)
+    return [tested.estimate(name, value / factor, sd / factor, unit, how) for name, (value, sd, how) in left.items()]
 
 
 def constant_error(campaign: Campaign, run: Run, kind: str) -> tuple[np.ndarray, np.ndarray]:
@@ -182,9 +168,9 @@ def _constant_and_rotating(campaign: Campaign, run: Run, place: int) -> tuple[np
     angle, mean = run.covariates["table_angle"], attenuation(run)
     design = np.stack([np.ones_like(angle), mean * np.cos(angle), mean * np.sin(angle)], axis=1)
     axial_input = _axial(campaign, run, channel.kind) + (run.covariates["table_rate"] if channel.kind == "gyro" else 0)
-    cosine = float(along_table(run, campaign, channel.axes[0])[2])
+    cosine = float(textbook.along_table(run, campaign, channel.axes[0])[2])
     signal = (run.observed[:, place] - channel.offset) / channel.scale_si
-    return least_squares(design, signal - axial_input * cosine)
+    return textbook.least_squares(design, signal - axial_input * cosine)
 
 
 def to_table_axes(campaign: Campaign, run: Run, kind: str) -> tuple[list[int], np.ndarray]:

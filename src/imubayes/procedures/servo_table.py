@@ -18,26 +18,19 @@ one turn the terms are not separable; only the mean drift over the arc is return
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.foundations.earth import earth_rate
+from imubayes.procedures import textbook
 from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
 from imubayes.procedures.fitted_terms import LinearCombination, StandardCombination, of_drift, turn_mean_drift
-from imubayes.procedures.textbook import (
-    Estimate,
-    TextbookResult,
-    Undetermined,
-    along_table,
-    axial,
-    components,
-    least_squares,
-)
+from imubayes.procedures.textbook import DEGREE_PER_HOUR, Evaluation, TextbookResult, Undetermined
 
 METHOD = "IEEE Std 517 servo table test"
-_DEGREE_PER_HOUR = np.pi / 180 / 3600
 _HOUR = 3600.0
 _BLOCKS_PER_TURN, _FEWEST_BLOCKS = 96, 24
 _ALONG = 0.99
@@ -49,7 +42,7 @@ def servo_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
     found: list[TextbookResult] = []
     for run in runs:
         channel = gyros[driving_channel(campaign, run)]
-        cosine = float(along_table(run, campaign, channel.axes[0])[2])
+        cosine = float(textbook.along_table(run, campaign, channel.axes[0])[2])
         if abs(cosine) < _ALONG:
             found.append(Undetermined(run.name, f"{channel.name}: its input axis is not along the axis of the table"))
         else:
@@ -63,35 +56,33 @@ def _of_run(campaign: Campaign, run: Run, channel: Channel, cosine: float, total
     count = min(max(_FEWEST_BLOCKS, int(_BLOCKS_PER_TURN * turns)), len(time) // 2)
     edges = np.linspace(0, len(time) - 1, count + 1).astype(int)
     rate = np.diff(angle[edges]) / np.diff(time[edges])
-    drift = (-cosine * rate - cosine * axial(run, campaign, earth_rate(campaign.site.latitude))) / _DEGREE_PER_HOUR
+    drift = (
+        -cosine * rate - cosine * textbook.axial(run, campaign, earth_rate(campaign.site.latitude))
+    ) / DEGREE_PER_HOUR
     whole, half = drift.mean(), float(np.std(drift, ddof=1)) / np.sqrt(count)
+    tested = Evaluation(channel.name, run.name, METHOD)
     if turns < 1.0:
-        return [
-            Estimate(f"mean_drift[{channel.name}]", run.name, float(whole), half, "deg/h", METHOD),
-            Undetermined(
-                run.name, f"{channel.name}: in {turns:.2f} turns constant and rotating terms are not separable"
-            ),
-        ]
+        left = f"{channel.name}: in {turns:.2f} turns constant and rotating terms are not separable"
+        return [tested.estimate("mean_drift", whole, half, "deg/h"), Undetermined(run.name, left)]
     middle, when = (angle[edges[1:]] + angle[edges[:-1]]) / 2, (time[edges[1:]] + time[edges[:-1]]) / 2
-    _, f_o, f_s = components(run, campaign, channel, middle)
+    _, f_o, f_s = textbook.components(run, campaign, channel, middle)
     hours = (when - when.mean()) / _HOUR
     design = np.stack([np.ones_like(middle), f_o, f_s, (f_o**2 - f_s**2) / 2, f_o * f_s, hours], axis=1)
-    value, covariance, _ = least_squares(design, drift)
+    value, covariance, _ = textbook.least_squares(design, drift)
     sd = np.sqrt(np.diag(covariance))
-    symbols = ("D_O+D_IO·f_I", "D_S+D_SI·f_I", "D_OO-D_SS", "gyro_g2_sensitivity.d_os", "gyro_bias_drift.slope")
-    names = (total, *(f"{symbol}[{channel.name}]" for symbol in symbols))
-    units = ("deg/h", "deg/h/g", "deg/h/g", "deg/h/g^2", "deg/h/g^2", "deg/h/h")
-    methods = (f"{METHOD}: in the middle of the record", *(METHOD for _ in symbols))
-    return [
-        Estimate(name, run.name, float(coefficient), float(error), unit, method)
-        for name, unit, method, coefficient, error in zip(names, units, methods, value, sd, strict=True)
-    ]
+    units = {
+        "D_O+D_IO·f_I": "deg/h/g", "D_S+D_SI·f_I": "deg/h/g", "D_OO-D_SS": "deg/h/g^2",
+        "gyro_g2_sensitivity.d_os": "deg/h/g^2", "gyro_bias_drift.slope": "deg/h/h",
+    }  # fmt: skip
+    middle_drift = replace(tested, of=total).estimate("D", value[0], sd[0], "deg/h", "in the middle of the record")
+    rest = zip(units.items(), value[1:], sd[1:], strict=True)
+    return [middle_drift, *(tested.estimate(name, size, error, unit) for (name, unit), size, error in rest)]
 
 
 def _total_drift(runs: Sequence[Run], run: Run, channel: Channel) -> str:
-    """Return the name of the total drift: with its run where several records cover a turn, as it drifts with time."""
+    """Return of what the total drift is: also of its run where several records cover a turn, as it drifts with time."""
     whole = [other for other in runs if turns_of(other) >= 1.0]
-    return f"D[{channel.name}]" if len(whole) < 2 else f"D[{channel.name},{run.name}]"
+    return channel.name if len(whole) < 2 else f"{channel.name},{run.name}"
 
 
 def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombination]:
@@ -101,13 +92,13 @@ def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombin
     # A joint fit may separate the terms from somewhat less than a turn as well.
     for run in [run for run in runs if turns_of(run) >= 1.0] or [max(runs, key=turns_of)]:
         channel = gyros[driving_channel(campaign, run)]
-        if abs(float(along_table(run, campaign, channel.axes[0])[2])) < _ALONG:
+        if abs(float(textbook.along_table(run, campaign, channel.axes[0])[2])) < _ALONG:
             continue
         constant = turn_mean_drift(campaign, run, channel)
         total = of_drift("D", channel.name, "deg/h", constant, total=True)
         time = ambient_of(run, np.arange(run.rows), campaign).get("campaign_time")
         later = {} if time is None else {f"gyro_bias_drift.slope[{channel.name}]": float(np.mean(time)) / _HOUR}
-        name = _total_drift(runs, run, channel)
+        name = f"D[{_total_drift(runs, run, channel)}]"
         found.append(LinearCombination(name, "deg/h", {**total.weights, **later}, total=True, middle_of=run.name))
         along = constant.get("D_I", 0.0)
         found += [

@@ -11,16 +11,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
-from imubayes.foundations.earth import EARTH_RATE, earth_rate, table_to_local
+from imubayes.foundations.earth import EARTH_RATE, earth_rate
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
-from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, measured
+from imubayes.procedures.kinematics import about_z
+from imubayes.procedures.textbook import DEGREE_PER_HOUR, Estimate, Evaluation, TextbookResult, Undetermined, measured
 
 METHOD = "IEEE Std 952, mean of the static record"
 COMPASS = "gyrocompass: mean rate against the Earth rate"
 BATCHES = "type A: means of eight equal parts of the record; bias not included"
 _BATCHES = 8
 _HOUR = 3600.0
-_DEGREE_PER_HOUR = np.pi / 180 / _HOUR
 _LEVEL = 0.05  # rad; a plane tilted by more is not level
 _RANK = 0.1  # least singular value of directions that span space
 
@@ -41,9 +41,8 @@ def _nominal_attitude(run: Run, campaign: Campaign) -> np.ndarray | None:
     angle = run.covariates["table_angle"]
     if run.table is None or run.mounting is None or not run.rows or np.ptp(angle) > 0 or np.isnan(angle).any():
         return None
-    table, (c, s) = campaign.tables[run.table], (np.cos(angle[0]), np.sin(angle[0]))
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return table_to_local(table.azimuth, table.elevation) @ turn @ campaign.mountings[run.mounting].body_to_table
+    in_local = campaign.tables[run.table].outer_to_local @ about_z(angle[:1])[0]
+    return in_local @ campaign.mountings[run.mounting].body_to_table
 
 
 def _mean(run: Run, output: np.ndarray) -> tuple[float, float]:
@@ -61,14 +60,14 @@ def _biases(campaign: Campaign, run: Run, attitude: np.ndarray) -> list[Textbook
     found: list[TextbookResult] = []
     gravity = campaign.site.gravity
     fixed = {
-        "gyro": ("gyro_bias.bias", earth_rate(campaign.site.latitude), _DEGREE_PER_HOUR, "deg/h"),
+        "gyro": ("gyro_bias.bias", earth_rate(campaign.site.latitude), DEGREE_PER_HOUR, "deg/h"),
         "accelerometer": ("accel_bias.bias", np.array([0.0, 0.0, gravity]), 1e-6 * gravity, "ug"),
     }
     for kind, (name, vector, factor, unit) in fixed.items():
         for channel, output in measured(run, campaign, kind):
             mean, sd = _mean(run, output / channel.scale_si)
             value = mean - float(attitude @ channel.axes[0] @ vector)
-            found.append(Estimate(f"{name}[{channel.name}]", run.name, value / factor, sd / factor, unit, METHOD))
+            found.append(Evaluation(channel.name, run.name, METHOD).estimate(name, value / factor, sd / factor, unit))
     return found
 
 
@@ -146,12 +145,8 @@ def _level(
     heading = np.degrees(np.arctan2(ahead @ east, ahead @ north))
     sd = np.degrees(np.sqrt(east @ covariance @ east)) / size
     axis = "xyz"[int(np.argmax(body))]
-    found.append(
-        Estimate(
-            f"heading_of_{axis}[{run.name}]", run.name, float(heading), float(sd), "deg", COMPASS, uncertainty=BATCHES
-        )
-    )
-    turn = np.degrees(_DEGREE_PER_HOUR / expected)
+    found.append(_compass(run).estimate(f"heading_of_{axis}", heading, sd, "deg"))
+    turn = np.degrees(DEGREE_PER_HOUR / expected)
     sentence = (
         f"the gyro bias across the level part of the Earth rate: 1 deg/h of it turns the heading by {turn:.3g} deg; "
         "only the bias along the vertical and along north shows in one attitude"
@@ -163,13 +158,14 @@ def _part(
     name: str, run: Run, value: float, expected: float, direction: np.ndarray, covariance: np.ndarray
 ) -> Estimate:
     """Return a part of the Earth rate, with its deviation from the site's, which is the bias along it."""
-    sd = float(np.sqrt(direction @ covariance @ direction)) / _DEGREE_PER_HOUR
-    bias = (value - expected) / _DEGREE_PER_HOUR
-    decision = f"{expected / _DEGREE_PER_HOUR:.4f} deg/h at the site: a bias of {bias:+.3g} deg/h along it"
-    return Estimate(
-        f"earth_rate.{name}[{run.name}]", run.name, value / _DEGREE_PER_HOUR, sd, "deg/h", COMPASS,
-        decision=decision, uncertainty=BATCHES,
-    )  # fmt: skip
+    sd = np.sqrt(direction @ covariance @ direction) / DEGREE_PER_HOUR
+    bias = (value - expected) / DEGREE_PER_HOUR
+    decision = f"{expected / DEGREE_PER_HOUR:.4f} deg/h at the site: a bias of {bias:+.3g} deg/h along it"
+    return _compass(run).estimate(f"earth_rate.{name}", value / DEGREE_PER_HOUR, sd, "deg/h", decision=decision)
+
+
+def _compass(run: Run) -> Evaluation:
+    return Evaluation(run.name, run.name, COMPASS, BATCHES)
 
 
 def _planned_rows(steps: PlannedSteps) -> PlannedRows:

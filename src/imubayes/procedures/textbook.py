@@ -7,12 +7,16 @@ of these assumptions.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import SupportsFloat
 
 import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.units import to_si
+from imubayes.procedures.kinematics import turned_back
 
 RESIDUALS = "type A: residuals of the fitted curve"
+DEGREE_PER_HOUR, ARCSEC = to_si("deg/h"), to_si("arcsec")
 # Tests at temperatures closer than this are tests at the same temperature.
 _SAME_TEMPERATURE = 5.0
 
@@ -65,6 +69,39 @@ class Undetermined:
 
 
 TextbookResult = Estimate | Undetermined
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What is evaluated at once: a channel in some runs, by one method.
+
+    Attributes
+    ----------
+    of : in the brackets of names: the channel, with mounting or run where it has a value for each.
+    run, method, uncertainty : as in `Estimate`.
+    """
+
+    of: str
+    run: str
+    method: str
+    uncertainty: str = RESIDUALS
+
+    def estimate(
+        self,
+        symbol: str,
+        value: SupportsFloat,
+        sd: SupportsFloat,
+        unit: str,
+        how: str = "",
+        decision: str = "",
+        uncertainty: str = "",
+    ) -> Estimate:
+        """Return an estimate; `how` is said behind the method, and `uncertainty` is that of the evaluation if empty."""
+        return Estimate(
+            f"{symbol}[{self.of}]", self.run, float(value), float(sd), unit,
+            f"{self.method}: {how}" if how else self.method,
+            decision=decision, uncertainty=uncertainty or self.uncertainty,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -127,11 +164,9 @@ def up_in_table(run: Run, campaign: Campaign) -> np.ndarray:
 def components(run: Run, campaign: Campaign, channel: Channel, angle: np.ndarray | None = None) -> np.ndarray:
     """Return the specific force along a channel's I, O and S axes at table angles (default: the rows), g, (3, n)."""
     angle = run.covariates["table_angle"] if angle is None else angle
-    x, y, z = up_in_table(run, campaign)
-    c, s = np.cos(angle), np.sin(angle)
-    turned = np.stack([c * x + s * y, c * y - s * x, np.full_like(angle, z)])
     assert run.mounting is not None
-    return channel.axes @ campaign.mountings[run.mounting].body_to_table.T @ turned
+    to_body = campaign.mountings[run.mounting].body_to_table.T
+    return channel.axes @ to_body @ turned_back(up_in_table(run, campaign), angle)
 
 
 def axial(run: Run, campaign: Campaign, vector: np.ndarray) -> float:
