@@ -242,11 +242,7 @@ def _channel(entry: ChannelEntry, path: tuple[str, int], gravity: float, ledger:
 
 
 def _check_output_axis(
-    entry: ChannelEntry,
-    input_axis: np.ndarray,
-    output_axis: np.ndarray,
-    path: tuple[str, int],
-    ledger: Ledger,
+    entry: ChannelEntry, input_axis: np.ndarray, output_axis: np.ndarray, path: tuple[str, int], ledger: Ledger
 ) -> None:
     length = float(np.linalg.norm(output_axis))
     cosine = abs(input_axis @ output_axis) / (np.linalg.norm(input_axis) * length) if length > 1e-9 else 1.0

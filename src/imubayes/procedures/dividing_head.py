@@ -113,9 +113,7 @@ def _of_channel(
     freedom = len(output) - len(terms.names)
     evaluation = f"type A: residuals of the fitted terms, {freedom} degrees of freedom"
     tested, k1_sd = Evaluation(channel.name, run.name, METHOD, evaluation), spread["K1"] * abs(k1)
-    found: list[TextbookResult] = [
-        tested.estimate("scale_factor", k1 / gravity * per, k1_sd / gravity * per, unit),
-    ]
+    found: list[TextbookResult] = [tested.estimate("scale_factor", k1 / gravity * per, k1_sd / gravity * per, unit)]
     for symbol in terms.names[1:]:
         name, of = names[symbol]
         factor = 1 / ARCSEC if of == "arcsec" else 1e6

@@ -77,12 +77,7 @@ def read_options(given: Mapping[str, Any]) -> ConvertOptions:
     """
     names = [option.name for option in fields(ConvertOptions)]
     issues = [
-        Issue(
-            f"'{key}' is not an option of convert",
-            f"option {key}",
-            closest_first(key, names),
-            "correct the option",
-        )
+        Issue(f"'{key}' is not an option of convert", f"option {key}", closest_first(key, names), "correct the option")
         for key in given
         if key not in names
     ]

@@ -9,7 +9,7 @@ equally well, the first is named.
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -56,9 +56,14 @@ class Mistake(ABC):
     rarity: ClassVar[float] = 0.0
 
     @classmethod
-    @abstractmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator["Mistake"]:
-        """Yield the mistakes of this kind that may have been made in a campaign."""
+        """Yield the mistakes of this kind that may have been made in a campaign; by default one in each scope."""
+        return (cls(scope) for scope in cls.scopes(campaign, views))
+
+    @classmethod
+    def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
+        """Return where the mistake may have been made."""
+        return ()
 
     @abstractmethod
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
@@ -105,16 +110,6 @@ class Mistake(ABC):
         return self.rarity
 
 
-MISTAKES: list[type[Mistake]] = []
-"""Every kind of mistake, from the most to the least usual."""
-
-
-def register[Kind: type[Mistake]](kind: Kind) -> Kind:
-    """Add a kind of mistake to the registry."""
-    MISTAKES.append(kind)
-    return kind
-
-
 def tables_of(views: Sequence[RunView]) -> list[Scope]:
     """Return the scope of each table."""
     names = dict.fromkeys(view.table for view in views if view.table is not None)
@@ -142,12 +137,22 @@ def wide_first(scopes: Sequence[Scope], runs: Sequence[Scope]) -> list[Scope]:
     return [*scopes, *(run for run in runs if run.runs not in single)]
 
 
+def tables_and_runs(views: Sequence[RunView], concerned: Callable[[RunView], bool] = lambda view: True) -> list[Scope]:
+    """Return the scope of each table, and then of each run on one; of those with runs that are concerned."""
+    scopes = wide_first(tables_of(views), single_runs(views))
+    return [scope for scope in scopes if any(concerned(views[place]) for place in scope.runs)]
+
+
 def has_angles(view: RunView) -> bool:
     """Whether the angle of the table is known in some rows."""
     return bool(np.isfinite(view.angle).any()) and view.attitude is None
 
 
-@register
+def turns(view: RunView) -> bool:
+    """Whether the table turns in some rows."""
+    return bool(np.any(view.rate))
+
+
 @dataclass(frozen=True)
 class FilesExchanged(Mistake):
     """The tables of two runs are exchanged; `second` is the name of the second, `other` its place."""
@@ -174,7 +179,6 @@ class FilesExchanged(Mistake):
         )  # fmt: skip
 
 
-@register
 @dataclass(frozen=True)
 class MountingMislabelled(Mistake):
     """A run was made in `actual`, another mounting of the campaign."""
@@ -196,7 +200,6 @@ class MountingMislabelled(Mistake):
         return changed(views[place], mounting=self.actual, body_to_table=self.matrix)
 
 
-@register
 @dataclass(frozen=True)
 class MountingsExchanged(Mistake):
     """Two mountings, `first` and `second`, are exchanged in all runs, or all on a table."""
@@ -225,7 +228,6 @@ class MountingsExchanged(Mistake):
         return changed(views[place], mounting=actual, body_to_table=matrix)
 
 
-@register
 @dataclass(frozen=True)
 class TableSense(Mistake):
     """The table turns against the stated sense; `zero_too` is whether its zero was read in the right one."""
@@ -250,7 +252,7 @@ class TableSense(Mistake):
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every table and every run on one."""
-        for scope in wide_first(tables_of(views), single_runs(views)):
+        for scope in tables_and_runs(views):
             yield cls(scope)
             if scope.section == "table" and abs(math.sin(views[scope.runs[0]].zero)) > 0:
                 yield cls(scope, True)
@@ -262,7 +264,6 @@ class TableSense(Mistake):
         return changed(view, rate=-view.rate, angle=angle, span=-view.span)
 
 
-@register
 @dataclass(frozen=True)
 class TableZero(Mistake):
     """The zero of the table angle is off."""
@@ -272,11 +273,9 @@ class TableZero(Mistake):
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-150, 181, 30) * _DEGREE)
 
     @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every table and run whose angle is recorded."""
-        tables = [scope for scope in tables_of(views) if any(has_angles(views[k]) for k in scope.runs)]
-        for scope in wide_first(tables, [run for run in single_runs(views) if has_angles(views[run.runs[0]])]):
-            yield cls(scope)
+    def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
+        """Return every table and run whose angle is recorded."""
+        return tables_and_runs(views, has_angles)
 
     def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
         """Return right angles, by which a zero is off most often; a loose mounting does not tell it exactly."""
@@ -291,7 +290,6 @@ class TableZero(Mistake):
         return changed(views[place], angle=views[place].angle + size)
 
 
-@register
 @dataclass(frozen=True)
 class MountingTurned(TableZero):
     """A mounting is turned about the axis of its tables."""
@@ -300,14 +298,11 @@ class MountingTurned(TableZero):
     rarity: ClassVar[float] = 8.0
 
     @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every mounting of several runs."""
-        for scope in _mountings(views):
-            if len(scope.runs) > 1:
-                yield cls(scope)
+    def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
+        """Return every mounting of several runs."""
+        return [scope for scope in _mountings(views) if len(scope.runs) > 1]
 
 
-@register
 @dataclass(frozen=True)
 class TableElevation(Mistake):
     """The elevation of the axis of a table is wrong."""
@@ -322,10 +317,9 @@ class TableElevation(Mistake):
         return 25.0 if self.scope.section == "run" else self.rarity
 
     @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every table, and every run on one."""
-        for scope in wide_first(tables_of(views), single_runs(views)):
-            yield cls(scope)
+    def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
+        """Return every table, and every run on one."""
+        return tables_and_runs(views)
 
     def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
         """Return the sizes to a horizontal, a vertical and the polar axis."""
@@ -337,7 +331,6 @@ class TableElevation(Mistake):
         return changed(views[place], elevation=views[place].elevation + size)
 
 
-@register
 @dataclass(frozen=True)
 class TableAzimuth(Mistake):
     """The azimuth of the axis of a table is wrong."""
@@ -350,11 +343,9 @@ class TableAzimuth(Mistake):
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-150, 181, 30) * _DEGREE)
 
     @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every table, where there are gyros."""
-        if any(channel.kind == "gyro" for channel in campaign.channels):
-            for scope in tables_of(views):
-                yield cls(scope)
+    def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
+        """Return every table, where there are gyros."""
+        return tables_of(views) if campaign.of_kind("gyro") else ()
 
     def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
         """Return the sizes to North, East, South and West."""
@@ -365,7 +356,6 @@ class TableAzimuth(Mistake):
         return changed(views[place], azimuth=views[place].azimuth + size)
 
 
-@register
 @dataclass(frozen=True)
 class ChannelsExchanged(Mistake):
     """Channels of one kind are exchanged: channel `order[i]` is in the column of channel `places[i]`."""
@@ -403,7 +393,6 @@ def _is_static(view: RunView) -> bool:
     return view.outer is not None or not (np.any(view.span) or view.reference is not None or np.any(view.rate))
 
 
-@register
 @dataclass(frozen=True)
 class TimeShift(Mistake):
     """The outputs are shifted against the columns of the table, by a size in rows; positive where they lag.
@@ -455,7 +444,6 @@ class TimeShift(Mistake):
         )
 
 
-@register
 @dataclass(frozen=True)
 class MountingWrong(Mistake):
     """The matrix of a mounting is wrong: transposed, or another of the 24 orientations of the unit."""
@@ -495,3 +483,9 @@ def _orientations() -> list[np.ndarray]:
 
 ORIENTATIONS = _orientations()
 """The 24 rotations that map the axes of a cube onto each other, the identity first."""
+
+MISTAKES: tuple[type[Mistake], ...] = (
+    FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
+    TableElevation, TableAzimuth, ChannelsExchanged, TimeShift, MountingWrong,
+)  # fmt: skip
+"""Kinds of mistakes in the equipment, from the most to the least usual."""

@@ -39,14 +39,7 @@ from imubayes.campaign.setup_gate.error_model import (
     weighted,
     widths,
 )
-from imubayes.campaign.setup_gate.setup_view import (
-    RunView,
-    changed,
-    feels_the_earth_alone,
-    in_body,
-    stacked,
-    views_of,
-)
+from imubayes.campaign.setup_gate.setup_view import RunView, changed, feels_the_earth_alone, in_body, stacked, views_of
 from imubayes.foundations.campaign_data import Campaign
 
 # Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, three of
@@ -86,11 +79,7 @@ class ErrorModel:
     """
 
     def __init__(
-        self,
-        campaign: Campaign,
-        gross: bool = False,
-        steadiness: Steadiness = POOR,
-        centre: np.ndarray | None = None,
+        self, campaign: Campaign, gross: bool = False, steadiness: Steadiness = POOR, centre: np.ndarray | None = None
     ):
         self.gross, self.centre = gross, centre
         self.rotated: dict[int, np.ndarray] = {}

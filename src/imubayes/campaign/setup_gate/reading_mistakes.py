@@ -12,7 +12,7 @@ that a smaller scale factor gains nothing over another input but what the output
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -26,8 +26,9 @@ from imubayes.campaign.setup_gate.equipment_mistakes import (
     all_runs,
     has_angles,
     single_runs,
+    tables_and_runs,
     tables_of,
-    wide_first,
+    turns,
 )
 from imubayes.campaign.setup_gate.setup_view import RunView, changed, feels_the_earth_alone, turns_through
 from imubayes.foundations.campaign_data import Campaign, Channel
@@ -75,7 +76,7 @@ _DEGREE = math.pi / 180
 
 
 def _feels_the_earth(campaign: Campaign, views: Sequence[RunView]) -> bool:
-    return any(channel.kind == "gyro" for channel in campaign.channels) and any(v.reference is None for v in views)
+    return bool(campaign.of_kind("gyro")) and any(view.reference is None for view in views)
 
 
 @dataclass(frozen=True)
@@ -85,10 +86,9 @@ class LatitudeSign(Mistake):
     kind: ClassVar[str] = "latitude_sign"
 
     @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield the one mistake, where there are gyros."""
-        if _feels_the_earth(campaign, views) and campaign.site.latitude:
-            yield cls(all_runs(range(len(views))))
+    def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
+        """Return the whole campaign, where there are gyros."""
+        return [all_runs(range(len(views)))] if _feels_the_earth(campaign, views) and campaign.site.latitude else []
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the view on the other hemisphere."""
@@ -273,6 +273,14 @@ def driven(campaign: Campaign, channel: Channel, views: Sequence[RunView]) -> bo
     return bool(np.abs(along).max(initial=0.0) > _LEAST_INPUT[channel.kind])
 
 
+def _groups(
+    campaign: Campaign, kind: str, concerned: Callable[[Channel], bool] = lambda channel: True
+) -> list[tuple[int, ...]]:
+    """Return the place of each channel of a kind that is concerned, and those of all."""
+    places = [k for k, channel in enumerate(campaign.channels) if channel.kind == kind and concerned(channel)]
+    return [*((k,) for k in places), *([tuple(places)] if len(places) > 1 else [])]
+
+
 @dataclass(frozen=True)
 class _Factor(Mistake):
     rarity: ClassVar[float] = 8.0
@@ -313,13 +321,9 @@ class NominalScale(_Factor):
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every channel that has an input, and all of a kind."""
         for kind in ("gyro", "accelerometer"):
-            places = [
-                k for k, each in enumerate(campaign.channels) if each.kind == kind and driven(campaign, each, views)
-            ]
-            for group in [(k,) for k in places] + ([tuple(places)] if len(places) > 1 else []):
-                yield cls(
-                    all_runs(range(len(views))), tuple(campaign.channels[k].name for k in group), group, kind == "gyro"
-                )
+            for group in _groups(campaign, kind, lambda channel: driven(campaign, channel, views)):
+                names = tuple(campaign.channels[k].name for k in group)
+                yield cls(all_runs(range(len(views))), names, group, kind == "gyro")
 
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is a factor of the rates that makes the same of the same gyros."""
@@ -339,11 +343,9 @@ class TableRates(_Factor):
     kind: ClassVar[str] = "rate_unit"
 
     @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every table that turns."""
-        for scope in tables_of(views):
-            if any(np.any(views[k].rate) for k in scope.runs):
-                yield cls(scope)
+    def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
+        """Return every table that turns."""
+        return [scope for scope in tables_of(views) if any(turns(views[k]) for k in scope.runs)]
 
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is the nominal scale factor of gyros, which only the Earth rate tells."""
@@ -394,11 +396,9 @@ class ChannelGain(Mistake):
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every channel and all of a kind, in all runs or one."""
         for kind, gains in GAINS.items():
-            places = [k for k, channel in enumerate(campaign.channels) if channel.kind == kind]
-            groups = [(k,) for k in places] + ([tuple(places)] if len(places) > 1 else [])
             factors = {"": -1.0} | gains
             scopes = [all_runs(range(len(views))), *single_runs(views, False)]
-            for scope, group in itertools.product(scopes, groups):
+            for scope, group in itertools.product(scopes, _groups(campaign, kind)):
                 channels = [campaign.channels[k] for k in group]
                 if not all(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels):
                     continue
@@ -431,9 +431,7 @@ class RateUnit(Mistake):
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every unit for every table and run that turns."""
-        turning = [scope for scope in tables_of(views) if any(np.any(views[k].rate) for k in scope.runs)]
-        runs = [scope for scope in single_runs(views) if np.any(views[scope.runs[0]].rate)]
-        for scope, unit in itertools.product(wide_first(turning, runs), RATE_UNITS):
+        for scope, unit in itertools.product(tables_and_runs(views, turns), RATE_UNITS):
             yield cls(scope, unit)
 
     def like(self, other: Mistake) -> bool:
@@ -464,10 +462,8 @@ class AngleUnit(Mistake):
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every unit for every table and run at several angles."""
-        several = [k for k, view in enumerate(views) if has_angles(view) and np.nanmax(np.abs(view.angle)) > 0]
-        tables = [scope for scope in tables_of(views) if set(scope.runs) & set(several)]
-        runs = [scope for scope in single_runs(views) if scope.runs[0] in several]
-        for scope, unit in itertools.product(wide_first(tables, runs), ANGLE_UNITS):
+        scopes = tables_and_runs(views, lambda view: has_angles(view) and bool(np.nanmax(np.abs(view.angle)) > 0))
+        for scope, unit in itertools.product(scopes, ANGLE_UNITS):
             largest = max(float(np.nanmax(np.abs(views[k].angle + views[k].zero), initial=0.0)) for k in scope.runs)
             if largest * ANGLE_UNITS[unit] < _MOST_TURNS * 2 * math.pi:
                 yield cls(scope, unit)

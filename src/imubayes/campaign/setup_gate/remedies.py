@@ -331,20 +331,18 @@ def _rate(campaign: Campaign, found: Explanation, places: Places) -> Words:
             "degrees per second",
             f"multiply 'table_rate_deg_s' by {math.exp(found.size):.4g} {_subject(found.mistake)}",
         )
-    assert isinstance(found.mistake, RateUnit)
-    unit = found.mistake.unit
-    return _unit(found.mistake, places, "table_rate_deg_s", unit, RATE_UNITS[unit], "degrees per second")
+    return _unit(campaign, found, places)
 
 
-def _angle(campaign: Campaign, found: Explanation, places: Places) -> Words:
-    assert isinstance(found.mistake, AngleUnit)
-    unit = found.mistake.unit
-    return _unit(found.mistake, places, "table_angle_deg", unit, ANGLE_UNITS[unit], "degrees")
-
-
-def _unit(mistake: Mistake, places: Places, column: str, unit: str, factor: float, allowed: str) -> Words:
+def _unit(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    mistake = found.mistake
+    assert isinstance(mistake, (RateUnit, AngleUnit))
+    column, units, allowed = "table_angle_deg", ANGLE_UNITS, "degrees"
+    if isinstance(mistake, RateUnit):
+        column, units, allowed = "table_rate_deg_s", RATE_UNITS, "degrees per second"
+    factor = units[mistake.unit]
     return Words(
-        f"column '{column}' is in {unit} {_subject(mistake)}",
+        f"column '{column}' is in {mistake.unit} {_subject(mistake)}",
         places.column(mistake, column),
         allowed,
         f"multiply '{column}' by {factor:.10g} {_subject(mistake)}",
@@ -385,14 +383,19 @@ def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Word
 def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
     assert isinstance(mistake, TemperatureUnit)
-    columns = " and ".join(f"'{_COLUMN[name]}'" for name in mistake.names)
+    columns, noun, one = _thermal_columns(mistake)
     return Words(
-        f"{'column' if len(mistake.names) == 1 else 'columns'} {columns} {'is' if len(mistake.names) == 1 else 'are'} "
-        f"in degrees Fahrenheit {_subject(mistake)}",
+        f"{noun} {columns} {'is' if one else 'are'} in degrees Fahrenheit {_subject(mistake)}",
         places.column(mistake, _COLUMN[mistake.names[0]]),
         "degrees Celsius",
         f"replace T by (T - 32) / 1.8 in {columns} {_subject(mistake)}",
     )
+
+
+def _thermal_columns(mistake: TemperatureUnit | TemperatureReversed) -> tuple[str, str, bool]:
+    """Return the columns of a mistake as a list, the noun before it, and whether it is one."""
+    one = len(mistake.names) == 1
+    return " and ".join(f"'{_COLUMN[name]}'" for name in mistake.names), "column" if one else "columns", one
 
 
 def _thermometers(campaign: Campaign, found: Explanation, places: Places) -> Words:
@@ -407,13 +410,12 @@ def _thermometers(campaign: Campaign, found: Explanation, places: Places) -> Wor
 def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Words:
     assert isinstance(found.mistake, TemperatureReversed)
     mistake = found.mistake
-    columns = " and ".join(f"'{_COLUMN[name]}'" for name in mistake.names)
-    one = len(mistake.names) == 1
+    columns, noun, one = _thermal_columns(mistake)
     return Words(
-        f"{'column' if one else 'columns'} {columns} {'runs' if one else 'run'} backwards in time {_subject(mistake)}",
+        f"{noun} {columns} {'runs' if one else 'run'} backwards in time {_subject(mistake)}",
         places.column(mistake, _COLUMN[mistake.names[0]]),
         "temperatures in the order of the rows",
-        f"reverse the order of {'column' if one else 'columns'} {columns} {_subject(mistake)}",
+        f"reverse the order of {noun} {columns} {_subject(mistake)}",
     )
 
 
@@ -433,7 +435,7 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Words]] = {
     "channel_unit": _gain,
     "rate_unit": _rate,
     "table_rate": _rate_factor,
-    "angle_unit": _angle,
+    "angle_unit": _unit,
     "time_shift": _time,
     "mounting_wrong": _matrix,
     "temperature_unit": _fahrenheit,

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, has_angles, single_runs
+from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, has_angles, single_runs, turns
 from imubayes.campaign.setup_gate.error_model import NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
 from imubayes.campaign.setup_gate.setup_view import RunView, changed, views_of
@@ -240,12 +240,10 @@ class RateFactor(Mistake):
     sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-0.2, 0.2, 9).tolist())
 
     @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every run that turns, where there are several: a scale factor is known by the rate alone."""
-        turning = [scope for scope in single_runs(views) if np.any(views[scope.runs[0]].rate)]
-        if len(turning) > 1 and any(channel.kind == "gyro" for channel in campaign.channels):
-            for scope in turning:
-                yield cls(scope)
+    def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
+        """Return every run that turns, where there are several: a scale factor is known by the rate alone."""
+        turning = [scope for scope in single_runs(views) if turns(views[scope.runs[0]])]
+        return turning if len(turning) > 1 and campaign.of_kind("gyro") else []
 
     def possible(self, size: float) -> bool:
         """Return whether there can be such a factor: larger ones are another unit."""
