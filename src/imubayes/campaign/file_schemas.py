@@ -4,6 +4,8 @@ A schema covers structure only: keys, types and ranges.  Cross-references and ge
 built; whether an effect of the model exists is checked by the registry of effects.  Unknown keys are refused, so that a
 misspelt key is never ignored silently.  The valid entries of a campaign file are kept beside invalid ones, so that one
 invalid entry does not hide the errors of the others.
+
+The docstring of a key is its description in the JSON Schema; a longer one stands as `description`.
 """
 
 import math
@@ -44,7 +46,9 @@ def _numbers_in(value: Any) -> list[float]:
 
 
 class _Entry(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(
+        extra="forbid", strict=True, allow_inf_nan=False, frozen=True, use_attribute_docstrings=True
+    )
 
     @field_validator("*")
     @classmethod
@@ -58,50 +62,56 @@ class _Entry(BaseModel):
 class SiteEntry(_Entry):
     """The test site; measured gravity takes precedence over the WGS 84 formula."""
 
-    latitude_deg: float = Field(ge=-90, le=90, description="geodetic, positive to the North")
-    height_m: float = Field(default=0.0, ge=-1000, le=20000, description="above the ellipsoid")
-    gravity_m_s2: float | None = Field(default=None, ge=9.5, le=10.1, description="as measured; by default WGS 84")
-    gravity_uncertainty_ug: NotNegative | None = Field(
-        default=None, description="standard uncertainty of gravity; 0 means exact, by default unknown"
-    )
+    latitude_deg: float = Field(ge=-90, le=90)
+    """geodetic, positive to the North"""
+    height_m: float = Field(default=0.0, ge=-1000, le=20000)
+    """above the ellipsoid"""
+    gravity_m_s2: float | None = Field(default=None, ge=9.5, le=10.1)
+    """as measured; by default WGS 84"""
+    gravity_uncertainty_ug: NotNegative | None = None
+    """standard uncertainty of gravity; 0 means exact, by default unknown"""
 
 
 class UnitEntry(_Entry):
     """The unit under test."""
 
-    serial: Text = Field(default="", description="serial number, repeated in results and reports")
-    description: Text = Field(default="", description="type of the unit, in words")
-    grade: Grade | None = Field(default=None, description="to which default priors belong; from the noise where absent")
+    serial: Text = ""
+    """serial number, repeated in results and reports"""
+    description: Text = ""
+    """type of the unit, in words"""
+    grade: Grade | None = None
+    """to which default priors belong; from the noise where absent"""
 
 
 class ChannelEntry(_Entry):
     """One sensitive axis with its readout; `name` is its column in the run tables."""
 
-    name: ColumnName = Field(description="of the channel, and of its column in the run tables")
-    kind: Literal["gyro", "accelerometer"] = Field(description="what the channel senses")
-    input_axis: Vector = Field(description="nominal sensitive axis in body axes, of any length")
+    name: ColumnName
+    """of the channel, and of its column in the run tables"""
+    kind: Literal["gyro", "accelerometer"]
+    """what the channel senses"""
+    input_axis: Vector
+    """nominal sensitive axis in body axes, of any length"""
     output_axis: Vector | None = Field(
         default=None,
         description="nominal output axis in body axes, across the input axis; misalignments and cross terms count "
         "along it and along the third axis, input x output",
     )
-    output_unit: Text = Field(description="of the column: pulse/s, V, mA, or what the readout gives")
-    scale: float = Field(
-        description="nominal scale factor: output_unit per input; negative where the channel is reversed"
-    )
-    per: Literal["deg/s", "deg/h", "rad/s", "g", "m/s^2"] = Field(
-        description="unit of the input; g is the gravity of the site, not 9.80665 m/s^2"
-    )
-    offset: float = Field(default=0.0, description="nominal output at zero input, in output_unit")
+    output_unit: Text
+    """of the column: pulse/s, V, mA, or what the readout gives"""
+    scale: float
+    """nominal scale factor: output_unit per input; negative where the channel is reversed"""
+    per: Literal["deg/s", "deg/h", "rad/s", "g", "m/s^2"]
+    """unit of the input; g is the gravity of the site, not 9.80665 m/s^2"""
+    offset: float = 0.0
+    """nominal output at zero input, in output_unit"""
     noise: Positive | None = Field(
         default=None,
         description="sd of a raw sample in output_unit, the prior of white_noise; by default from the columns "
         "name_sd, or from repeated rows",
     )
-    current_mA_per_g: float | None = Field(
-        default=None,
-        description="nominal current of the accelerometer; needed where a current is fed into its converter",
-    )
+    current_mA_per_g: float | None = None
+    """nominal current of the accelerometer; needed where a current is fed into its converter"""
 
 
 class TableEntry(_Entry):
@@ -111,49 +121,45 @@ class TableEntry(_Entry):
     as seen from above, and y = z x x; see the picture in data/README.md.
     """
 
-    name: Name = Field(description="by which runs refer to the table")
-    azimuth_deg: Degrees = Field(default=0.0, description="of the rotation axis, clockwise from North")
-    elevation_deg: float = Field(
-        ge=-90, le=90, description="of the rotation axis: 90 a rate table, 0 a dividing head, the latitude a polar axis"
-    )
+    name: Name
+    """by which runs refer to the table"""
+    azimuth_deg: Degrees = 0.0
+    """of the rotation axis, clockwise from North"""
+    elevation_deg: float = Field(ge=-90, le=90)
+    """of the rotation axis: 90 a rate table, 0 a dividing head, the latitude a polar axis"""
     zero_angle_deg: Degrees = Field(
         default=0.0,
         description="reading of table_angle_deg at the zero of the table, subtracted from the column: there table x is "
         "horizontal, at azimuth_deg + 90, and y = z x x (East and North for azimuth 0 and elevation 90)",
     )
-    settling_s: NotNegative = Field(
-        default=0.0, description="least time left out of raw logs after each change of the stimulus"
-    )
-    rate_tolerance_deg_s: Positive | None = Field(
-        default=None, description="of raw logs: rates closer than this are equal; by default the noise of the column"
-    )
-    axis_uncertainty_arcsec: NotNegative | None = Field(
-        default=None, description="of the direction of the rotation axis, about each of two axes across it"
-    )
-    azimuth_uncertainty_arcsec: NotNegative | None = Field(
-        default=None, description="of azimuth_deg, where it differs from axis_uncertainty_arcsec: north is known worse"
-    )
-    elevation_uncertainty_arcsec: NotNegative | None = Field(
-        default=None, description="of elevation_deg, where it differs from axis_uncertainty_arcsec: a level tells it"
-    )
-    rate_uncertainty_ppm: NotNegative | None = Field(default=None, description="of the commanded or measured rate")
-    angle_uncertainty_arcsec: NotNegative | None = Field(
-        default=None, description="of an angle that is read; of the record of a servo table"
-    )
-    inner_axis: Vector | None = Field(default=None, description="at zero angles, in axes with z along the outer axis")
-    middle_axis: Vector | None = Field(default=None, description="as inner_axis, of a table of three axes")
-    arm_radius_m: Positive | None = Field(default=None, description="of a centrifuge: from the outer to the inner axis")
-    zero_uncertainty_arcsec: NotNegative | None = Field(
-        default=None,
-        description="of the zero of each axis: the prior of inner_axis_zero, outer_axis_zero, middle_axis_zero",
-    )
-    squareness_uncertainty_arcsec: NotNegative | None = Field(
-        default=None, description="of the right angle between two axes of the table"
-    )
-    intersection_uncertainty_um: NotNegative | None = Field(
-        default=None, description="of the distance between two axes that should intersect"
-    )
-    arm_uncertainty_um: NotNegative | None = Field(default=None, description="of arm_radius_m")
+    settling_s: NotNegative = 0.0
+    """least time left out of raw logs after each change of the stimulus"""
+    rate_tolerance_deg_s: Positive | None = None
+    """of raw logs: rates closer than this are equal; by default the noise of the column"""
+    axis_uncertainty_arcsec: NotNegative | None = None
+    """of the direction of the rotation axis, about each of two axes across it"""
+    azimuth_uncertainty_arcsec: NotNegative | None = None
+    """of azimuth_deg, where it differs from axis_uncertainty_arcsec: north is known worse"""
+    elevation_uncertainty_arcsec: NotNegative | None = None
+    """of elevation_deg, where it differs from axis_uncertainty_arcsec: a level tells it"""
+    rate_uncertainty_ppm: NotNegative | None = None
+    """of the commanded or measured rate"""
+    angle_uncertainty_arcsec: NotNegative | None = None
+    """of an angle that is read; of the record of a servo table"""
+    inner_axis: Vector | None = None
+    """at zero angles, in axes with z along the outer axis"""
+    middle_axis: Vector | None = None
+    """as inner_axis, of a table of three axes"""
+    arm_radius_m: Positive | None = None
+    """of a centrifuge: from the outer to the inner axis"""
+    zero_uncertainty_arcsec: NotNegative | None = None
+    """of the zero of each axis: the prior of inner_axis_zero, outer_axis_zero, middle_axis_zero"""
+    squareness_uncertainty_arcsec: NotNegative | None = None
+    """of the right angle between two axes of the table"""
+    intersection_uncertainty_um: NotNegative | None = None
+    """of the distance between two axes that should intersect"""
+    arm_uncertainty_um: NotNegative | None = None
+    """of arm_radius_m"""
 
     @model_validator(mode="after")
     def _axes_of_a_table(self) -> "TableEntry":
@@ -168,16 +174,14 @@ class TableEntry(_Entry):
 class MountingEntry(_Entry):
     """Mounting of the unit on a table: a preset, or the rows of `body_to_table`; an uncertainty of 0 means exact."""
 
-    name: Name = Field(description="by which runs refer to the mounting")
-    preset: Literal["trihedral", "aligned"] | None = Field(
-        default=None, description="aligned: body axes along those of the table; trihedral: body diagonal along table z"
-    )
-    body_to_table: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = Field(
-        default=None, description="three rows; the columns are the body axes in axes of the table, at its zero"
-    )
-    uncertainty_arcmin: NotNegative | None = Field(
-        default=None, description="of the attitude, about each axis; 0 is exact"
-    )
+    name: Name
+    """by which runs refer to the mounting"""
+    preset: Literal["trihedral", "aligned"] | None = None
+    """aligned: body axes along those of the table; trihedral: body diagonal along table z"""
+    body_to_table: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = None
+    """three rows; the columns are the body axes in axes of the table, at its zero"""
+    uncertainty_arcmin: NotNegative | None = None
+    """of the attitude, about each axis; 0 is exact"""
 
     @model_validator(mode="after")
     def _one_of_two(self) -> "MountingEntry":
@@ -189,55 +193,67 @@ class MountingEntry(_Entry):
 class RunEntry(_Entry):
     """One run: procedure, equipment and the file of its run table."""
 
-    name: Name = Field(description="of the run in results, unique in the campaign")
-    procedure: str = Field(description="test procedure: rate_table, dividing_head, …; `imubayes check` lists them")
-    file: FileWithin = Field(description="CSV or Parquet file of the run table, beside campaign.toml")
-    table: str | None = Field(default=None, description="name of a [[table]]")
-    mounting: str | None = Field(default=None, description="name of a [[mounting]]")
-    temperature_degC: float | None = Field(
-        default=None, ge=-150, le=150, description="of all rows, where the file has no column of that name"
-    )
-    converter_temperature_degC: float | None = Field(
-        default=None, ge=-150, le=150, description="of all rows, where the file has no column of that name"
-    )
+    name: Name
+    """of the run in results, unique in the campaign"""
+    procedure: str
+    """test procedure: rate_table, dividing_head, …; `imubayes check` lists them"""
+    file: FileWithin
+    """CSV or Parquet file of the run table, beside campaign.toml"""
+    table: str | None = None
+    """name of a [[table]]"""
+    mounting: str | None = None
+    """name of a [[mounting]]"""
+    temperature_degC: float | None = Field(default=None, ge=-150, le=150)
+    """of all rows, where the file has no column of that name"""
+    converter_temperature_degC: float | None = Field(default=None, ge=-150, le=150)
+    """of all rows, where the file has no column of that name"""
     temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
         default=None,
         description="standard uncertainty of temperature_degC, stated or recorded, common to all rows: the prior of "
         "thermometer_error; exact where absent",
     )
-    converter_temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
-        default=None, description="the same of converter_temperature_degC: the prior of converter_thermometer_error"
-    )
-    start: datetime | date | None = Field(default=None, description="when the run began; for timelines and trends")
-    initial_rest_s: Positive | None = Field(
-        default=None, description="of a free tumble: time at rest before the first motion; found where absent"
-    )
-    ignore: list[str] = Field(default=[], description="columns of the file that are not read")
+    converter_temperature_uncertainty_degC: TemperatureUncertainty | None = None
+    """the same of converter_temperature_degC: the prior of converter_thermometer_error"""
+    start: datetime | date | None = None
+    """when the run began; for timelines and trends"""
+    initial_rest_s: Positive | None = None
+    """of a free tumble: time at rest before the first motion; found where absent"""
+    ignore: list[str] = []
+    """columns of the file that are not read"""
 
 
 class EvaluationEntry(_Entry):
     """Limits of the classical evaluation and of the decisions made from a fit."""
 
-    delta_k_threshold_percent: Positive | None = Field(
-        default=None,
-        description="largest change of the gain by current injection that still is one line for all currents",
-    )
+    delta_k_threshold_percent: Positive | None = None
+    """largest change of the gain by current injection that still is one line for all currents"""
 
 
 class CampaignFile(_Entry):
     """`campaign.toml`."""
 
-    format: Literal[1] = Field(description="of this file")
-    name: Name = Field(description="of the campaign")
-    notes: list[str] = Field(default=[], description="remarks, kept and not evaluated")
-    accepted: list[str] = Field(default=[], description="names of findings about the set-up that are only warnings")
-    site: SiteEntry = Field(description="where the runs were made")
-    unit: UnitEntry = Field(default=UnitEntry(), description="what was tested")
-    evaluation: EvaluationEntry = Field(default=EvaluationEntry(), description="limits of decisions")
-    channel: list[ChannelEntry] = Field(min_length=1, description="one for each sensitive axis")
-    table: list[TableEntry] = Field(default=[], description="rate tables, dividing heads, polar axes, centrifuges")
-    mounting: list[MountingEntry] = Field(default=[], description="how the unit sat on a table")
-    run: list[RunEntry] = Field(min_length=1, description="one for each recording")
+    format: Literal[1]
+    """of this file"""
+    name: Name
+    """of the campaign"""
+    notes: list[str] = []
+    """remarks, kept and not evaluated"""
+    accepted: list[str] = []
+    """names of findings about the set-up that are only warnings"""
+    site: SiteEntry
+    """where the runs were made"""
+    unit: UnitEntry = UnitEntry()
+    """what was tested"""
+    evaluation: EvaluationEntry = EvaluationEntry()
+    """limits of decisions"""
+    channel: list[ChannelEntry] = Field(min_length=1)
+    """one for each sensitive axis"""
+    table: list[TableEntry] = []
+    """rate tables, dividing heads, polar axes, centrifuges"""
+    mounting: list[MountingEntry] = []
+    """how the unit sat on a table"""
+    run: list[RunEntry] = Field(min_length=1)
+    """one for each recording"""
 
 
 def _scalar(value: Any) -> float | int | str | bool:
@@ -257,19 +273,21 @@ class EffectEntry(BaseModel):
         strict=True,
         allow_inf_nan=False,
         frozen=True,
+        use_attribute_docstrings=True,
         json_schema_extra={"additionalProperties": {"type": ["number", "string", "boolean"]}},
     )
     __pydantic_extra__: dict[str, Option] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    name: Name = Field(description="of the effect; `imubayes effects` lists and explains them")
-    channels: Annotated[list[Name], Field(min_length=1)] | None = Field(
-        default=None, description="on which the effect acts; by default all of its kind"
-    )
-    per: Literal["channel", "all", "run", "mounting"] | None = Field(
-        default=None, description="what shares a value of its parameters; by default as the effect declares"
-    )
-    prior: dict[str, str] = Field(default={}, description="prior by parameter, in place of the default")
-    optional: bool = Field(default=False, description="leave the effect out where no run can show it")
+    name: Name
+    """of the effect; `imubayes effects` lists and explains them"""
+    channels: Annotated[list[Name], Field(min_length=1)] | None = None
+    """on which the effect acts; by default all of its kind"""
+    per: Literal["channel", "all", "run", "mounting"] | None = None
+    """what shares a value of its parameters; by default as the effect declares"""
+    prior: dict[str, str] = {}
+    """prior by parameter, in place of the default"""
+    optional: bool = False
+    """leave the effect out where no run can show it"""
 
     @field_validator("channels")
     @classmethod
@@ -287,23 +305,31 @@ class EffectEntry(BaseModel):
 class PriorCorrelationEntry(_Entry):
     """Correlation of the priors of noise parameters; of their logarithms where these are lognormal."""
 
-    parameters: list[str] = Field(min_length=2, description="names as in results: flicker_noise.b[gx]")
-    matrix: list[list[float]] = Field(min_length=2, description="symmetric, with ones on the diagonal")
-    optional: bool = Field(default=False, description="leave out the parameters that the model does not have")
+    parameters: list[str] = Field(min_length=2)
+    """names as in results: flicker_noise.b[gx]"""
+    matrix: list[list[float]] = Field(min_length=2)
+    """symmetric, with ones on the diagonal"""
+    optional: bool = False
+    """leave out the parameters that the model does not have"""
 
 
 class ModelFile(_Entry):
     """A model: a list of effects; `files` are Python sources of user-defined effects."""
 
-    format: Literal[1] = Field(description="of this file")
-    name: Name = Field(description="of the model")
-    files: list[FileWithin] = Field(default=[], description="Python files that define effects, beside the model file")
-    delta_k_threshold_percent: Positive | None = Field(default=None, description="as in the campaign, and before it")
-    effect: list[EffectEntry] = Field(min_length=1, description="the signal path; its order does not matter")
-    prior_correlation: list[PriorCorrelationEntry] = Field(default=[], description="of noise parameters")
-    noise_priors: str | None = Field(
-        default=None, description="noise-priors.toml of `imubayes noise`, in place of the model's noise on its channels"
-    )
+    format: Literal[1]
+    """of this file"""
+    name: Name
+    """of the model"""
+    files: list[FileWithin] = []
+    """Python files that define effects, beside the model file"""
+    delta_k_threshold_percent: Positive | None = None
+    """as in the campaign, and before it"""
+    effect: list[EffectEntry] = Field(min_length=1)
+    """the signal path; its order does not matter"""
+    prior_correlation: list[PriorCorrelationEntry] = []
+    """of noise parameters"""
+    noise_priors: str | None = None
+    """noise-priors.toml of `imubayes noise`, in place of the model's noise on its channels"""
 
 
 PATTERNS = {

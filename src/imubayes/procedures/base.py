@@ -30,43 +30,44 @@ OfAxes = Annotated[list[float], Field(min_length=2, max_length=3, description="o
 class PlannedSteps(BaseModel):
     """The keys of a planned run that define its steps; each procedure accepts some of them."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(
+        extra="forbid", strict=True, allow_inf_nan=False, frozen=True, use_attribute_docstrings=True
+    )
 
-    rates_deg_s: Annotated[list[float], Field(min_length=1)] | None = Field(
-        default=None, description="rates of the table (of a centrifuge, of its arm), a row each"
-    )
-    positions: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
-        default=None, description="number of equal steps of a full turn"
-    )
-    angles_deg: Annotated[list[float], Field(min_length=1)] | None = Field(
-        default=None, description="angles of the table, a row each"
-    )
-    converter_temperature_degC: Annotated[list[Temperature], Field(min_length=2, max_length=2)] | None = Field(
-        default=None, description="first and last temperature of the converter, in any run"
-    )
-    rows: Annotated[int, Field(ge=1, le=100_000)] | None = Field(default=None, description="number of rows")
-    rate_degC_per_h: Positive | None = Field(default=None, description="rate of a temperature ramp")
-    current_mA: float | None = Field(default=None, description="current fed into the converter")
-    turns: Positive | None = Field(default=None, description="turns of the table")
-    arc_deg: Annotated[float, Field(gt=0, le=90)] | None = Field(
-        default=None, description="angle over which a row is a mean"
-    )
-    axis_angles_deg: Annotated[list[OfAxes], Field(min_length=1)] | None = Field(
-        default=None, description="a row each: angles of the outer, (middle,) and inner axis"
-    )
-    axis_rates_deg_s: Annotated[list[OfAxes], Field(min_length=1)] | None = Field(
-        default=None, description="a row each: rates of the outer, (middle,) and inner axis"
-    )
-    directions: Annotated[list[str], Field(min_length=1)] | None = Field(
-        default=None, description="a row each: where input and output axis point, such as EN"
-    )
-    counter_rotation: bool | None = Field(
-        default=None, description="whether the platform of a centrifuge turns back, so that the unit keeps its heading"
-    )
-    hours: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="duration of the record")
-    poses: Annotated[int, Field(ge=9, le=200)] | None = Field(default=None, description="rests of a free tumble")
-    samples: Annotated[int, Field(ge=1)] = Field(default=1200, description="raw samples in the mean of a row")
-    seconds_per_row: Positive | None = Field(default=None, description="duration of a row")
+    rates_deg_s: Annotated[list[float], Field(min_length=1)] | None = None
+    """rates of the table (of a centrifuge, of its arm), a row each"""
+    positions: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    """number of equal steps of a full turn"""
+    angles_deg: Annotated[list[float], Field(min_length=1)] | None = None
+    """angles of the table, a row each"""
+    converter_temperature_degC: Annotated[list[Temperature], Field(min_length=2, max_length=2)] | None = None
+    """first and last temperature of the converter, in any run"""
+    rows: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    """number of rows"""
+    rate_degC_per_h: Positive | None = None
+    """rate of a temperature ramp"""
+    current_mA: float | None = None
+    """current fed into the converter"""
+    turns: Positive | None = None
+    """turns of the table"""
+    arc_deg: Annotated[float, Field(gt=0, le=90)] | None = None
+    """angle over which a row is a mean"""
+    axis_angles_deg: Annotated[list[OfAxes], Field(min_length=1)] | None = None
+    """a row each: angles of the outer, (middle,) and inner axis"""
+    axis_rates_deg_s: Annotated[list[OfAxes], Field(min_length=1)] | None = None
+    """a row each: rates of the outer, (middle,) and inner axis"""
+    directions: Annotated[list[str], Field(min_length=1)] | None = None
+    """a row each: where input and output axis point, such as EN"""
+    counter_rotation: bool | None = None
+    """whether the platform of a centrifuge turns back, so that the unit keeps its heading"""
+    hours: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """duration of the record"""
+    poses: Annotated[int, Field(ge=9, le=200)] | None = None
+    """rests of a free tumble"""
+    samples: Annotated[int, Field(ge=1)] = 1200
+    """raw samples in the mean of a row"""
+    seconds_per_row: Positive | None = None
+    """duration of a row"""
 
     @model_validator(mode="after")
     def _axes_of_every_row(self) -> "PlannedSteps":

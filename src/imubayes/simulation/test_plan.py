@@ -72,18 +72,22 @@ from imubayes.procedures.base import (
 class PlannedRun(PlannedSteps):
     """One run of a plan; the steps that a procedure accepts are in its `PlanRules`."""
 
-    name: Name = Field(description="of the run, unique in the plan")
-    procedure: str = Field(description="test procedure, as in campaign.toml")
-    table: str | None = Field(default=None, description="name of a [[table]]")
-    mounting: str | None = Field(default=None, description="name of a [[mounting]]")
-    temperature_degC: Temperature | None = Field(default=None, description="of all rows")
-    temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
-        default=None, description="as in campaign.toml; the truth has an error of this size"
-    )
-    converter_temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
-        default=None, description="as in campaign.toml; the truth has an error of this size"
-    )
-    start: datetime | date | None = Field(default=None, description="when the run begins")
+    name: Name
+    """of the run, unique in the plan"""
+    procedure: str
+    """test procedure, as in campaign.toml"""
+    table: str | None = None
+    """name of a [[table]]"""
+    mounting: str | None = None
+    """name of a [[mounting]]"""
+    temperature_degC: Temperature | None = None
+    """of all rows"""
+    temperature_uncertainty_degC: TemperatureUncertainty | None = None
+    """as in campaign.toml; the truth has an error of this size"""
+    converter_temperature_uncertainty_degC: TemperatureUncertainty | None = None
+    """as in campaign.toml; the truth has an error of this size"""
+    start: datetime | date | None = None
+    """when the run begins"""
 
 
 class PlanFile(BaseModel):
@@ -91,20 +95,30 @@ class PlanFile(BaseModel):
 
     model_config = CampaignFile.model_config
 
-    format: Literal[1] = Field(description="of this file")
-    name: Name = Field(description="of the campaign")
-    notes: list[str] = Field(default=[], description="remarks, copied into the campaign")
-    model: str = Field(min_length=1, description="model file that generates the data, relative to the plan")
-    seed: int = Field(default=1, ge=0, description="of truth and noise")
-    truth: dict[str, float] = Field(
-        default={}, description="true values by parameter; others are drawn from the priors"
-    )
-    site: SiteEntry = Field(description="where the runs are made")
-    unit: UnitEntry = Field(default=UnitEntry(), description="what is tested")
-    channel: list[ChannelEntry] = Field(min_length=1, description="one for each sensitive axis")
-    table: list[TableEntry] = Field(default=[], description="as in campaign.toml")
-    mounting: list[MountingEntry] = Field(default=[], description="as in campaign.toml")
-    run: list[PlannedRun] = Field(min_length=1, description="the steps of each run")
+    format: Literal[1]
+    """of this file"""
+    name: Name
+    """of the campaign"""
+    notes: list[str] = []
+    """remarks, copied into the campaign"""
+    model: str = Field(min_length=1)
+    """model file that generates the data, relative to the plan"""
+    seed: int = Field(default=1, ge=0)
+    """of truth and noise"""
+    truth: dict[str, float] = {}
+    """true values by parameter; others are drawn from the priors"""
+    site: SiteEntry
+    """where the runs are made"""
+    unit: UnitEntry = UnitEntry()
+    """what is tested"""
+    channel: list[ChannelEntry] = Field(min_length=1)
+    """one for each sensitive axis"""
+    table: list[TableEntry] = []
+    """as in campaign.toml"""
+    mounting: list[MountingEntry] = []
+    """as in campaign.toml"""
+    run: list[PlannedRun] = Field(min_length=1)
+    """the steps of each run"""
 
 
 def judge_steps(run: PlannedRun, rules: PlanRules, place: int, ledger: Ledger) -> None:
