@@ -112,9 +112,8 @@ def build_mountings(entries: Mapping[int, MountingEntry], ledger: Ledger) -> dic
                 "write column k as body axis k in the table frame, with at least seven decimals",
             )
             continue
-        mountings[entry.name] = Mounting(
-            entry.name, _nearest_rotation(matrix), _times(entry.uncertainty_arcmin, ARCMIN)
-        )
+        left, _, right = np.linalg.svd(matrix)  # whose product is the nearest rotation
+        mountings[entry.name] = Mounting(entry.name, left @ right, _times(entry.uncertainty_arcmin, ARCMIN))
     return mountings
 
 
@@ -266,11 +265,6 @@ def _not_a_rotation(matrix: np.ndarray) -> str:
     return "its determinant is -1 (a mirror image)" if determinant < 0 else ""
 
 
-def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    left, _, right = np.linalg.svd(matrix)
-    return left @ right
-
-
 def _trihedral() -> np.ndarray:
     azimuth = np.array([0.0, 120.0, 240.0]) * DEGREE
     across, along = math.sqrt(2 / 3), math.sqrt(1 / 3)
@@ -384,21 +378,20 @@ def with_angles(
 
 
 def _with_angle(run: Run) -> Run:
-    observed = np.full((run.rows, 1), np.nan)
-    others, notes = run.observed, run.notes
+    unknown = np.full((run.rows, 1), np.nan)
+    observed, others, samples, notes = unknown, run.observed, run.samples, run.notes
     if PROCEDURES[run.procedure].driven:
         turning = np.unwrap(run.covariates["table_angle"])
         run = replace(run, covariates={**run.covariates, "table_angle": turning})
         observed = np.degrees(turning)[:, None]
         if np.isfinite(others).any():
             notes = (*notes, "outputs of the unit are excluded: the servo loop nulls the gyro that drives the table")
-        others = np.full_like(others, np.nan)
-    unknown = np.full((run.rows, 1), np.nan)
+        others, samples = np.full_like(others, np.nan), np.ones(run.rows)
     return replace(
         run,
         observed=np.concatenate([others, observed], axis=1),
         sample_sd=np.concatenate([run.sample_sd, unknown], axis=1),
-        samples=np.ones(run.rows) if PROCEDURES[run.procedure].driven else run.samples,
+        samples=samples,
         notes=notes,
     )
 

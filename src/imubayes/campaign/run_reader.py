@@ -304,10 +304,13 @@ def _attitude(source: TableSource, entry: RunEntry, equipment: Equipment, rows: 
 def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     poses = procedure_named(entry.procedure).reduction is Reduction.POSES
     monitor = Monitor(source, entry.name, all_move=poses)
-    tracker = None if source.layout.reduced else _segment_tracker(source)
-    builder = None if source.layout.reduced or poses else _block_builder(source)
-    if builder is None:
+    labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in source.layout.texts]
+    tracker = SegmentTracker(labels) if labels and not source.layout.reduced else None
+    builder = None
+    if source.layout.reduced or poses:
         refuse_long(source.file, len(source.layout.numbers))
+    else:
+        builder = BlockBuilder([name for name in source.layout.numbers if not name.endswith("_sd")])
     consumers = [consumer for consumer in (monitor, builder, tracker) if consumer is not None]
     for batch in source:
         if batch.rows:
@@ -316,15 +319,6 @@ def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     blocks = builder.finish() if builder is not None and monitor.rows else None
     labelled = None if tracker is None else tracker.spans()
     return _Survey(monitor.rows, blocks, labelled, monitor.findings(), monitor.limits())
-
-
-def _segment_tracker(source: TableSource) -> SegmentTracker | None:
-    labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in source.layout.texts]
-    return SegmentTracker(labels) if labels else None
-
-
-def _block_builder(source: TableSource) -> BlockBuilder:
-    return BlockBuilder([name for name in source.layout.numbers if not name.endswith("_sd")])
 
 
 def _load_tumble(

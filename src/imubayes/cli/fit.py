@@ -55,7 +55,9 @@ def classical(
 
         tell("reading the campaign")
         loaded = load_campaign(campaign)
-    _refuse_threshold(delta_k_threshold)
+    if delta_k_threshold is not None and not delta_k_threshold > 0:
+        what = f"a threshold of {delta_k_threshold:g} %"
+        raise input_error(what, "--delta-k-threshold", "a percentage above 0", "correct it")
     summary = predicted = None
     if result is not None:
         refuse_other_data(result, loaded)
@@ -69,11 +71,6 @@ def classical(
         comparison = comparison.with_causes(behind)
     show(lambda: classical_json(comparison), lambda: classical_report(comparison), as_json)
     return 0 if comparison.estimates else 1
-
-
-def _refuse_threshold(percent: float | None) -> None:
-    if percent is not None and not percent > 0:
-        raise input_error(f"a threshold of {percent:g} %", "--delta-k-threshold", "a percentage above 0", "correct it")
 
 
 def compare(

@@ -79,18 +79,14 @@ class Covariate:
 
 
 def _sample_axes() -> Iterable[Covariate]:
-    for number, (letter, axis) in enumerate(zip("ios", ("input", "output", "third"), strict=True)):
-        yield Covariate(
-            f"rate_{letter}", f"rate_{letter}", "deg/s", "rad/s", f"rate along the {axis} axis", "sample",
-            ambient=False, shown=False, symbol=f"Ω_{letter}", expression=f"sample.rate[{number}]", needs=(),
-            symmetric=True,
-        )  # fmt: skip
-    for number, (letter, axis) in enumerate(zip("ios", ("input", "output", "third"), strict=True)):
-        yield Covariate(
-            f"force_{letter}", f"force_{letter}", "g", "m/s^2", f"specific force along the {axis} axis", "sample",
-            ambient=False, shown=False, symbol=f"f_{letter}", expression=f"sample.force[{number}]", needs=(),
-            symmetric=True,
-        )  # fmt: skip
+    quantities = (("rate", "deg/s", "rad/s", "rate", "Ω"), ("force", "g", "m/s^2", "specific force", "f"))
+    for name, unit, si, phrase, symbol in quantities:
+        for number, (letter, axis) in enumerate(zip("ios", ("input", "output", "third"), strict=True)):
+            yield Covariate(
+                f"{name}_{letter}", f"{name}_{letter}", unit, si, f"{phrase} along the {axis} axis", "sample",
+                ambient=False, shown=False, symbol=f"{symbol}_{letter}", expression=f"sample.{name}[{number}]",
+                needs=(), symmetric=True,
+            )  # fmt: skip
 
 
 def _outer_axes() -> Iterable[Covariate]:

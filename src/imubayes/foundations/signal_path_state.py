@@ -139,20 +139,10 @@ class Nodes(eqx.Module):
 
     def at(self, chosen: Array) -> "Nodes":
         """Return chosen nodes, with all stands."""
-        return Nodes(
-            self.stands,
-            self.stand_ambient,
-            self.stand[chosen],
-            self.table_angle[chosen],
-            self.table_rate[chosen],
-            self.table_acceleration[chosen],
-            self.reference_rate[chosen],
-            self.reference_acceleration[chosen],
-            jax.tree.map(lambda leaf: leaf[chosen], self.ambient),
-            self.injected[chosen],
-            self.records.at(chosen),
-            jax.tree.map(lambda leaf: leaf[chosen], self.outer),
-        )
+        common = ("stands", "stand_ambient", "records")
+        of_nodes = {name: value for name, value in vars(self).items() if name not in common}
+        of_chosen = jax.tree.map(lambda leaf: leaf[chosen], of_nodes)
+        return Nodes(self.stands, self.stand_ambient, records=self.records.at(chosen), **of_chosen)
 
 
 class Experience(eqx.Module):

@@ -231,12 +231,12 @@ def read_plan(path: str | Path) -> Plan:
     _check_runs(file, ledger)
     ledger.stop_if_any()
     entries = tuple(_entry(run, place) for place, run in enumerate(file.run))
-    planned = [_rows(run) for run in file.run]
+    planned = [_rules(run).rows(run) for run in file.run]
     columns = tuple(_columns(run, rows, site, tables, mountings) for run, rows in zip(file.run, planned, strict=True))
     runs = tuple(
         build_run(
-            entry, numbers | rows.motion | _zero_outputs(run, numbers, channels), channels, site.gravity,
-            attitude=_attitude(run, rows, channels),
+            entry, numbers | rows.motion | dict.fromkeys(recorded(run, channels), np.zeros(len(rows.duration))),
+            channels, site.gravity, attitude=_attitude(run, rows, channels),
         )
         for entry, numbers, run, rows in zip(entries, columns, file.run, planned, strict=True)
     )  # fmt: skip
@@ -246,17 +246,16 @@ def read_plan(path: str | Path) -> Plan:
     return Plan(file, path, path.parent / file.model, campaign, entries, columns)
 
 
-def _rows(run: PlannedRun) -> PlannedRows:
+def _rules(run: PlannedRun) -> PlanRules:
     rules = PROCEDURES[run.procedure].plan
     assert rules is not None
-    return rules.rows(run)
+    return rules
 
 
 def _columns(
     run: PlannedRun, rows: PlannedRows, site: Site, tables: Mapping[str, Table], mountings: Mapping[str, Mounting]
 ) -> dict[str, np.ndarray]:
-    rules = PROCEDURES[run.procedure].plan
-    assert rules is not None
+    rules = _rules(run)
     columns = columns_of(run, rules, rows)
     if rules.nominal is None:
         return columns
@@ -278,26 +277,13 @@ def recorded(run: PlannedRun, channels: tuple[Channel, ...]) -> list[str]:
     return [channel.name for channel in unit if channel.current_per_acceleration or not procedure.injected]
 
 
-def _zero_outputs(
-    run: PlannedRun, columns: dict[str, np.ndarray], channels: tuple[Channel, ...]
-) -> dict[str, np.ndarray]:
-    return {name: np.zeros(len(columns["time_s"])) for name in recorded(run, channels)}
-
-
 def _entry(run: PlannedRun, place: int) -> RunEntry:
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in run.name)
-    return RunEntry(
-        name=run.name,
-        procedure=run.procedure,
-        # Names that differ only in characters not allowed in file names would collide without the number.
-        file=f"runs/{plain}.csv" if plain == run.name else f"runs/{place:03d}-{plain}.csv",
-        table=run.table,
-        mounting=run.mounting,
-        temperature_degC=run.temperature_degC,
-        temperature_uncertainty_degC=run.temperature_uncertainty_degC,
-        converter_temperature_uncertainty_degC=run.converter_temperature_uncertainty_degC,
-        start=run.start,
-    )
+    # Names that differ only in characters not allowed in file names would collide without the number.
+    file = f"runs/{plain}.csv" if plain == run.name else f"runs/{place:03d}-{plain}.csv"
+    # What a plan says of the converter's temperature is a ramp: it goes into the rows.
+    stated = {name: getattr(run, name) for name in RunEntry.model_fields if name in PlannedRun.model_fields}
+    return RunEntry.model_validate(stated | {"file": file, "converter_temperature_degC": None})
 
 
 def _check_channels(file: PlanFile, ledger: Ledger) -> None:

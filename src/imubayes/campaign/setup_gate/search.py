@@ -91,10 +91,6 @@ def equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tu
     return tuple(_distinct([*first, *sorted(equal, key=lambda each: -each.support), *like]))
 
 
-def _support(first: Explanation, rest: Sequence[tuple[Explanation, ...]]) -> float:
-    return first.support + sum(equal[0].support for equal in rest)
-
-
 def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
     """Yield the first explanation of each kind and scope."""
     seen = set()
@@ -155,23 +151,17 @@ class Search:
         tried : how many of the best are tried as the first of several.
         """
         found = [each for each in self._suspected() if each.support > DECISIVE and each.mistake.possible(each.size)]
-        whole = [each for each in found if self._explains(each) and not self._passes(each)]
+        whole = [each for each in found if self._explains(each) and not self._passes(each.mistake)]
         if whole:
             return [equally_good(whole)]
         if most == 1:
             return []
         # The first of several need not be the one that gains most: two wrong files may look like one wrong table.
         partial = list(_distinct(sorted(found, key=lambda each: -each.support)))[:tried]
-        chains = [(each, self._corrected_by(each).several_mistakes(most - 1, TRIED_NEXT)) for each in partial]
-        chains = [(each, rest) for each, rest in chains if rest]
-        if not chains:
-            return []
-        first, rest = min(chains, key=lambda chain: (len(chain[1]), -_support(chain[0], chain[1])))
-        return [(first,), *rest]
-
-    def _corrected_by(self, found: Explanation) -> "Search":
-        """Return the search in the campaign without a mistake."""
-        return Search(self.campaign, views=found.mistake.removed(self.views, found.size))
+        corrected = [Search(self.campaign, views=each.mistake.removed(self.views, each.size)) for each in partial]
+        further = [search.several_mistakes(most - 1, TRIED_NEXT) for search in corrected]
+        chains = [[(each,), *rest] for each, rest in zip(partial, further, strict=True) if rest]
+        return min(chains, key=lambda chain: (len(chain), -sum(equal[0].support for equal in chain)), default=[])
 
     def _suspected(self) -> list[Explanation]:
         suspects = self.suspects()
@@ -309,20 +299,15 @@ class Search:
         """Return −2 log evidence where the outputs of the run of a mistake drift: as stated, and corrected."""
         (place,) = mistake.scope.runs
         stated, rest = self.views[place], self.total - self.terms[place]
-        views = (stated, mistake.corrected(self.views, place, 0.0))
-        as_stated, corrected = (score_with_drift(self.model, view, rest) for view in views)
-        return as_stated, corrected
+        corrected = mistake.corrected(self.views, place, 0.0)
+        return score_with_drift(self.model, stated, rest), score_with_drift(self.model, corrected, rest)
 
-    def _passes(self, found: Explanation) -> bool:
-        """Whether what is no mistake explains the outputs as well."""
-        return self.passes_for_noise(found.mistake) or self.passes_for_drift(found.mistake)
-
-    def passes_for_drift(self, mistake: Mistake) -> bool:
-        """Whether outputs that may drift do not tell that a column of temperatures is reversed."""
-        if not isinstance(mistake, TemperatureReversed):
-            return False
-        stated, corrected = self.with_drift(mistake)
-        return stated - corrected < DECISIVE
+    def _passes(self, mistake: Mistake) -> bool:
+        """Whether what is no mistake explains the outputs as well: noise, or a drift in place of a reversed column."""
+        if isinstance(mistake, TemperatureReversed):
+            stated, corrected = self.with_drift(mistake)
+            return stated - corrected < DECISIVE
+        return self.passes_for_noise(mistake)
 
     def _corrected(self, trials: Sequence["SizedMistake"]) -> NormalTerms:
         """Return the terms of the campaign with each of some corrections.
