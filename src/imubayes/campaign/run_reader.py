@@ -236,13 +236,11 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     loaded.findings += found
     if run.rows == 0:
         loaded.findings.append(_empty(entry, where, "no interval of constant stimulus was found in the log"))
-    if loaded.failed:
-        return
-    loaded.findings += unfounded_uncertainties(entry, run, where)
-    if loaded.failed:
-        return
-    loaded.findings += unused_columns(source.layout, PROCEDURES[entry.procedure], entry.name, where)
-    loaded.run = run
+    elif not loaded.failed:
+        loaded.findings += unfounded_uncertainties(entry, run, where)
+    if not loaded.failed:
+        loaded.findings += unused_columns(source.layout, PROCEDURES[entry.procedure], entry.name, where)
+        loaded.run = run
 
 
 def judge_rows(loaded: Loaded, entry: RunEntry, equipment: Equipment, where: str) -> None:

@@ -27,7 +27,7 @@ _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *rang
 _COLLECTION_THRESHOLD = 2_000_000
 _COMMANDS = (
     check, fit, compare, classical, noise, carrier, apply, export, diagnose, add, remove, history, plant, report,
-    effects, simulate, schema,
+    effects, simulate, schema, archive, batch,
 )  # fmt: skip
 
 app = cyclopts.App(
@@ -40,8 +40,6 @@ app = cyclopts.App(
 )
 for _command in _COMMANDS:
     app.command(_command)
-app.command(archive)
-app.command(batch)
 # Its options are a dataclass of the campaign package: imported only when the command runs; its help stands here, or
 # `imubayes --help` would import it as well.
 app.command(

@@ -150,11 +150,8 @@ class NormalTerms:
 
 def stacked_terms(terms: Sequence[NormalTerms]) -> NormalTerms:
     """Return terms with a first axis for each of several."""
-    return NormalTerms(
-        np.stack([each.moments for each in terms]),
-        np.array([each.volume for each in terms]),
-        np.array([each.values for each in terms]),
-    )
+    together = zip(*((each.moments, each.volume, each.values) for each in terms), strict=True)
+    return NormalTerms(*map(np.stack, together))
 
 
 @dataclass(frozen=True)

@@ -136,10 +136,6 @@ class ErrorModel:
             sd[place : place + 3] = max(2 * max(known), TABLE_LEAST) if known else TABLE_UNSTATED
         return sd
 
-    def terms(self, view: RunView, loose: bool = False) -> NormalTerms:
-        """Return what a run adds to the normal equations; of a loose run bias and scale factor are its own."""
-        return self.terms_of(self.seen(view), loose)
-
     def seen_in_parts(self, views: Sequence[RunView]) -> Iterator[tuple[list[int], "Seen"]]:
         """Yield the places of views of one shape, and what is seen of them together."""
         alike: dict[tuple[int | bool, ...], list[int]] = {}
@@ -165,7 +161,10 @@ class ErrorModel:
         return NormalTerms(moments, volume, values)
 
     def terms_of(self, seen: "Seen", loose: bool = False, drift: "RunDrift | None" = None) -> NormalTerms:
-        """Return what the outputs of a run, which may drift, add to the normal equations."""
+        """Return what the outputs of a run add to the normal equations.
+
+        The outputs may drift; of a loose run bias and scale factor are its own.
+        """
         variance = self.white(seen) + self.left_out(seen) + seen.arm
         weight = np.where(seen.there, 1 / variance, 0.0)
         own, spread = self._of_run(seen.along, loose)

@@ -291,7 +291,7 @@ class Search:
         rivals = [self.model.score(self.total, compensated=True)]
         if mistake.scope.section == "run":
             (place,) = mistake.scope.runs
-            loose = self.model.terms(self.views[place], loose=True)
+            loose = self.model.terms_of(self.model.seen(self.views[place]), loose=True)
             rivals.append(self.model.score(self.total - self.terms[place] + loose))
         return float(min(rivals))
 
