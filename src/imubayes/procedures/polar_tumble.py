@@ -36,17 +36,9 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.earth import earth_rate
-from imubayes.procedures import textbook
+from imubayes.procedures import fitted_terms, textbook
 from imubayes.procedures.base import PlanRules, Procedure, Reduction, position_rows
-from imubayes.procedures.fitted_terms import (
-    DRIFT_COEFFICIENTS,
-    Combination,
-    StandardCombination,
-    drift_terms,
-    estimable,
-    of_drift,
-    rank,
-)
+from imubayes.procedures.fitted_terms import DRIFT_COEFFICIENTS, Combination, StandardCombination
 from imubayes.procedures.kinematics import turned_back
 from imubayes.procedures.textbook import DEGREE_PER_HOUR, Evaluation, TextbookResult, Undetermined
 
@@ -117,7 +109,7 @@ def combinations(campaign: Campaign, _runs: Sequence[Run]) -> list[StandardCombi
     for channel in campaign.of_kind("gyro"):
         for symbol, weights in standard_combinations(campaign.site.latitude).items():
             terms = {COEFFICIENTS[place]: float(weights[place]) for place in np.flatnonzero(weights)}
-            found.append(of_drift(symbol, channel.name, _unit(Combination(symbol, weights)), terms))
+            found.append(fitted_terms.of_drift(symbol, channel.name, _unit(Combination(symbol, weights)), terms))
     return found
 
 
@@ -155,7 +147,7 @@ def _sweep(run: Run, campaign: Campaign, channel: Channel, output: np.ndarray) -
     inverse = np.linalg.pinv(waves[:, kept])
     residual = drift - waves[:, kept] @ (inverse @ drift)
     return Sweep(
-        run, kept, inverse @ drift, inverse @ drift_terms(force), inverse @ inverse.T,
+        run, kept, inverse @ drift, inverse @ fitted_terms.drift_terms(force), inverse @ inverse.T,
         float(residual @ residual), len(drift) - len(kept),
     )  # fmt: skip
 
@@ -191,7 +183,7 @@ def _of_channel(campaign: Campaign, channel: Channel, sweeps: Sequence[Sweep]) -
     scatter = Scatter.of(campaign, sweeps)
     covariance = solve @ scatter.covariance(sweeps) @ solve.T
     tested = Evaluation(channel.name, textbook.names_of([sweep.run for sweep in sweeps]), METHOD, scatter.evaluation)
-    combinations = estimable(design, COEFFICIENTS, standard_combinations(campaign.site.latitude))
+    combinations = fitted_terms.estimable(design, COEFFICIENTS, standard_combinations(campaign.site.latitude))
     found: list[TextbookResult] = []
     for each in combinations:
         name, sd = DRIFT_COEFFICIENTS.get(each.symbol, each.symbol), np.sqrt(each.weights @ covariance @ each.weights)
@@ -301,10 +293,10 @@ def _advice(
     together = [name for name in COEFFICIENTS if name not in single]
     if not together:
         return []
-    before, standard = rank(design), standard_combinations(campaign.site.latitude)
+    before, standard = fitted_terms.rank(design), standard_combinations(campaign.site.latitude)
     best, gained, further = "", before, design
     for text, sweep in _possible_sweeps(campaign.site.latitude).items():
-        reached = rank(np.concatenate([design, sweep]))
+        reached = fitted_terms.rank(np.concatenate([design, sweep]))
         if reached > gained:
             best, gained, further = text, reached, np.concatenate([design, sweep])
     sentence = f"{tested.of}: {', '.join(together)} apart from each other; "
@@ -312,7 +304,7 @@ def _advice(
         return [
             Undetermined(tested.run, f"{sentence}no sweep separates them, since |f| = 1 g in every static position")
         ]
-    after = [each.symbol for each in estimable(further, COEFFICIENTS, standard)]
+    after = [each.symbol for each in fitted_terms.estimable(further, COEFFICIENTS, standard)]
     new = [symbol for symbol in after if symbol not in {each.symbol for each in combinations}]
     return [Undetermined(tested.run, f"{sentence}a sweep {best} would determine {', '.join(new)}")]
 
@@ -324,7 +316,7 @@ def _possible_sweeps(latitude: float) -> dict[str, np.ndarray]:
     for place, letter in enumerate(_AXES):
         for sign, pole in ((1, "Np"), (-1, "Sp")):
             force = np.insert(plane, place, sign * np.sin(latitude), axis=0)
-            found[f"{letter}→{pole}"] = drift_terms(force)
+            found[f"{letter}→{pole}"] = fitted_terms.drift_terms(force)
     return found
 
 

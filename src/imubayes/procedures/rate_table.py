@@ -28,15 +28,9 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.units import to_si
-from imubayes.procedures import textbook
+from imubayes.procedures import fitted_terms, textbook
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, whole_turns
-from imubayes.procedures.fitted_terms import (
-    LEAST_COSINE,
-    StandardCombination,
-    of_drift,
-    projected_scale_factors,
-    turn_mean_drift,
-)
+from imubayes.procedures.fitted_terms import LEAST_COSINE, StandardCombination
 from imubayes.procedures.kinematics import mean_input
 from imubayes.procedures.textbook import DEGREE_PER_HOUR, Estimate, Evaluation, Line, TextbookResult, Undetermined
 
@@ -245,10 +239,12 @@ def _sensitivity(each: Sequence[RateSeries]) -> list[TextbookResult]:
 
 def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombination]:
     """Return k′ and the zero F₀/k of every gyro in every mounting."""
-    found: list[StandardCombination] = [*projected_scale_factors(campaign, runs)]
+    found: list[StandardCombination] = [*fitted_terms.projected_scale_factors(campaign, runs)]
     for mounting, run in {run.mounting: run for run in runs if run.mounting is not None}.items():
         for channel in campaign.of_kind("gyro"):
-            zero = of_drift("F₀/k", channel.name, "deg/h", turn_mean_drift(campaign, run, channel), total=True)
+            zero = fitted_terms.of_drift(
+                "F₀/k", channel.name, "deg/h", fitted_terms.turn_mean_drift(campaign, run, channel), total=True
+            )
             found.append(replace(zero, name=f"F₀/k[{channel.name},{mounting}]"))
     return found
 

@@ -29,19 +29,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from imubayes.campaign.equipment import (
-    attitude_of,
-    build_channels,
-    build_mountings,
-    build_site,
-    build_tables,
-    check_references,
-    perpendicular,
-    refuse_repeats,
-    refuse_reserved_names,
-    require_current_scale,
-    with_angles,
-)
+from imubayes.campaign import equipment
 from imubayes.campaign.file_schemas import (
     CampaignFile,
     ChannelEntry,
@@ -153,7 +141,7 @@ def judge_steps(run: PlannedRun, rules: PlanRules, place: int, ledger: Ledger) -
 
 def _judge_directions(run: PlannedRun, place: int, ledger: Ledger) -> None:
     for index, pair in enumerate(run.directions or ()):
-        if len(pair) != 2 or not perpendicular(pair):
+        if len(pair) != 2 or not equipment.perpendicular(pair):
             ledger.add(
                 f"'{pair}' does not name two perpendicular directions",
                 ("run", place, "directions", index),
@@ -223,10 +211,10 @@ def read_plan(path: str | Path) -> Plan:
     file, ledger = document.entry, document.ledger
     if file is None:
         raise InputError(ledger.issues)
-    site = build_site(file.site)
-    channels = build_channels(dict(enumerate(file.channel)), site.gravity, ledger)
-    tables = build_tables(dict(enumerate(file.table)), ledger)
-    mountings = build_mountings(dict(enumerate(file.mounting)), ledger)
+    site = equipment.build_site(file.site)
+    channels = equipment.build_channels(dict(enumerate(file.channel)), site.gravity, ledger)
+    tables = equipment.build_tables(dict(enumerate(file.table)), ledger)
+    mountings = equipment.build_mountings(dict(enumerate(file.mounting)), ledger)
     _check_channels(file, ledger)
     _check_runs(file, ledger)
     ledger.stop_if_any()
@@ -240,7 +228,7 @@ def read_plan(path: str | Path) -> Plan:
         )
         for entry, numbers, run, rows in zip(entries, columns, file.run, planned, strict=True)
     )  # fmt: skip
-    channels, runs = with_angles(channels, runs, tables)
+    channels, runs = equipment.with_angles(channels, runs, tables)
     unit = file.unit
     campaign = Campaign(file.name, site, channels, tables, mountings, runs, unit.serial, grade=unit.grade)
     return Plan(file, path, path.parent / file.model, campaign, entries, columns)
@@ -267,7 +255,7 @@ def _columns(
 def _attitude(run: PlannedRun, rows: PlannedRows, channels: Sequence[Channel]) -> np.ndarray | None:
     if run.directions is None:
         return rows.attitude
-    return np.stack([attitude_of(pair, channels) for pair in run.directions])
+    return np.stack([equipment.attitude_of(pair, channels) for pair in run.directions])
 
 
 def recorded(run: PlannedRun, channels: tuple[Channel, ...]) -> list[str]:
@@ -287,7 +275,7 @@ def _entry(run: PlannedRun, place: int) -> RunEntry:
 
 
 def _check_channels(file: PlanFile, ledger: Ledger) -> None:
-    refuse_reserved_names(dict(enumerate(file.channel)), [channel.name for channel in file.channel], ledger)
+    equipment.refuse_reserved_names(dict(enumerate(file.channel)), [channel.name for channel in file.channel], ledger)
     for place, channel in enumerate(file.channel):
         if channel.noise is None:
             ledger.add(
@@ -299,7 +287,7 @@ def _check_channels(file: PlanFile, ledger: Ledger) -> None:
 
 
 def _check_runs(file: PlanFile, ledger: Ledger) -> None:
-    refuse_repeats({place: run.name for place, run in enumerate(file.run)}, "run", ledger)
+    equipment.refuse_repeats({place: run.name for place, run in enumerate(file.run)}, "run", ledger)
     names = {"table": [table.name for table in file.table], "mounting": [seat.name for seat in file.mounting]}
     plannable = [procedure.name for procedure in PROCEDURES.values() if procedure.plan]
     for place, run in enumerate(file.run):
@@ -313,6 +301,6 @@ def _check_runs(file: PlanFile, ledger: Ledger) -> None:
             )
         else:
             judge_steps(run, procedure.plan, place, ledger)
-        check_references(run, place, names, ledger)
+        equipment.check_references(run, place, names, ledger)
         if procedure.injected:
-            require_current_scale(file.channel, place, ledger)
+            equipment.require_current_scale(file.channel, place, ledger)

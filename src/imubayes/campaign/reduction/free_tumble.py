@@ -19,7 +19,6 @@ from imubayes.campaign.reduction.static_poses import (
     MOST_ROTATION,
     Pose,
     Recording,
-    Rest,
     angle_between,
     body_vectors,
     divide_rests,
@@ -337,6 +336,3 @@ def _path(recording: Recording, before: Pose, after: Pose) -> float:
     moving = slice(before.stop - 1, after.start + 1)
     speed = np.linalg.norm(recording.rate[moving], axis=1)
     return float(np.sum(0.5 * (speed[1:] + speed[:-1]) * np.diff(recording.time[moving])))
-
-
-__all__ = ["Pose", "ReducedTumble", "Rest", "detect_poses", "pose_means", "record", "reduce_tumble"]
