@@ -302,8 +302,7 @@ def _attitude(source: TableSource, entry: RunEntry, equipment: Equipment, rows: 
 def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     poses = procedure_named(entry.procedure).reduction is Reduction.POSES
     monitor = Monitor(source, entry.name, all_move=poses)
-    labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in source.layout.texts]
-    tracker = SegmentTracker(labels) if labels and not source.layout.reduced else None
+    tracker = None if source.layout.reduced else _segment_tracker(source)
     builder = None
     if source.layout.reduced or poses:
         refuse_long(source.file, len(source.layout.numbers))
@@ -317,6 +316,11 @@ def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     blocks = builder.finish() if builder is not None and monitor.rows else None
     labelled = None if tracker is None else tracker.spans()
     return _Survey(monitor.rows, blocks, labelled, monitor.findings(), monitor.limits())
+
+
+def _segment_tracker(source: TableSource) -> SegmentTracker | None:
+    labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in source.layout.texts]
+    return SegmentTracker(labels) if labels else None
 
 
 def _load_tumble(

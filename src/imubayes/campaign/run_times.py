@@ -124,8 +124,7 @@ def check_times(runs: Sequence[Run], files: Sequence[str]) -> list[Finding]:
         for unit in dict.fromkeys(units.values())
     ]
     rest = [each for each in plain if each.run.name not in units]
-    meeting = [pair for pair in combinations(rest, 2) if _overlap(*(each.span() for each in pair))]
-    return found + [_overlapping(*pair) for pair in meeting if _share_channel(*pair)]
+    return found + [_overlapping(a, b) for a, b in combinations(rest, 2) if _meet(a, b)]
 
 
 def _timed(runs: Sequence[Run], files: Sequence[str]) -> list[Timed]:
@@ -136,6 +135,10 @@ def _timed(runs: Sequence[Run], files: Sequence[str]) -> list[Timed]:
         for run, file, time in known
         if time is not None and len(time) and np.isfinite(time).all()
     ]
+
+
+def _meet(first: Timed, second: Timed) -> bool:
+    return _overlap(first.span(), second.span()) and _share_channel(first, second)
 
 
 def _step(time: np.ndarray) -> float:
