@@ -17,10 +17,9 @@ from imubayes.batch.next_prior import ReplacedPrior
 from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.batch.pooled_discovery import PooledCandidate, PooledDiscovery, PooledFinding
 from imubayes.batch.run_batch import BatchProgress
-from imubayes.display.check_report import counted
-from imubayes.display.layout import Cell, Report, Sheet, of_columns
+from imubayes.display.layout import Cell, Report, Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import probability
-from imubayes.display.numbers_and_labels import chance_text, concise, significant
+from imubayes.display.numbers_and_labels import chance_text, concise, counted, significant
 from imubayes.foundations.errors import Issue
 
 _MOST_OUTLYING = 15
@@ -34,15 +33,14 @@ def population_report(found: Populations) -> Report:
     known = [each for each in found.parameters if each.mean is not None]
     head = ("parameter", "unit", "units", "mean", "spread", "law", "error / bit")
     sheet = Sheet("Population", head, [_population_row(each) for each in known], left=(0, 1, 5), note=_NOTE)
-    sheet = replace(sheet, narrow=of_columns(sheet, (0, 3, 4, 1)))
     rows = [
-        [Cell(each.parameter), Cell(unit.unit), Cell(concise(unit.value, unit.sd)), Cell(f"{unit.distance:+.1f} sd")]
+        cells(each.parameter, unit.unit, concise(unit.value, unit.sd), f"{unit.distance:+.1f} sd")
         for each in known
         for unit in each.outlying[:_MOST_OUTLYING]
     ]
     outlying = Sheet("Outlying units", ("parameter", "unit", "estimate", "distance"), rows, left=(0, 1))
     unknown = [f"{each.parameter}: {each.reason}" for each in found.parameters if each.mean is None]
-    return Report([said], [sheet, outlying], unknown)
+    return Report([said], [sheet.with_few(0, 3, 4, 1), outlying], unknown)
 
 
 _NOTE = (
@@ -50,20 +48,20 @@ _NOTE = (
 )
 
 
-def _population_row(each: ParameterPopulation) -> list[Cell]:
+def _population_row(each: ParameterPopulation) -> Sequence[Cell]:
     assert each.mean is not None
     unit = each.unit_of_measure + (" (log)" if each.scale == "log" else "")
     law = "normal" if each.freedom is None else f"t, ν = {each.freedom:g}"
-    return [
-        Cell(each.parameter), Cell(unit), Cell(f"{each.informative}/{each.units}"),
-        Cell(concise(each.mean, each.mean_sd or 0.0)), Cell(concise(each.spread or 0.0, each.spread_sd or 0.0)),
-        Cell(law), Cell(significant(each.information_error, 1) if each.information_error else "0"),
-    ]  # fmt: skip
+    return cells(
+        each.parameter, unit, f"{each.informative}/{each.units}",
+        concise(each.mean, each.mean_sd or 0.0), concise(each.spread or 0.0, each.spread_sd or 0.0),
+        law, significant(each.information_error, 1) if each.information_error else "0"
+    )  # fmt: skip
 
 
 def prior_report(replaced: Sequence[ReplacedPrior], out: Path) -> Report:
     """Return which priors the model of the next unit has from the population."""
-    rows = [[Cell(each.parameter), Cell(each.prior), Cell(each.before or "default")] for each in replaced]
+    rows = [cells(each.parameter, each.prior, each.before or "default") for each in replaced]
     sheet = Sheet("Priors from the population", ("parameter", "prior", "before"), rows, left=(0, 1, 2))
     return Report([], [sheet], [f"model written to {out}"])
 
@@ -81,16 +79,16 @@ def comparison_report(found: ModelComparison) -> Report:
     rows = [_change_row(each) for each in found.parameters]
     note = "changes beyond the variance that the new model adds, at a false discovery rate of 5 %"
     sheet = Sheet("Changes", head, rows, left=(0, 1, 7), note=note)
-    return Report(said, [replace(sheet, narrow=of_columns(sheet, (0, 3, 1, 2, 6)))])
+    return Report(said, [sheet.with_few(0, 3, 1, 2, 6)])
 
 
-def _change_row(each: ParameterChange) -> list[Cell]:
+def _change_row(each: ParameterChange) -> Sequence[Cell]:
     mean = concise(each.mean_change or 0.0, each.mean_change_sd or 0.0)
-    return [
-        Cell(each.parameter), Cell(each.unit_of_measure), Cell(f"{each.significant}/{each.campaigns}"), Cell(mean),
-        Cell(f"{each.rms_ratio:.2f}"), Cell(f"{each.sd_ratio:.2f}"), Cell(chance_text(each.p)),
-        Cell(", ".join(each.most_changed[:4])),
-    ]  # fmt: skip
+    return cells(
+        each.parameter, each.unit_of_measure, f"{each.significant}/{each.campaigns}", mean,
+        f"{each.rms_ratio:.2f}", f"{each.sd_ratio:.2f}", chance_text(each.p),
+        ", ".join(each.most_changed[:4])
+    )  # fmt: skip
 
 
 def trends_report(found: Trends) -> Report:
@@ -111,9 +109,8 @@ def trends_report(found: Trends) -> Report:
         f"{counted(sum(each.significant for each in found.trends), 'significant trend')} of {len(found.trends)}, "
         f"{counted(changed, 'drifting parameter')} of {len(found.drifts)}; false discovery rate {100 * found.rate:g} %"
     ]
-    sheets = [replace(trends, narrow=of_columns(trends, (0, 1, 2, 3, 5)))] if trends.rows else []
-    sheets += [replace(drifts, narrow=replace(of_columns(drifts, (0, 1, 2, 5)), note=""))] if drifts.rows else []
-    return Report(told, sheets)
+    few = replace(of_columns(drifts, (0, 1, 2, 5)), note="")
+    return Report(told, [trends.with_few(0, 1, 2, 3, 5), replace(drifts, narrow=few)])
 
 
 def _title(words: str, significant_ones: int, count: int) -> str:
@@ -130,20 +127,20 @@ def _unit(each: Trend | Drift) -> str:
     return "log " * (each.scale == "log") + each.unit_of_measure
 
 
-def _trend_row(each: Trend) -> list[Cell]:
+def _trend_row(each: Trend) -> Sequence[Cell]:
     mood, per = "bad" if each.significant else "", each.per.replace("serial numbers", "serials")
-    return [
-        Cell(each.parameter, mood), Cell(concise(each.slope, each.slope_sd)), Cell(_unit(each)), Cell(per),
-        Cell(str(each.units)), Cell(chance_text(each.p)),
-    ]  # fmt: skip
+    return cells(
+        Cell(each.parameter, mood), concise(each.slope, each.slope_sd), _unit(each), per,
+        str(each.units), chance_text(each.p)
+    )  # fmt: skip
 
 
-def _drift_row(each: Drift) -> list[Cell]:
-    return [
-        Cell(each.parameter, "bad" if each.significant else ""), Cell(concise(each.mean, each.mean_sd)),
-        Cell(_unit(each)), Cell(str(each.pairs)), Cell(str(each.significant)),
-        Cell(chance_text(each.p)), Cell(", ".join(each.units[:4])),
-    ]  # fmt: skip
+def _drift_row(each: Drift) -> Sequence[Cell]:
+    return cells(
+        Cell(each.parameter, "bad" if each.significant else ""), concise(each.mean, each.mean_sd),
+        _unit(each), str(each.pairs), str(each.significant),
+        chance_text(each.p), ", ".join(each.units[:4])
+    )  # fmt: skip
 
 
 _SHOWN = 20
@@ -179,24 +176,19 @@ def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path) -> Report
     said = f"{counted(state.done, 'unit')} fitted in {_duration(state.seconds)}, {state.before} done before"
     failed = units.filter(pl.col("status") != "fitted")
     rows = [
-        [Cell(str(row[name])) for name in ("unit", "status", "reason", "file")]
+        [str(row[name]) for name in ("unit", "status", "reason", "file")]
         for row in failed.head(_SHOWN).iter_rows(named=True)
     ]
     # A reason and a path beside each other leave neither enough room on 80 columns.
-    title = "Units without estimates"
-    slim = [[unit, _below(*further)] for unit, *further in rows]
-    apart = frozenset(range(1, len(slim)))
+    slim = [cells(unit, "\n".join(further)) for unit, *further in rows]
+    title, apart = "Units without estimates", frozenset(range(1, len(slim)))
     narrow = Sheet(title, ("unit", "status, reason, file"), slim, left=(0, 1), dividers=apart)
-    sheet = Sheet(title, ("unit", "status", "reason", "file"), rows, left=(0, 1, 2, 3), narrow=narrow)
+    head = ("unit", "status", "reason", "file")
+    sheet = Sheet(title, head, [cells(*row) for row in rows], left=(0, 1, 2, 3), narrow=narrow)
     closing = [f"result in {out}: {units.height - failed.height} fitted, {failed.height} without estimates"]
     if failed.height > _SHOWN:
         closing.insert(0, f"{failed.height - _SHOWN} more are in units.parquet")
     return Report([said], [sheet], closing)
-
-
-def _below(*cells: Cell) -> Cell:
-    """Return cells as one, a line each."""
-    return Cell("\n".join(cell.text for cell in cells))
 
 
 def batch_json(state: BatchProgress, units: pl.DataFrame, model: str) -> dict[str, Any]:
@@ -204,12 +196,8 @@ def batch_json(state: BatchProgress, units: pl.DataFrame, model: str) -> dict[st
     failed = units.filter(pl.col("status") != "fitted").select("unit", "campaign", "digest", "status", "reason", "file")
     return {
         "format": 1, "model": model, "units": units.height, "fitted": units.height - failed.height,
-        "done_now": state.done, "done_before": state.before, "seconds": state.seconds, "failed": _rows(failed),
+        "done_now": state.done, "done_before": state.before, "seconds": state.seconds, "failed": failed.to_dicts(),
     }  # fmt: skip
-
-
-def _rows(frame: pl.DataFrame) -> Sequence[dict[str, Any]]:
-    return frame.to_dicts()
 
 
 _MOST_NAMED, _MOST_SIDE, _MOST_CANDIDATES = 15, 5, 6
@@ -230,8 +218,7 @@ def discovery_report(found: PooledDiscovery, issues: Sequence[Issue] = ()) -> Re
     beside = {(each.effect, each.equipment): each for each in reversed(found.ranking)}
     rows = [_row(each.evidence, each) for each in found.findings]
     rows += [_row(each) for each in list(beside.values())[::-1][:_MOST_CANDIDATES]]
-    effects = Sheet("Effects, and candidates beside them", head, rows, left=(0, 1, 2, 3, 6))
-    effects = replace(effects, narrow=of_columns(effects, (0, 3, 4, 5)))
+    effects = Sheet("Effects, and candidates beside them", head, rows, left=(0, 1, 2, 3, 6)).with_few(0, 3, 4, 5)
     return Report(lines, [*map(_sides, found.findings), effects], [*map(str, issues), *_next(found)])
 
 
@@ -283,7 +270,7 @@ def _next(found: PooledDiscovery) -> list[str]:
 def _sides(each: PooledFinding) -> Sheet:
     """Return the units for and against a finding."""
     rows = [
-        [Cell(word), Cell(unit.unit), Cell(f"{unit.gain:+.1f}"), Cell(probability(unit.probability))]
+        cells(word, unit.unit, f"{unit.gain:+.1f}", probability(unit.probability))
         for word, listed in (("for", each.supporting), ("against", each.opposing))
         for unit in listed[:_MOST_SIDE]
     ]
@@ -292,7 +279,7 @@ def _sides(each: PooledFinding) -> Sheet:
     )
 
 
-def _row(each: PooledCandidate, found: PooledFinding | None = None) -> list[Cell]:
+def _row(each: PooledCandidate, found: PooledFinding | None = None) -> Sequence[Cell]:
     name = each.effect + (f" ({each.shape})" if each.shape else "")
     scope = each.scope + (f": {each.part}" if each.part else "")
     size, sides = "", ""
@@ -301,7 +288,7 @@ def _row(each: PooledCandidate, found: PooledFinding | None = None) -> list[Cell
         gains = [unit.gain for unit in found.every_unit]
         sides = f"{sum(gain > 0 for gain in gains)} / {sum(gain < 0 for gain in gains)}"
     chance = found.probability if found is not None else each.probability
-    return [
-        Cell(name), Cell(scope), Cell(each.equipment or str(each.units)), Cell(each.law), Cell(probability(chance)),
-        Cell(f"{each.log_odds:.1f}"), Cell(size), Cell(sides),
-    ]  # fmt: skip
+    return cells(
+        name, scope, each.equipment or str(each.units), each.law, probability(chance),
+        f"{each.log_odds:.1f}", size, sides
+    )  # fmt: skip

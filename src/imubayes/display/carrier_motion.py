@@ -7,7 +7,7 @@ import polars as pl
 
 from imubayes.display.figure_style import Picture
 from imubayes.display.figures.measurement import modulation_figure
-from imubayes.display.layout import Cell, Sheet
+from imubayes.display.layout import Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, value_and_sd
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.earth import earth_rate
@@ -70,7 +70,7 @@ def carrier_sheet(found: CarrierEstimate, campaign: Campaign, run: Run) -> Sheet
             value, sd = value_and_sd(found.mean[kind][place] * factor, found.mean_sd[kind][place] * factor)
             name = "rate" if kind == "gyro" else "specific force"
             nominal = f"{rest[kind][place]:.6g}" if abs(rest[kind][place]) > _ROUNDING else "0"
-            rows.append((Cell(f"{name} {axis}"), Cell(value), Cell(sd), Cell(nominal), Cell(pretty(unit))))
+            rows.append(cells(f"{name} {axis}", value, sd, nominal, pretty(unit)))
     taken = "Every fitted error is taken out; the sd contains noise, run offset and the uncertainty of the calibration."
     note = taken if found.corrected else "As recorded, errors of the unit included; the sd is that of the noise alone."
     head = ("mean over the run", "value", "sd", "carrier at rest", "unit")

@@ -16,17 +16,12 @@ from imubayes.archive import ArchivedCampaign, Packed
 from imubayes.campaign import Inspection
 from imubayes.campaign.equipment import grade_of
 from imubayes.display.fit_cautions import left_out_lines
-from imubayes.display.layout import Cell, Report, Sheet
-from imubayes.display.numbers_and_labels import listed
+from imubayes.display.layout import Cell, Report, Sheet, cells
+from imubayes.display.numbers_and_labels import counted, listed
 from imubayes.foundations.campaign_data import Campaign, Grade, Run
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.records import Record
 from imubayes.model.model_file import SingleRunEffect
-
-
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural where it has to be."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def packed_report(packed: Packed, out: Path) -> Report:
@@ -57,8 +52,8 @@ def list_report(campaigns: Sequence[ArchivedCampaign]) -> Report:
     """Return the campaigns of an archive as a table."""
     ordered = sorted(campaigns, key=lambda each: (each.unit, each.date, each.name))
     rows = [
-        [Cell(each.unit), Cell(each.name), Cell(each.date or "–"), Cell(str(each.runs)), Cell(str(each.rows)),
-         Cell(str(each.channels)), Cell(each.digest[:16])]
+        cells(each.unit, each.name, each.date or "–", str(each.runs), str(each.rows),
+         str(each.channels), each.digest[:16])
         for each in ordered
     ]  # fmt: skip
     units = len({each.unit for each in campaigns})

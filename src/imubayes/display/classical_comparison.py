@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from imubayes.display.layout import Cell, Sheet
+from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, pretty, significant, value_and_sd
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
@@ -274,9 +274,9 @@ def classical_sheet(estimates: Sequence[ComparedEstimate]) -> Sheet:
     for compared in estimates:
         estimate, unit = compared.classical, pretty(compared.classical.unit)
         value, sd = value_and_sd(estimate.value, estimate.sd)
-        names, joint = (Cell(estimate.name), Cell(estimate.run)), _joint_cells(compared)
-        rows.append((*names, Cell(value), Cell(sd), *(joint if with_joint else ()), Cell(unit)))
-        few.append((*names, Cell(f"{_with_sd(value, sd)} {unit}"), Cell(_with_sd(joint[0].text, joint[1].text))))
+        names, joint = cells(estimate.name, estimate.run), _joint_cells(compared)
+        rows.append(cells(*names, value, sd, *(joint if with_joint else ()), unit))
+        few.append(cells(*names, f"{_with_sd(value, sd)} {unit}", _with_sd(joint[0].text, joint[1].text)))
     columns = ("joint", "sd", "difference", "explained by") if with_joint else ()
     head, title = ("quantity", "run", "classical", "sd", *columns, "unit"), "Classical estimates, run by run"
     note = "The classical sd is the scatter about the fitted curve; errors of its assumptions are not contained."
@@ -363,7 +363,7 @@ def _at_own_temperature(beyond: Sequence[ComparedEstimate]) -> list[str]:
 def decision_sheet(comparison: ClassicalComparison) -> Sheet:
     """Return the decisions of the classical evaluation beside their probability."""
     rows = [
-        (Cell(compared.classical.name), Cell(compared.classical.decision), Cell(_probability(compared.conformance)))
+        cells(compared.classical.name, compared.classical.decision, _probability(compared.conformance))
         for compared in comparison.estimates
         if compared.classical.decision
     ]
@@ -382,5 +382,5 @@ def undetermined_sheet(comparison: ClassicalComparison) -> Sheet:
     runs: dict[str, list[str]] = {}
     for finding in comparison.undetermined:
         runs.setdefault(finding.sentence, []).append(finding.run)
-    rows = [(Cell(", ".join(dict.fromkeys(names))), Cell(sentence)) for sentence, names in runs.items()]
+    rows = [cells(", ".join(dict.fromkeys(names)), sentence) for sentence, names in runs.items()]
     return Sheet("Not determined classically", ("run", "reason"), rows, (0, 1))

@@ -6,20 +6,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from imubayes.display import figures
 from imubayes.display.figure_style import MOST_PANELS, Picture, covariates_of, numbers, ordered, varies
-from imubayes.display.figures import (
-    campaign_timeline_figure,
-    corner_figure,
-    identifiability_figure,
-    measurement_figure,
-    mounted_pairs,
-    mounting_sketch_figure,
-    prior_posterior_figure,
-    residual_figure,
-    run_chi2_figure,
-    temperature_figure,
-    thermal_courses,
-)
 from imubayes.display.figures.panels import neighbour_means
 from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.fit_cautions import worst_first
@@ -47,20 +35,22 @@ def plan(
     """Yield a name and a function that draws it for every figure, the overview first; `chosen` runs have one each."""
     runs = ordered(residuals, "run")
     if summary.runs:
-        yield "fit-of-runs", lambda: run_chi2_figure(summary)
+        yield "fit-of-runs", lambda: figures.run_chi2_figure(summary)
     for covariate in covariates_of(residuals):
         for page, channels in _pages(_channels_with(residuals, covariate)):
             yield (
                 f"{_against(covariate)}{page}",
-                lambda covariate=covariate, channels=channels: residual_figure(residuals, covariate, channels, runs),
+                lambda covariate=covariate, channels=channels: figures.residual_figure(
+                    residuals, covariate, channels, runs
+                ),
             )
     if any(entry.from_data is not None for entry in (*summary.parameters, *summary.derived)):
-        yield "identifiability", lambda: identifiability_figure(summary)
+        yield "identifiability", lambda: figures.identifiability_figure(summary)
     if mounting_quantities(summary):
-        yield "mounting-prior-posterior", lambda: prior_posterior_figure(summary)
+        yield "mounting-prior-posterior", lambda: figures.prior_posterior_figure(summary)
     drawn = [name for name in names if name in draws]
     if drawn:
-        yield "corner", lambda: corner_figure(draws, drawn, summary)
+        yield "corner", lambda: figures.corner_figure(draws, drawn, summary)
     if campaign is not None:
         yield from _of_campaign(campaign, draws, thermal)
     for run, file in _files_of_runs(chosen):
@@ -68,19 +58,19 @@ def plan(
         for page, channels in _pages(ordered(own, "channel")):
             yield (
                 f"run-{file}{page}",
-                lambda own=own, run=run, channels=channels: measurement_figure(own, run, channels),
+                lambda own=own, run=run, channels=channels: figures.measurement_figure(own, run, channels),
             )
 
 
 def _of_campaign(campaign: Campaign, draws: Mapping[str, Any], thermal: ThermalModel | None) -> Plan:
     """Yield the figures that take the runs as they were recorded."""
-    courses = {} if thermal is None else thermal_courses(campaign, draws, thermal)
+    courses = {} if thermal is None else figures.thermal_courses(campaign, draws, thermal)
     if courses:
-        yield "temperature", lambda: temperature_figure(campaign, courses)
-    for page, pairs in _pages(mounted_pairs(campaign)):
-        yield f"mountings{page}", lambda pairs=pairs: mounting_sketch_figure(campaign, pairs)
+        yield "temperature", lambda: figures.temperature_figure(campaign, courses)
+    for page, pairs in _pages(figures.mounted_pairs(campaign)):
+        yield f"mountings{page}", lambda pairs=pairs: figures.mounting_sketch_figure(campaign, pairs)
     if any(run.start is not None for run in campaign.runs):
-        yield "campaign-timeline", lambda: campaign_timeline_figure(campaign)
+        yield "campaign-timeline", lambda: figures.campaign_timeline_figure(campaign)
 
 
 def most_telling_first(

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 
 from imubayes.adequacy.adequacy_record import NoiseComparison, NoiseViolation
-from imubayes.display.layout import Cell, Sheet
+from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, percent, pretty, relation, significant, value_and_sd
 from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival
 from imubayes.inference.identifiability import ImplausibleEstimate, PriorConflict, UnexplainedOutput
@@ -235,7 +235,7 @@ def conflict_sheet(conflicts: Sequence[PriorConflict]) -> Sheet:
         posterior = value_and_sd(conflict.value, conflict.sd)
         texts = [conflict.name, *(" ± ".join(pair) for pair in (prior, alone, posterior)), pretty(conflict.unit)]
         decided = Cell(conflict.decided_by, "bad" if conflict.decided_by == "prior" else "")
-        rows.append((*map(Cell, texts), Cell(significant(conflict.distance, 2)), decided))
+        rows.append(cells(*map(Cell, texts), significant(conflict.distance, 2), decided))
     head = ("parameter", "prior", "data alone", "posterior", "unit", "distance, sd", "decided by")
     remedies = dict.fromkeys(map(remedy, conflicts))
     return Sheet("Prior and data disagree", head, rows, (0, 4, 6), note="\n".join(remedies))

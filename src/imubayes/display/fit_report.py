@@ -3,6 +3,8 @@
 The HTML has no scripts, links or external styles; all text is escaped.
 """
 
+from imubayes.display import quality_tables as quality
+from imubayes.display import quantity_tables as quantities
 from imubayes.display.classical_comparison import (
     ClassicalComparison,
     classical_sheet,
@@ -13,30 +15,6 @@ from imubayes.display.fit_cautions import alarm_of, chi2_text, conflict_sheet, d
 from imubayes.display.layout import Report, Sheet, render, without_alarm
 from imubayes.display.loop.history import provenance_line
 from imubayes.display.numbers_and_labels import listed, percent
-from imubayes.display.quality_tables import (
-    NOT_DETERMINED,
-    combination_sheet,
-    contribution_sheet,
-    narrowing_text,
-    next_run_sheet,
-    run_design_text,
-    run_sheet,
-    weak_sheet,
-    weak_text,
-)
-from imubayes.display.quantity_tables import (
-    MARK,
-    CalibrationSheet,
-    axis_sheet,
-    calibration_sheets,
-    derived_sheet,
-    equipment_sheet,
-    is_nuisance,
-    is_undetermined,
-    parameter_sheet,
-    sampling_note,
-    scale_and_angle_sheet,
-)
 from imubayes.results.summary import Summary
 
 _FEW_COMBINATIONS = 8
@@ -44,11 +22,15 @@ _FEW_COMBINATIONS = 8
 
 def summary_report(summary: Summary, verbose: bool = False) -> Report:
     """Return the calibration of each channel and the mounting angles; every table where `verbose`."""
-    of_channels = calibration_sheets(summary)
-    sheets: list[Sheet | CalibrationSheet] = [*of_channels, axis_sheet(summary)]
+    of_channels = quantities.calibration_sheets(summary)
+    sheets: list[Sheet | quantities.CalibrationSheet] = [*of_channels, quantities.axis_sheet(summary)]
     in_sheets = {entry.name for sheet in of_channels for *_, own in sheet.rows for entry in own.values()}
-    equipment = equipment_sheet(summary, in_sheets)
-    brief = (equipment, scale_and_angle_sheet(summary), combination_sheet(summary, _FEW_COMBINATIONS, standard=True))
+    equipment = quantities.equipment_sheet(summary, in_sheets)
+    brief = (
+        equipment,
+        quantities.scale_and_angle_sheet(summary),
+        quality.combination_sheet(summary, _FEW_COMBINATIONS, standard=True),
+    )
     sheets += every_table(summary, nuisance=True) if verbose else brief
     sheets += [conflict_sheet(summary.prior_conflicts)]
     weak = () if verbose else weak_lines(summary)
@@ -70,32 +52,37 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
 def every_table(summary: Summary, nuisance: bool) -> list[Sheet]:
     """Return every table of a fit, the parameters first, with the nuisance parameters where asked for."""
     return [
-        parameter_sheet(summary, nuisance=nuisance),
-        derived_sheet(summary),
-        run_sheet(summary),
-        combination_sheet(summary),
-        weak_sheet(summary),
-        next_run_sheet(summary),
-        contribution_sheet(summary),
+        quantities.parameter_sheet(summary, nuisance=nuisance),
+        quantities.derived_sheet(summary),
+        quality.run_sheet(summary),
+        quality.combination_sheet(summary),
+        quality.weak_sheet(summary),
+        quality.next_run_sheet(summary),
+        quality.contribution_sheet(summary),
     ]
 
 
 def weak_lines(summary: Summary) -> tuple[str, ...]:
     """Return what is not or weakly determined, the run that would determine most of it, and where the tables are."""
-    loose = [entry.name for entry in summary.parameters if is_undetermined(entry) and not is_nuisance(entry)]
-    confused = [weak_text(found) for found in summary.weak_directions if found.kind == "confusion"]
+    loose = [
+        entry.name
+        for entry in summary.parameters
+        if quantities.is_undetermined(entry) and not quantities.is_nuisance(entry)
+    ]
+    confused = [quality.weak_text(found) for found in summary.weak_directions if found.kind == "confusion"]
     weak = len(summary.weak_directions) - len(confused)
-    said = [f"{MARK} Not determined (less than {percent(NOT_DETERMINED)} from the data): {listed(loose)}."] * bool(
-        loose
-    )
+    least = percent(quality.NOT_DETERMINED)
+    said = [f"{quantities.MARK} Not determined (less than {least} from the data): {listed(loose)}."] * bool(loose)
     said += [f"Not separated: {listed(confused, 2)}."] * bool(confused)
     sums = len(summary.combinations)
     determined = f"; sums of their members that are determined: {sums}" if sums else ""
     said += [f"Weakly determined combinations: {weak}{determined}."] * bool(weak)
     if summary.next_runs:
         first = summary.next_runs[0]
-        said.append(f"Next run: {run_design_text(first.run)} ({first.quantity}: sd {narrowing_text(first)}).")
-    said += [sampling_note(summary.parameters).strip()] if summary.sampled else []
+        said.append(
+            f"Next run: {quality.run_design_text(first.run)} ({first.quantity}: sd {quality.narrowing_text(first)})."
+        )
+    said += [quantities.sampling_note(summary.parameters).strip()] if summary.sampled else []
     where = f"All {len(summary.parameters)} parameters and every table: --verbose."
     return (" ".join([*filter(None, said), where]),)
 
@@ -108,7 +95,7 @@ def _outcome(summary: Summary) -> str:
         return "The fit did not converge; the first line says why."
     if alarm_of(summary):
         return "Converged, but the intervals cannot be trusted; the first line says why."
-    undetermined = sum(map(is_undetermined, summary.parameters))
+    undetermined = sum(map(quantities.is_undetermined, summary.parameters))
     determined = (
         "every parameter" if not undetermined else f"all but {undetermined} of {len(summary.parameters)} parameters"
     )
@@ -124,7 +111,11 @@ def classical_report(comparison: ClassicalComparison) -> Report:
 
 def summary_html(summary: Summary) -> str:
     """Return the whole result: convergence and calibration; folded, every table of the fit."""
-    at_a_glance = [*calibration_sheets(summary), axis_sheet(summary), scale_and_angle_sheet(summary)]
+    at_a_glance = [
+        *quantities.calibration_sheets(summary),
+        quantities.axis_sheet(summary),
+        quantities.scale_and_angle_sheet(summary),
+    ]
     tables = (at_a_glance, every_table(summary, nuisance=False))
     shown, folded = ([block for sheet in sheets for block in sheet.blocks()] for sheets in tables)
     return render(

@@ -48,6 +48,11 @@ class Cell:
     mood: str = ""
 
 
+def cells(*texts: str | Cell) -> tuple[Cell, ...]:
+    """Return a row of a table; texts stand in it without emphasis."""
+    return tuple(text if isinstance(text, Cell) else Cell(text) for text in texts)
+
+
 @runtime_checkable
 class Tabular(Protocol):
     """What comes in one or several tables, depending on the room there is."""
@@ -85,6 +90,14 @@ class Sheet:
     def blocks(self, width: int | None = None) -> Sequence["Sheet"]:
         """Return the table, whatever the width, unless it has no rows."""
         return [self] if self.rows else []
+
+    def with_narrow(self, head: Sequence[str], rows: Sequence[Sequence[Cell]], left: Sequence[int] = (0,)) -> "Sheet":
+        """Return the table with its content in other columns for narrow terminals."""
+        return replace(self, narrow=replace(self, head=head, rows=rows, left=left))
+
+    def with_few(self, *places: int) -> "Sheet":
+        """Return the table with some of its columns alone for narrow terminals."""
+        return replace(self, narrow=of_columns(self, places))
 
 
 def without_alarm(sheet: Sheet) -> Sheet:

@@ -8,17 +8,9 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol, runtime_checkable
 
+from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.fit_cautions import SIGNIFICANT, alarm_of, chi2_text, share_of_freedom, tail
-from imubayes.display.layout import Cell, Sheet
-from imubayes.display.numbers_and_labels import (
-    percent,
-    pretty,
-    ratio_text,
-    readable,
-    rounded,
-    significant,
-    value_and_sd,
-)
+from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.inference.candidate_runs import RunDesign, TemperatureProfile
 from imubayes.inference.identifiability import WeakDirection
@@ -69,7 +61,7 @@ def run_sheet(summary: Summary, most: int | None = None) -> Sheet:
             dividers.add(place)
         rms, unit = _rms([run])
         name = Cell("" if repeated else run.name)
-        rows.append((name, Cell(run.channel), Cell(str(run.n)), _fit_cell(run, share), Cell(rms), Cell(unit)))
+        rows.append(cells(name, run.channel, str(run.n), _fit_cell(run, share), rms, unit))
     note = f"{_fit_note(summary)} {more(len(summary.runs) - len(shown))}".strip()
     head = ("run", "channel", "n", "chi2/n", "rms residual", "unit")
     return Sheet(
@@ -83,10 +75,10 @@ def fit_sheet(summary: Summary) -> Sheet:
     entries = {(run.name, run.channel): run for run in summary.runs}
     names = dict.fromkeys(run.name for run in summary.runs)
     channels = dict.fromkeys(run.channel for run in summary.runs)
-    rows = [(Cell(name), *(_fit_cell(entries.get((name, channel)), share) for channel in channels)) for name in names]
+    rows = [cells(name, *(_fit_cell(entries.get((name, channel)), share) for channel in channels)) for name in names]
     sizes = [_rms([run for run in summary.runs if run.channel == channel]) for channel in channels]
-    rows.append((Cell("rms residual"), *(Cell(size) for size, _ in sizes)))
-    rows.append((Cell("unit"), *(Cell(unit) for _, unit in sizes)))
+    rows.append(cells("rms residual", *(Cell(size) for size, _ in sizes)))
+    rows.append(cells("unit", *(Cell(unit) for _, unit in sizes)))
     head, note = ("chi2/n", *channels), _fit_note(summary)
     return Sheet("Goodness of fit", head, rows, (0,), alarm_of(summary), note, frozenset({len(names)}))
 
@@ -95,7 +87,7 @@ def _fit_cell(run: RunSummary | None, share: float) -> Cell:
     if run is None or not run.n or run.chi2 is None:
         return Cell("–", "dim")
     chance = tail(run.chi2, share * run.n)
-    text = ratio_text(run.chi2 / run.n)
+    text = numbers.ratio_text(run.chi2 / run.n)
     if abs(chance) >= SIGNIFICANT or not math.isfinite(chance):
         return Cell(text)
     return Cell(text, "bad" if chance >= 0 else "weak")
@@ -105,10 +97,10 @@ def _rms(runs: Sequence[RunSummary]) -> tuple[str, str]:
     """Return the root mean square over runs of one channel, and its unit."""
     known = [(run.n, run.rms) for run in runs if run.n and run.rms is not None]
     if not known:
-        return "–", pretty(runs[0].unit) if len(runs) == 1 else ""
+        return "–", numbers.pretty(runs[0].unit) if len(runs) == 1 else ""
     size = math.sqrt(sum(n * rms**2 for n, rms in known) / sum(n for n, _ in known))
-    factor, unit = readable(runs[0].unit, size)
-    return significant(size * factor), pretty(unit)
+    factor, unit = numbers.readable(runs[0].unit, size)
+    return numbers.significant(size * factor), numbers.pretty(unit)
 
 
 def _fit_note(summary: Summary) -> str:
@@ -130,14 +122,14 @@ def contribution_sheet(summary: Summary) -> Sheet:
     procedures = [share.procedure for share in shown[0].by] if shown else []
     wide, narrow = [], []
     for contribution in shown:
-        factor, unit = readable(contribution.unit, contribution.sd)
+        factor, unit = numbers.readable(contribution.unit, contribution.sd)
         best = min(contribution.by, key=lambda share: share.alone)
-        alone = [Cell(significant(share.alone * factor, 2)) for share in contribution.by]
-        gain = Cell(f"{significant(best.alone / contribution.sd, 2)} ×")
-        last = (Cell(significant(contribution.sd * factor, 2)), gain, Cell(pretty(unit)))
-        wide.append((Cell(contribution.quantity), *alone, *last))
-        sd_of_best = Cell(significant(best.alone * factor, 2))
-        narrow.append((Cell(contribution.quantity), Cell(best.procedure), sd_of_best, *last))
+        alone = [Cell(numbers.significant(share.alone * factor, 2)) for share in contribution.by]
+        gain = Cell(f"{numbers.significant(best.alone / contribution.sd, 2)} ×")
+        last = cells(numbers.significant(contribution.sd * factor, 2), gain, numbers.pretty(unit))
+        wide.append(cells(contribution.quantity, *alone, *last))
+        sd_of_best = Cell(numbers.significant(best.alone * factor, 2))
+        narrow.append(cells(contribution.quantity, best.procedure, sd_of_best, *last))
     note = (
         "Standard uncertainty from the prior and the runs of one procedure, and from all runs; gain: ratio to the best "
         f"single procedure. {more(len(summary.contributions) - len(shown))}"
@@ -170,7 +162,7 @@ def next_run_sheet(summary: Summary) -> Sheet:
     designs = [run_design_text(run.run) for run in summary.next_runs]
     first = [not place or designs[place] != designs[place - 1] for place in range(len(designs))]
     rows = [
-        (Cell(design if new else ""), Cell(run.quantity), Cell(narrowing_text(run)))
+        cells(design if new else "", run.quantity, narrowing_text(run))
         for design, new, run in zip(designs, first, summary.next_runs, strict=True)
     ]
     dividers = frozenset(place for place, new in enumerate(first) if new and place)
@@ -180,9 +172,9 @@ def next_run_sheet(summary: Summary) -> Sheet:
 
 def narrowing_text(run: NextRun) -> str:
     """Return the standard deviation of the quantity of a candidate run before and after it."""
-    factor, unit = readable(run.unit, abs(run.sd_before))
+    factor, unit = numbers.readable(run.unit, abs(run.sd_before))
     sizes: Iterable[float] = (run.sd_before, run.sd_after)
-    return f"{' → '.join(significant(sd * factor, 2) for sd in sizes)} {pretty(unit)}"
+    return f"{' → '.join(numbers.significant(sd * factor, 2) for sd in sizes)} {numbers.pretty(unit)}"
 
 
 def more(count: int) -> str:
@@ -234,7 +226,9 @@ class Combined(Protocol):
 def weak_sheet(summary: Summary) -> Sheet:
     """Return the combinations of parameters that the data did not determine."""
     rows = [
-        (Cell(weak_text(found)), Cell(percent(found.from_data), "weak" if found.from_data < NOT_DETERMINED else ""))
+        cells(
+            weak_text(found), Cell(numbers.percent(found.from_data), "weak" if found.from_data < NOT_DETERMINED else "")
+        )
         for found in summary.weak_directions
     ]
     note = "" if rows else "The data determine every combination of the parameters."
@@ -271,9 +265,9 @@ def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) 
     shown = known[:most]
     rows = [_row(found) for found in shown]
     few = [
-        (
-            Cell(symbol_text(found) or members_text(found)),
-            Cell(f"{' ± '.join(value_and_sd(found.mean, found.sd))} {pretty(found.unit)}"),
+        cells(
+            symbol_text(found) or members_text(found),
+            f"{' ± '.join(numbers.value_and_sd(found.mean, found.sd))} {numbers.pretty(found.unit)}",
         )
         for found in shown
     ]
@@ -284,11 +278,8 @@ def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) 
 
 
 def _row(found: CombinationSummary) -> tuple[Cell, ...]:
-    mean, sd, low, high = rounded((found.mean, found.sd, found.q025, found.q975), found.sd)
-    return (
-        Cell(symbol_text(found)), Cell(members_text(found)), Cell(mean), Cell(sd), Cell(f"{low} … {high}"),
-        Cell(pretty(found.unit)),
-    )  # fmt: skip
+    mean, sd, low, high = numbers.rounded((found.mean, found.sd, found.q025, found.q975), found.sd)
+    return cells(symbol_text(found), members_text(found), mean, sd, f"{low} … {high}", numbers.pretty(found.unit))
 
 
 def symbol_text(found: Combined) -> str:

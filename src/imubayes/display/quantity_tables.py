@@ -12,7 +12,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from imubayes.display.fit_cautions import alarm_of
-from imubayes.display.layout import Cell, Sheet, without_dividers
+from imubayes.display.layout import Cell, Sheet, cells, without_dividers
 from imubayes.display.numbers_and_labels import NO_NUMBER, concise, is_exact, percent, pretty, rounded, value_and_sd
 from imubayes.display.quality_tables import NOT_DETERMINED, more
 from imubayes.foundations.campaign_data import channel_of_component
@@ -110,7 +110,7 @@ def _after(unit: str) -> str:
 def _short(entry: Quantity) -> tuple[Cell, ...]:
     mean, sd = value_and_sd(entry.mean, entry.sd)
     mood = "weak" if is_undetermined(entry) else ""
-    return Cell(entry.name), Cell(f"{mean} ± {sd} {_after(entry.unit)}".strip(), mood), _from_data(entry)
+    return cells(entry.name, Cell(f"{mean} ± {sd} {_after(entry.unit)}".strip(), mood), _from_data(entry))
 
 
 def _from_data(entry: Quantity) -> Cell:
@@ -123,11 +123,11 @@ def _from_data(entry: Quantity) -> Cell:
 def _estimate(entry: Quantity) -> tuple[Cell, ...]:
     if is_exact(entry.mean, entry.sd):
         mean, sd = value_and_sd(entry.mean, entry.sd)
-        return Cell(entry.name), Cell(mean), Cell(sd), Cell(""), Cell(pretty(entry.unit)), _from_data(entry)
+        return cells(entry.name, mean, sd, "", pretty(entry.unit), _from_data(entry))
     mean, sd, low, high = rounded((entry.mean, entry.sd, entry.q025, entry.q975), entry.sd)
     mood = "weak" if is_undetermined(entry) else ""
     numbers = (Cell(mean, mood), Cell(sd, mood), Cell(f"{low} … {high}", mood))
-    return Cell(entry.name), *numbers, Cell(pretty(entry.unit)), _from_data(entry)
+    return cells(entry.name, *numbers, pretty(entry.unit), _from_data(entry))
 
 
 def _sampling_cells(entry: Quantity) -> tuple[Cell, Cell]:
@@ -218,7 +218,7 @@ class CalibrationSheet:
 
     def _block(self, channels: Sequence[str], is_short: bool, first: bool) -> Sheet:
         rows = [
-            (Cell(name), *(estimate_cell(own.get(channel), is_short) for channel in channels), Cell(pretty(unit)))
+            cells(name, *(estimate_cell(own.get(channel), is_short) for channel in channels), pretty(unit))
             for name, unit, own in self.rows
             if any(channel in own for channel in channels)
         ]
@@ -273,7 +273,7 @@ def axis_sheet(summary: Summary) -> Sheet:
         if channel is not None:
             axes.setdefault(channel, []).append(entry)
     wide, narrow = (
-        [(Cell(channel), *(estimate_cell(entry, is_short) for entry in own)) for channel, own in axes.items()]
+        [cells(channel, *(estimate_cell(entry, is_short) for entry in own)) for channel, own in axes.items()]
         for is_short in (False, True)
     )
     title, head = "Input axes in body axes: input_axis[channel,component]", ("", "x", "y", "z")

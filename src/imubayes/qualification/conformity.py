@@ -23,21 +23,7 @@ from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.errors import InputError, closest_first
 from imubayes.foundations.units import same_dimension, to_si
 from imubayes.inference.identifiability import WEAK_SHARE
-from imubayes.qualification.decision_rules import (
-    REJECTED,
-    Decision,
-    DecisionRule,
-    GlobalRisks,
-    MeasuredValue,
-    Outcome,
-    ProbabilityByTwoMethods,
-    Production,
-    ToleranceInterval,
-    conformance_probability,
-    decide,
-    global_risks,
-    guard_for_risk,
-)
+from imubayes.qualification import decision_rules as rules
 from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.posterior_quantities import (
     PosteriorQuantities,
@@ -50,7 +36,7 @@ from imubayes.qualification.temperature_range import ThermalModel, over_range, t
 from imubayes.results.result import Result
 from imubayes.results.summary import CombinationSummary, Quantity, is_constant
 
-WORST_FIRST: tuple[Outcome, ...] = ("fail", "withheld", "conditional_fail", "conditional_pass", "pass")
+WORST_FIRST: tuple[rules.Outcome, ...] = ("fail", "withheld", "conditional_fail", "conditional_pass", "pass")
 # Temperatures of a chamber are not those of its plan: a range is covered where runs came this close to its ends, °C.
 _NEAR = 2.0
 
@@ -80,10 +66,10 @@ class ResolvedLimit:
     """A limit of one quantity in the quantity's unit."""
 
     quantity: Quantity
-    tolerance: ToleranceInterval
-    rule: DecisionRule
+    tolerance: rules.ToleranceInterval
+    rule: rules.DecisionRule
     span: tuple[float, float] | None
-    production: Production | None
+    production: rules.Production | None
     nominal: float | None
 
 
@@ -104,14 +90,14 @@ class ConformityOfQuantity:
     """
 
     limit: ResolvedLimit
-    estimate: MeasuredValue
+    estimate: rules.MeasuredValue
     marginal: Marginal
     temperature: float | None
-    conformance: ProbabilityByTwoMethods
-    decision: Decision
+    conformance: rules.ProbabilityByTwoMethods
+    decision: rules.Decision
     consumer: float | None
     producer: float | None
-    overall: GlobalRisks | None
+    overall: rules.GlobalRisks | None
 
 
 def resolved_limits(file: SpecificationFile, ledger: Ledger, unit: TestedUnit) -> tuple[ResolvedLimit, ...]:
@@ -192,10 +178,10 @@ def _resolved(
     made = entry.production
     return ResolvedLimit(
         quantity=quantity,
-        tolerance=ToleranceInterval(lower, upper),
+        tolerance=rules.ToleranceInterval(lower, upper),
         rule=rule_of(entry.rule or file.rule, abs(factor)),
         span=(entry.temperature_degC[0], entry.temperature_degC[1]) if entry.temperature_degC else None,
-        production=None if made is None else Production(shift + factor * made.mean, abs(factor) * made.sd),
+        production=None if made is None else rules.Production(shift + factor * made.mean, abs(factor) * made.sd),
         nominal=entry.nominal,
     )
 
@@ -247,10 +233,10 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
         conformance=over,
         decision=decision,
         consumer=1 - p if p is not None and accepted else None,
-        producer=p if p is not None and decision.outcome in REJECTED else None,
+        producer=p if p is not None and decision.outcome in rules.REJECTED else None,
         overall=None
         if production is None
-        else global_risks(production, estimate.standard, limit.tolerance, decision.guard_band or 0.0),
+        else rules.global_risks(production, estimate.standard, limit.tolerance, decision.guard_band or 0.0),
     )
 
 
@@ -264,40 +250,47 @@ def _temperature(limit: ResolvedLimit, worst: int, count: int) -> float | None:
     return None if limit.span is None or count == 1 else float(np.linspace(*limit.span, count)[worst])
 
 
-def _rank(decision: Decision, estimate: MeasuredValue, tolerance: ToleranceInterval) -> tuple[int, float]:
+def _rank(
+    decision: rules.Decision, estimate: rules.MeasuredValue, tolerance: rules.ToleranceInterval
+) -> tuple[int, float]:
     margin = min(estimate.value - tolerance.lower, tolerance.upper - estimate.value)
     return WORST_FIRST.index(decision.outcome), margin
 
 
-def _conformance_over(values: np.ndarray, tolerance: ToleranceInterval, effective: float) -> ProbabilityByTwoMethods:
+def _conformance_over(
+    values: np.ndarray, tolerance: rules.ToleranceInterval, effective: float
+) -> rules.ProbabilityByTwoMethods:
     """Return p_c of a quantity over a range, (S, T): of the smallest margin; of the quantity where there is one T."""
     if values.shape[1] == 1:
-        return conformance_probability(Marginal(values[:, 0], effective), tolerance)
+        return rules.conformance_probability(Marginal(values[:, 0], effective), tolerance)
     margin = np.minimum(values - tolerance.lower, tolerance.upper - values).min(axis=1)
-    return conformance_probability(Marginal(margin, effective), ToleranceInterval(lower=0.0))
+    return rules.conformance_probability(Marginal(margin, effective), rules.ToleranceInterval(lower=0.0))
 
 
-def _estimate(marginal: Marginal, conformance: ProbabilityByTwoMethods) -> MeasuredValue:
+def _estimate(marginal: Marginal, conformance: rules.ProbabilityByTwoMethods) -> rules.MeasuredValue:
     low, high = marginal.interval
-    return MeasuredValue(marginal.mean, marginal.sd, (high - low) / 2, conformance)
+    return rules.MeasuredValue(marginal.mean, marginal.sd, (high - low) / 2, conformance)
 
 
 def _decision(
-    rule: DecisionRule, estimate: MeasuredValue, tolerance: ToleranceInterval, production: Production | None
-) -> Decision:
+    rule: rules.DecisionRule,
+    estimate: rules.MeasuredValue,
+    tolerance: rules.ToleranceInterval,
+    production: rules.Production | None,
+) -> rules.Decision:
     if rule.name != "global_risk":
-        return decide(rule, estimate, tolerance)
+        return rules.decide(rule, estimate, tolerance)
     assert production is not None, "the specification was checked for it"
     assert rule.probability is not None, "a rule on a risk has its target"
-    guard = guard_for_risk(production, estimate.standard, tolerance, rule.probability)
+    guard = rules.guard_for_risk(production, estimate.standard, tolerance, rule.probability)
     if guard is None:
-        return Decision("fail", None)
-    return decide(DecisionRule("guard_band", guard_width=guard), estimate, tolerance)
+        return rules.Decision("fail", None)
+    return rules.decide(rules.DecisionRule("guard_band", guard_width=guard), estimate, tolerance)
 
 
-def overall_outcome(found: Sequence[ConformityOfQuantity]) -> Outcome:
+def overall_outcome(found: Sequence[ConformityOfQuantity]) -> rules.Outcome:
     """Return the worst outcome of all limits."""
-    worst: Outcome = "pass"
+    worst: rules.Outcome = "pass"
     for each in found:
         if WORST_FIRST.index(each.decision.outcome) < WORST_FIRST.index(worst):
             worst = each.decision.outcome
@@ -323,7 +316,7 @@ class Assessment:
     obstacles: tuple[Obstacle, ...]
 
     @property
-    def outcome(self) -> Outcome:
+    def outcome(self) -> rules.Outcome:
         """The worst outcome of all limits, and no better than `withheld` where there is an obstacle."""
         found = overall_outcome(self.limits)
         better = WORST_FIRST.index(found) > WORST_FIRST.index("withheld")

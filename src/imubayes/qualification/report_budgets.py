@@ -13,6 +13,7 @@ from imubayes.foundations.records import Record, finite
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import expected_deviations
 from imubayes.parameters.declarations import Parameter
+from imubayes.qualification import uncertainty_budget as budget
 from imubayes.qualification.budget_parts import (
     BudgetLine,
     CorrelationMatrix,
@@ -27,14 +28,6 @@ from imubayes.qualification.conformity import TestedUnit, standards_input, teste
 from imubayes.qualification.decision_rules import LEAST_SHARE, USEFUL_RUN
 from imubayes.qualification.posterior_quantities import posterior_quantities, slopes
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, draws_of_standard
-from imubayes.qualification.uncertainty_budget import (
-    SOURCES,
-    BudgetArrays,
-    FunctionOfQuantities,
-    budget_of,
-    distribution,
-    nuisance_groups,
-)
 from imubayes.results.folder_files import BUDGETS, add_to, added
 from imubayes.results.result import Result
 from imubayes.results.summary import is_constant
@@ -94,7 +87,7 @@ def _computed(result: Result, unit: TestedUnit) -> UncertaintyBudgets:
     # The component along a nominal axis has no gradient there; the budgets of the misalignments say it all.
     entries = posterior_quantities(result).entries.values()
     names = [line.name for line in entries if not line.repeats_misalignments and not is_constant(draws[line.name])]
-    arrays = budget_of(result, names, functions_of_quantities(result, unit))
+    arrays = budget.budget_of(result, names, functions_of_quantities(result, unit))
     widths = tuple(finite(parameter.prior_sd) for parameter in arrays.priors)
     parts = _Parts(result, unit, arrays, widths)
     runs = _next_runs(result, arrays)
@@ -106,18 +99,18 @@ def _computed(result: Result, unit: TestedUnit) -> UncertaintyBudgets:
     return UncertaintyBudgets(quantities=quantities, correlation=CorrelationMatrix(names=arrays.names, rows=rows))
 
 
-def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, FunctionOfQuantities]:
+def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, budget.FunctionOfQuantities]:
     """Return determined combinations, and quantities of the standards that are functions of those of the result."""
     under_test, draws = standards_input(result, unit), unit.quantities.draws
     combinations = {
-        found.name: FunctionOfQuantities(
+        found.name: budget.FunctionOfQuantities(
             draws[found.name], found.quantities, slopes=slopes(found, [draws[name] for name in found.quantities])
         )
         for found in result.summary.combinations
         if found.name in draws
     }
     return combinations | {
-        f"{quantity.key}[{found.label}]": FunctionOfQuantities(found.draws, found.members, found.length)
+        f"{quantity.key}[{found.label}]": budget.FunctionOfQuantities(found.draws, found.members, found.length)
         for quantity in STANDARD_QUANTITIES
         for found in draws_of_standard(quantity, under_test)
         if f"{quantity.key}[{found.label}]" in unit.quantities.draws
@@ -130,7 +123,7 @@ class _Parts:
 
     result: Result
     unit: TestedUnit
-    arrays: BudgetArrays
+    arrays: budget.BudgetArrays
     widths: tuple[float | None, ...]
 
 
@@ -201,8 +194,13 @@ def _contributions(parts: _Parts, place: int) -> Iterator[_Contribution]:
     for run, variance, known in zip(runs, type_a, degrees, strict=True):
         named = {"kind": "run", "input": run.name, "group": run.procedure, "distribution": _NORMAL}
         yield _Contribution(variance, "A", named=named | {"degrees_of_freedom": finite(known)})
-    for effect, members in nuisance_groups(parts.result.fit.model.layout).items():
-        named = {"kind": "priors", "input": effect, "source": SOURCES.get(effect, "unit"), "distribution": _NORMAL}
+    for effect, members in budget.nuisance_groups(parts.result.fit.model.layout).items():
+        named = {
+            "kind": "priors",
+            "input": effect,
+            "source": budget.SOURCES.get(effect, "unit"),
+            "distribution": _NORMAL,
+        }
         yield _Contribution(float(averaged.type_b[place, members].sum()), "B", int(members.sum()), named)
     slopes = averaged.sensitivity[place].tolist()
     for parameter, width, variance, slope in zip(arrays.priors, parts.widths, type_b, slopes, strict=True):
@@ -215,8 +213,8 @@ def _contributions(parts: _Parts, place: int) -> Iterator[_Contribution]:
 def _of_prior(parameter: Parameter, width: float | None, variance: float, slope: float) -> dict[str, Any]:
     """Return what the line of a prior says."""
     return {
-        "kind": "prior", "input": parameter.name, "source": SOURCES.get(parameter.effect, "unit"),
-        "distribution": distribution(parameter.prior), "unit": parameter.unit, "input_uncertainty": width,
+        "kind": "prior", "input": parameter.name, "source": budget.SOURCES.get(parameter.effect, "unit"),
+        "distribution": budget.distribution(parameter.prior), "unit": parameter.unit, "input_uncertainty": width,
         "sensitivity": float(np.sign(slope)) * float(np.sqrt(variance)) / width if width else None,
     }  # fmt: skip
 
@@ -238,7 +236,7 @@ def _halved(parts: _Parts, place: int) -> tuple[HalvedInput, ...]:
 
 
 def _better_inputs(
-    arrays: BudgetArrays, place: int
+    arrays: budget.BudgetArrays, place: int
 ) -> Iterator[tuple[float, Literal["run", "prior", "priors"], str, Source | None]]:
     """Yield the standard deviation with each input halved, and what the input is."""
     improved = arrays.improved
@@ -246,12 +244,12 @@ def _better_inputs(
         yield after, "run", run, None
     for parameter, after in zip(arrays.priors, improved.halved_prior[place].tolist(), strict=True):
         if not parameter.nuisance:
-            yield after, "prior", parameter.name, SOURCES.get(parameter.effect, "unit")
+            yield after, "prior", parameter.name, budget.SOURCES.get(parameter.effect, "unit")
     for effect, after in zip(improved.groups, improved.halved_groups[place].tolist(), strict=True):
-        yield after, "priors", effect, SOURCES.get(effect, "unit")
+        yield after, "priors", effect, budget.SOURCES.get(effect, "unit")
 
 
-def _next_runs(result: Result, arrays: BudgetArrays) -> list[NarrowingRun | None]:
+def _next_runs(result: Result, arrays: budget.BudgetArrays) -> list[NarrowingRun | None]:
     """Return, for each quantity, the run that would narrow it most; None where no run would."""
     count, runs = len(arrays.names), result.fit.model.campaign.runs
     before = np.maximum(arrays.improved.at_mode, np.finfo(float).tiny)

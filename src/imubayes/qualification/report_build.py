@@ -15,6 +15,9 @@ from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import shown
 from imubayes.loop.model_history import Tree
+from imubayes.qualification import report_estimates as estimates
+from imubayes.qualification import report_record as record
+from imubayes.qualification import report_subject as subject
 from imubayes.qualification.conformity import (
     Assessment,
     ConformityOfQuantity,
@@ -25,44 +28,12 @@ from imubayes.qualification.conformity import (
 )
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
 from imubayes.qualification.report_budgets import budgets_of
-from imubayes.qualification.report_estimates import (
-    determined_combinations,
-    monte_carlo_error,
-    mounting_angles,
-    not_estimated,
-    probability_of,
-    result_lines,
-    standard_estimates,
-    thermal_linearity,
-)
 from imubayes.qualification.report_pictures import (
     PictureData,
     angle_density,
     error_pictures,
     mounting_pictures,
     worst_residual,
-)
-from imubayes.qualification.report_record import (
-    Adequacy,
-    Conformity,
-    CoveredRange,
-    LimitOutcome,
-    ModelTried,
-    MountingAngle,
-    Omissions,
-    OmittedChannel,
-    QualificationReport,
-    ReportedConvergence,
-    StatisticalScope,
-)
-from imubayes.qualification.report_subject import (
-    Provenance,
-    ReportedChannel,
-    ReportedEffect,
-    ReportedMounting,
-    ReportedRun,
-    ReportedTable,
-    Subject,
 )
 from imubayes.qualification.standard_quantities import digital_unit
 from imubayes.results.change_records import read_diagnosis
@@ -79,7 +50,7 @@ def _triple(values: np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def subject_of(campaign: Campaign, result: Result) -> Subject:
+def subject_of(campaign: Campaign, result: Result) -> subject.Subject:
     """Return unit, campaign, site and equipment."""
     site = campaign.site
     counted = result.residuals.table.filter(pl.col("kind") != "closure").group_by("run").len()
@@ -87,7 +58,7 @@ def subject_of(campaign: Campaign, result: Result) -> Subject:
     missing = {
         run.name: sum(each.values for each in omitted_values(campaign) if each.run == run.name) for run in campaign.runs
     }
-    return Subject(
+    return subject.Subject(
         serial=campaign.serial,
         grade=campaign.grade,
         campaign=campaign.name,
@@ -95,7 +66,7 @@ def subject_of(campaign: Campaign, result: Result) -> Subject:
         height_m=site.height,
         gravity_m_s2=site.gravity,
         channels=tuple(
-            ReportedChannel(
+            subject.ReportedChannel(
                 name=channel.name,
                 kind=channel.kind,
                 input_axis=_triple(channel.axes[0]),
@@ -108,7 +79,7 @@ def subject_of(campaign: Campaign, result: Result) -> Subject:
             for channel in campaign.channels
         ),
         tables=tuple(
-            ReportedTable(
+            subject.ReportedTable(
                 name=table.name,
                 azimuth_deg=math.degrees(table.azimuth),
                 elevation_deg=math.degrees(table.elevation),
@@ -121,7 +92,7 @@ def subject_of(campaign: Campaign, result: Result) -> Subject:
             for table in campaign.tables.values()
         ),
         mountings=tuple(
-            ReportedMounting(
+            subject.ReportedMounting(
                 name=mounting.name,
                 body_to_table=tuple(_triple(row) for row in mounting.body_to_table),
                 uncertainty_arcmin=_in(mounting.uncertainty, math.radians(1 / 60)),
@@ -129,7 +100,7 @@ def subject_of(campaign: Campaign, result: Result) -> Subject:
             for mounting in campaign.mountings.values()
         ),
         runs=tuple(
-            ReportedRun(
+            subject.ReportedRun(
                 name=run.name, procedure=run.procedure, table=run.table, mounting=run.mounting, start=run.start,
                 rows=run.rows, values_used=used.get(run.name, 0), values_missing=missing[run.name],
             )
@@ -142,33 +113,33 @@ def _in(value: float | None, unit: float) -> float | None:
     return None if value is None else value / unit
 
 
-def omitted_values(campaign: Campaign) -> tuple[OmittedChannel, ...]:
+def omitted_values(campaign: Campaign) -> tuple[record.OmittedChannel, ...]:
     """Return missing values of channels that the run recorded at all."""
     found = []
     for run in campaign.runs:
         gone = np.isnan(run.observed)
         for channel, missing in zip(campaign.channels, gone.T, strict=True):
             if missing.any() and not missing.all():
-                found.append(OmittedChannel(run=run.name, channel=channel.name, values=int(missing.sum())))
+                found.append(record.OmittedChannel(run=run.name, channel=channel.name, values=int(missing.sum())))
     return tuple(found)
 
 
-def provenance_of(result: Result) -> Provenance:
+def provenance_of(result: Result) -> subject.Provenance:
     """Return model, hashes, seed and software."""
     assert result.folder is not None
-    record, spec = read_fit_record(result.folder), result.fit.model.spec
+    fit, spec = read_fit_record(result.folder), result.fit.model.spec
     fitted = result.summary.provenance
-    return Provenance(
+    return subject.Provenance(
         model=spec.name,
         effects=tuple(
-            ReportedEffect(
+            subject.ReportedEffect(
                 name=effect.name, channels=effect.channels, prior=dict(effect.prior), options=dict(effect.options)
             )
             for effect in spec.effects
         ),
-        data_sha256=record.data_hash,
-        model_sha256=record.model_hash,
-        seed=record.seed,
+        data_sha256=fit.data_hash,
+        model_sha256=fit.model_hash,
+        seed=fit.seed,
         sampled=result.summary.sampled,
         software=software(),
         fitted=None if fitted is None else fitted.fitted,
@@ -180,7 +151,7 @@ def provenance_of(result: Result) -> Provenance:
 _UNDETERMINED = 0.1
 
 
-def report_of(result: Result | str | Path, specification: str | Path | None = None) -> QualificationReport:
+def report_of(result: Result | str | Path, specification: str | Path | None = None) -> record.QualificationReport:
     """Return the report of a result folder.
 
     Parameters
@@ -200,19 +171,19 @@ def report_of(result: Result | str | Path, specification: str | Path | None = No
     campaign = found.fit.model.campaign
     unit = tested_unit(found) if found.converged else None
     assessment = assess(found, specification, diagnosis, unit) if specification is not None else None
-    angles = mounting_angles(found, unit)
-    return QualificationReport(
+    angles = estimates.mounting_angles(found, unit)
+    return record.QualificationReport(
         subject=subject_of(campaign, found),
         provenance=provenance_of(found),
         convergence=convergence_of(found),
         adequacy=adequacy_of(found, diagnosis, tree),
         conformity=conformity_of(assessment, specification, campaign.site.gravity),
-        results=result_lines(found, unit),
+        results=estimates.result_lines(found, unit),
         mounting_angles=angles,
-        combinations=determined_combinations(found, unit),
-        standards=standard_estimates(found, unit),
-        not_estimated=not_estimated(found, unit, diagnosis),
-        thermal_linearity=thermal_linearity(found, unit),
+        combinations=estimates.determined_combinations(found, unit),
+        standards=estimates.standard_estimates(found, unit),
+        not_estimated=estimates.not_estimated(found, unit, diagnosis),
+        thermal_linearity=estimates.thermal_linearity(found, unit),
         budgets=budgets_of(found, unit),
         left_out=left_out_of(campaign, found, diagnosis),
         scope=scope_of(campaign, found, diagnosis),
@@ -225,7 +196,7 @@ def _tree(folder: Path) -> tuple[Tree, str] | None:
     return (read_tree([folder]), str(folder.resolve())) if checked(folder).holds(HISTORY) else None
 
 
-def convergence_of(result: Result) -> ReportedConvergence:
+def convergence_of(result: Result) -> record.ReportedConvergence:
     """Return whether fit and sampling converged, and their worst diagnostics."""
     summary = result.summary
     worst = {
@@ -235,7 +206,7 @@ def convergence_of(result: Result) -> ReportedConvergence:
     draws = None
     if summary.converged:
         draws = len(next(iter(result.draws.values())))
-    return ReportedConvergence(
+    return record.ReportedConvergence(
         converged=summary.converged,
         message=summary.message,
         sampled=summary.sampled,
@@ -258,12 +229,12 @@ def _worst(lines: list[ParameterSummary], key: str, sign: int) -> tuple[float | 
     return getattr(found, key), found.name
 
 
-def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, str] | None) -> Adequacy:
+def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, str] | None) -> record.Adequacy:
     """Return whether the model describes the data, and which models were tried."""
     summary = result.summary
     history = _history(tree)
     diagnosed = sum(each.verdict is not None for each in history) + (diagnosis is not None)
-    return Adequacy(
+    return record.Adequacy(
         verdict=diagnosis.verdict if diagnosis is not None else None,
         explanations=diagnosis.explanations if diagnosis is not None else None,
         candidates=len(diagnosis.ranking) if diagnosis is not None else 0,
@@ -286,12 +257,12 @@ def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, s
     )
 
 
-def _history(tree: tuple[Tree, str] | None) -> tuple[ModelTried, ...]:
+def _history(tree: tuple[Tree, str] | None) -> tuple[record.ModelTried, ...]:
     if tree is None:
         return ()
     nodes, here = tree
     return tuple(
-        ModelTried(
+        record.ModelTried(
             id=node.id, title=node.title, verdict=node.verdict, chi2=node.chi2, dof=node.dof, rms=node.rms,
             depth=depth, taken=node.taken, selected=node.selected, reported=place == here,
         )
@@ -300,11 +271,13 @@ def _history(tree: tuple[Tree, str] | None) -> tuple[ModelTried, ...]:
     )  # fmt: skip
 
 
-def conformity_of(assessment: Assessment | None, specification: str | Path | None, gravity: float) -> Conformity | None:
+def conformity_of(
+    assessment: Assessment | None, specification: str | Path | None, gravity: float
+) -> record.Conformity | None:
     """Return the unit against its specification as a record; None where there is none."""
     if assessment is None or specification is None:
         return None
-    return Conformity(
+    return record.Conformity(
         specification=assessment.specification,
         sha256=hashlib.sha256(Path(specification).read_bytes()).hexdigest(),
         outcome=assessment.outcome,
@@ -313,10 +286,10 @@ def conformity_of(assessment: Assessment | None, specification: str | Path | Non
     )
 
 
-def _outcome(found: ConformityOfQuantity, gravity: float) -> LimitOutcome:
+def _outcome(found: ConformityOfQuantity, gravity: float) -> record.LimitOutcome:
     limit, estimate, rule = found.limit, found.estimate, found.limit.rule
     consumer, producer = (found.overall.consumer, found.overall.producer) if found.overall is not None else (None, None)
-    return LimitOutcome(
+    return record.LimitOutcome(
         name=limit.quantity.name,
         unit=limit.quantity.unit,
         d_si=digital_unit(limit.quantity.unit, gravity),
@@ -328,7 +301,7 @@ def _outcome(found: ConformityOfQuantity, gravity: float) -> LimitOutcome:
         estimate=estimate.value,
         standard_uncertainty=estimate.standard,
         expanded_uncertainty=estimate.expanded,
-        conformance=probability_of(found.conformance),
+        conformance=estimates.probability_of(found.conformance),
         rule=rule.name,
         guard_factor=rule.guard_factor,
         guard_width=rule.guard_width,
@@ -336,7 +309,7 @@ def _outcome(found: ConformityOfQuantity, gravity: float) -> LimitOutcome:
         guard_band=found.decision.guard_band,
         outcome=found.decision.outcome,
         withheld=found.decision.withheld,
-        monte_carlo=None if is_constant(found.marginal.draws) else monte_carlo_error(found.marginal),
+        monte_carlo=None if is_constant(found.marginal.draws) else estimates.monte_carlo_error(found.marginal),
         consumer_risk=found.consumer,
         producer_risk=found.producer,
         global_consumer_risk=_optional(consumer),
@@ -345,12 +318,12 @@ def _outcome(found: ConformityOfQuantity, gravity: float) -> LimitOutcome:
 
 
 def _optional(found: ProbabilityByTwoMethods | None):
-    return None if found is None else probability_of(found)
+    return None if found is None else estimates.probability_of(found)
 
 
-def left_out_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> Omissions:
+def left_out_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> record.Omissions:
     """Return what was left out."""
-    return Omissions(
+    return record.Omissions(
         channels=omitted_values(campaign),
         notes=result.summary.notes,
         outliers=len(diagnosis.outliers) if diagnosis is not None else 0,
@@ -358,7 +331,7 @@ def left_out_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None)
     )
 
 
-def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> StatisticalScope:
+def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> record.StatisticalScope:
     """Return what the statistics rest on."""
     table = result.residuals.table
     ranges = []
@@ -370,14 +343,14 @@ def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) ->
         if len(values):
             low, high = float(values.min()), float(values.max())
             ranges.append(
-                CoveredRange(
+                record.CoveredRange(
                     name=covariate.name, phrase=covariate.phrase, unit=covariate.unit, lowest=low, highest=high
                 )
             )
     starts = sorted(run.start for run in campaign.runs if run.start is not None)
     undetectable = diagnosis.undetectable if diagnosis is not None else ()
     lines = [*result.summary.parameters, *(each for each in result.summary.derived if not each.repeats_misalignments)]
-    return StatisticalScope(
+    return record.StatisticalScope(
         ranges=tuple(ranges),
         first_start=starts[0] if starts else None,
         last_start=starts[-1] if starts else None,
@@ -394,7 +367,7 @@ def _from_priors(lines: Sequence[Quantity]) -> tuple[str, ...]:
 
 
 def pictures_of(
-    result: Result, unit: TestedUnit | None, assessment: Assessment | None, angles: tuple[MountingAngle, ...]
+    result: Result, unit: TestedUnit | None, assessment: Assessment | None, angles: tuple[record.MountingAngle, ...]
 ) -> PictureData:
     """Return what the pictures show; the residuals alone where the fit did not converge."""
     table, campaign = result.residuals.table, result.fit.model.campaign

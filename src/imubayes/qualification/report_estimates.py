@@ -7,6 +7,7 @@ import numpy as np
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.parameters.priors import Normal
+from imubayes.qualification import report_record as record
 from imubayes.qualification.conformity import TestedUnit, standards_input
 from imubayes.qualification.decision_rules import (
     ProbabilityByTwoMethods,
@@ -14,18 +15,6 @@ from imubayes.qualification.decision_rules import (
     conformance_probability,
 )
 from imubayes.qualification.marginal import Marginal, digits_deserved, draws_needed
-from imubayes.qualification.report_record import (
-    MonteCarloError,
-    MountingAngle,
-    NotEstimated,
-    Probability,
-    ProcedureEvidence,
-    ReportedCombination,
-    ResultLine,
-    ScreenedCoefficient,
-    StandardEstimate,
-    ThermalLinearity,
-)
 from imubayes.qualification.standard_quantities import (
     STANDARD_QUANTITIES,
     StandardDraws,
@@ -39,9 +28,9 @@ from imubayes.results.summary import DerivedSummary, ParameterSummary, in_output
 _MOST_SCREENED = 4
 
 
-def probability_of(found: ProbabilityByTwoMethods) -> Probability:
+def probability_of(found: ProbabilityByTwoMethods) -> record.Probability:
     """Return a probability by two methods as a record."""
-    return Probability(
+    return record.Probability(
         value=found.value,
         from_draws=found.from_draws,
         from_quadrature=found.from_quadrature,
@@ -68,10 +57,10 @@ def _numbers(marginal: Marginal) -> dict[str, Any]:
     }
 
 
-def monte_carlo_error(marginal: Marginal) -> MonteCarloError:
+def monte_carlo_error(marginal: Marginal) -> record.MonteCarloError:
     """Return the Monte Carlo errors of draws that vary, and the digits that they leave."""
     deserved, errors = digits_deserved(marginal), marginal.errors
-    return MonteCarloError(
+    return record.MonteCarloError(
         estimate=errors.mean,
         standard_uncertainty=errors.sd,
         low=errors.low,
@@ -94,7 +83,7 @@ def _estimate(unit: TestedUnit | None, name: str) -> dict[str, Any]:
     return _numbers(unit.quantities.marginal(name)) if name in unit.quantities.draws else {"withheld": "no_draws"}
 
 
-def result_lines(result: Result, unit: TestedUnit | None) -> tuple[ResultLine, ...]:
+def result_lines(result: Result, unit: TestedUnit | None) -> tuple[record.ResultLine, ...]:
     """Return the result table: parameters without those of single poses, and derived quantities."""
     model = result.fit.model
     gravity, outputs = model.campaign.site.gravity, _output_units(model.campaign)
@@ -115,7 +104,7 @@ def result_lines(result: Result, unit: TestedUnit | None) -> tuple[ResultLine, .
         )
         channel = line.name.partition("[")[2].removesuffix("]").partition(",")[0]
         found.append(
-            ResultLine(
+            record.ResultLine(
                 name=line.name,
                 unit=shown.get(line.name, line.unit),
                 d_si=digital_unit(line.unit, gravity, outputs.get(channel, "")),
@@ -129,7 +118,7 @@ def result_lines(result: Result, unit: TestedUnit | None) -> tuple[ResultLine, .
     return tuple(found)
 
 
-def mounting_angles(result: Result, unit: TestedUnit | None) -> tuple[MountingAngle, ...]:
+def mounting_angles(result: Result, unit: TestedUnit | None) -> tuple[record.MountingAngle, ...]:
     """Return the true mounting angles, and the uncertainty that each procedure alone would leave."""
     campaign, found = result.fit.model.campaign, []
     evidence = _evidence(result)
@@ -143,7 +132,7 @@ def mounting_angles(result: Result, unit: TestedUnit | None) -> tuple[MountingAn
             along = float((mounting.body_to_table @ channel.axes[0])[2])
             nominal = float(np.degrees(np.arccos(np.clip(along, -1, 1))))
             found.append(
-                MountingAngle(
+                record.MountingAngle(
                     name=name,
                     unit=line.unit,
                     d_si=digital_unit(line.unit, campaign.site.gravity),
@@ -161,17 +150,18 @@ def mounting_angles(result: Result, unit: TestedUnit | None) -> tuple[MountingAn
     return tuple(found)
 
 
-def _evidence(result: Result) -> dict[str, tuple[ProcedureEvidence, ...]]:
+def _evidence(result: Result) -> dict[str, tuple[record.ProcedureEvidence, ...]]:
     """Return quantity → its uncertainty by procedure."""
     return {
         found.quantity: tuple(
-            ProcedureEvidence(procedure=each.procedure, alone=each.alone, without=each.without) for each in found.by
+            record.ProcedureEvidence(procedure=each.procedure, alone=each.alone, without=each.without)
+            for each in found.by
         )
         for found in result.summary.contributions
     }
 
 
-def determined_combinations(result: Result, unit: TestedUnit | None) -> tuple[ReportedCombination, ...]:
+def determined_combinations(result: Result, unit: TestedUnit | None) -> tuple[record.ReportedCombination, ...]:
     """Return what the data determine of quantities that they do not determine by themselves."""
     campaign, evidence = result.fit.model.campaign, _evidence(result)
     outputs = _output_units(campaign)
@@ -179,7 +169,7 @@ def determined_combinations(result: Result, unit: TestedUnit | None) -> tuple[Re
     for line, shown in zip(result.summary.combinations, in_output_units(result.summary).combinations, strict=True):
         channel = line.quantities[0].partition("[")[2].removesuffix("]").partition(",")[0]
         found.append(
-            ReportedCombination(
+            record.ReportedCombination(
                 name=line.name,
                 unit=shown.unit,
                 d_si=digital_unit(line.unit, campaign.site.gravity, outputs.get(channel, "")),
@@ -198,7 +188,7 @@ def determined_combinations(result: Result, unit: TestedUnit | None) -> tuple[Re
     return tuple(found)
 
 
-def standard_estimates(result: Result, unit: TestedUnit | None) -> tuple[StandardEstimate, ...]:
+def standard_estimates(result: Result, unit: TestedUnit | None) -> tuple[record.StandardEstimate, ...]:
     """Return the quantities of the standards that the result has; none where the fit did not converge."""
     if unit is None:
         return ()
@@ -210,11 +200,11 @@ def standard_estimates(result: Result, unit: TestedUnit | None) -> tuple[Standar
     )
 
 
-def _of_standard(quantity: StandardQuantity, found: StandardDraws, unit: TestedUnit) -> StandardEstimate:
+def _of_standard(quantity: StandardQuantity, found: StandardDraws, unit: TestedUnit) -> record.StandardEstimate:
     effective = min(unit.quantities.effective[name] for name in found.members)
     entries = [unit.quantities.entries[name] for name in found.members]
     share = entries[0].from_data if len(entries) == 1 else None
-    return StandardEstimate(
+    return record.StandardEstimate(
         name=f"{quantity.key}[{found.label}]",
         unit=found.unit,
         d_si=digital_unit(found.unit, unit.gravity),
@@ -230,7 +220,9 @@ def _of_standard(quantity: StandardQuantity, found: StandardDraws, unit: TestedU
     )
 
 
-def not_estimated(result: Result, unit: TestedUnit | None, diagnosis: Diagnosis | None) -> tuple[NotEstimated, ...]:
+def not_estimated(
+    result: Result, unit: TestedUnit | None, diagnosis: Diagnosis | None
+) -> tuple[record.NotEstimated, ...]:
     """Return the quantities of the standards that the result lacks, and what the diagnosis says of each.
 
     None where the fit did not converge, which lacks all of them.
@@ -247,7 +239,7 @@ def not_estimated(result: Result, unit: TestedUnit | None, diagnosis: Diagnosis 
             continue
         reason, needs = _why_missing(quantity, in_model, diagnosis)
         found.append(
-            NotEstimated(
+            record.NotEstimated(
                 key=quantity.key,
                 symbol=quantity.symbol,
                 quantity=quantity.name,
@@ -273,20 +265,20 @@ def _why_missing(
     return "not_in_model", ()
 
 
-def _screened(quantity: StandardQuantity, diagnosis: Diagnosis | None) -> tuple[ScreenedCoefficient, ...]:
+def _screened(quantity: StandardQuantity, diagnosis: Diagnosis | None) -> tuple[record.ScreenedCoefficient, ...]:
     if diagnosis is None:
         return ()
-    found: dict[str, ScreenedCoefficient] = {}
+    found: dict[str, record.ScreenedCoefficient] = {}
     for line in diagnosis.ranking:
         for each in line.coefficients if line.effect in quantity.effects else ():
             if each.value is not None and each.sd is not None and each.name not in found:
-                found[each.name] = ScreenedCoefficient(
+                found[each.name] = record.ScreenedCoefficient(
                     name=each.name, value=each.value, standard_uncertainty=each.sd, unit=each.unit
                 )
     return tuple(list(found.values())[:_MOST_SCREENED])
 
 
-def thermal_linearity(result: Result, unit: TestedUnit | None) -> tuple[ThermalLinearity, ...]:
+def thermal_linearity(result: Result, unit: TestedUnit | None) -> tuple[record.ThermalLinearity, ...]:
     """Return Δk of each converter input with P(Δk ≤ threshold) by two methods."""
     found = []
     for line in result.summary.derived:
@@ -298,7 +290,7 @@ def thermal_linearity(result: Result, unit: TestedUnit | None) -> tuple[ThermalL
             marginal = unit.quantities.marginal(line.name)
             within = probability_of(conformance_probability(marginal, ToleranceInterval(upper=line.within.threshold)))
         found.append(
-            ThermalLinearity(
+            record.ThermalLinearity(
                 name=line.name,
                 unit=line.unit,
                 d_si=digital_unit(line.unit, result.fit.model.campaign.site.gravity),

@@ -191,9 +191,7 @@ def _against_angle(
     unit: UnitUnderTest, channels: Sequence[Channel], own: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
 ) -> ErrorPicture | None:
     near = own.filter((pl.col("input_observed").abs() <= _LARGEST_G) & (pl.col("table_rate_deg_s").fill_null(0.0) == 0))
-    tilted = near.with_columns(
-        pl.col("input_observed").clip(-1.0, 1.0).arcsin().degrees().alias("input_angle_deg")
-    )  # fmt: skip
+    tilted = near.with_columns(pl.col("input_observed").clip(-1.0, 1.0).arcsin().degrees().alias("input_angle_deg"))
     means = _class_means(tilted, channels, "input_angle_deg")
     if not means:
         return None

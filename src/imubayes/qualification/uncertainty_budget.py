@@ -22,17 +22,7 @@ from imubayes.inference.laplace_marginal import Linearised, inverse_of_precision
 from imubayes.model.problem import Problem
 from imubayes.parameters.declarations import Layout, Parameter
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform
-from imubayes.qualification.budget_parts import (
-    LinearContributions,
-    PosteriorDraws,
-    Source,
-    degrees_of_freedom,
-    deviation_with_halved_groups,
-    deviation_with_more_of_a_run,
-    posterior_covariance,
-    posterior_variances,
-    type_a_contributions,
-)
+from imubayes.qualification import budget_parts as parts
 from imubayes.qualification.decision_rules import CONDITIONING_WORK, SPLIT_DRAWS
 from imubayes.qualification.linear_part import (
     ConditionalMoments,
@@ -48,7 +38,7 @@ from imubayes.qualification.posterior_quantities import posterior_quantities
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import complete
 
-SOURCES: dict[str, Source] = {
+SOURCES: dict[str, parts.Source] = {
     "mounting_error": "fixture", "pose_attitude": "fixture", "lever_arm": "fixture", "servo_start": "fixture",
     "table_axis_tilt": "table", "table_rate_error": "table", "table_wobble": "table", "encoder_harmonic": "table",
     "time_skew": "table", "tumble_heading": "site", "station_heading": "site", "station_level": "site",
@@ -117,7 +107,7 @@ class BudgetArrays:
     names: tuple[str, ...]
     runs: tuple[str, ...]
     priors: tuple[Parameter, ...]
-    averaged: LinearContributions
+    averaged: parts.LinearContributions
     degrees: np.ndarray
     noise_scales: np.ndarray
     second_order: np.ndarray
@@ -208,7 +198,7 @@ def budget_of(
     about = fit.mode.about if fit.mode is not None else linearise(problem, jnp.asarray(fit.z))
     whitened, part = np.asarray(whitened_jacobian(problem, about, jnp.asarray(fit.h))), linear_part(fit, about)
     widths = conditionals(part, problem, fit.h[None]).widths[0]
-    covariance = posterior_covariance(whitened, widths)
+    covariance = parts.posterior_covariance(whitened, widths)
     derivatives = _with_slopes(derivatives_of(fit, part, list(quantities.values)), slopes)
     components = components_near_zero(fit, list(draws.values), covariance)
     components |= _short_lengths(functions or {}, draws, derivatives.gradient, covariance)
@@ -220,7 +210,7 @@ def budget_of(
     split = rows.summed(_over_runs(problem, about, part, member, rows.gradient, _evenly(h, SPLIT_DRAWS)))
     type_b, linear = rows.summed(moments.type_b), rows.summed(moments.variance.mean(axis=0))
     scales = rows.summed(moments.mean.var(axis=0))
-    variances = posterior_variances(part, derivatives, linear + scales, rows.summed(moments.spread), draws)
+    variances = parts.posterior_variances(part, derivatives, linear + scales, rows.summed(moments.spread), draws)
     at_zero = np.isin(list(draws.values), list(components))
     factor = np.where(at_zero, _ratio(variances.posterior, linear + scales), variances.scale)[:, None]
     type_a = split.mean(axis=2)
@@ -232,8 +222,8 @@ def budget_of(
         names=tuple(draws.values),
         runs=tuple(run.name for run in campaign.runs),
         priors=fit.model.layout.parameters,
-        averaged=LinearContributions(factor * type_a, factor * type_b, np.sqrt(factor) * sensitivity),
-        degrees=degrees_of_freedom(np.moveaxis(split, 2, 0)),
+        averaged=parts.LinearContributions(factor * type_a, factor * type_b, np.sqrt(factor) * sensitivity),
+        degrees=parts.degrees_of_freedom(np.moveaxis(split, 2, 0)),
         noise_scales=factor[:, 0] * scales,
         second_order=np.where(at_zero, 0.0, variances.second_order),
         posterior=variances.posterior,
@@ -267,7 +257,7 @@ def _improvements(
 ) -> Improvements:
     """Return what better inputs would leave; `factor`, (Q, 1), scales variances at the mode."""
     gradient, member = rows.gradient, _members(fit)
-    covariance, groups = posterior_covariance(whitened, widths), nuisance_groups(fit.model.layout)
+    covariance, groups = parts.posterior_covariance(whitened, widths), nuisance_groups(fit.model.layout)
     now = np.sum((gradient @ covariance) * gradient, axis=1)[:, None]
     # At the mode a scatter that is known from few runs is understated: shares of the averaged variance are taken.
     averaged = (moments.variance.mean(axis=0) + moments.mean.var(axis=0))[:, None]
@@ -281,9 +271,9 @@ def _improvements(
         exact_prior=deviation(np.sqrt(now * exact)),
         halved_prior=deviation(np.sqrt(now * halved)),
         groups=tuple(groups),
-        halved_groups=deviation(deviation_with_halved_groups(gradient, whitened, widths, list(groups.values()))),
-        halved_noise=deviation(deviation_with_more_of_a_run(gradient, whitened, member, widths, 3.0)),
-        repeated=deviation(deviation_with_more_of_a_run(gradient, whitened, member, widths, 1.0)),
+        halved_groups=deviation(parts.deviation_with_halved_groups(gradient, whitened, widths, list(groups.values()))),
+        halved_noise=deviation(parts.deviation_with_more_of_a_run(gradient, whitened, member, widths, 3.0)),
+        repeated=deviation(parts.deviation_with_more_of_a_run(gradient, whitened, member, widths, 1.0)),
     )
 
 
@@ -296,7 +286,7 @@ def nuisance_groups(layout: Layout) -> dict[str, np.ndarray]:
     }
 
 
-def _draws(result: Result, names: Sequence[str]) -> PosteriorDraws:
+def _draws(result: Result, names: Sequence[str]) -> parts.PosteriorDraws:
     """Return the draws of a result with those of the quantities asked for, without noise scales."""
     layout, hyper = result.fit.model.layout, result.fit.model.hyper_layout
     effective = posterior_quantities(result).effective
@@ -304,12 +294,12 @@ def _draws(result: Result, names: Sequence[str]) -> PosteriorDraws:
     values = {name: stored[name] for name in dict.fromkeys(names) if name in stored and name not in hyper.names}
     least = min(effective.values(), default=float("inf"))
     known = {name: effective.get(name, least) for name in values}
-    return PosteriorDraws(_standardised(layout, stored), _standardised(hyper, stored), values, known)
+    return parts.PosteriorDraws(_standardised(layout, stored), _standardised(hyper, stored), values, known)
 
 
 def _with_functions(
-    known: PosteriorDraws, functions: Mapping[str, FunctionOfQuantities]
-) -> tuple[PosteriorDraws, np.ndarray]:
+    known: parts.PosteriorDraws, functions: Mapping[str, FunctionOfQuantities]
+) -> tuple[parts.PosteriorDraws, np.ndarray]:
     """Return the draws with those of the functions, and the slopes (F, Q) of these on the quantities."""
     values, effective, slopes = dict(known.values), dict(known.effective), []
     order = {name: place for place, name in enumerate(known.values)}
@@ -336,7 +326,10 @@ def _slopes(function: FunctionOfQuantities, known: Mapping[str, np.ndarray]) -> 
 
 
 def _short_lengths(
-    functions: Mapping[str, FunctionOfQuantities], draws: PosteriorDraws, gradient: np.ndarray, covariance: np.ndarray
+    functions: Mapping[str, FunctionOfQuantities],
+    draws: parts.PosteriorDraws,
+    gradient: np.ndarray,
+    covariance: np.ndarray,
 ) -> dict[str, Components]:
     """Return the members of every length that is short against their uncertainty."""
     order, found = {name: place for place, name in enumerate(draws.values)}, {}
@@ -381,7 +374,7 @@ def _over_runs(
     found = []
     for scales, precision in zip(h, conditionals(part, problem, h).precision, strict=True):
         whitened = np.asarray(whitened_jacobian(problem, about, jnp.asarray(scales)))
-        found.append(type_a_contributions(gradients @ inverse_of_precision(precision), whitened, member))
+        found.append(parts.type_a_contributions(gradients @ inverse_of_precision(precision), whitened, member))
     return np.stack(found, axis=2)
 
 

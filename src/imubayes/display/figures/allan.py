@@ -5,32 +5,18 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from imubayes.display.figure_style import (
-    BLUE,
-    GREEN,
-    INK,
-    ORANGE,
-    PURPLE,
-    QUIET,
-    SKY,
-    SMALL,
-    VERMILION,
-    Picture,
-    panels,
-    picture,
-    themed,
-)  # fmt: skip
+from imubayes.display import figure_style as style
 from imubayes.display.numbers_and_labels import pretty
 from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.noise_record import ChannelNoise, fitted_deviations, undetermined_deviations
 
 STYLES = {
-    NoiseTerm.QUANTISATION: ("Q, slope −1", PURPLE),
-    NoiseTerm.WHITE: ("N, slope −½", BLUE),
-    NoiseTerm.FLICKER: ("B, floor 0.664 B", GREEN),
-    NoiseTerm.RANDOM_WALK: ("K, slope +½", VERMILION),
-    NoiseTerm.MARKOV: ("Gauss–Markov", SKY),
-    NoiseTerm.RAMP: ("R, slope +1", ORANGE),
+    NoiseTerm.QUANTISATION: ("Q, slope −1", style.PURPLE),
+    NoiseTerm.WHITE: ("N, slope −½", style.BLUE),
+    NoiseTerm.FLICKER: ("B, floor 0.664 B", style.GREEN),
+    NoiseTerm.RANDOM_WALK: ("K, slope +½", style.VERMILION),
+    NoiseTerm.MARKOV: ("Gauss–Markov", style.SKY),
+    NoiseTerm.RAMP: ("R, slope +1", style.ORANGE),
 }
 MOST_CHANNELS = 12
 _COLUMNS = 3
@@ -43,15 +29,15 @@ _CAPTION = (
 )
 
 
-@themed
-def allan_figure(channels: list[ChannelNoise]) -> Picture:
+@style.themed
+def allan_figure(channels: list[ChannelNoise]) -> style.Picture:
     """Return the Allan deviations of the channels of one record, at most 12 of them, one panel each."""
     shown = channels[:MOST_CHANNELS]
     columns = min(_COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
     title = f"Allan deviation of {shown[0].run}"
-    figure = picture(max(3.7 * columns, 6.6), 2.9 * rows + 0.35, title, _CAPTION)
-    grid = panels(figure, rows, columns, (0.75, 0.5, 0.1, 0.65), (0.75, 0.75))
+    figure = style.picture(max(3.7 * columns, 6.6), 2.9 * rows + 0.35, title, _CAPTION)
+    grid = style.panels(figure, rows, columns, (0.75, 0.5, 0.1, 0.65), (0.75, 0.75))
     for axes, noise in zip(grid.flat, shown, strict=False):
         _draw(axes, noise)
     for axes in grid.flat[len(shown) :]:
@@ -59,12 +45,12 @@ def allan_figure(channels: list[ChannelNoise]) -> Picture:
     dashed = {term for noise in shown for term in undetermined_deviations(noise, np.ones(1))}
     seen = [term for term in STYLES if term in dashed or any(noise.of(term).determined for noise in shown)]
     handles = [Line2D([], [], color=STYLES[term][1], label=STYLES[term][0]) for term in seen]
-    handles.append(Line2D([], [], color=INK, linewidth=1.6, label="all terms"))
+    handles.append(Line2D([], [], color=style.INK, linewidth=1.6, label="all terms"))
     if dashed:
-        handles.append(Line2D([], [], color=QUIET, linewidth=1.0, linestyle=(0, (4, 3)), label="not determined"))
+        handles.append(Line2D([], [], color=style.QUIET, linewidth=1.0, linestyle=(0, (4, 3)), label="not determined"))
     width, height = figure.get_size_inches()
     corner = (figure.inside[0] / width, (figure.inside[3] + 0.05) / height)
-    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=len(handles), fontsize=SMALL)
+    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=len(handles), fontsize=style.SMALL)
     return figure
 
 
@@ -73,14 +59,14 @@ def _draw(axes: Axes, noise: ChannelNoise) -> None:
     value = np.array([point.deviation for point in noise.allan])
     ends = np.array([[point.low, point.high] for point in noise.allan]).T
     axes.set(xscale="log", yscale="log")
-    axes.errorbar(tau, value, np.abs(ends - value), fmt="o", color=QUIET, markersize=3, linewidth=0.9, zorder=3)
+    axes.errorbar(tau, value, np.abs(ends - value), fmt="o", color=style.QUIET, markersize=3, linewidth=0.9, zorder=3)
     fine = np.geomspace(tau[0], tau[-1], 200)
     parts, total = fitted_deviations(noise, fine)
     for term, deviation in parts.items():
         axes.plot(fine, deviation, color=STYLES[term][1], linewidth=1.0, zorder=2)
     for term, deviation in undetermined_deviations(noise, fine).items():
         axes.plot(fine, deviation, color=STYLES[term][1], linewidth=1.0, linestyle=(0, (4, 3)), zorder=2)
-    axes.plot(fine, total, color=INK, linewidth=1.6, zorder=4)
+    axes.plot(fine, total, color=style.INK, linewidth=1.6, zorder=4)
     low, high = float(ends[0].min()), float(ends[1].max())
     axes.set(xlim=(0.7 * tau[0], 1.4 * tau[-1]), ylim=(0.4 * low, 1.6 * high))
     for axis in (axes.xaxis, axes.yaxis):

@@ -10,21 +10,7 @@ from matplotlib.patches import Patch
 
 from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.batch.pooled_discovery import PooledDiscovery, PooledFinding
-from imubayes.display.figure_style import (
-    BAND,
-    BAND_WIDE,
-    BLUE,
-    FAINT,
-    INK,
-    QUIET,
-    VERMILION,
-    Picture,
-    dot,
-    legend_above,
-    panels,
-    picture,
-    themed,
-)
+from imubayes.display import figure_style as style
 from imubayes.display.numbers_and_labels import pretty, shortened, value_and_sd
 
 _MOST_ROWS, _MOST_PANELS, _MOST_UNITS = 20, 6, 60
@@ -54,8 +40,8 @@ _CHANGE = (
 )
 
 
-@themed
-def population_picture(found: Populations, units: pl.DataFrame) -> Picture:
+@style.themed
+def population_picture(found: Populations, units: pl.DataFrame) -> style.Picture:
     """Return a strip of units for each parameter.
 
     Parameters
@@ -63,18 +49,18 @@ def population_picture(found: Populations, units: pl.DataFrame) -> Picture:
     found, units : as `imubayes.batch.parameter_population.populations` returns them.
     """
     known = [each for each in found.parameters if each.mean is not None and each.spread][:_MOST_ROWS]
-    figure = picture(11.0, 0.32 * max(len(known), 2) + 0.7, "Population of the units", _POPULATION)
-    axes = panels(figure, 1, 1, (2.6, 0.5, 1.7, 0.1))[0, 0]
-    axes.axvspan(-2, 2, color=BAND_WIDE, zorder=0)
-    axes.axvspan(-1, 1, color=BAND, zorder=0)
+    figure = style.picture(11.0, 0.32 * max(len(known), 2) + 0.7, "Population of the units", _POPULATION)
+    axes = style.panels(figure, 1, 1, (2.6, 0.5, 1.7, 0.1))[0, 0]
+    axes.axvspan(-2, 2, color=style.BAND_WIDE, zorder=0)
+    axes.axvspan(-1, 1, color=style.BAND, zorder=0)
     random = np.random.default_rng(0)
     for row, each in enumerate(known):
         _strip(axes, row, each, units.filter(pl.col("parameter") == each.parameter), random)
     axes.set_yticks(range(len(known)), [shortened(each.parameter, 34) for each in known])
     axes.set(ylim=(len(known) - 0.4, -0.6), xlim=(-6, 6), xlabel="estimate / spreads from the population mean")
     axes.tick_params(axis="y", length=0)
-    bands = (Patch(color=BAND, label="±1 spread"), Patch(color=BAND_WIDE, label="±2 spreads"))
-    legend_above(figure, [*bands, dot(BLUE, "unit"), dot(VERMILION, "outlying")])
+    bands = (Patch(color=style.BAND, label="±1 spread"), Patch(color=style.BAND_WIDE, label="±2 spreads"))
+    style.legend_above(figure, [*bands, style.dot(style.BLUE, "unit"), style.dot(style.VERMILION, "outlying")])
     return figure
 
 
@@ -91,15 +77,18 @@ def _strip(axes: Axes, row: int, each: ParameterPopulation, units: pl.DataFrame,
     height = row + random.uniform(-0.28, 0.28, len(place))
     # A unit known to its spread or worse says little of it.
     alpha = np.clip(1 / (1 + (sd / each.spread) ** 2), 0.15, 0.9)
-    colours = [to_rgba(VERMILION) if out else to_rgba(BLUE, float(a)) for out, a in zip(outlying, alpha, strict=True)]
+    colours = [
+        to_rgba(style.VERMILION) if out else to_rgba(style.BLUE, float(a))
+        for out, a in zip(outlying, alpha, strict=True)
+    ]
     axes.scatter(place, height, s=14, c=colours, linewidths=0, zorder=3)
     middle, width = value_and_sd(each.mean, each.spread)
     text = f"{middle} ± {width} {pretty(each.unit_of_measure)}{' (log)' if each.scale == 'log' else ''}"
-    axes.text(6.15, row, text, va="center", fontsize=8, color=QUIET)
+    axes.text(6.15, row, text, va="center", fontsize=8, color=style.QUIET)
 
 
-@themed
-def trend_picture(estimates: pl.DataFrame, parameters: Sequence[str]) -> Picture:
+@style.themed
+def trend_picture(estimates: pl.DataFrame, parameters: Sequence[str]) -> style.Picture:
     """Return the estimates of some parameters over the dates of the calibrations.
 
     Parameters
@@ -109,8 +98,8 @@ def trend_picture(estimates: pl.DataFrame, parameters: Sequence[str]) -> Picture
     """
     chosen = list(parameters)[:_MOST_PANELS]
     rows = max(1, (len(chosen) + 1) // 2)
-    figure = picture(11.0, 2.1 * rows + 0.5, "Trends over dates", _TREND)
-    grid = panels(figure, rows, 2 if len(chosen) > 1 else 1, (0.8, 0.5, 0.1, 0.3), (0.9, 0.75))
+    figure = style.picture(11.0, 2.1 * rows + 0.5, "Trends over dates", _TREND)
+    grid = style.panels(figure, rows, 2 if len(chosen) > 1 else 1, (0.8, 0.5, 0.1, 0.3), (0.9, 0.75))
     for axes in grid.flat[len(chosen) :]:
         axes.set_visible(False)
     for axes, name in zip(grid.flat, chosen, strict=False):
@@ -121,8 +110,10 @@ def trend_picture(estimates: pl.DataFrame, parameters: Sequence[str]) -> Picture
         for unit in np.unique(owners):
             mine = owners == unit
             if mine.sum() > 1:
-                axes.plot(years[mine], value[mine], color=VERMILION, linewidth=0.9, zorder=2)
-        axes.errorbar(years, value, sd, linestyle="", marker="o", markersize=3, color=BLUE, elinewidth=0.6, zorder=3)
+                axes.plot(years[mine], value[mine], color=style.VERMILION, linewidth=0.9, zorder=2)
+        axes.errorbar(
+            years, value, sd, linestyle="", marker="o", markersize=3, color=style.BLUE, elinewidth=0.6, zorder=3
+        )
         _limit(axes, value, sd)
         unit = pretty(table["unit_of_measure"][0]) if table.height else ""
         axes.set_title(f"{name} / {unit}" if unit else name, loc="left", fontsize=9)
@@ -140,8 +131,8 @@ def _limit(axes: Axes, value: np.ndarray, sd: np.ndarray) -> None:
     axes.set_ylim(low - margin, high + margin)
 
 
-@themed
-def evidence_picture(found: PooledDiscovery, units: pl.DataFrame) -> Picture:
+@style.themed
+def evidence_picture(found: PooledDiscovery, units: pl.DataFrame) -> style.Picture:
     """Return the evidence of every campaign for each effect found; of nothing where none was.
 
     Parameters
@@ -149,10 +140,10 @@ def evidence_picture(found: PooledDiscovery, units: pl.DataFrame) -> Picture:
     units : as `imubayes.batch.posterior_table.read_units` returns them.
     """
     rows = max(1, len(found.findings))
-    figure = picture(11.0, 2.4 * rows + 0.3, "Pooled evidence by campaign", _EVIDENCE)
-    grid = panels(figure, rows, 1, (0.7, 0.8, 0.1, 0.3), (0.8, 1.05))
+    figure = style.picture(11.0, 2.4 * rows + 0.3, "Pooled evidence by campaign", _EVIDENCE)
+    grid = style.panels(figure, rows, 1, (0.7, 0.8, 0.1, 0.3), (0.8, 1.05))
     if not found.findings:
-        grid[0, 0].text(0.5, 0.5, "no effect is missing that these units show together", ha="center", color=QUIET)
+        grid[0, 0].text(0.5, 0.5, "no effect is missing that these units show together", ha="center", color=style.QUIET)
         grid[0, 0].set_axis_off()
     names = campaign_names(units)
     for axes, each in zip(grid[:, 0], found.findings, strict=False):
@@ -177,9 +168,9 @@ def _evidence_bars(axes: Axes, each: PooledFinding, names: dict[str, str]) -> No
         ordered = ordered[: _MOST_UNITS // 2] + ordered[-_MOST_UNITS // 2 :]
     heights = np.array([unit.gain for unit in ordered])
     named = np.array([unit.unit in each.named for unit in ordered])
-    colours = np.where(named, VERMILION, np.where(heights > 0, BLUE, QUIET))
+    colours = np.where(named, style.VERMILION, np.where(heights > 0, style.BLUE, style.QUIET))
     axes.bar(np.arange(len(ordered)), heights, color=colours, width=0.8, zorder=3)
-    axes.axhline(0, color=INK, linewidth=0.8, zorder=4)
+    axes.axhline(0, color=style.INK, linewidth=0.8, zorder=4)
     axes.set_xticks(np.arange(len(ordered)), [names[unit.digest] for unit in ordered], rotation=90, fontsize=6)
     axes.set(ylabel="log evidence", xlim=(-1, len(ordered)))
     left = len(each.every_unit) - len(ordered)
@@ -188,8 +179,8 @@ def _evidence_bars(axes: Axes, each: PooledFinding, names: dict[str, str]) -> No
     axes.set_title(title, loc="left", fontsize=9)
 
 
-@themed
-def change_picture(changes: pl.DataFrame) -> Picture:
+@style.themed
+def change_picture(changes: pl.DataFrame) -> style.Picture:
     """Return the changes of every parameter from one model to another.
 
     Parameters
@@ -197,19 +188,21 @@ def change_picture(changes: pl.DataFrame) -> Picture:
     changes : schema `imubayes.batch.changes.CHANGES`.
     """
     ranked = changes.group_by("parameter").agg(pl.col("p").min()).sort("p")["parameter"].to_list()[:_MOST_ROWS]
-    figure = picture(11.0, 0.32 * max(len(ranked), 2) + 0.7, "Before and after: what changed with the model", _CHANGE)
-    axes = panels(figure, 1, 1, (2.6, 0.5, 0.3, 0.1))[0, 0]
-    axes.axvspan(-2, 2, color=BAND_WIDE, zorder=0)
-    axes.axvline(0, color=FAINT, zorder=1)
+    figure = style.picture(
+        11.0, 0.32 * max(len(ranked), 2) + 0.7, "Before and after: what changed with the model", _CHANGE
+    )
+    axes = style.panels(figure, 1, 1, (2.6, 0.5, 0.3, 0.1))[0, 0]
+    axes.axvspan(-2, 2, color=style.BAND_WIDE, zorder=0)
+    axes.axvline(0, color=style.FAINT, zorder=1)
     random = np.random.default_rng(0)
     for row, name in enumerate(ranked):
         table = changes.filter(pl.col("parameter") == name)
         deviation = table["change_sd"].to_numpy()
         place = np.clip(table["change"].to_numpy() / np.where(deviation > 0, deviation, np.inf), -9.8, 9.8)
-        colours = np.where(table["significant"].to_numpy(), VERMILION, BLUE)
+        colours = np.where(table["significant"].to_numpy(), style.VERMILION, style.BLUE)
         axes.scatter(place, row + random.uniform(-0.28, 0.28, len(place)), s=14, c=colours, linewidths=0, zorder=3)
     axes.set_yticks(range(len(ranked)), [shortened(name, 34) for name in ranked])
     axes.set(ylim=(len(ranked) - 0.4, -0.6), xlim=(-10, 10), xlabel="change / standard deviation of the change")
     axes.tick_params(axis="y", length=0)
-    legend_above(figure, [dot(BLUE, "campaign"), dot(VERMILION, "significant")])
+    style.legend_above(figure, [style.dot(style.BLUE, "campaign"), style.dot(style.VERMILION, "significant")])
     return figure

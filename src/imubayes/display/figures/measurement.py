@@ -11,31 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from imubayes.display.figure_style import (
-    BAND_WIDE,
-    BLUE,
-    FAINT,
-    QUIET,
-    SMALL,
-    VERMILION,
-    Picture,
-    dot,
-    legend_above,
-    numbers,
-    ordered,
-    panels,
-    picture,
-    themed,
-    varies,
-)
-from imubayes.display.figures.panels import (
-    abscissa,
-    chosen_channels,
-    limit_of,
-    set_abscissa,
-    set_symlog,
-    thinned,
-)
+from imubayes.display import figure_style as style
+from imubayes.display.figures import panels
 from imubayes.display.numbers_and_labels import covariate, pretty, readable
 from imubayes.foundations.covariates import Covariate, shown
 from imubayes.procedures import Procedure, Reduction, procedure_named
@@ -50,8 +27,8 @@ _GOOD = (
 )
 
 
-@themed
-def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str] | None = None) -> Picture:
+@style.themed
+def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str] | None = None) -> style.Picture:
     """Return measurement, model and residual of one run, a pair of panels per channel.
 
     Parameters
@@ -62,26 +39,26 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
     """
     recorded = residuals.filter(pl.col("run") == run)
     if recorded.is_empty():
-        raise ValueError(f"no residuals of run '{run}'; there are {', '.join(ordered(residuals, 'run'))}")
-    names, left_out = chosen_channels(recorded, channels)
+        raise ValueError(f"no residuals of run '{run}'; there are {', '.join(style.ordered(residuals, 'run'))}")
+    names, left_out = panels.chosen_channels(recorded, channels)
     recorded = recorded.filter(pl.col("channel").is_in(names))
     against = driver(recorded)
     columns = min(len(names), 3)
     lines = -(-len(names) // columns)
-    x_all, label = abscissa(numbers(recorded, against.column), against)
+    x_all, label = panels.abscissa(style.numbers(recorded, against.column), against)
     procedure, phrase = _procedure(recorded), against.phrase
     if against.column == "row" and procedure.row_name != "row":
         phrase = label = procedure.row_name
     subtitle = f"{procedure.name.replace('_', ' ')}, against {phrase}"
     width = {1: 8.0, 2: 10.5, 3: 13.0}[columns]
-    figure = picture(width, lines * _PITCH + 0.4, run, f"{_GOOD} {left_out}".strip(), subtitle)
-    grid = panels(figure, 2 * lines, columns, (0.8, 0.48, 0.15, 0.3), (0.95, 0.25), share_x=True)
+    figure = style.picture(width, lines * _PITCH + 0.4, run, f"{_GOOD} {left_out}".strip(), subtitle)
+    grid = style.panels(figure, 2 * lines, columns, (0.8, 0.48, 0.15, 0.3), (0.95, 0.25), share_x=True)
     for place, name in enumerate(names):
         mask = (recorded["channel"] == name).to_numpy()
         own, x = recorded.filter(pl.Series(mask)), x_all[mask]
         upper, lower = grid[2 * (place // columns) : 2 * (place // columns) + 2, place % columns]
         for axes in (upper, lower):
-            set_abscissa(axes, x_all, against)
+            panels.set_abscissa(axes, x_all, against)
         _measured(upper, own, x)
         _residual(lower, own, x)
         if place + columns >= len(names):
@@ -90,9 +67,9 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
             lower.tick_params(labelbottom=True)
     for axes in grid[-2:, len(names) - columns * (lines - 1) :].flat:
         axes.remove()
-    model = Line2D([], [], color=VERMILION, label="model")
-    bands = (Patch(color=_MODEL_BAND, label="model, 95 %"), Patch(color=BAND_WIDE, label="measurement, 95 %"))
-    legend_above(figure, [dot(BLUE, "measured"), model, *bands])
+    model = Line2D([], [], color=style.VERMILION, label="model")
+    bands = (Patch(color=_MODEL_BAND, label="model, 95 %"), Patch(color=style.BAND_WIDE, label="measurement, 95 %"))
+    style.legend_above(figure, [style.dot(style.BLUE, "measured"), model, *bands])
     return figure
 
 
@@ -101,8 +78,8 @@ def driver(recorded: pl.DataFrame) -> Covariate:
     keys = (*_procedure(recorded).abscissae, *(each.name for each in shown()))
     for key in dict.fromkeys(keys):
         known = covariate(key)
-        values = numbers(recorded, known.column)
-        if key == "row" or (varies(values) and np.isfinite(values).mean() > 0.9):
+        values = style.numbers(recorded, known.column)
+        if key == "row" or (style.varies(values) and np.isfinite(values).mean() > 0.9):
             return known
     return covariate("row")
 
@@ -112,17 +89,17 @@ def _procedure(recorded: pl.DataFrame) -> Procedure:
 
 
 def _measured(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
-    observed, predicted = numbers(own, "observed"), numbers(own, "predicted")
-    wide = _NORMAL * np.hypot(numbers(own, "sd"), np.nan_to_num(numbers(own, "model_sd")))
+    observed, predicted = style.numbers(own, "observed"), style.numbers(own, "predicted")
+    wide = _NORMAL * np.hypot(style.numbers(own, "sd"), np.nan_to_num(style.numbers(own, "model_sd")))
     order = np.argsort(x, kind="stable")
     band = ((predicted - wide)[order], (predicted + wide)[order])
-    axes.fill_between(x[order], *band, color=BAND_WIDE, linewidth=0, zorder=1)
+    axes.fill_between(x[order], *band, color=style.BAND_WIDE, linewidth=0, zorder=1)
     if _procedure(own).reduction is Reduction.POSES or x.size < 2:
-        axes.plot(x, predicted, "_", color=VERMILION, markersize=9, markeredgewidth=1.4)
+        axes.plot(x, predicted, "_", color=style.VERMILION, markersize=9, markeredgewidth=1.4)
     else:
-        axes.plot(x[order], predicted[order], color=VERMILION)
-    kept = thinned(x.size)
-    axes.plot(x[kept], observed[kept], "o", color=BLUE, markersize=4, alpha=0.85, zorder=3)
+        axes.plot(x[order], predicted[order], color=style.VERMILION)
+    kept = panels.thinned(x.size)
+    axes.plot(x[kept], observed[kept], "o", color=style.BLUE, markersize=4, alpha=0.85, zorder=3)
     _set_ordinate(axes, x, observed, predicted, float(np.nanmax(wide)))
     axes.set_title(own["channel"][0])
     axes.set_ylabel(pretty(own["output_unit"][0] or ""))
@@ -136,7 +113,7 @@ def _set_ordinate(axes: Axes, x: np.ndarray, observed: np.ndarray, predicted: np
         inner = float(np.max(np.abs(predicted[np.abs(x) == np.min(np.abs(x[x != 0]))])))
         largest = max(abs(low), abs(high))
         if 0 < inner < largest / 30:
-            set_symlog(axes, "y", 10.0 ** np.ceil(np.log10(inner)), 5)
+            panels.set_symlog(axes, "y", 10.0 ** np.ceil(np.log10(inner)), 5)
             axes.set_ylim(-2 * largest if low < -inner else -inner, 2 * largest if high > inner else inner)
             return
     middle, half = 0.5 * (low + high), max(0.53 * (high - low), 3 * wide) or 1.0
@@ -145,22 +122,22 @@ def _set_ordinate(axes: Axes, x: np.ndarray, observed: np.ndarray, predicted: np
 
 def _residual(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
     """Draw residual and bands in input units; the factor to input units is that of the row itself."""
-    y, sd, output_sd = (numbers(own, name) for name in ("input_residual", "input_sd", "sd"))
+    y, sd, output_sd = (style.numbers(own, name) for name in ("input_residual", "input_sd", "sd"))
     with np.errstate(divide="ignore", invalid="ignore"):
-        model = numbers(own, "model_sd") * np.where(output_sd > 0, sd / output_sd, np.nan)
+        model = style.numbers(own, "model_sd") * np.where(output_sd > 0, sd / output_sd, np.nan)
     factor, unit = readable(own["input_unit"][0] or "", float(np.nanmedian(sd)))
     y, sd, model = y * factor, sd * factor, np.nan_to_num(model * factor)
     order = np.argsort(x, kind="stable")
     low, high = axes.get_xlim()
     place = np.concatenate([[low], x[order], [high]])
     wide = _NORMAL * np.hypot(sd, model)
-    for half, colour in ((wide[order], BAND_WIDE), (_NORMAL * model[order], _MODEL_BAND)):
+    for half, colour in ((wide[order], style.BAND_WIDE), (_NORMAL * model[order], _MODEL_BAND)):
         half = np.concatenate([half[:1], half, half[-1:]])
         axes.fill_between(place, -half, half, color=colour, linewidth=0, zorder=1)
-    axes.axhline(0, color=VERMILION, linewidth=1.0, zorder=1.5)
-    limit = limit_of(y, 1.25 * float(np.nanmax(wide)))
-    kept = thinned(x.size)
-    axes.plot(x[kept], np.clip(y[kept], -0.97 * limit, 0.97 * limit), "o", color=BLUE, markersize=4, alpha=0.85)
+    axes.axhline(0, color=style.VERMILION, linewidth=1.0, zorder=1.5)
+    limit = panels.limit_of(y, 1.25 * float(np.nanmax(wide)))
+    kept = panels.thinned(x.size)
+    axes.plot(x[kept], np.clip(y[kept], -0.97 * limit, 0.97 * limit), "o", color=style.BLUE, markersize=4, alpha=0.85)
     axes.set_ylim(-limit, limit)
     axes.set_ylabel(pretty(unit))
 
@@ -173,7 +150,7 @@ _CAPTION = (
 )
 
 
-@themed
+@style.themed
 def modulation_figure(
     turns: np.ndarray,
     across: np.ndarray,
@@ -182,7 +159,7 @@ def modulation_figure(
     expected: np.ndarray,
     unit: str,
     run: str,
-) -> Picture:
+) -> style.Picture:
     """Return the rotating bias vector, and its cumulative mean.
 
     Parameters
@@ -195,25 +172,27 @@ def modulation_figure(
     """
     factor, shown = readable(unit, float(np.hypot(*across.T).max()))
     across, mean, along, expected = across * factor, mean * factor, along * factor, expected * factor
-    figure = picture(9.2, 3.6, f"Rotation modulation: {run}", _CAPTION)
-    circle, course = panels(figure, 1, 2, (0.75, 0.5, 0.1, 0.1), (1.0, 0), widths=(3.0, 3.75))[0]
+    figure = style.picture(9.2, 3.6, f"Rotation modulation: {run}", _CAPTION)
+    circle, course = style.panels(figure, 1, 2, (0.75, 0.5, 0.1, 0.1), (1.0, 0), widths=(3.0, 3.75))[0]
     _draw_circle(circle, across, mean, pretty(shown))
     length = np.hypot(*mean.T)
-    course.plot(turns, np.abs(along), "--", color=QUIET, label=f"along the axis, {abs(along[-1]):.3g}")
-    course.plot(turns, length, color=VERMILION, linewidth=1.4, label=f"across the axis, {length[-1]:.3g}", zorder=3)
-    course.plot(turns, expected, color=BLUE, linewidth=1.0, label="across the axis, expected")
+    course.plot(turns, np.abs(along), "--", color=style.QUIET, label=f"along the axis, {abs(along[-1]):.3g}")
+    course.plot(
+        turns, length, color=style.VERMILION, linewidth=1.4, label=f"across the axis, {length[-1]:.3g}", zorder=3
+    )
+    course.plot(turns, expected, color=style.BLUE, linewidth=1.0, label="across the axis, expected")
     highest = 1.15 * max(float(length.max()), float(np.abs(along).max()))
     course.set(xlim=(0, turns[-1]), ylim=(0, highest), xlabel="turns", ylabel=f"cumulative mean / {pretty(shown)}")
-    course.legend(loc="upper right", fontsize=SMALL)
+    course.legend(loc="upper right", fontsize=style.SMALL)
     return figure
 
 
 def _draw_circle(axes: Axes, across: np.ndarray, mean: np.ndarray, unit: str) -> None:
-    axes.axhline(0, color=FAINT, linewidth=0.7)
-    axes.axvline(0, color=FAINT, linewidth=0.7)
-    axes.plot(*across.T, "o", color=BLUE, markersize=3, alpha=0.55)
-    axes.plot(*mean.T, color=VERMILION, linewidth=1.4, zorder=4)
-    axes.plot(*mean[-1], "o", color=VERMILION, markersize=6, zorder=5)
+    axes.axhline(0, color=style.FAINT, linewidth=0.7)
+    axes.axvline(0, color=style.FAINT, linewidth=0.7)
+    axes.plot(*across.T, "o", color=style.BLUE, markersize=3, alpha=0.55)
+    axes.plot(*mean.T, color=style.VERMILION, linewidth=1.4, zorder=4)
+    axes.plot(*mean[-1], "o", color=style.VERMILION, markersize=6, zorder=5)
     reach = 1.15 * float(np.abs(across).max())
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     axes.set(xlabel=f"x of the carrier / {unit}", ylabel=f"y of the carrier / {unit}")

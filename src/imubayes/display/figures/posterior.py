@@ -15,18 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import gaussian_filter
 
-from imubayes.display.figure_style import (
-    BLUE,
-    INK,
-    ORANGE,
-    QUIET,
-    SMALL,
-    VERMILION,
-    Picture,
-    panels,
-    picture,
-    themed,
-)
+from imubayes.display import figure_style as style
 from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.numbers_and_labels import concise, pretty, readable, shortened, significant
 from imubayes.display.quality_tables import NOT_DETERMINED
@@ -57,8 +46,8 @@ class _Column:
     limits: tuple[float, float]
 
 
-@themed
-def corner_figure(posterior: Any, names: Sequence[str], summary: Summary) -> Picture:
+@style.themed
+def corner_figure(posterior: Any, names: Sequence[str], summary: Summary) -> style.Picture:
     """Return the corner plot of chosen parameters and derived quantities, at most eight.
 
     Parameters
@@ -88,15 +77,15 @@ def corner_figure(posterior: Any, names: Sequence[str], summary: Summary) -> Pic
     return figure
 
 
-def _empty_corner(count: int, wanted: int, summary: Summary) -> tuple[Picture, np.ndarray]:
+def _empty_corner(count: int, wanted: int, summary: Summary) -> tuple[style.Picture, np.ndarray]:
     side = min(1.75, 11.6 / count) if count > 2 else 2.6
     width, height = max(count * side + 1.5, 8.5), count * side + 0.9
     caption = _CAPTION + (f" Shown: the first {count} of {wanted} quantities." if wanted > count else "")
     how = "" if summary.sampled else "not sampled: draws from the Laplace approximation at the mode"
-    figure = picture(width, height, "Joint posterior", caption, how, alarm=alarm_of(summary))
+    figure = style.picture(width, height, "Joint posterior", caption, how, alarm=alarm_of(summary))
     margin = 0.75 + max(0.0, (width - 0.6 - 0.85 - count * side) / 2)
     right = width - 0.6 - margin - count * side
-    return figure, panels(figure, count, count, (margin, 0.5, max(right, 0.1), 0.4), (0.12, 0.12))
+    return figure, style.panels(figure, count, count, (margin, 0.5, max(right, 0.1), 0.4), (0.12, 0.12))
 
 
 def _label(axes: Axes, across: str, up: str, row: int, column: int, count: int) -> None:
@@ -104,9 +93,9 @@ def _label(axes: Axes, across: str, up: str, row: int, column: int, count: int) 
     axes.yaxis.set_major_locator(MaxNLocator(4 if row != column else 1, prune="both"))
     axes.tick_params(labelbottom=row == count - 1, labelleft=column == 0 and row > 0, left=row != column)
     if row == count - 1:
-        axes.set_xlabel(f"Δ / {across}", size=SMALL)
+        axes.set_xlabel(f"Δ / {across}", size=style.SMALL)
     if column == 0 and row:
-        axes.set_ylabel(f"Δ / {up}", size=SMALL)
+        axes.set_ylabel(f"Δ / {up}", size=style.SMALL)
 
 
 def _column(draws: np.ndarray, entry: Quantity) -> _Column:
@@ -139,12 +128,12 @@ def _marginal(axes: Axes, column: _Column) -> None:
     curve = np.interp(fine, 0.5 * (edges[1:] + edges[:-1]), smooth)
     low, high = np.quantile(column.x, [0.025, 0.975])
     axes.fill_between(fine, 0, curve, where=((fine >= low) & (fine <= high)).tolist(), color=_FILLS[0], linewidth=0)
-    axes.plot(fine, curve, color=BLUE)
+    axes.plot(fine, curve, color=style.BLUE)
     top = curve.max()
     if column.prior_sd and column.prior_sd < 6 * float(np.std(column.x)):
         # Centred on the posterior: the widths are to be compared.
         prior = np.exp(-0.5 * (fine / column.prior_sd) ** 2) / (column.prior_sd * np.sqrt(2 * np.pi))
-        axes.plot(fine, prior, "--", color=QUIET, linewidth=0.9)
+        axes.plot(fine, prior, "--", color=style.QUIET, linewidth=0.9)
         top = max(top, prior.max())
     axes.set(xlim=column.limits, ylim=(0, 1.45 * top))
     axes.spines["left"].set_visible(False)
@@ -165,11 +154,11 @@ def _pair(axes: Axes, across: _Column, up: _Column) -> None:
     x, y = 0.5 * (x_edges[1:] + x_edges[:-1]), 0.5 * (y_edges[1:] + y_edges[:-1])
     if 0 < levels[0] < levels[1] < ranked[0]:
         axes.contourf(x, y, density, levels=[*levels, ranked[0] * 1.01], colors=_FILLS)
-        axes.contour(x, y, density, levels=levels, colors=[BLUE], linewidths=0.7)
+        axes.contour(x, y, density, levels=levels, colors=[style.BLUE], linewidths=0.7)
     else:
-        axes.plot(across.x[:2000], up.x[:2000], ",", color=BLUE)
-    axes.axvline(0, color=QUIET, linewidth=0.4, zorder=0)
-    axes.axhline(0, color=QUIET, linewidth=0.4, zorder=0)
+        axes.plot(across.x[:2000], up.x[:2000], ",", color=style.BLUE)
+    axes.axvline(0, color=style.QUIET, linewidth=0.4, zorder=0)
+    axes.axhline(0, color=style.QUIET, linewidth=0.4, zorder=0)
     axes.set(xlim=across.limits, ylim=up.limits)
     _write_correlation(axes, across.x, up.x)
 
@@ -179,7 +168,7 @@ def _write_correlation(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
     correlation = float(np.mean((x - x.mean()) * (y - y.mean()))) / spread if spread else 0.0
     text = "0.00" if abs(correlation) < 0.005 else f"{correlation:+.2f}".replace("-", "−")
     place, side = (0.97, "right") if correlation < 0 else (0.03, "left")
-    colour, weight = (INK, "bold") if abs(correlation) > 0.7 else (QUIET, "normal")
+    colour, weight = (style.INK, "bold") if abs(correlation) > 0.7 else (style.QUIET, "normal")
     axes.text(place, 0.97, text, transform=axes.transAxes, size=7.5, va="top", ha=side, color=colour, weight=weight)
 
 
@@ -195,8 +184,8 @@ _LEAST = 1e-6
 _TICKS = (1e-6, 1e-5, 1e-4, 1e-3, 0.01, 0.1, 1.0)
 
 
-@themed
-def identifiability_figure(summary: Summary) -> Picture:
+@style.themed
+def identifiability_figure(summary: Summary) -> style.Picture:
     """Return bars of posterior over prior sd of parameters and derived quantities; of many, the least determined."""
     entries = [
         (entry.from_data, entry.name)
@@ -215,9 +204,9 @@ def identifiability_figure(summary: Summary) -> Picture:
     lines = -(-len(shown) // columns)
     width, height = 12.0 if columns == 2 else 8.0, lines * 0.235 + 0.55
     counts = _counts([share for share, _ in entries])
-    figure = picture(width, height, "Identifiability", caption, counts, alarm=alarm_of(summary))
+    figure = style.picture(width, height, "Identifiability", caption, counts, alarm=alarm_of(summary))
     least = 10.0 ** math.floor(min(-1.0, math.log10(min(narrowing(share) for share, _ in shown))))
-    grid = panels(figure, 1, columns, (2.55, 0.5, 0.85, 0.05), (3.4, 0))
+    grid = style.panels(figure, 1, columns, (2.55, 0.5, 0.85, 0.05), (3.4, 0))
     for column, axes in enumerate(grid[0]):
         _bars(axes, shown[column * lines : (column + 1) * lines], lines, least)
     return figure
@@ -229,7 +218,9 @@ def narrowing(from_data: float) -> float:
 
 
 def _bars(axes: Axes, entries: Sequence[tuple[float, str]], lines: int, least: float) -> None:
-    colours = [VERMILION if s < NOT_DETERMINED else (ORANGE if s < _PARTLY else BLUE) for s, _ in entries]
+    colours = [
+        style.VERMILION if s < NOT_DETERMINED else (style.ORANGE if s < _PARTLY else style.BLUE) for s, _ in entries
+    ]
     ratios = [min(narrowing(share), 1.0) for share, _ in entries]
     places = range(len(entries))
     axes.set_xscale("log")
@@ -237,7 +228,7 @@ def _bars(axes: Axes, entries: Sequence[tuple[float, str]], lines: int, least: f
     axes.barh(places, [1 - ratio for ratio in ratios], left=ratios, height=0.62, color=colours)
     for place, ratio in zip(places, ratios, strict=True):
         text = f"< {_LEAST:g}" if ratio <= _LEAST else significant(ratio, 2)
-        axes.annotate(text, (1, place), (4, 0), textcoords="offset points", size=SMALL, va="center", ha="left")
+        axes.annotate(text, (1, place), (4, 0), textcoords="offset points", size=style.SMALL, va="center", ha="left")
     axes.set(xlim=(least, 1), ylim=(lines - 0.5, -0.6), xlabel="posterior sd / prior sd")
     ticks = [tick for tick in _TICKS if tick >= least]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
@@ -246,7 +237,7 @@ def _bars(axes: Axes, entries: Sequence[tuple[float, str]], lines: int, least: f
     axes.grid(axis="x")
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
-    axes.spines["bottom"].set_color(QUIET)
+    axes.spines["bottom"].set_color(style.QUIET)
 
 
 def _counts(shares: Sequence[float]) -> str:

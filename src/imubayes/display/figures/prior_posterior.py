@@ -9,20 +9,7 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from imubayes.display.figure_style import (
-    BAND,
-    BAND_WIDE,
-    BLUE,
-    QUIET,
-    SMALL,
-    VERMILION,
-    Picture,
-    dot,
-    legend_above,
-    panels,
-    picture,
-    themed,
-)
+from imubayes.display import figure_style as style
 from imubayes.display.figures.panels import set_decades
 from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.numbers_and_labels import concise, pretty, shortened, significant
@@ -49,18 +36,18 @@ def mounting_quantities(summary: Summary) -> list[str]:
     return [entry.name for entry in entries if entry.name.startswith(_FAMILIES) and _is_known(entry)]
 
 
-@themed
-def prior_posterior_figure(summary: Summary, names: Sequence[str] | None = None) -> Picture:
+@style.themed
+def prior_posterior_figure(summary: Summary, names: Sequence[str] | None = None) -> style.Picture:
     """Return prior against posterior; without names those of the mountings, the least determined if they are many.
 
     The prior of an error is centred on 0; without a centre the left panel gives the estimate as a number.
     """
     chosen, caption = _chosen(summary, names)
     title = "Mounting: prior and posterior" if names is None else "Prior and posterior"
-    figure = picture(12.0, len(chosen) * 0.24 + 0.85, title, caption, alarm=alarm_of(summary))
+    figure = style.picture(12.0, len(chosen) * 0.24 + 0.85, title, caption, alarm=alarm_of(summary))
     centred = any(map(_is_centred, chosen))
     widths = (0.45, 0.55) if centred else (1.0,)
-    grid = panels(figure, 1, len(widths), (_NAMES, 0.5, _NUMBERS, 0.3), (0.35, 0), widths=widths)[0]
+    grid = style.panels(figure, 1, len(widths), (_NAMES, 0.5, _NUMBERS, 0.3), (0.35, 0), widths=widths)[0]
     if centred:
         _shifts(grid[0], chosen)
     _widths(grid[-1], chosen)
@@ -69,9 +56,11 @@ def prior_posterior_figure(summary: Summary, names: Sequence[str] | None = None)
         axes.spines["left"].set_visible(False)
     grid[0].set_yticks(range(len(chosen)), [shortened(entry.name, 34) for entry in chosen])
     grid[0].tick_params(axis="y", length=0)
-    bands = (Patch(color=BAND, label="prior, ±1 sd"), Patch(color=BAND_WIDE, label="prior, ±2 sd"))
-    before = dot(QUIET, "before", markerfacecolor="white", markeredgewidth=1.0)
-    legend_above(figure, [*bands, before, dot(BLUE, "after"), dot(VERMILION, "not determined")])
+    bands = (Patch(color=style.BAND, label="prior, ±1 sd"), Patch(color=style.BAND_WIDE, label="prior, ±2 sd"))
+    before = style.dot(style.QUIET, "before", markerfacecolor="white", markeredgewidth=1.0)
+    style.legend_above(
+        figure, [*bands, before, style.dot(style.BLUE, "after"), style.dot(style.VERMILION, "not determined")]
+    )
     return figure
 
 
@@ -90,14 +79,14 @@ def _chosen(summary: Summary, names: Sequence[str] | None) -> tuple[list[Quantit
 
 
 def _shifts(axes: Axes, chosen: Sequence[Quantity]) -> None:
-    for half, colour in ((2.0, BAND_WIDE), (1.0, BAND)):
+    for half, colour in ((2.0, style.BAND_WIDE), (1.0, style.BAND)):
         axes.axvspan(-half, half, color=colour, linewidth=0)
-    axes.axvline(0, color=QUIET, linewidth=0.7)
+    axes.axvline(0, color=style.QUIET, linewidth=0.7)
     reach = 3.0
     for place, entry in enumerate(chosen):
         if not _is_centred(entry):
             text = f"{concise(_number(entry.mean), _number(entry.sd))} {pretty(entry.unit)}"
-            axes.text(0, place, text, size=SMALL, color=QUIET, ha="center", va="center", bbox=_ON_PAPER)
+            axes.text(0, place, text, size=style.SMALL, color=style.QUIET, ha="center", va="center", bbox=_ON_PAPER)
             continue
         prior = _number(entry.prior_sd)
         low, middle, high = (_number(value) / prior for value in (entry.q025, entry.mean, entry.q975))
@@ -118,11 +107,19 @@ def _widths(axes: Axes, chosen: Sequence[Quantity]) -> None:
         before, after = _number(entry.prior_sd) * scale, _number(entry.sd) * scale
         sizes += [before, after]
         axes.plot([after, before], [place, place], color=_colour(entry), linewidth=1.0, alpha=0.6)
-        axes.plot([before], [place], "o", color="white", markeredgecolor=QUIET, markeredgewidth=1.0, markersize=5)
+        axes.plot([before], [place], "o", color="white", markeredgecolor=style.QUIET, markeredgewidth=1.0, markersize=5)
         axes.plot([after], [place], "o", color=_colour(entry), markersize=5)
         text = f"{significant(before, 2)} → {significant(after, 2)}" + ("" if angles else f" {pretty(entry.unit)}")
-        axes.text(1.015, place, text, transform=axes.get_yaxis_transform(), size=SMALL, va="center")
-    axes.text(1.015, -1.0, "before → after", transform=axes.get_yaxis_transform(), size=SMALL, color=QUIET, va="center")
+        axes.text(1.015, place, text, transform=axes.get_yaxis_transform(), size=style.SMALL, va="center")
+    axes.text(
+        1.015,
+        -1.0,
+        "before → after",
+        transform=axes.get_yaxis_transform(),
+        size=style.SMALL,
+        color=style.QUIET,
+        va="center",
+    )
     axes.set(xscale="log", xlim=(min(sizes) / 1.6, max(sizes) * 1.6), xlabel=f"standard uncertainty / {unit}")
     set_decades(axes.xaxis)
     axes.grid(axis="x")
@@ -145,4 +142,4 @@ def _ratio(entry: Quantity) -> float:
 
 
 def _colour(entry: Quantity) -> str:
-    return VERMILION if _ratio(entry) > _DETERMINED else BLUE
+    return style.VERMILION if _ratio(entry) > _DETERMINED else style.BLUE

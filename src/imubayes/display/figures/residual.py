@@ -10,35 +10,8 @@ import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch, Rectangle
 
-from imubayes.display.figure_style import (
-    BAND,
-    BAND_WIDE,
-    FAINT,
-    INK,
-    QUIET,
-    SMALL,
-    Picture,
-    RunSigns,
-    at_runs,
-    legend_at,
-    numbers,
-    panels,
-    picture,
-    run_signs,
-    runs_legend,
-    themed,
-    varies,
-)
-from imubayes.display.figures.panels import (
-    abscissa,
-    chosen_channels,
-    draw_means,
-    limit_of,
-    row_numbers,
-    set_abscissa,
-    spread,
-    thinned,
-)
+from imubayes.display import figure_style as style
+from imubayes.display.figures import panels
 from imubayes.display.fit_cautions import SIGNIFICANT, alarm_of, share_of_freedom, tail, worst_channels, worst_first
 from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, ratio_text, readable, shortened, significant
 from imubayes.display.numbers_and_labels import covariate as covariate_of
@@ -54,13 +27,13 @@ _GOOD = (
 )
 
 
-@themed
+@style.themed
 def residual_figure(
     residuals: pl.DataFrame,
     covariate: str | Covariate,
     channels: Sequence[str] | None = None,
     runs: Sequence[str] | None = None,
-) -> Picture:
+) -> style.Picture:
     """Return residuals against a covariate: a row per channel, in input units on the left, whitened on the right.
 
     Parameters
@@ -71,71 +44,71 @@ def residual_figure(
     runs : all runs of the result, for the same colour of a run in every figure.
     """
     against = covariate if isinstance(covariate, Covariate) else covariate_of(covariate)
-    signs = run_signs(residuals, runs)
-    names, left_out = chosen_channels(residuals, channels)
+    signs = style.run_signs(residuals, runs)
+    names, left_out = panels.chosen_channels(residuals, channels)
     counted = residuals.filter(pl.col("channel").is_in(names))
     if against.column == "row":
-        counted = row_numbers(counted)
-    x_all = numbers(counted, against.column)
+        counted = panels.row_numbers(counted)
+    x_all = style.numbers(counted, against.column)
     known = np.isfinite(x_all)
-    if not varies(x_all):
+    if not style.varies(x_all):
         raise ValueError(f"the residuals have no {against.phrase} that varies")
-    x_all, label = abscissa(x_all, against)
+    x_all, label = panels.abscissa(x_all, against)
     groups = "runs" if against.column == "row" else "neighbouring points"
     parts = (_GOOD.format(groups=groups), _absent(against, int(np.sum(~known)), x_all.size), left_out)
     height = max(len(names) * 1.62 + 0.35, 2.6)
     title, caption = f"Residuals against {against.phrase}", " ".join(part for part in parts if part)
-    figure = picture(_WIDTH, height, title, caption)
-    grid = panels(figure, len(names), 2, (0.7, 0.5, _LEGEND, 0.2), (0.83, 0.36), share_x=True)
+    figure = style.picture(_WIDTH, height, title, caption)
+    grid = style.panels(figure, len(names), 2, (0.7, 0.5, _LEGEND, 0.2), (0.83, 0.36), share_x=True)
     for row, name in zip(grid, names, strict=True):
         mask = (counted["channel"] == name).to_numpy()
         own, x = counted.filter(pl.Series(mask)), x_all[mask]
         for axes in row:
-            set_abscissa(axes, x_all, against)
+            panels.set_abscissa(axes, x_all, against)
             _mark_runs(axes, against, counted)
         _in_input_units(row[0], own, x, signs)
         _whitened(row[1], own, x, signs, by_run=against.column == "row")
     for axes in grid[-1]:
         axes.set_xlabel(f"{label}, in the order of the runs" if against.column == "row" else label)
     shown = counted.filter(pl.Series(known)).get_column("run").unique().to_list()
-    runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs, shown)
+    style.runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs, shown)
     return figure
 
 
-def _in_input_units(axes: Axes, own: pl.DataFrame, x: np.ndarray, signs: RunSigns) -> None:
-    y, sd = numbers(own, "input_residual"), numbers(own, "input_sd")
+def _in_input_units(axes: Axes, own: pl.DataFrame, x: np.ndarray, signs: style.RunSigns) -> None:
+    y, sd = style.numbers(own, "input_residual"), style.numbers(own, "input_sd")
     factor, unit = readable(own["input_unit"][0] or "", float(np.nanmedian(np.abs(sd))))
     _bands(axes, x, sd * factor)
     _points(axes, x, y * factor, own, signs, 3.2 * float(np.nanmedian(sd * factor)), pretty(unit))
     axes.set_ylabel(pretty(unit))
 
 
-def _whitened(axes: Axes, own: pl.DataFrame, x: np.ndarray, signs: RunSigns, by_run: bool) -> None:
-    y = numbers(own, "whitened")
-    for width, colour in ((2, BAND_WIDE), (1, BAND)):
+def _whitened(axes: Axes, own: pl.DataFrame, x: np.ndarray, signs: style.RunSigns, by_run: bool) -> None:
+    y = style.numbers(own, "whitened")
+    for width, colour in ((2, style.BAND_WIDE), (1, style.BAND)):
         axes.axhspan(-width, width, color=colour, linewidth=0, zorder=1)
     _points(axes, x, y, own, signs, 3.5, "sd")
     # Means of residuals that are not whitened would be those of the run offsets, with standard errors too small.
-    draw_means(axes, x, y, np.unique(own["run"].to_numpy(), return_inverse=True)[1] if by_run else None)
+    panels.draw_means(axes, x, y, np.unique(own["run"].to_numpy(), return_inverse=True)[1] if by_run else None)
     axes.set_ylabel("whitened / sd")
 
 
 def _points(
-    axes: Axes, x: np.ndarray, y: np.ndarray, own: pl.DataFrame, signs: RunSigns, least: float, unit: str
+    axes: Axes, x: np.ndarray, y: np.ndarray, own: pl.DataFrame, signs: style.RunSigns, least: float, unit: str
 ) -> None:
-    limit = limit_of(y, least)
+    limit = panels.limit_of(y, least)
     good = np.isfinite(x) & np.isfinite(y)
     x, y, runs = x[good], y[good], np.array(own["run"].to_list())[good]
-    kept = thinned(x.size)
+    kept = panels.thinned(x.size)
     names = list(dict.fromkeys(runs[kept].tolist()))
-    placed = spread(axes, x[kept], runs[kept], names)
+    placed = panels.spread(axes, x[kept], runs[kept], names)
     size = 4.2 if x.size < 400 else (3.2 if x.size < 1500 else 2.2)
     clipped = np.clip(y[kept], -0.97 * limit, 0.97 * limit)
-    at_runs(axes, placed, clipped, runs[kept], signs, markersize=size, alpha=0.8)
-    axes.axhline(0, color=QUIET, linewidth=0.7, zorder=1.5)
+    style.at_runs(axes, placed, clipped, runs[kept], signs, markersize=size, alpha=0.8)
+    axes.axhline(0, color=style.QUIET, linewidth=0.7, zorder=1.5)
     axes.set_ylim(-limit, limit)
     axes.set_title(own["channel"][0])
-    axes.set_title(_note(y, unit, limit), loc="right", weight="normal", color=QUIET, size=SMALL)
+    axes.set_title(_note(y, unit, limit), loc="right", weight="normal", color=style.QUIET, size=style.SMALL)
 
 
 def _note(y: np.ndarray, unit: str, limit: float) -> str:
@@ -159,7 +132,7 @@ def _bands(axes: Axes, x: np.ndarray, sd: np.ndarray) -> None:
     low, high = axes.get_xlim()
     place = np.concatenate([[low], [x[group].mean() for group in groups], [high]])
     middle = np.concatenate([middle[:1], middle, middle[-1:]])
-    for width, colour in ((2, BAND_WIDE), (1, BAND)):
+    for width, colour in ((2, style.BAND_WIDE), (1, style.BAND)):
         axes.fill_between(place, -width * middle, width * middle, color=colour, linewidth=0, zorder=1)
 
 
@@ -168,7 +141,7 @@ def _mark_runs(axes: Axes, against: Covariate, counted: pl.DataFrame) -> None:
     if against.column == "row":
         starts = counted.group_by("run", maintain_order=True).agg(pl.col("row").min())["row"].to_numpy()
         for start in starts[1:]:
-            axes.axvline(start - 0.5, color=FAINT, linewidth=0.7, zorder=1.2)
+            axes.axvline(start - 0.5, color=style.FAINT, linewidth=0.7, zorder=1.2)
 
 
 def _absent(against: Covariate, without: int, count: int) -> str:
@@ -182,16 +155,16 @@ _MOST_RUNS, _MOST_CHANNELS = 40, 12
 _CELL = (0.78, 0.27)
 _CLASSES = (
     ("too large, p < 0.001", "#c2410c", "white"),
-    ("large, p < 0.05", "#fbd3b4", INK),
-    ("consistent with noise", "#f6f6f6", INK),
-    ("small, p < 0.05", "#c9dff0", INK),
+    ("large, p < 0.05", "#fbd3b4", style.INK),
+    ("consistent with noise", "#f6f6f6", style.INK),
+    ("small, p < 0.05", "#c9dff0", style.INK),
     ("too small, p < 0.001", "#1f6aa5", "white"),
-    ("no values", "white", QUIET),
+    ("no values", "white", style.QUIET),
 )
 
 
-@themed
-def run_chi2_figure(summary: Summary) -> Picture:
+@style.themed
+def run_chi2_figure(summary: Summary) -> style.Picture:
     """Return a map of χ²/n over runs and channels, coloured by its p-value under noise alone.
 
     Of more than 40 runs or 12 channels, the worst are shown.
@@ -200,7 +173,7 @@ def run_chi2_figure(summary: Summary) -> Picture:
     entries = {(run.name, run.channel): run for run in summary.runs}
     runs, channels = _chosen(summary)
     shown = {key: entries.get(key) for key in ((run, channel) for run in runs for channel in channels)}
-    figure = picture(
+    figure = style.picture(
         max(2.7 + len(channels) * _CELL[0] + 2.5, 8.0),
         max(0.4 + len(runs) * _CELL[1], 1.55),
         "Goodness of fit by run and channel",
@@ -209,7 +182,7 @@ def run_chi2_figure(summary: Summary) -> Picture:
     )
     left, bottom, right, top = figure.inside
     across, base = len(channels) * _CELL[0], top - 0.35 - len(runs) * _CELL[1]
-    axes = panels(figure, margins=(2.2, base - bottom, right - left - 2.2 - across, 0.35))[0, 0]
+    axes = style.panels(figure, margins=(2.2, base - bottom, right - left - 2.2 - across, 0.35))[0, 0]
     axes.set(xlim=(0, len(channels)), ylim=(len(runs), 0))
     for (run, channel), entry in shown.items():
         _draw_cell(axes, channels.index(channel), runs.index(run), entry, share)
@@ -219,7 +192,7 @@ def run_chi2_figure(summary: Summary) -> Picture:
     axes.tick_params(length=0, labelsize=8.5)
     axes.spines[:].set_visible(False)
     handles = [Patch(facecolor=c, edgecolor="#bbbbbb", linewidth=0.5, label=label) for label, c, _ in _CLASSES]
-    legend_at(figure, left + 2.35 + across, top - 0.35, handles, handlelength=1.2)
+    style.legend_at(figure, left + 2.35 + across, top - 0.35, handles, handlelength=1.2)
     return figure
 
 
@@ -248,7 +221,7 @@ def _caption(summary: Summary, runs: int, channels: int, cells: int, share: floa
 def _draw_cell(axes: Axes, column: int, row: int, entry: RunSummary | None, share: float) -> None:
     text, (_, colour, ink) = _class_of(entry, share)
     axes.add_patch(Rectangle((column, row), 1, 1, facecolor=colour, edgecolor="white", linewidth=1.5))
-    axes.text(column + 0.5, row + 0.53, text, ha="center", va="center", size=SMALL, color=ink)
+    axes.text(column + 0.5, row + 0.53, text, ha="center", va="center", size=style.SMALL, color=ink)
 
 
 def _class_of(entry: RunSummary | None, share: float) -> tuple[str, tuple[str, str, str]]:

@@ -18,22 +18,7 @@ from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.criticism.diagnosis_record import CovariateLabel, EffectGroup
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
-from imubayes.display.figure_style import (
-    BAND,
-    BLUE,
-    INK,
-    QUIET,
-    VERMILION,
-    Picture,
-    RunSigns,
-    at_runs,
-    numbers,
-    panels,
-    picture,
-    run_signs,
-    runs_legend,
-    themed,
-)
+from imubayes.display import figure_style as style
 from imubayes.display.figures.panels import draw_means, limit_of, set_range, thinned
 from imubayes.display.numbers_and_labels import pretty, readable, shortened, significant, value_and_sd
 from imubayes.foundations.covariates import Covariate, shown
@@ -44,8 +29,8 @@ _LEGEND = 2.05
 _MOST_CHANNELS = 12
 
 
-@themed
-def recorded_noise_figure(record: KnownNoise, signs: RunSigns | None = None) -> Picture:
+@style.themed
+def recorded_noise_figure(record: KnownNoise, signs: style.RunSigns | None = None) -> style.Picture:
     """Return the rows of the channel that disagrees most, and the ratio of fitted to recorded noise of every channel.
 
     Parameters
@@ -65,16 +50,18 @@ def recorded_noise_figure(record: KnownNoise, signs: RunSigns | None = None) -> 
         "a good model 1. A ratio above 1 is scatter from row to row that the samples within a row do not show."
     )
     title = f"Fitted noise of {worst.channel} is {value} ± {sd} times the recorded noise"
-    figure = picture(11.5, 3.5, title, caption)
-    signs = signs if signs is not None else RunSigns(runs.tolist())
-    runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs)
-    left, right = panels(figure, 1, 2, (0.75, 0.45, _LEGEND, 0.25), (1.1, 0.36), widths=(1.6, 1.0))[0]
+    figure = style.picture(11.5, 3.5, title, caption)
+    signs = signs if signs is not None else style.RunSigns(runs.tolist())
+    style.runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs)
+    left, right = style.panels(figure, 1, 2, (0.75, 0.45, _LEGEND, 0.25), (1.1, 0.36), widths=(1.6, 1.0))[0]
     high = limit_of(scatter, 3.0)
-    left.axhspan(-2, 2, color=BAND, linewidth=0, zorder=1)
-    left.axhline(0, color=QUIET, linewidth=0.7, zorder=1.5)
+    left.axhspan(-2, 2, color=style.BAND, linewidth=0, zorder=1)
+    left.axhline(0, color=style.QUIET, linewidth=0.7, zorder=1.5)
     at, kept = np.arange(len(scatter), dtype=float), thinned(len(scatter))
     clipped = np.clip(scatter, -0.98 * high, 0.98 * high)
-    at_runs(left, at[kept], clipped[kept], runs[kept], signs, markersize=4.2 if len(scatter) < 400 else 2.6, alpha=0.75)
+    style.at_runs(
+        left, at[kept], clipped[kept], runs[kept], signs, markersize=4.2 if len(scatter) < 400 else 2.6, alpha=0.75
+    )
     left.set(ylim=(-high, high), xlabel="row, in the order of the runs", ylabel="residual / recorded sd of the row")
     left.set_title(f"{worst.channel}: rows")
     _draw_ratios(right, shown)
@@ -86,8 +73,8 @@ def _draw_ratios(axes, shown: list[NoiseComparison]) -> None:
     places = np.arange(len(shown))
     ratio = np.array([each.ratio for each in shown])
     factor = np.exp(2 * np.array([each.ratio_sd for each in shown]) / ratio)
-    colours = [INK if each.agrees else (VERMILION if each.ratio > 1 else BLUE) for each in shown]
-    axes.axvline(1.0, color=QUIET, linewidth=0.9, zorder=1.5)
+    colours = [style.INK if each.agrees else (style.VERMILION if each.ratio > 1 else style.BLUE) for each in shown]
+    axes.axvline(1.0, color=style.QUIET, linewidth=0.9, zorder=1.5)
     for place, low, value, top, colour in zip(places, ratio / factor, ratio, ratio * factor, colours, strict=True):
         axes.plot([low, top], [place, place], color=colour, linewidth=1.6, solid_capstyle="butt")
         axes.plot([value], [place], "o", color=colour, markersize=5)
@@ -120,8 +107,8 @@ class FollowedCovariate:
     over: np.ndarray | None = None
 
 
-@themed
-def evidence_figure(evidence: ResidualEvidence, against: str, signs: RunSigns | None = None) -> Picture:
+@style.themed
+def evidence_figure(evidence: ResidualEvidence, against: str, signs: style.RunSigns | None = None) -> style.Picture:
     """Return the residual against the covariate of a candidate, and against the part that the candidate explains.
 
     Parameters
@@ -150,7 +137,7 @@ def evidence_figure(evidence: ResidualEvidence, against: str, signs: RunSigns | 
     _cloud(right, explained, residual, names, signs, high)
     if over is None:
         _cloud(left, at, residual, names, signs, high)
-        left.plot(at, explained, "D", color=INK, markersize=2.6, zorder=6)
+        left.plot(at, explained, "D", color=style.INK, markersize=2.6, zorder=6)
         left.set_title("against its covariate" if evidence.covariate is not None else "row by row")
         left.set(xlabel=against, ylabel=f"residual / {pretty(shown)}")
     else:
@@ -158,13 +145,13 @@ def evidence_figure(evidence: ResidualEvidence, against: str, signs: RunSigns | 
         left.set(
             xlabel=against, ylabel="residual / input / ppm", title=f"over its input, against {over.covariate.phrase}"
         )
-    right.axline((0, 0), slope=1, color=INK, linewidth=1.3, zorder=6)
+    right.axline((0, 0), slope=1, color=style.INK, linewidth=1.3, zorder=6)
     right.set_title(f"against the explained part; slope {significant(_slope(explained, residual))}")
     right.set(xlabel=f"explained / {pretty(shown)}", ylabel=f"residual / {pretty(shown)}")
     return figure
 
 
-@themed
+@style.themed
 def before_after_figure(
     followed: FollowedCovariate,
     before: np.ndarray,
@@ -174,9 +161,9 @@ def before_after_figure(
     unit: str,
     step: str,
     floor: float | None = None,
-    signs: RunSigns | None = None,
+    signs: style.RunSigns | None = None,
     within: bool = False,
-) -> Picture:
+) -> style.Picture:
     """Return the residual of a channel against a covariate, before and after a step, on one scale.
 
     Parameters
@@ -209,7 +196,7 @@ def before_after_figure(
     figure, signs, grid = _pair_of_panels(f"{channel} before and after {step}", caption, names, signs)
     for axes, word, y in zip(grid, ("before", "after"), (before, after), strict=True):
         if floor is not None:
-            axes.axhspan(-floor * factor, floor * factor, color=BAND, linewidth=0, zorder=1)
+            axes.axhspan(-floor * factor, floor * factor, color=style.BAND, linewidth=0, zorder=1)
         _cloud(axes, at, y, names, signs, high)
         draw_means(axes, at, y)
         axes.set_title(f"{word}: rms {significant(float(np.sqrt(np.nanmean(y**2))))} {pretty(shown)}")
@@ -218,10 +205,10 @@ def before_after_figure(
     return figure
 
 
-@themed
+@style.themed
 def added_variable_figure(
-    added: np.ndarray, residual: np.ndarray, runs: Sequence[str], effect: str, signs: RunSigns | None = None
-) -> Picture:
+    added: np.ndarray, residual: np.ndarray, runs: Sequence[str], effect: str, signs: style.RunSigns | None = None
+) -> style.Picture:
     """Return the added-variable plot: whitened residual against what the effect would explain, one colour per run.
 
     Parameters
@@ -237,39 +224,39 @@ def added_variable_figure(
         "in every run (colours by mounting or run); a spurious one rests on a few points of one run."
     )
     names = np.array(list(runs))
-    figure = picture(7.2, 4.0, f"{effect}: consistency between runs", caption)
+    figure = style.picture(7.2, 4.0, f"{effect}: consistency between runs", caption)
     signs = _signs(figure, names, signs)
-    axes = panels(figure, 1, 1, (0.65, 0.45, _LEGEND + 0.1, 0.25))[0, 0]
+    axes = style.panels(figure, 1, 1, (0.65, 0.45, _LEGEND + 0.1, 0.25))[0, 0]
     _cloud(axes, added, residual, names, signs, limit_of(residual, 3.0))
-    axes.axline((0, 0), slope=1, color=INK, linewidth=1.3, zorder=6)
+    axes.axline((0, 0), slope=1, color=style.INK, linewidth=1.3, zorder=6)
     axes.set_title(f"slope {significant(_slope(added, residual))}")
     axes.set(xlabel="explained by the effect / sd", ylabel="residual / sd")
     return figure
 
 
 def _pair_of_panels(
-    title: str, caption: str, runs: np.ndarray, signs: RunSigns | None
-) -> tuple[Picture, RunSigns, np.ndarray]:
-    figure = picture(11.5, 3.5, title, caption)
-    return figure, _signs(figure, runs, signs), panels(figure, 1, 2, (0.75, 0.45, _LEGEND, 0.25))[0]
+    title: str, caption: str, runs: np.ndarray, signs: style.RunSigns | None
+) -> tuple[style.Picture, style.RunSigns, np.ndarray]:
+    figure = style.picture(11.5, 3.5, title, caption)
+    return figure, _signs(figure, runs, signs), style.panels(figure, 1, 2, (0.75, 0.45, _LEGEND, 0.25))[0]
 
 
-def _signs(figure: Picture, runs: np.ndarray, signs: RunSigns | None) -> RunSigns:
+def _signs(figure: style.Picture, runs: np.ndarray, signs: style.RunSigns | None) -> style.RunSigns:
     """List the runs of a figure; return their signs, those of the runs themselves where none are given."""
-    signs = signs if signs is not None else RunSigns(runs.tolist())
-    runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs, runs.tolist())
+    signs = signs if signs is not None else style.RunSigns(runs.tolist())
+    style.runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs, runs.tolist())
     return signs
 
 
 def _over_input(
-    axes: Axes, evidence: ResidualEvidence, stimulus: np.ndarray, runs: np.ndarray, signs: RunSigns
+    axes: Axes, evidence: ResidualEvidence, stimulus: np.ndarray, runs: np.ndarray, signs: style.RunSigns
 ) -> None:
     """Draw the residual over the input in ppm, where the input is large enough not to magnify the noise."""
     large, divisor = _large_inputs(stimulus)
     ratio, explained = (1e6 * each[large] / divisor for each in (evidence.residual, evidence.explained))
     high = limit_of(np.concatenate([ratio, explained]), 1e-12)
     _cloud(axes, evidence.at[large], ratio, runs[large], signs, high)
-    axes.plot(evidence.at[large], explained, "D", color=INK, markersize=2.6, zorder=6)
+    axes.plot(evidence.at[large], explained, "D", color=style.INK, markersize=2.6, zorder=6)
 
 
 def _large_inputs(stimulus: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -284,15 +271,15 @@ def _slope(x: np.ndarray, y: np.ndarray) -> float:
     return float(x[good] @ y[good] / max(float(x[good] @ x[good]), 1e-300))
 
 
-def _cloud(axes: Axes, x: np.ndarray, y: np.ndarray, runs: np.ndarray, signs: RunSigns, high: float) -> None:
+def _cloud(axes: Axes, x: np.ndarray, y: np.ndarray, runs: np.ndarray, signs: style.RunSigns, high: float) -> None:
     good = np.isfinite(x) & np.isfinite(y)
     set_range(axes, x)
     axes.set_ylim(-high, high)
-    axes.axhline(0, color=QUIET, linewidth=0.7, zorder=1.5)
+    axes.axhline(0, color=style.QUIET, linewidth=0.7, zorder=1.5)
     x, y, runs = x[good], np.clip(y[good], -0.98 * high, 0.98 * high), runs[good]
     kept = thinned(x.size)
     size = 4.2 if x.size < 400 else 2.6
-    at_runs(axes, x[kept], y[kept], runs[kept], signs, markersize=size, alpha=0.75)
+    style.at_runs(axes, x[kept], y[kept], runs[kept], signs, markersize=size, alpha=0.75)
 
 
 _LEVELS, _LEAST_SHARE, _TIME_LAST = 24, 0.15, 0.1
@@ -317,13 +304,13 @@ def save_recorded_noise(folder: Path, record: KnownNoise) -> Path:
     return _saved(folder, recorded_noise_figure(record, _signs_of(folder)), "recorded_noise.png")
 
 
-def _signs_of(folder: Path) -> RunSigns | None:
+def _signs_of(folder: Path) -> style.RunSigns | None:
     """Return the signs of the runs of a result folder; None where it has no residuals."""
     file = folder / RESIDUALS
-    return run_signs(pl.read_parquet(file)) if file.is_file() else None
+    return style.run_signs(pl.read_parquet(file)) if file.is_file() else None
 
 
-def _saved(folder: Path, drawn: Picture, name: str) -> Path:
+def _saved(folder: Path, drawn: style.Picture, name: str) -> Path:
     target = folder / "figures"
     target.mkdir(exist_ok=True)
     return drawn.save(target / name)
@@ -335,7 +322,7 @@ def before_after(
     step: str,
     floors: Mapping[str, float] | None = None,
     group: EffectGroup | None = None,
-) -> Picture | None:
+) -> style.Picture | None:
     """Return the residual of the channel that changed most against its covariate; None where the tables do not match.
 
     Parameters
@@ -362,12 +349,12 @@ def before_after(
     if within:
         before_own, after_own = (each - of_runs(each, runs) for each in (before_own, after_own))
     if named is not None and named.name in INPUTS.values() and "input_observed" in own.columns:
-        followed = FollowedCovariate(numbers(own, "input_observed"), _label(named))
+        followed = FollowedCovariate(style.numbers(own, "input_observed"), _label(named))
     else:
         followed = followed_covariate(own, before_own - after_own, named.name if named is not None else None)
     return before_after_figure(
         followed, before_own, after_own, runs.tolist(), channel, own["input_unit"][0], step,
-        (floors or {}).get(channel), run_signs(before), within,
+        (floors or {}).get(channel), style.run_signs(before), within,
     )  # fmt: skip
 
 
@@ -378,10 +365,10 @@ def followed_covariate(own: pl.DataFrame, change: np.ndarray, named: str | None 
     change over the input follows a covariate clearly better than the change itself follows any, that one is returned
     with the input: a change of the scale factor with temperature, in rows of both signs of the input.
     """
-    stimulus = numbers(own, "input_observed")
+    stimulus = style.numbers(own, "input_observed")
     best, followed = _LEAST_SHARE, FollowedCovariate(np.arange(own.height, dtype=float), _BY_ROW)
     for covariate in shown():
-        x = numbers(own, covariate.column)
+        x = style.numbers(own, covariate.column)
         late = _TIME_LAST if covariate.si == "s" else 0.0
         shares = (_share(x, change) + (2.0 if covariate.column == named else 0.0), _share_of_ratio(x, change, stimulus))
         for share, over in ((shares[0], None), (shares[1] - _RATIO_LAST, stimulus)):
@@ -417,13 +404,13 @@ def _share_of_ratio(x: np.ndarray, y: np.ndarray, stimulus: np.ndarray) -> float
     return 1 - (rest + chance) / whole
 
 
-def added_variable(table: pl.DataFrame, added: str, residuals: pl.DataFrame | None = None) -> Picture | None:
+def added_variable(table: pl.DataFrame, added: str, residuals: pl.DataFrame | None = None) -> style.Picture | None:
     """Return the added-variable plot of an addition; None where it has no points.
 
     `residuals` of the same campaign tell the mountings and temperatures of its runs.
     """
     if not table.height:
         return None
-    signs = None if residuals is None else run_signs(residuals)
+    signs = None if residuals is None else style.run_signs(residuals)
     columns = (table["added"].to_numpy(), table["residual"].to_numpy(), table["run"].to_list())
     return added_variable_figure(*columns, added, signs)

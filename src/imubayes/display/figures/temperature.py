@@ -6,18 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from imubayes.display.figure_style import (
-    BAND,
-    BLUE,
-    INK,
-    MOST_PANELS,
-    QUIET,
-    SMALL,
-    Picture,
-    panels,
-    picture,
-    themed,
-)
+from imubayes.display import figure_style as style
 from imubayes.display.figures.panels import thinned
 from imubayes.display.numbers_and_labels import pretty, significant
 from imubayes.foundations.campaign_data import Campaign
@@ -58,7 +47,7 @@ def thermal_courses(
         names = [f"{family}[{channel.name}]" for family in _OVER_TEMPERATURE.get(channel.kind, ())]
         if any(name in draws and depends_on_temperature(name, draws) for name in names):
             found[channel.name] = [_course(name, draws, thermal, (low, high)) for name in names]
-    return dict(list(found.items())[:MOST_PANELS])
+    return dict(list(found.items())[: style.MOST_PANELS])
 
 
 def _course(
@@ -71,19 +60,19 @@ def _course(
     return ThermalCourse(name, thermal.units[name], *course_over_range(name, thermal.units[name], own, thermal, span))
 
 
-@themed
-def temperature_figure(campaign: Campaign, courses: Mapping[str, Sequence[ThermalCourse | None]]) -> Picture:
+@style.themed
+def temperature_figure(campaign: Campaign, courses: Mapping[str, Sequence[ThermalCourse | None]]) -> style.Picture:
     """Return bias and scale factor error over temperature: a row per channel with thermal terms."""
     height = max(len(courses) * 1.5 + 0.35, 2.6)
-    figure = picture(11.5, height, "Bias and scale factor over temperature", _CURVE_CAPTION)
-    grid = panels(figure, len(courses), 2, (0.95, 0.5, 0.1, 0.2), (1.1, 0.36), share_x=True)
+    figure = style.picture(11.5, height, "Bias and scale factor over temperature", _CURVE_CAPTION)
+    grid = style.panels(figure, len(courses), 2, (0.95, 0.5, 0.1, 0.2), (1.1, 0.36), share_x=True)
     marks = [float(each.mean()) for each in _recorded(campaign) if each.size]
     for row, (channel, pair) in zip(grid, courses.items(), strict=True):
         for axes, course, word in zip(row, pair, _WORDS, strict=True):
             axes.set_title(f"{channel}: {word}")
             _panel(axes, course)
             axes.plot(
-                marks, [0.03] * len(marks), "|", color=INK, markeredgewidth=1.0, markersize=7,
+                marks, [0.03] * len(marks), "|", color=style.INK, markeredgewidth=1.0, markersize=7,
                 transform=axes.get_xaxis_transform(),
             )  # fmt: skip
     for axes in grid[-1]:
@@ -95,14 +84,14 @@ def temperature_figure(campaign: Campaign, courses: Mapping[str, Sequence[Therma
 def _panel(axes: Axes, course: ThermalCourse | None) -> None:
     if course is None:
         axes.set_yticks([])
-        axes.text(0.5, 0.5, "not in the model", color=QUIET, ha="center", va="center", transform=axes.transAxes)
+        axes.text(0.5, 0.5, "not in the model", color=style.QUIET, ha="center", va="center", transform=axes.transAxes)
         return
     low, high = np.quantile(course.values, (0.025, 0.975), axis=0)
-    axes.fill_between(course.temperature, low, high, color=BAND, linewidth=0)
-    axes.plot(course.temperature, course.values.mean(axis=0), color=BLUE, linewidth=1.2)
+    axes.fill_between(course.temperature, low, high, color=style.BAND, linewidth=0)
+    axes.plot(course.temperature, course.values.mean(axis=0), color=style.BLUE, linewidth=1.2)
     sd, unit = course.values.std(axis=0), pretty(course.unit)
     ends = " … ".join(dict.fromkeys(significant(float(end), 2) for end in (sd.min(), sd.max())))
-    axes.set_title(f"sd {ends} {unit}", loc="right", weight="normal", color=QUIET, size=SMALL)
+    axes.set_title(f"sd {ends} {unit}", loc="right", weight="normal", color=style.QUIET, size=style.SMALL)
     axes.set_ylabel(unit)
 
 

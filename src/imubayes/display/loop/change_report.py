@@ -11,11 +11,11 @@ from typing import Any
 
 from imubayes.criticism.verdict import RmsChange
 from imubayes.display.fit_cautions import conflict_line
-from imubayes.display.layout import Cell, Report, Sheet
+from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.diagnosis_sentences import probability, sentence
 from imubayes.display.loop.history import offsets_moved_text
-from imubayes.display.numbers_and_labels import listed, percent, pretty, readable, significant, value_and_sd
+from imubayes.display.numbers_and_labels import counted, listed, percent, pretty, readable, significant, value_and_sd
 from imubayes.loop.injection_recovery import Trial, Trials
 from imubayes.loop.model_history import CrossValidation
 from imubayes.loop.refit import NotDistinguished
@@ -54,18 +54,16 @@ def first_rows(sheet: Sheet) -> Sheet:
 
 def moved_sheet(change: ModelChange) -> Sheet:
     """Return the estimates that moved by a tenth of their standard uncertainty or more."""
-    rows, slim = [], []
+    rows = []
     for each in change.moved:
         if abs(each.in_sd) >= _STAYED:
             pairs = ((each.before, each.sd_before), (each.after, each.sd_after))
             before, after = (" ± ".join(value_and_sd(*pair)) for pair in pairs)
             moved = significant(each.in_sd, 2).replace("-", "−")
-            rows.append(tuple(map(Cell, (each.name, before, after, pretty(each.unit), moved))))
-            slim.append(tuple(map(Cell, (each.name, after, pretty(each.unit), moved))))
+            rows.append(cells(each.name, before, after, pretty(each.unit), moved))
     note = "Change in the smaller of the two standard uncertainties, before and after." if rows else ""
-    narrow = Sheet("Estimates that moved", ("estimate", "after", "unit", "change / sd"), slim, (0, 2), note=note)
     head = ("estimate", "before", "after", "unit", "change / sd")
-    return Sheet("Estimates that moved", head, rows, (0, 3), note=note, narrow=narrow)
+    return Sheet("Estimates that moved", head, rows, (0, 3), note=note).with_few(0, 2, 3, 4)
 
 
 def ratio_of(change: RmsChange | RunRmsChange) -> float | None:
@@ -88,18 +86,17 @@ def coefficient_sheet(change: ModelChange) -> Sheet:
         value, sd = value_and_sd(estimate.value, estimate.sd)
         guess, width = value_and_sd(before.value, before.sd) if before is not None else value_and_sd(None, None)
         unit = pretty(estimate.unit)
-        rows.append(tuple(map(Cell, (estimate.name, guess, width, value, sd, unit))))
+        rows.append(cells(estimate.name, guess, width, value, sd, unit))
         name = estimate.name.partition(".")[2] if len(change.added) == 1 else estimate.name
-        slim.append(tuple(map(Cell, (name or estimate.name, f"{guess} ± {width}", f"{value} ± {sd}", unit))))
-    title = "Predicted and estimated"
-    narrow = Sheet(title, ("new parameter", "predicted", "estimated", "unit"), slim, (0, 3))
+        slim.append(cells(name or estimate.name, f"{guess} ± {width}", f"{value} ± {sd}", unit))
     head = ("new parameter", "predicted", "± ", "estimated", "±", "unit")
-    return Sheet(title, head, rows, (0, 5), narrow=narrow)
+    sheet = Sheet("Predicted and estimated", head, rows, (0, 5))
+    return sheet.with_narrow(("new parameter", "predicted", "estimated", "unit"), slim, (0, 3))
 
 
 def channel_sheet(change: ModelChange) -> Sheet:
     """Return the table of the residual rms before and after, per channel."""
-    rows = [(Cell(each.channel), *_change_cells(each)) for each in change.channels]
+    rows = [cells(each.channel, *_change_cells(each)) for each in change.channels]
     note = "At the noise known beforehand, offsets of runs included." if rows else ""
     head = ("channel", "before", "after", "unit", "change")
     return Sheet("Residual rms before and after, per channel", head, rows, (0, 1, 3), note=note)
@@ -111,7 +108,7 @@ def run_change_sheet(change: ModelChange) -> Sheet:
     for place, each in enumerate(change.runs):
         same = each.name == last
         dividers |= {place} if last is not None and not same else set()
-        rows.append((Cell("" if same else each.name), Cell(each.channel), *_change_cells(each)))
+        rows.append(cells("" if same else each.name, each.channel, *_change_cells(each)))
         last = each.name
     head = ("run", "channel", "before", "after", "unit", "change")
     title = "Residual rms before and after, per run and channel"
@@ -120,7 +117,7 @@ def run_change_sheet(change: ModelChange) -> Sheet:
 
 def _change_cells(change: RmsChange | RunRmsChange) -> Sequence[Cell]:
     before, after, unit = _sizes(change)
-    return (*map(Cell, (before, after, unit)), Cell(share(change), "bad" if _rose(change) else ""))
+    return cells(before, after, unit, Cell(share(change), "bad" if _rose(change) else ""))
 
 
 def _sizes(change: RmsChange | RunRmsChange) -> tuple[str, str, str]:
@@ -283,14 +280,14 @@ def injection_report(trials: Trials) -> Report:
 def injection_lines(trials: Trials) -> list[str]:
     """Return the outcome in sentences."""
     lines = [
-        f"{_counted(len(trials.trials), 'effect')} injected one by one into simulated data of '{trials.campaign}', "
+        f"{counted(len(trials.trials), 'effect')} injected one by one into simulated data of '{trials.campaign}', "
         f"{_size(trials)}: {trials.detected} detected, the right group first for {trials.group_first}."
     ]
     if trials.nulls:
         low, high = trials.false_alarm_interval
         lines.append(
-            f"Without injection: {_counted(trials.false_alarms, 'false alarm')} in "
-            f"{_counted(len(trials.nulls), 'draw')}, a rate of {percent(trials.false_alarms / len(trials.nulls))} "
+            f"Without injection: {counted(trials.false_alarms, 'false alarm')} in "
+            f"{counted(len(trials.nulls), 'draw')}, a rate of {percent(trials.false_alarms / len(trials.nulls))} "
             f"(95 % interval {percent(low)} to {percent(high)})."
         )
     missed = [trial.effect for trial in trials.trials if not trial.detected]
@@ -299,10 +296,6 @@ def injection_lines(trials: Trials) -> list[str]:
     if trials.skipped:
         lines.append(f"Not injected, undetectable in these runs: {listed(list(trials.skipped), 12)}.")
     return lines
-
-
-def _counted(count: int, name: str) -> str:
-    return f"{count} {name}{'' if count == 1 else 's'}"
 
 
 def _size(trials: Trials) -> str:
@@ -318,15 +311,8 @@ def injection_sheet(trials: Trials) -> Sheet:
     for trial in trials.trials:
         outcome = "first" if trial.group_first else ("other name" if trial.detected else "missed")
         first = listed(trial.effects, 2) or trial.diagnosis.verdict
-        cells = (Cell(trial.effect), Cell(_injected(trial)), Cell(significant(trial.delta_chi2)))
-        rows.append(
-            (
-                *cells,
-                Cell(outcome, _MOOD[outcome]),
-                Cell(first),
-                Cell(probability(trial.diagnosis.probability(trial.effect))),
-            )
-        )
+        found, likely = Cell(outcome, _MOOD[outcome]), probability(trial.diagnosis.probability(trial.effect))
+        rows.append(cells(trial.effect, _injected(trial), significant(trial.delta_chi2), found, first, likely))
     head = ("effect", "injected", "Δχ²", "found", "first group", "probability")
     return Sheet("Injection recovery", head, rows, (0, 1, 3, 4))
 

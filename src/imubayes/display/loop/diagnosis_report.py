@@ -15,7 +15,7 @@ from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, ResidualFormula, ScreenedEffect
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.display.fit_cautions import noise_ratio
-from imubayes.display.layout import Cell, Report, Sheet
+from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop.diagnosis_sentences import evidence_text, noise_text, probability, sentence, why_undetectable
 from imubayes.display.numbers_and_labels import chance_text, listed, percent, pretty, significant, value_and_sd
 from imubayes.display.quality_tables import run_design_text
@@ -37,11 +37,10 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
     rows, slim = [], []
     for line in ranking:
         likely = Cell(probability(line.probability), "bad" if line.probability >= 0.5 else "dim")
-        name, drop, odds = Cell(line.effect), Cell(significant(line.delta_chi2)), Cell(significant(line.log_odds))
-        shown = found.estimate(line.effect) or line
-        mark, on, size = Cell(group.get(line.effect, "")), Cell(listed(shown.channels, 3)), Cell(_coefficient(shown))
-        rows.append((name, on, size, drop, odds, likely, mark))
-        slim.append((name, Cell(_coefficient(shown, short=True)), drop, likely, mark))
+        name, drop, odds = line.effect, significant(line.delta_chi2), significant(line.log_odds)
+        shown, mark = found.estimate(line.effect) or line, group.get(line.effect, "")
+        rows.append(cells(name, listed(shown.channels, 3), _coefficient(shown), drop, odds, likely, mark))
+        slim.append(cells(name, _coefficient(shown, short=True), drop, likely, mark))
     before = _more(len(found.ranking) - len(rows)) + (
         "Coefficient: the most significant one, at the likeliest shape, such as a time constant; Δχ²: predicted drop "
         "if the effect is added alone, at the noise known beforehand; "
@@ -86,7 +85,7 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
         absorbed = ", ".join(f"{percent(part.share)} {part.parameter}" for part in each.absorbed_by[:2])
         smallest = each.smallest_detectable
         size = f"{significant(smallest)} {pretty(each.unit)}" if smallest is not None else "–"
-        rows.append((Cell(each.effect), Cell(absorbed or why_undetectable(each)), Cell(size), Cell(_bias(each.bias))))
+        rows.append(cells(each.effect, absorbed or why_undetectable(each), size, _bias(each.bias)))
     note = ""
     if rows:
         note = (
@@ -108,12 +107,12 @@ def _bias(bias: ParameterBias | None) -> str:
 def formula_sheet(found: Diagnosis) -> Sheet:
     """Return the simplest formula for what no effect explains, a line for each term."""
     rows = [
-        (
-            Cell(each.channel),
-            Cell(term.shape),
-            Cell(f"{' ± '.join(value_and_sd(term.value, term.sd))} {pretty(term.unit)}"),
-            Cell(significant(term.delta_chi2)),
-            Cell(significant(term.log_odds)),
+        cells(
+            each.channel,
+            term.shape,
+            f"{' ± '.join(value_and_sd(term.value, term.sd))} {pretty(term.unit)}",
+            significant(term.delta_chi2),
+            significant(term.log_odds),
         )
         for each in found.formulas
         for term in each.terms
@@ -127,7 +126,7 @@ def formula_sheet(found: Diagnosis) -> Sheet:
 def noise_sheet(found: Diagnosis) -> Sheet:
     """Return the noise of the likeliest explanation where it is not as the model says."""
     noise = found.explanations.noise if found.explanations is not None else ()
-    rows = [(Cell(noise_text([each])), Cell(significant(each.scale))) for each in noise]
+    rows = [cells(noise_text([each]), significant(each.scale)) for each in noise]
     return Sheet("Noise that is not as modelled", ("noise", "scale / known"), rows, (0,))
 
 
@@ -135,12 +134,12 @@ def recorded_noise_sheet(found: Diagnosis) -> Sheet:
     """Return fitted against recorded noise of the channels where they do not agree."""
     sources = {"samples": "samples within rows", "prior": "the prior", "channel": "'noise' of the channel"}
     rows = [
-        (
-            Cell(each.channel),
-            Cell(significant(each.fitted)),
-            Cell(significant(each.recorded)),
-            Cell(sources[each.source]),
-            Cell(noise_ratio(each)),
+        cells(
+            each.channel,
+            significant(each.fitted),
+            significant(each.recorded),
+            sources[each.source],
+            noise_ratio(each),
             Cell(chance_text(each.p), "bad" if each.excessive else ""),
         )
         for each in found.disagreeing_noise
@@ -157,10 +156,12 @@ def recorded_noise_sheet(found: Diagnosis) -> Sheet:
 def outlier_sheet(found: Diagnosis) -> Sheet:
     """Return the outliers, the farthest first."""
     rows = [
-        (
-            *(Cell(each.run), Cell(each.channel), Cell(str(each.row))),
-            *(Cell("–" if value is None else f"{value:.6g}") for value in (each.time_s, each.table_angle_deg)),
-            Cell(f"{each.distance:+.1f}"),
+        cells(
+            each.run,
+            each.channel,
+            str(each.row),
+            *("–" if value is None else f"{value:.6g}" for value in (each.time_s, each.table_angle_deg)),
+            f"{each.distance:+.1f}",
         )
         for each in found.outliers[:_MOST_OUTLIERS]
     ]

@@ -7,7 +7,7 @@ foot of a page, states what a result comes from.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from imubayes.display.layout import Cell, Report, Sheet
+from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, pretty, ratio_text, readable, significant, value_and_sd
 from imubayes.loop.model_history import Node, Tree, rms_by_unit
 from imubayes.results.history_tree import shown_place
@@ -53,8 +53,8 @@ def history_sheet(tree: Tree) -> Sheet:
     )
     dividers = frozenset(index for index, (depth, _) in enumerate(ordered) if index and depth == 0)
     slim = [_slim_row(row, tree.nodes[place]) for row, (_, place) in zip(rows, ordered, strict=True)]
-    narrow = Sheet("Models tried", ("model", "Δχ²", *_heads("rms ", scales), "Δ elpd"), slim, (0,), "", note, dividers)
-    return Sheet("Models tried", head, rows, (0, len(head) - 1), "", note, dividers, narrow)
+    sheet = Sheet("Models tried", head, rows, (0, len(head) - 1), "", note, dividers)
+    return sheet.with_narrow(("model", "Δχ²", *_heads("rms ", scales), "Δ elpd"), slim)
 
 
 def _scales(errors: Sequence[Mapping[str, float]]) -> Scales:
@@ -82,13 +82,13 @@ def _row(node: Node, depth: int, place: str, scales: Scales) -> tuple[Cell, ...]
     mark = "●" if node.selected else ("○" if node.taken else "✕")
     title = f"{'  ' * (depth - 1)}└ {node.title}" if depth else node.title
     useless = node.held_out is not None and node.held_out.verdict in ("not", "costs")
-    return (
+    return cells(
         Cell(f"{mark} {title}", "" if node.taken else "dim"),
-        Cell(ratio_text(node.chi2_per_dof)),
-        Cell(significant(node.delta_chi2.observed)),
-        *map(Cell, sizes),
+        ratio_text(node.chi2_per_dof),
+        significant(node.delta_chi2.observed),
+        *sizes,
         Cell(gain_text(node), "bad" if useless else ""),
-        Cell(shown_place(place)),
+        shown_place(place),
     )
 
 

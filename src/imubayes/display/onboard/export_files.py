@@ -5,14 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from imubayes.display.onboard.formats import (
-    ardupilot_parameters,
-    c_header,
-    kalibr_yaml,
-    px4_parameters,
-    refuse_losses,
-    ros_covariances,
-)
+from imubayes.display.onboard import formats
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import write_text
 from imubayes.qualification.onboard.losses import Loss, NoiseDensity, losses
@@ -49,7 +42,7 @@ def write_constants(constants: OnboardConstants, format: Format, out: Path, opti
     """
     found = () if format in ("json", "ros") else losses(constants, format)
     if not options.accept_loss:
-        refuse_losses(found, format, str(out))
+        formats.refuse_losses(found, format, str(out))
     write_text(out, constants_text(constants, format, found, options))
     return found
 
@@ -63,6 +56,11 @@ def constants_text(constants: OnboardConstants, format: Format, found: tuple[Los
             raise input_error(
                 "the rate of the samples is not known", "--format kalibr", "a rate in Hz", "give --rate-hz"
             )
-        return kalibr_yaml(constants, found, options.noise, options.rate, options.topic)
-    writers = {"c": c_header, "px4": px4_parameters, "ardupilot": ardupilot_parameters, "ros": ros_covariances}
+        return formats.kalibr_yaml(constants, found, options.noise, options.rate, options.topic)
+    writers = {
+        "c": formats.c_header,
+        "px4": formats.px4_parameters,
+        "ardupilot": formats.ardupilot_parameters,
+        "ros": formats.ros_covariances,
+    }
     return writers[format](constants, found)

@@ -1,26 +1,18 @@
 """Section on uncertainty budgets: what contributes to each uncertainty, and what would narrow it first."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, significant
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
 from imubayes.display.qualification.quantity_drawings import bar_drawings, correlation_drawing
 from imubayes.display.qualification.words import MORE_DRAWS
 from imubayes.display.quality_tables import run_design_text
-from imubayes.qualification.budget_parts import (
-    BudgetLine,
-    CorrelationMatrix,
-    HalvedInput,
-    NarrowingRun,
-    QuantityBudget,
-    Source,
-    UncertaintyBudgets,
-)
+from imubayes.qualification import budget_parts as parts
 from imubayes.qualification.decision_rules import ADDS_UP
 from imubayes.qualification.report_record import QualificationReport
 
-_SOURCES: dict[Source, str] = {
+_SOURCES: dict[parts.Source, str] = {
     "fixture": "fixture", "table": "table", "site": "site", "reference": "reference", "unit": "unit under test",
 }  # fmt: skip
 # Lines of a table: those with at least this share, and so many at most; the others are summed.
@@ -54,30 +46,28 @@ _FIRST_NOTE = (
 )
 
 
-def budget_section(report: QualificationReport) -> list[Block]:
+def budget_section(report: QualificationReport) -> Iterator[Block]:
     """Return the uncertainty budgets of limits, mounting angles, quantities and combinations of the standards."""
     budgets = report.budgets
     if budgets is None:
-        return []
+        return
     shown, withheld = reported_budgets(report, budgets), _withheld(report)
-    found: list[Block] = [
-        Heading("Uncertainty budgets"),
-        Paragraph(_METHOD),
-        Items(_NOTES),
-        Paragraph(_sum_text(budgets) + _scaled_text(budgets)),
-    ]
-    bars = bar_drawings(shown)
-    if bars is not None:
-        found.append(bars)
-    found += _improvements(shown, withheld)
-    found += [_budget_table(each, place == 0, each.name in withheld) for place, each in enumerate(shown)]
-    found.append(Heading("Correlations", 3))
+    yield Heading("Uncertainty budgets")
+    yield Paragraph(_METHOD)
+    yield Items(_NOTES)
+    yield Paragraph(_sum_text(budgets) + _scaled_text(budgets))
+    if shown:
+        yield bar_drawings(shown)
+    yield from _improvements(shown, withheld)
+    for place, each in enumerate(shown):
+        yield _budget_table(each, place == 0, each.name in withheld)
+    yield Heading("Correlations", 3)
     drawn = [each.name for each in shown][:_MOST_DRAWN]
-    found.append(correlation_drawing(budgets.correlation, drawn))
-    return [*found, *_strongest(budgets.correlation, {each.name for each in shown})]
+    yield correlation_drawing(budgets.correlation, drawn)
+    yield from _strongest(budgets.correlation, {each.name for each in shown})
 
 
-def reported_budgets(report: QualificationReport, budgets: UncertaintyBudgets) -> list[QuantityBudget]:
+def reported_budgets(report: QualificationReport, budgets: parts.UncertaintyBudgets) -> list[parts.QuantityBudget]:
     """Return the budgets that the document shows, limits first; the record has those of all quantities."""
     known = {each.name: each for each in budgets.quantities}
     limits = report.conformity.limits if report.conformity is not None else ()
@@ -94,7 +84,7 @@ def _withheld(report: QualificationReport) -> set[str]:
     return {line.name for line in (*lines, *report.thermal_linearity) if line.withheld is not None}
 
 
-def _scaled_text(budgets: UncertaintyBudgets) -> str:
+def _scaled_text(budgets: parts.UncertaintyBudgets) -> str:
     """Return which budgets are scaled to their draws, as a sentence; empty where none is."""
     named = [f"{each.name} (× {each.scaled:.3f})" for each in budgets.quantities if each.scaled != 1]
     if not named:
@@ -106,7 +96,7 @@ def _scaled_text(budgets: UncertaintyBudgets) -> str:
     )
 
 
-def _sum_text(budgets: UncertaintyBudgets) -> str:
+def _sum_text(budgets: parts.UncertaintyBudgets) -> str:
     off = [each for each in budgets.quantities if abs(each.remainder) > ADDS_UP]
     largest = max((abs(each.remainder) for each in budgets.quantities), default=0.0)
     if not off:
@@ -122,15 +112,15 @@ def _sum_text(budgets: UncertaintyBudgets) -> str:
     )
 
 
-def input_text(line: BudgetLine | HalvedInput) -> str:
+def input_text(line: parts.BudgetLine | parts.HalvedInput) -> str:
     """Return what contributes, as a phrase."""
     match line.kind:
-        case "run" if isinstance(line, BudgetLine) and not line.input:
+        case "run" if isinstance(line, parts.BudgetLine) and not line.input:
             return f"noise of {line.inputs} runs, {str(line.group).replace('_', ' ')}"
         case "run":
             return f"noise of {line.input}"
         case "priors":
-            count = f" ({line.inputs} inputs)" if isinstance(line, BudgetLine) else ""
+            count = f" ({line.inputs} inputs)" if isinstance(line, parts.BudgetLine) else ""
             return line.input.replace("_", " ") + count
         case "prior":
             return line.input
@@ -139,38 +129,38 @@ def input_text(line: BudgetLine | HalvedInput) -> str:
         case "second_order":
             return "second order"
         case "small":
-            return f"{line.inputs} smaller" if isinstance(line, BudgetLine) else ""
+            return f"{line.inputs} smaller" if isinstance(line, parts.BudgetLine) else ""
 
 
-def _improvements(shown: Sequence[QuantityBudget], withheld: Collection[str]) -> list[Block]:
+def _improvements(shown: Sequence[parts.QuantityBudget], withheld: Collection[str]) -> Iterator[Block]:
     """Return what to improve first, and the runs that it names by letters."""
-    texts = list(dict.fromkeys(run_text(each.next_run) for each in shown if each.next_run is not None))
-    letters = {text: _letter(place) for place, text in enumerate(texts)}
+    runs = list(dict.fromkeys(run_text(each.next_run) for each in shown if each.next_run is not None))
+    letters = {text: _letter(place) for place, text in enumerate(runs)}
     rows = [
-        (
-            Text(each.name),
-            Text("withheld" if each.name in withheld else significant(each.standard_uncertainty, 2)),
-            Text(pretty(each.unit)),
-            Text(input_text(each.halved[0]) if each.halved else NO_NUMBER),
-            Text(_fall(each, each.halved[0].standard_uncertainty) if each.halved else NO_NUMBER),
-            Text(letters[run_text(each.next_run)] if each.next_run is not None else NO_NUMBER),
-            Text(_fall(each, each.next_run.standard_uncertainty) if each.next_run is not None else NO_NUMBER),
+        texts(
+            each.name,
+            "withheld" if each.name in withheld else significant(each.standard_uncertainty, 2),
+            pretty(each.unit),
+            input_text(each.halved[0]) if each.halved else NO_NUMBER,
+            _fall(each, each.halved[0].standard_uncertainty) if each.halved else NO_NUMBER,
+            letters[run_text(each.next_run)] if each.next_run is not None else NO_NUMBER,
+            _fall(each, each.next_run.standard_uncertainty) if each.next_run is not None else NO_NUMBER,
         )
         for each in shown
     ]
     head = ("quantity", "u", "unit", "halve first", "u falls by", "next run", "u falls by")
-    found: list[Block] = [ReportTable("What to improve first", head, rows, (0, 2, 3, 5), _FIRST_NOTE)]
+    yield ReportTable("What to improve first", head, rows, (0, 2, 3, 5), _FIRST_NOTE)
     if letters:
-        found += [Paragraph("Next runs:"), Items([f"{letter}: {text}." for text, letter in letters.items()])]
-    return found
+        yield Paragraph("Next runs:")
+        yield Items([f"{letter}: {text}." for text, letter in letters.items()])
 
 
-def run_text(run: NarrowingRun) -> str:
+def run_text(run: parts.NarrowingRun) -> str:
     """Return a further run as a phrase."""
     return f"{run.repeats} once more" if run.run is None else run_design_text(run.run)
 
 
-def _fall(budget: QuantityBudget, after: float) -> str:
+def _fall(budget: parts.QuantityBudget, after: float) -> str:
     return f"{100 * (1 - after / budget.standard_uncertainty):.0f} %"
 
 
@@ -178,7 +168,7 @@ def _letter(place: int) -> str:
     return "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[place] if place < 26 else f"R{place + 1}"
 
 
-def _budget_table(budget: QuantityBudget, first: bool, withheld: bool) -> ReportTable:
+def _budget_table(budget: parts.QuantityBudget, first: bool, withheld: bool) -> ReportTable:
     lines = sorted(_grouped(budget.lines), key=lambda line: -line.share)
     large = [line for line in lines if line.kind != "small" and line.share >= _SHOWN_SHARE][:_MOST_LINES]
     rest = [line for line in lines if line not in large]
@@ -201,7 +191,7 @@ def _budget_table(budget: QuantityBudget, first: bool, withheld: bool) -> Report
     )
 
 
-def _caption(budget: QuantityBudget, withheld: bool) -> str:
+def _caption(budget: parts.QuantityBudget, withheld: bool) -> str:
     """Return what a budget is of, with u, k and U where they are stated."""
     if withheld:
         return f"{budget.name}: u, k and U withheld, as the draws leave no digit ({MORE_DRAWS})"
@@ -225,7 +215,7 @@ def _without_empty_columns(table: ReportTable) -> ReportTable:
     )
 
 
-def _grouped(lines: Sequence[BudgetLine]) -> list[BudgetLine]:
+def _grouped(lines: Sequence[parts.BudgetLine]) -> list[parts.BudgetLine]:
     """Return the contributions with runs of one procedure taken together."""
     found = [line for line in lines if line.kind != "run"]
     for group in dict.fromkeys(line.group for line in lines if line.kind == "run"):
@@ -246,7 +236,7 @@ def _grouped(lines: Sequence[BudgetLine]) -> list[BudgetLine]:
     return found
 
 
-def _line(line: BudgetLine) -> tuple[Text, ...]:
+def _line(line: parts.BudgetLine) -> tuple[Text, ...]:
     infinite = "∞" if line.type == "B" else ""
     return _cells(
         input_text(line),
@@ -278,7 +268,7 @@ def _degrees(value: float) -> str:
     return f"{value:.0f}" if value < 1000 else "> 1000"
 
 
-def _strongest(matrix: CorrelationMatrix, shown: set[str]) -> list[Block]:
+def _strongest(matrix: parts.CorrelationMatrix, shown: set[str]) -> Iterator[Block]:
     pairs = [
         (abs(value), value, first, matrix.names[column])
         for first, row in zip(matrix.names, matrix.rows, strict=True)
@@ -287,12 +277,13 @@ def _strongest(matrix: CorrelationMatrix, shown: set[str]) -> list[Block]:
     ]
     pairs.sort(key=lambda pair: -pair[0])
     if not pairs:
-        return [Paragraph(f"No two of these quantities have a correlation beyond ± {_STRONG:g}.")]
-    rows = [(Text(second), Text(first), Text(f"{value:+.3f}")) for _, value, first, second in pairs]
+        yield Paragraph(f"No two of these quantities have a correlation beyond ± {_STRONG:g}.")
+        return
+    rows = [texts(second, first, f"{value:+.3f}") for _, value, first, second in pairs]
     note = (
         f"Correlations beyond ± {_STRONG:g} of the posterior draws"
         + (f", the strongest {_MOST_STRONG} of {len(rows)}" if len(rows) > _MOST_STRONG else "")
         + ". Uncertainties of strongly correlated quantities must not be added as if they were independent. The whole "
         "matrix is in the JSON record."
     )
-    return [ReportTable("Strongest correlations", ("quantity", "and", "r"), rows[:_MOST_STRONG], (0, 1), note)]
+    yield ReportTable("Strongest correlations", ("quantity", "and", "r"), rows[:_MOST_STRONG], (0, 1), note)

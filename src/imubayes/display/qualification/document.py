@@ -39,6 +39,11 @@ class Text:
         object.__setattr__(self, "text", _HYPHEN_AS_MINUS.sub("−", self.text))
 
 
+def texts(*cells: str | Text) -> tuple[Text, ...]:
+    """Return a row of a table; plain cells stand in it without emphasis."""
+    return tuple(cell if isinstance(cell, Text) else Text(cell) for cell in cells)
+
+
 @dataclass(frozen=True)
 class Heading:
     """A heading; level 2 begins a section, level 3 a part of it."""

@@ -3,20 +3,8 @@
 from collections.abc import Sequence
 
 from imubayes.display.numbers_and_labels import pretty, significant
-from imubayes.display.qualification.document import Banner, ReportTable, Text
-from imubayes.display.qualification.words import (
-    NO_DECISION,
-    OBSTACLES,
-    OUTCOMES,
-    VERDICTS,
-    beside,
-    enumerated,
-    limits_text,
-    probability_text,
-    risk_text,
-    rule_text,
-    with_digits,
-)
+from imubayes.display.qualification import words
+from imubayes.display.qualification.document import Banner, ReportTable, Text, texts
 from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,
@@ -33,7 +21,7 @@ def banner(report: QualificationReport) -> Banner:
             "No specification was given: this report states estimates with their uncertainty and decides nothing."
         )
         return Banner("NO SPECIFICATION", sentence, "")
-    word, mood = OUTCOMES[found.outcome]
+    word, mood = words.OUTCOMES[found.outcome]
     return Banner(word, _sentence(found), mood)
 
 
@@ -45,9 +33,9 @@ def _sentence(found: Conformity) -> str:
         return f"The limits of the specification “{found.specification}” could not be judged: the fit did not converge."
     if found.outcome == "withheld" and found.obstacles:
         return f"{limits} The unit cannot pass, for the reasons below."
-    for reason, why in NO_DECISION.items():
+    for reason, why in words.NO_DECISION.items():
         if undecided := [limit.name for limit in found.limits if limit.withheld == reason]:
-            limits += f" There is no decision on {enumerated(undecided, 4)}: {why}."
+            limits += f" There is no decision on {words.enumerated(undecided, 4)}: {why}."
     conditional = sum(limit.outcome.startswith("conditional") for limit in found.limits)
     return limits + (f" {conditional} results are conditional: within U of the limit." if conditional else "")
 
@@ -56,16 +44,16 @@ def alarms(report: QualificationReport) -> list[str]:
     """Return what stands against the use of the numbers, most serious first; also where there is no specification."""
     convergence, adequacy = report.convergence, report.adequacy
     if not convergence.converged:
-        return [OBSTACLES["not_converged"] + f" {convergence.message}"]
+        return [words.OBSTACLES["not_converged"] + f" {convergence.message}"]
     found = []
     if adequacy.verdict is None:
-        found.append(OBSTACLES["not_diagnosed"])
+        found.append(words.OBSTACLES["not_diagnosed"])
     elif adequacy.verdict != "adequate":
-        found.append(f"{OBSTACLES['inadequate_model']} Diagnosis: {VERDICTS[adequacy.verdict]}.")
+        found.append(f"{words.OBSTACLES['inadequate_model']} Diagnosis: {words.VERDICTS[adequacy.verdict]}.")
     if not adequacy.intervals_valid:
-        found.append(OBSTACLES["invalid_intervals"])
+        found.append(words.OBSTACLES["invalid_intervals"])
     if adequacy.prior_conflicts:
-        names = enumerated([conflict.name for conflict in adequacy.prior_conflicts], 4)
+        names = words.enumerated([conflict.name for conflict in adequacy.prior_conflicts], 4)
         found.append(f"Priors and data disagree for {names}: see model adequacy.")
     return found
 
@@ -87,7 +75,7 @@ def facts(report: QualificationReport) -> list[tuple[str, str]]:
         ("Model", f"{report.provenance.model}, {len(report.provenance.effects)} effects"),
         ("Evaluation", _evaluation(report.convergence, method, report.interval)),
         ("Converged", "yes" if report.convergence.converged else "NO"),
-        ("Model adequacy", VERDICTS[verdict] if verdict is not None else "NOT DIAGNOSED"),
+        ("Model adequacy", words.VERDICTS[verdict] if verdict is not None else "NOT DIAGNOSED"),
     ]
 
 
@@ -103,17 +91,17 @@ def limits_table(limits: Sequence[LimitOutcome]) -> ReportTable:
     """Return every limit with estimate, conformance probability and decision."""
     rows = []
     for limit in limits:
-        word, mood = OUTCOMES[limit.outcome]
+        word, mood = words.OUTCOMES[limit.outcome]
         values = limit.estimate, limit.standard_uncertainty
-        estimate, u = with_digits(values, limit.standard_uncertainty, limit.monte_carlo)
+        estimate, u = words.with_digits(values, limit.standard_uncertainty, limit.monte_carlo)
         rows.append(
-            (
-                Text(limit.name),
-                Text(f"{limits_text(limit)} {pretty(limit.unit)}"),
-                Text(_where(limit)),
-                Text(beside(estimate, u)),
-                probability_text(limit.conformance),
-                Text(word if limit.withheld is None else f"{word}: {NO_DECISION[limit.withheld]}", mood),
+            texts(
+                limit.name,
+                f"{words.limits_text(limit)} {pretty(limit.unit)}",
+                _where(limit),
+                words.beside(estimate, u),
+                words.probability_text(limit.conformance),
+                Text(word if limit.withheld is None else f"{word}: {words.NO_DECISION[limit.withheld]}", mood),
             )
         )
     return ReportTable(
@@ -139,31 +127,20 @@ def risk_table(limits: Sequence[LimitOutcome]) -> ReportTable:
     """Return rule, guard band and risks of every limit, with the second method of each probability."""
     known = any(limit.global_consumer_risk is not None for limit in limits)
     rows = [
-        (
-            Text(limit.name),
-            Text(rule_text(limit)),
-            Text("–" if limit.guard_band is None else f"{significant(limit.guard_band)} {pretty(limit.unit)}"),
-            Text(f"{limit.conformance.from_draws:.4f}"),
-            Text(f"{limit.conformance.from_quadrature:.4f}"),
-            Text(risk_text(limit.consumer_risk)),
-            Text(risk_text(limit.producer_risk)),
-            *(
-                (probability_text(limit.global_consumer_risk), probability_text(limit.global_producer_risk))
-                if known
-                else ()
-            ),
+        texts(
+            limit.name,
+            words.rule_text(limit),
+            "–" if limit.guard_band is None else f"{significant(limit.guard_band)} {pretty(limit.unit)}",
+            f"{limit.conformance.from_draws:.4f}",
+            f"{limit.conformance.from_quadrature:.4f}",
+            words.risk_text(limit.consumer_risk),
+            words.risk_text(limit.producer_risk),
+            *(map(words.probability_text, (limit.global_consumer_risk, limit.global_producer_risk)) if known else ()),
         )
         for limit in limits
     ]
-    head = [
-        "quantity",
-        "rule",
-        "guard band w",
-        "conformance, draws",
-        "conformance, quadrature",
-        "consumer’s risk",
-        "producer’s risk",
-    ]
+    head = ["quantity", "rule", "guard band w", "conformance, draws", "conformance, quadrature"]
+    head += ["consumer’s risk", "producer’s risk"]
     head += ["global consumer’s risk", "global producer’s risk"] if known else []
     return ReportTable(
         "Decision rules and risks",

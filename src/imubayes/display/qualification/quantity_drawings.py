@@ -3,7 +3,7 @@
 The forest plot has estimate and coverage interval of each parameter on the scale of its prior.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -42,14 +42,26 @@ _MATRIX = (
 _LEAST, _STEPS = 0.05, 4
 
 
-def bar_drawings(budgets: Sequence[QuantityBudget]) -> Drawings | None:
-    """Return the bars of budgets in drawings of at most 30 rows; None where there are none."""
-    if not budgets:
-        return None
-    count = -(-len(budgets) // _MOST_ROWS)
-    size = -(-len(budgets) // count)
-    parts = [budgets[start : start + size] for start in range(0, len(budgets), size)]
-    return Drawings([_bars(part, k, len(parts)) for k, part in enumerate(parts, 1)], _BARS)
+def bar_drawings(budgets: Sequence[QuantityBudget]) -> Drawings:
+    """Return the bars of budgets in drawings of at most 30 rows."""
+    return Drawings(_in_parts(_bars, budgets), _BARS)
+
+
+def _in_parts[T: (QuantityBudget, ResultLine)](
+    draw: Callable[[Sequence[T], int, int], Drawing], rows: Sequence[T]
+) -> list[Drawing]:
+    """Return drawings of at most 30 rows each, about the same number; `draw` is told which of how many it makes."""
+    count = -(-len(rows) // _MOST_ROWS)
+    size = -(-len(rows) // count)
+    parts = [rows[start : start + size] for start in range(0, len(rows), size)]
+    return [draw(part, number, len(parts)) for number, part in enumerate(parts, 1)]
+
+
+def _name_rows(axes: Axes, names: Sequence[str], size: float = 7) -> None:
+    """Write names beside rows, without ticks and without a line at the left."""
+    axes.set_yticks(range(len(names)), [shortened(name, 34) for name in names], fontsize=size)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
 
 
 def part_of(line: BudgetLine) -> str:
@@ -81,10 +93,8 @@ def _bars(budgets: Sequence[QuantityBudget], number: int, of: int) -> Drawing:
             ]
             _fill(axes, rectangles, colour)
         axes.set(xlim=(0, max(1.0, float(ends.max()))), ylim=(len(budgets) - 0.4, -0.6))
-        axes.set_yticks(range(len(budgets)), [shortened(each.name, 34) for each in budgets], fontsize=7)
+        _name_rows(axes, [each.name for each in budgets])
         axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0], ["0", "25", "50", "75", "100"])
-        axes.tick_params(axis="y", length=0)
-        axes.spines["left"].set_visible(False)
         axes.set_xlabel("share of the posterior variance / %")
         used = [part for part, share in zip(_PARTS, shares.sum(axis=0), strict=True) if share > 0]
         handles = [Patch(color=_PARTS[part], label=_WORDS.get(part, f"B: {part}")) for part in used]
@@ -128,12 +138,9 @@ def correlation_drawing(matrix: CorrelationMatrix, names: Sequence[str]) -> Draw
             _fill(axes, squares, colour)
         axes.plot([-0.5, len(names) - 0.5], [-0.5, len(names) - 0.5], color=QUIET, linewidth=0.5)
         axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(names) - 0.5, -0.5))
-        size_of_text = min(7.0, cell * 72 * 0.8)
-        axes.set_yticks(range(len(names)), [shortened(each, 34) for each in names], fontsize=size_of_text)
+        _name_rows(axes, names, min(7.0, cell * 72 * 0.8))
         axes.set_xticks([])
-        axes.tick_params(axis="y", length=0)
-        for side in ("left", "bottom"):
-            axes.spines[side].set_visible(False)
+        axes.spines["bottom"].set_visible(False)
 
     width = max(WIDTH, _NAMES + size + 0.15)
     return Drawings([drawn("correlations", name, size + 0.5, draw, width)], _MATRIX)
@@ -158,10 +165,7 @@ def forest_drawings(results: Sequence[ResultLine]) -> Drawings | None:
     lines = [line for line in results if line.prior_mean is not None and line.prior_sd and line.estimate is not None]
     if not lines:
         return None
-    count = -(-len(lines) // _MOST_ROWS)
-    size = -(-len(lines) // count)
-    parts = [lines[start : start + size] for start in range(0, len(lines), size)]
-    return Drawings([_forest(part, k, len(parts)) for k, part in enumerate(parts, 1)], _CAPTION)
+    return Drawings(_in_parts(_forest, lines), _CAPTION)
 
 
 def _forest(lines: Sequence[ResultLine], number: int, of: int) -> Drawing:
@@ -185,9 +189,7 @@ def _forest(lines: Sequence[ResultLine], number: int, of: int) -> Drawing:
             axes.plot([low, high], [row, row], color=colour, linewidth=1.4)
             axes.plot([at], [row], "^" if weak else "o", color=colour, markersize=3)
         axes.set(ylim=(len(lines) - 0.4, -0.6))
-        axes.set_yticks(range(len(lines)), [shortened(each.name, 34) for each in lines], fontsize=7)
-        axes.tick_params(axis="y", length=0)
-        axes.spines["left"].set_visible(False)
+        _name_rows(axes, [each.name for each in lines])
         axes.set_xlabel("(estimate − prior mean) / prior sd")
 
     return drawn(f"forest-{number}", name, height + 0.75, draw)

@@ -13,7 +13,6 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -23,32 +22,12 @@ import matplotlib as mpl
 from markupsafe import Markup, escape
 
 from imubayes.display.layout import render
+from imubayes.display.qualification import model_sections, result_sections, unit_drawings
 from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.document import Block, Drawings, Heading, Paragraph, ReportDocument, ReportTable
 from imubayes.display.qualification.first_page import alarms, banner, facts, limits_table, risk_table
-from imubayes.display.qualification.model_sections import (
-    adequacy_section,
-    convergence_section,
-    equipment_section,
-    left_out_section,
-    provenance_section,
-    scope_section,
-)
 from imubayes.display.qualification.quantity_drawings import forest_drawings
-from imubayes.display.qualification.result_sections import (
-    combination_section,
-    converter_section,
-    mounting_section,
-    result_section,
-    standards_section,
-)
-from imubayes.display.qualification.unit_drawings import (
-    angle_drawings,
-    error_drawings,
-    mounting_drawings,
-    worst_drawing,
-)
-from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.files import only_writer, refuse_existing, replacing
 from imubayes.qualification.report_record import QualificationReport
 
@@ -150,14 +129,8 @@ def _need_typst() -> None:
     try:
         typst.compile  # noqa: B018  (the module is loaded when it is first used)
     except ModuleNotFoundError as error:
-        raise InputError(
-            Issue(
-                "PDF files need the package 'typst'",
-                "option --out",
-                "an .html or .json file without it",
-                "pip install 'imubayes[pdf]'",
-            )
-        ) from error
+        what, without = "PDF files need the package 'typst'", "an .html or .json file without it"
+        raise input_error(what, "option --out", without, "pip install 'imubayes[pdf]'") from error
 
 
 def _content(document: ReportDocument) -> dict[str, Any]:
@@ -196,64 +169,47 @@ def report_document(report: QualificationReport) -> ReportDocument:
         banner=banner(report),
         alarms=alarms(report),
         facts=facts(report),
-        blocks=tuple(_blocks(report)),
+        blocks=tuple(filter(None, _blocks(report))),
         footer=f"Unit {serial} · data {made.data_sha256[:12]} · model {made.model_sha256[:12]}",
     )
 
 
-def _blocks(report: QualificationReport) -> Iterator[Block]:
+def _blocks(report: QualificationReport) -> Iterator[Block | None]:
+    """Yield the blocks in order; None for a drawing that has nothing to show."""
     conformity, pictures = report.conformity, report.pictures
     if conformity is not None and conformity.limits:
         yield limits_table(conformity.limits)
     yield Heading("Errors of the unit")
-    drawn = error_drawings(pictures)
-    if drawn is not None:
-        yield drawn
-    else:
-        yield Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
+    nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
+    yield unit_drawings.error_drawings(pictures) or nothing
     if conformity is not None:
         yield Heading("Conformity to the specification")
         yield Paragraph(f"Specification “{conformity.specification}”, SHA-256 {conformity.sha256}.")
         if conformity.limits:
             yield risk_table(conformity.limits)
-    yield from standards_section(report)
-    yield from mounting_section(report.mounting_angles)
-    for drawings in (mounting_drawings(pictures), angle_drawings(pictures)):
-        if drawings is not None:
-            yield drawings
-    yield from combination_section(report.combinations)
-    yield from converter_section(report.thermal_linearity, report.results)
+    yield from result_sections.standards_section(report)
+    yield from result_sections.mounting_section(report.mounting_angles)
+    yield unit_drawings.mounting_drawings(pictures)
+    yield unit_drawings.angle_drawings(pictures)
+    yield from result_sections.combination_section(report.combinations)
+    yield from result_sections.converter_section(report.thermal_linearity, report.results)
     yield from budget_section(report)
-    yield from adequacy_section(report.adequacy)
+    yield from model_sections.adequacy_section(report.adequacy)
     if pictures.worst is not None:
-        yield worst_drawing(pictures.worst)
-    yield from convergence_section(report.convergence)
-    yield from left_out_section(report.left_out)
-    yield from scope_section(report.scope)
-    yield from result_section(report)
-    forest = forest_drawings(report.results)
-    if forest is not None:
-        yield forest
-    yield from equipment_section(report.subject)
-    yield from provenance_section(report.provenance)
-
-
-def _html(report: QualificationReport) -> bytes:
-    return html_page(report_document(report)).encode()
-
-
-def _pdf(report: QualificationReport) -> bytes:
-    return pdf_file(report_document(report), report.json_text())
-
-
-def _json(report: QualificationReport) -> bytes:
-    return report.json_text().encode()
+        yield unit_drawings.worst_drawing(pictures.worst)
+    yield from model_sections.convergence_section(report.convergence)
+    yield from model_sections.left_out_section(report.left_out)
+    yield from model_sections.scope_section(report.scope)
+    yield from result_sections.result_section(report)
+    yield forest_drawings(report.results)
+    yield from model_sections.equipment_section(report.subject)
+    yield from model_sections.provenance_section(report.provenance)
 
 
 _WRITERS: dict[str, tuple[Callable[[QualificationReport], bytes], bytes]] = {
-    ".html": (_html, b"<!doctype html>"),
-    ".pdf": (_pdf, b"%PDF"),
-    ".json": (_json, b'{\n "format": 1,\n "interval":'),
+    ".html": (lambda report: html_page(report_document(report)).encode(), b"<!doctype html>"),
+    ".pdf": (lambda report: pdf_file(report_document(report), report.json_text()), b"%PDF"),
+    ".json": (lambda report: report.json_text().encode(), b'{\n "format": 1,\n "interval":'),
 }
 """Ending → what makes the file, and how such a file begins."""
 
@@ -275,21 +231,18 @@ def places_held(files: Sequence[Path]) -> Iterator[None]:
 
 
 def _check_places(files: Sequence[Path]) -> None:
-    issues = []
-    for file in files:
-        if file.suffix.lower() not in _WRITERS:
-            allowed = closest_first(file.suffix, _WRITERS)
-            issues.append(
-                Issue(f"'{file.name}' has no ending of a report", "option --out", allowed, "choose one of these")
-            )
+    issues = [
+        Issue(
+            f"'{file.name}' has no ending of a report", "option --out", closest_first(file.suffix, _WRITERS),
+            "choose one of these",
+        )
+        for file in files if file.suffix.lower() not in _WRITERS
+    ]  # fmt: skip
     if issues:
         raise InputError(issues)
     for file in files:
-        refuse_existing(file, but=partial(_begins, _WRITERS[file.suffix.lower()][1]))
-
-
-def _begins(start: bytes, content: bytes) -> bool:
-    return content.startswith(start)
+        start = _WRITERS[file.suffix.lower()][1]
+        refuse_existing(file, but=lambda content, start=start: content.startswith(start))
 
 
 def write_report(report: QualificationReport, files: Sequence[Path]) -> None:

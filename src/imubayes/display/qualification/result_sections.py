@@ -1,30 +1,13 @@
 """Sections with estimates: quantities of the standards, mounting angles, converters, and the full result table."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from imubayes.display.numbers_and_labels import NO_NUMBER, percent, pretty, rounded, significant, value_and_sd
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
-from imubayes.display.qualification.words import (
-    WITHHELD_NUMBER,
-    beside,
-    enumerated,
-    interval_text,
-    probability_text,
-    stated,
-)
+from imubayes.display.qualification import words
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
 from imubayes.display.quality_tables import members_text, symbol_text
 from imubayes.foundations.campaign_data import channel_of_component
-from imubayes.qualification.report_record import (
-    MountingAngle,
-    NotEstimated,
-    ProcedureEvidence,
-    QualificationReport,
-    ReportedCombination,
-    ReportedEstimate,
-    ResultLine,
-    StandardEstimate,
-    ThermalLinearity,
-)
+from imubayes.qualification import report_record as record
 
 _UNDETERMINED = 0.1
 _CONVERTER = "converter_"
@@ -36,53 +19,49 @@ _REASONS = {
 }
 
 
-def standards_section(report: QualificationReport) -> list[Block]:
+def standards_section(report: record.QualificationReport) -> Iterator[Block]:
     """Return the quantities of the standards, one table per standard, and those that were not estimated."""
-    found: list[Block] = [Heading("Quantities of the standards")]
+    yield Heading("Quantities of the standards")
     if report.standards:
-        found.append(
-            Paragraph(
-                "Each quantity is computed for every draw of the joint posterior, so that its uncertainty contains all "
-                "others. Temperatures are relative to 25 °C unless the model says otherwise. I, O, S (gyros) and I, O, "
-                "P (accelerometers) are the input, output and third axis of each channel; f and a are specific force, "
-                "Ω is rate."
-            )
+        yield Paragraph(
+            "Each quantity is computed for every draw of the joint posterior, so that its uncertainty contains all "
+            "others. Temperatures are relative to 25 °C unless the model says otherwise. I, O, S (gyros) and I, O, "
+            "P (accelerometers) are the input, output and third axis of each channel; f and a are specific force, "
+            "Ω is rate."
         )
     for standard in dict.fromkeys(each.standard for each in report.standards):
-        own = [each for each in report.standards if each.standard == standard]
-        found.append(_standard_table(standard, own))
+        yield _standard_table(standard, [each for each in report.standards if each.standard == standard])
     together = _determined_together(report)
     if together:
-        found.append(Paragraph(f"Much better determined together than by themselves: {together}; see {_TOGETHER}."))
+        yield Paragraph(f"Much better determined together than by themselves: {together}; see {_TOGETHER}.")
     if not report.convergence.converged:
-        found.append(Paragraph("None is stated: the fit did not converge."))
+        yield Paragraph("None is stated: the fit did not converge.")
     if report.not_estimated:
-        found.append(_not_estimated(report.not_estimated))
-    return found
+        yield _not_estimated(report.not_estimated)
 
 
-def _determined_together(report: QualificationReport) -> str:
+def _determined_together(report: record.QualificationReport) -> str:
     """Return the quantities of the standards that are members of standard combinations; empty for none."""
     members = {name for found in report.combinations if found.standard for name in found.quantities}
     named = [each for each in report.standards if members & set(each.members)]
-    return enumerated([f"{each.symbol}[{each.label}]" for each in named]) if named else ""
+    return words.enumerated([f"{each.symbol}[{each.label}]" for each in named]) if named else ""
 
 
-def _standard_table(standard: str, own: Sequence[StandardEstimate]) -> ReportTable:
+def _standard_table(standard: str, own: Sequence[record.StandardEstimate]) -> ReportTable:
     rows, before = [], ""
     for each in own:
         new = each.key != before
         before = each.key
-        estimate, u, _, _ = stated(each)
+        estimate, u, _, _ = words.stated(each)
         rows.append(
-            (
+            texts(
                 Text(each.symbol if new else "", formula=True),
                 Text(each.quantity if new else "", "" if new else "dim"),
-                Text(each.label),
-                Text(estimate),
-                Text(u),
-                Text(interval_text(each)),
-                Text(pretty(each.unit)),
+                each.label,
+                estimate,
+                u,
+                words.interval_text(each),
+                pretty(each.unit),
                 Text(each.term if new else "", formula=True),
             )
         )
@@ -92,11 +71,11 @@ def _standard_table(standard: str, own: Sequence[StandardEstimate]) -> ReportTab
         head,
         rows,
         (0, 1, 2, 6, 7),
-        f"u: standard uncertainty. Term: where it stands in the model equation. {WITHHELD_NUMBER}",
+        f"u: standard uncertainty. Term: where it stands in the model equation. {words.WITHHELD_NUMBER}",
     )
 
 
-def _not_estimated(lines: Sequence[NotEstimated]) -> ReportTable:
+def _not_estimated(lines: Sequence[record.NotEstimated]) -> ReportTable:
     rows = []
     for each in lines:
         screened = "; ".join(
@@ -105,9 +84,9 @@ def _not_estimated(lines: Sequence[NotEstimated]) -> ReportTable:
         )
         reason = _REASONS[each.reason] + (f" (needs {', '.join(each.needs)})" if each.needs else "")
         rows.append(
-            (
-                Text(each.symbol, formula=True), Text(each.quantity), Text(each.standard),
-                Text(reason), Text(", ".join(each.effects)), Text(screened or "–"),
+            texts(
+                Text(each.symbol, formula=True), each.quantity, each.standard,
+                reason, ", ".join(each.effects), screened or "–"
             )
         )  # fmt: skip
     head = ("symbol", "quantity", "standard", "why", "effect", "one-step estimate of the diagnosis")
@@ -121,58 +100,48 @@ def _not_estimated(lines: Sequence[NotEstimated]) -> ReportTable:
     )
 
 
-def mounting_section(angles: Sequence[MountingAngle]) -> list[Block]:
+def mounting_section(angles: Sequence[record.MountingAngle]) -> Iterator[Block]:
     """Return the true mounting angles and what determined them."""
     if not angles:
-        return []
+        return
     rows = []
     for each in angles:
-        estimate, u, _, _ = stated(each)
+        estimate, u, _, _ = words.stated(each)
         shift = "–" if each.deviation is None else _deviation(each)
         rows.append(
-            (
-                Text(each.mounting), Text(each.channel), Text(f"{each.nominal:.4f}"), Text(estimate), Text(u),
-                Text(shift), Text(percent(each.from_data)),
-                Text(_determined_by(each.evidence, each.standard_uncertainty, 3600.0, "arcsec")),
+            texts(
+                each.mounting, each.channel, f"{each.nominal:.4f}", estimate, u,
+                shift, percent(each.from_data),
+                _determined_by(each.evidence, each.standard_uncertainty, 3600.0, "arcsec")
             )
         )  # fmt: skip
-    head = (
-        "mounting",
-        "channel",
-        "nominal / deg",
-        "true / deg",
-        "u / deg",
-        "deviation / arcsec",
-        "from data",
-        "determined by",
-    )
+    head = ("mounting", "channel", "nominal / deg", "true / deg", "u / deg", "deviation / arcsec", "from data",
+            "determined by")  # fmt: skip
     note = (
         "True angle between sensitive axis and axis of rotation. From data: 1 − posterior variance / prior variance. "
         "That of an axis nominally along the axis of rotation is the length of its tilt, whose deviation is never "
         "negative. "
         "Determined by: the procedure that alone would leave the smallest uncertainty, with that uncertainty, and how "
         "many times smaller it is with all runs together; a dash stands where the angle is not linear enough in the "
-        f"parameters for a share by procedure. {WITHHELD_NUMBER}"
+        f"parameters for a share by procedure. {words.WITHHELD_NUMBER}"
     )
     runs = [
-        f"{mounting}: {enumerated(next(each.runs for each in angles if each.mounting == mounting))}"
+        f"{mounting}: {words.enumerated(next(each.runs for each in angles if each.mounting == mounting))}"
         for mounting in dict.fromkeys(each.mounting for each in angles)
     ]
-    return [
-        Heading("True mounting angles"),
-        ReportTable("Angles to the axis of rotation", head, rows, (0, 1, 7), note),
-        Paragraph("Runs in each mounting:"),
-        Items(runs),
-    ]
+    yield Heading("True mounting angles")
+    yield ReportTable("Angles to the axis of rotation", head, rows, (0, 1, 7), note)
+    yield Paragraph("Runs in each mounting:")
+    yield Items(runs)
 
 
-def _deviation(angle: MountingAngle) -> str:
+def _deviation(angle: record.MountingAngle) -> str:
     u = None if angle.standard_uncertainty is None else angle.standard_uncertainty * 3600
     return "–" if angle.deviation is None else rounded((angle.deviation * 3600,), u)[0]
 
 
 def _determined_by(
-    evidence: Sequence[ProcedureEvidence], standard_uncertainty: float | None, factor: float, unit: str
+    evidence: Sequence[record.ProcedureEvidence], standard_uncertainty: float | None, factor: float, unit: str
 ) -> str:
     """Return the procedure that alone leaves the smallest uncertainty, which is shown times `factor` in `unit`."""
     if not evidence:
@@ -183,18 +152,18 @@ def _determined_by(
     return f"{alone}; all runs {significant(gain, 2)} × better" if gain > 1.05 else alone
 
 
-def combination_section(combinations: Sequence[ReportedCombination]) -> list[Block]:
+def combination_section(combinations: Sequence[record.ReportedCombination]) -> Iterator[Block]:
     """Return what the data determine of quantities that they do not determine by themselves."""
     if not combinations:
-        return []
+        return
     rows = []
     for each in sorted(combinations, key=lambda each: not each.standard):
-        estimate, u, _, _ = stated(each)
+        estimate, u, _, _ = words.stated(each)
         rows.append(
-            (
-                Text(_with_minus(symbol_text(each)), formula=True), Text(members_text(each)), Text(estimate), Text(u),
-                Text(interval_text(each)), Text(pretty(each.unit)), Text(percent(each.from_data)),
-                Text(_determined_together_by(each)),
+            texts(
+                Text(_with_minus(symbol_text(each)), formula=True), members_text(each), estimate, u,
+                words.interval_text(each), pretty(each.unit), percent(each.from_data),
+                _determined_together_by(each)
             )
         )  # fmt: skip
     head = ("symbol", "combination", "estimate", "u", "95 % interval", "unit", "from data", "determined by")
@@ -203,10 +172,11 @@ def combination_section(combinations: Sequence[ReportedCombination]) -> list[Blo
         "their priors or are strongly correlated; use the combination, not the sum of the single estimates with "
         "their uncertainties. Each member counts in its own unit. Symbols are those of the standard of the test; a "
         "combination without one was found from the information in the data. Determined by: as for mounting angles. "
-        f"{WITHHELD_NUMBER}"
+        f"{words.WITHHELD_NUMBER}"
     )
     table = ReportTable("What the runs determine together", head, rows, (0, 1, 5, 7), note)
-    return [Heading(_TOGETHER), table]
+    yield Heading(_TOGETHER)
+    yield table
 
 
 def _with_minus(symbol: str) -> str:
@@ -215,45 +185,47 @@ def _with_minus(symbol: str) -> str:
     return total.replace("-", "−") + bracket + label
 
 
-def _determined_together_by(found: ReportedCombination) -> str:
+def _determined_together_by(found: record.ReportedCombination) -> str:
     if len(found.procedures) == 1:
         return found.procedures[0].replace("_", " ")
     return _determined_by(found.evidence, found.standard_uncertainty, 1.0, found.unit)
 
 
-def converter_section(lines: Sequence[ThermalLinearity], results: Sequence[ResultLine]) -> list[Block]:
+def converter_section(
+    lines: Sequence[record.ThermalLinearity], results: Sequence[record.ResultLine]
+) -> Iterator[Block]:
     """Return the drift of the converters, and Δk per input with P(Δk ≤ threshold)."""
     drift = [line for line in results if line.name.startswith(_CONVERTER)]
-    found: list[Block] = [Heading("Converters")] if lines or drift else []
+    if lines or drift:
+        yield Heading("Converters")
     if drift:
         head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
         note = "Temperature sensitivity of gain and offset, and what else the model has of the converter."
-        found.append(ReportTable("Drift of the converters", head, [_result_row(line) for line in drift], (0, 4), note))
+        yield ReportTable("Drift of the converters", head, [_result_row(line) for line in drift], (0, 4), note)
     if lines:
-        found.append(_delta_k_table(lines))
-    return found
+        yield _delta_k_table(lines)
 
 
-def _delta_k_table(lines: Sequence[ThermalLinearity]) -> ReportTable:
+def _delta_k_table(lines: Sequence[record.ThermalLinearity]) -> ReportTable:
     rows = []
     for each in lines:
-        estimate, u, _, _ = stated(each)
+        estimate, u, _, _ = words.stated(each)
         rows.append(
-            (
-                Text(each.channel), Text(each.run), Text(estimate), Text(u), Text(interval_text(each)),
-                Text(f"{each.threshold:g}"), probability_text(each.within),
+            texts(
+                each.channel, each.run, estimate, u, words.interval_text(each),
+                f"{each.threshold:g}", words.probability_text(each.within)
             )
         )  # fmt: skip
     head = ("channel", "run", "Δk / %", "u / %", "95 % interval / %", "threshold / %", "P(Δk ≤ threshold)")
     note = (
         "Δk: relative difference between the thermal slope of an input and that of the input nearest 1 g. Where "
         "Δk is probably below the threshold, the temperature line measured at 1 g stands for all inputs; where it is "
-        f"above, each input needs its own line. {WITHHELD_NUMBER}"
+        f"above, each input needs its own line. {words.WITHHELD_NUMBER}"
     )
     return ReportTable("Thermal linearity: Δk of each input", head, rows, (0, 1), note)
 
 
-def result_section(report: QualificationReport) -> list[Block]:
+def result_section(report: record.QualificationReport) -> Iterator[Block]:
     """Return the full result table."""
     parameters = [line for line in report.results if line.kind == "parameter"]
     axes = [line for line in report.results if channel_of_component(line.name) is not None]
@@ -262,37 +234,38 @@ def result_section(report: QualificationReport) -> list[Block]:
         "u: standard uncertainty, the standard deviation of the joint posterior (GUM, type A and B combined). Digits "
         "are those that the Monte Carlo error leaves (JCGM 101, 7.9). From data: 1 − posterior variance / prior "
         "variance on the scale on which the prior is normal; a quantity below 10 % was not determined, and its "
-        f"estimate is that of its prior. {WITHHELD_NUMBER}"
+        f"estimate is that of its prior. {words.WITHHELD_NUMBER}"
     )
-    found: list[Block] = [Heading("Result table")]
+    yield Heading("Result table")
     for caption, lines in (("Derived quantities", derived), ("Parameters", parameters)):
         if lines:
             rows = [_result_row(line) for line in lines]
             head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
-            found.append(ReportTable(caption, head, rows, (0, 4), note))
+            yield ReportTable(caption, head, rows, (0, 4), note)
             note = ""
-    return [*found, *([axis_table(axes)] if axes else [])]
+    if axes:
+        yield axis_table(axes)
 
 
-def axis_table(lines: Sequence[ResultLine]) -> ReportTable:
+def axis_table(lines: Sequence[record.ResultLine]) -> ReportTable:
     """Return the input axes as vectors, a row for each channel."""
     cells: dict[str, list[Text]] = {}
     for line in lines:
-        estimate, u, _, _ = stated(line)
+        estimate, u, _, _ = words.stated(line)
         channel = channel_of_component(line.name)
         assert channel is not None, line.name
-        cells.setdefault(channel, []).append(Text(beside(estimate, u)))
-    rows = [(Text(channel), *own) for channel, own in cells.items()]
+        cells.setdefault(channel, []).append(Text(words.beside(estimate, u)))
+    rows = [texts(channel, *own) for channel, own in cells.items()]
     note = "Components of the unit vectors in body axes; their budgets are those of the misalignments."
     return ReportTable("Input axes (input_axis)", ("channel", "x", "y", "z"), rows, (0,), note)
 
 
-def _result_row(line: ReportedEstimate) -> tuple[Text, ...]:
-    estimate, u, _, _ = stated(line)
+def _result_row(line: record.ReportedEstimate) -> tuple[Text, ...]:
+    estimate, u, _, _ = words.stated(line)
     weak = line.from_data is not None and line.from_data < _UNDETERMINED
     mood = "weak" if weak else ""
     share = "fixed by the model" if line.exact else percent(line.from_data) + (", not determined" if weak else "")
-    return (
-        Text(line.name), Text(estimate, mood), Text(u, mood), Text(interval_text(line), mood), Text(pretty(line.unit)),
-        Text(share, mood),
+    return texts(
+        line.name, Text(estimate, mood), Text(u, mood), Text(words.interval_text(line), mood), pretty(line.unit),
+        Text(share, mood)
     )  # fmt: skip

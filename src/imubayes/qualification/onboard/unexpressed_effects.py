@@ -162,7 +162,7 @@ def _everything(result: Result, posterior: SensorPosterior, spans: dict[str, flo
             each, table_acceleration=spread[0] + each.north, north=spread[1] + each.north, up=spread[2] + each.up
         )
         for kind, each in acting.items()
-    }  # fmt: skip
+    }
 
 
 def _conditions(result: Result, ranges: dict[str, tuple[float, float]], count: int) -> dict[str, np.ndarray]:
