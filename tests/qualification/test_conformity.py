@@ -36,9 +36,11 @@ def quantities(**sd_scale: float) -> PosteriorQuantities:
 
 UNIT = TestedUnit(
     quantities(),
+    (),
+    {},
+    9.80,
     (-10.4, 55.3),
     ThermalModel({}, {name: entry.unit for name, entry in quantities().entries.items()}, 25.0),
-    9.80,
 )
 
 

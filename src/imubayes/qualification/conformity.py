@@ -42,23 +42,19 @@ _NEAR = 2.0
 
 
 @dataclass(frozen=True)
-class TestedUnit:
+class TestedUnit(UnitUnderTest):
     """What a specification is held against.
 
     Attributes
     ----------
-    quantities : with draws.
     temperatures : lowest and highest sensor temperature of the runs, °C; None where none was recorded.
     thermal : thermal terms of the model.
-    gravity : of the site, m/s².
     """
 
     __test__ = False  # no test, whatever its name says to pytest
 
-    quantities: PosteriorQuantities
     temperatures: tuple[float, float] | None
     thermal: ThermalModel
-    gravity: float
 
 
 @dataclass(frozen=True)
@@ -290,11 +286,8 @@ def _decision(
 
 def overall_outcome(found: Sequence[ConformityOfQuantity]) -> rules.Outcome:
     """Return the worst outcome of all limits."""
-    worst: rules.Outcome = "pass"
-    for each in found:
-        if WORST_FIRST.index(each.decision.outcome) < WORST_FIRST.index(worst):
-            worst = each.decision.outcome
-    return worst
+    outcomes: list[rules.Outcome] = ["pass", *(each.decision.outcome for each in found)]
+    return min(outcomes, key=WORST_FIRST.index)
 
 
 Obstacle = Literal["not_converged", "not_diagnosed", "inadequate_model", "invalid_intervals"]
@@ -341,10 +334,10 @@ def assess(
         with everything in the specification that cannot be used with this result.
     """
     file, ledger = read_specification(specification)
-    if not result.summary.converged:
-        return Assessment(file.name, (), _obstacles(result, diagnosis))
-    unit = unit or tested_unit(result)
-    limits = tuple(conformity(limit, unit) for limit in resolved_limits(file, ledger, unit))
+    limits: tuple[ConformityOfQuantity, ...] = ()
+    if result.summary.converged:
+        unit = unit or tested_unit(result)
+        limits = tuple(conformity(limit, unit) for limit in resolved_limits(file, ledger, unit))
     return Assessment(file.name, limits, _obstacles(result, diagnosis))
 
 
@@ -359,15 +352,9 @@ def tested_unit(result: Result) -> TestedUnit:
     quantities = with_combinations(posterior_quantities(result), result.summary.combinations)
     model = result.fit.model
     thermal = thermal_model(model.spec, {name: entry.unit for name, entry in quantities.entries.items()})
-    gravity = model.campaign.site.gravity
-    under_test = UnitUnderTest(quantities, model.campaign.channels, _inputs(result), gravity)
-    return TestedUnit(with_standards(under_test), _temperatures(result), thermal, gravity)
-
-
-def standards_input(result: Result, unit: TestedUnit) -> UnitUnderTest:
-    """Return what the quantities of the standards are computed from."""
-    campaign = result.fit.model.campaign
-    return UnitUnderTest(unit.quantities, campaign.channels, _inputs(result), campaign.site.gravity)
+    channels, gravity = model.campaign.channels, model.campaign.site.gravity
+    unit = TestedUnit(quantities, channels, _inputs(result), gravity, _temperatures(result), thermal)
+    return replace(unit, quantities=with_standards(unit))
 
 
 def with_standards(unit: UnitUnderTest) -> PosteriorQuantities:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.determined_combinations import combined
 from imubayes.inference.ensemble_sampling import Settings
@@ -58,7 +58,7 @@ def posterior_quantities(result: Result) -> PosteriorQuantities:
     summary = result.summary
     if not summary.converged:
         where = str(result.folder) if result.folder is not None else "this fit"
-        raise InputError(Issue("there are no posterior draws", where, "a fit that converged", summary.message))
+        raise input_error("there are no posterior draws", where, "a fit that converged", summary.message)
     lines = (*summary.parameters, *summary.derived)
     entries = {line.name: line for line in lines if not (isinstance(line, ParameterSummary) and line.nuisance)}
     draws = {name: result.draws[name] for name in entries if name in result.draws}

@@ -24,7 +24,7 @@ from imubayes.qualification.budget_parts import (
     UncertaintyBudgets,
     effective_degrees,
 )
-from imubayes.qualification.conformity import TestedUnit, standards_input, tested_unit
+from imubayes.qualification.conformity import TestedUnit, tested_unit
 from imubayes.qualification.decision_rules import LEAST_SHARE, USEFUL_RUN
 from imubayes.qualification.posterior_quantities import posterior_quantities, slopes
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, draws_of_standard
@@ -101,7 +101,7 @@ def _computed(result: Result, unit: TestedUnit) -> UncertaintyBudgets:
 
 def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, budget.FunctionOfQuantities]:
     """Return determined combinations, and quantities of the standards that are functions of those of the result."""
-    under_test, draws = standards_input(result, unit), unit.quantities.draws
+    draws = unit.quantities.draws
     combinations = {
         found.name: budget.FunctionOfQuantities(
             draws[found.name], found.quantities, slopes=slopes(found, [draws[name] for name in found.quantities])
@@ -112,8 +112,8 @@ def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, budge
     return combinations | {
         f"{quantity.key}[{found.label}]": budget.FunctionOfQuantities(found.draws, found.members, found.length)
         for quantity in STANDARD_QUANTITIES
-        for found in draws_of_standard(quantity, under_test)
-        if f"{quantity.key}[{found.label}]" in unit.quantities.draws
+        for found in draws_of_standard(quantity, unit)
+        if f"{quantity.key}[{found.label}]" in draws
     }
 
 

@@ -7,6 +7,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -23,7 +24,6 @@ from imubayes.qualification.conformity import (
     ConformityOfQuantity,
     TestedUnit,
     assess,
-    standards_input,
     tested_unit,
 )
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
@@ -131,12 +131,7 @@ def provenance_of(result: Result) -> subject.Provenance:
     fitted = result.summary.provenance
     return subject.Provenance(
         model=spec.name,
-        effects=tuple(
-            subject.ReportedEffect(
-                name=effect.name, channels=effect.channels, prior=dict(effect.prior), options=dict(effect.options)
-            )
-            for effect in spec.effects
-        ),
+        effects=tuple(subject.ReportedEffect.model_validate(effect, from_attributes=True) for effect in spec.effects),
         data_sha256=fit.data_hash,
         model_sha256=fit.model_hash,
         seed=fit.seed,
@@ -199,34 +194,28 @@ def _tree(folder: Path) -> tuple[Tree, str] | None:
 def convergence_of(result: Result) -> record.ReportedConvergence:
     """Return whether fit and sampling converged, and their worst diagnostics."""
     summary = result.summary
-    worst = {
-        key: _worst([line for line in summary.parameters if getattr(line, key) is not None], key, sign)
-        for key, sign in (("r_hat", 1), ("ess_bulk", -1), ("ess_tail", -1))
-    }
-    draws = None
-    if summary.converged:
-        draws = len(next(iter(result.draws.values())))
+    worst: dict[str, Any] = {}
+    for name, key, sign in (
+        ("worst_r_hat", "r_hat", 1),
+        ("least_bulk", "ess_bulk", -1),
+        ("least_tail", "ess_tail", -1),
+    ):
+        worst[name], worst[f"{name}_of"] = _worst(summary.parameters, key, sign)
     return record.ReportedConvergence(
         converged=summary.converged,
         message=summary.message,
         sampled=summary.sampled,
-        draws=draws,
+        draws=len(next(iter(result.draws.values()))) if summary.converged else None,
         acceptance=summary.acceptance,
         pareto_k=summary.pareto_k,
-        worst_r_hat=worst["r_hat"][0],
-        worst_r_hat_of=worst["r_hat"][1],
-        least_bulk=worst["ess_bulk"][0],
-        least_bulk_of=worst["ess_bulk"][1],
-        least_tail=worst["ess_tail"][0],
-        least_tail_of=worst["ess_tail"][1],
+        **worst,
     )
 
 
-def _worst(lines: list[ParameterSummary], key: str, sign: int) -> tuple[float | None, str]:
-    if not lines:
-        return None, ""
-    found = max(lines, key=lambda line: sign * getattr(line, key))
-    return getattr(found, key), found.name
+def _worst(lines: Sequence[ParameterSummary], key: str, sign: int) -> tuple[float | None, str]:
+    known = [line for line in lines if getattr(line, key) is not None]
+    found = max(known, key=lambda line: sign * getattr(line, key), default=None)
+    return (None, "") if found is None else (getattr(found, key), found.name)
 
 
 def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, str] | None) -> record.Adequacy:
@@ -235,16 +224,7 @@ def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, s
     history = _history(tree)
     diagnosed = sum(each.verdict is not None for each in history) + (diagnosis is not None)
     return record.Adequacy(
-        verdict=diagnosis.verdict if diagnosis is not None else None,
-        explanations=diagnosis.explanations if diagnosis is not None else None,
-        candidates=len(diagnosis.ranking) if diagnosis is not None else 0,
-        missing=tuple(effect for group in diagnosis.groups for effect in group.effects)
-        if diagnosis is not None
-        else (),
-        undetectable=tuple(dict.fromkeys(each.effect for each in diagnosis.undetectable))
-        if diagnosis is not None
-        else (),
-        most_biasing=diagnosis.most_biasing if diagnosis is not None else None,
+        **_diagnosed(diagnosis),
         intervals_valid=summary.intervals_valid,
         noise_violations=summary.noise_violations,
         noise_suspected=summary.noise_suspected,
@@ -255,6 +235,20 @@ def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, s
         runs=summary.runs,
         prior_conflicts=summary.prior_conflicts,
     )
+
+
+def _diagnosed(diagnosis: Diagnosis | None) -> dict[str, Any]:
+    """Return what a diagnosis says of the adequacy of a model."""
+    if diagnosis is None:
+        return {"verdict": None, "explanations": None, "candidates": 0, "missing": (), "undetectable": ()}
+    return {
+        "verdict": diagnosis.verdict,
+        "explanations": diagnosis.explanations,
+        "candidates": len(diagnosis.ranking),
+        "missing": tuple(effect for group in diagnosis.groups for effect in group.effects),
+        "undetectable": tuple(dict.fromkeys(each.effect for each in diagnosis.undetectable)),
+        "most_biasing": diagnosis.most_biasing,
+    }
 
 
 def _history(tree: tuple[Tree, str] | None) -> tuple[record.ModelTried, ...]:
@@ -380,7 +374,7 @@ def pictures_of(
     prior = draws_of(result.posterior.children["prior"], [angle.name for angle in known])
     posterior = unit.quantities.draws
     return PictureData(
-        errors=error_pictures(standards_input(result, unit), unit.thermal, table, limits),
+        errors=error_pictures(unit, table, limits),
         worst=worst,
         mountings=mounting_pictures(
             campaign, {(a.channel, a.mounting): (a.nominal, a.estimate) for a in known if a.estimate is not None}

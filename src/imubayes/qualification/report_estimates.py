@@ -5,10 +5,9 @@ from typing import Any, Literal
 import numpy as np
 
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.foundations.campaign_data import Campaign
 from imubayes.parameters.priors import Normal
 from imubayes.qualification import report_record as record
-from imubayes.qualification.conformity import TestedUnit, standards_input
+from imubayes.qualification.conformity import TestedUnit
 from imubayes.qualification.decision_rules import (
     ProbabilityByTwoMethods,
     ToleranceInterval,
@@ -23,7 +22,7 @@ from imubayes.qualification.standard_quantities import (
     draws_of_standard,
 )
 from imubayes.results.result import Result
-from imubayes.results.summary import DerivedSummary, ParameterSummary, in_output_units, is_constant
+from imubayes.results.summary import CombinationSummary, ParameterSummary, Quantity, in_output_units, is_constant
 
 _MOST_SCREENED = 4
 
@@ -73,20 +72,32 @@ def monte_carlo_error(marginal: Marginal) -> record.MonteCarloError:
     )
 
 
-def _output_units(campaign: Campaign) -> dict[str, str]:
-    return {channel.name: channel.output_unit for channel in campaign.channels}
-
-
-def _estimate(unit: TestedUnit | None, name: str) -> dict[str, Any]:
+def _estimate(result: Result, unit: TestedUnit | None, line: Quantity, shown: str = "") -> dict[str, Any]:
+    """Return what the report states of a quantity, as the fields of an estimate, in its unit as it is shown."""
+    campaign, member = (
+        result.fit.model.campaign,
+        line.quantities[0] if isinstance(line, CombinationSummary) else line.name,
+    )
+    outputs = {channel.name: channel.output_unit for channel in campaign.channels}
+    channel = member.partition("[")[2].removesuffix("]").partition(",")[0]
     if unit is None:
-        return {"withheld": "not_converged"}
-    return _numbers(unit.quantities.marginal(name)) if name in unit.quantities.draws else {"withheld": "no_draws"}
+        numbers: dict[str, Any] = {"withheld": "not_converged"}
+    elif line.name in unit.quantities.draws:
+        numbers = _numbers(unit.quantities.marginal(line.name))
+    else:
+        numbers = {"withheld": "no_draws"}
+    return numbers | {
+        "name": line.name,
+        "unit": shown or line.unit,
+        "d_si": digital_unit(line.unit, campaign.site.gravity, outputs.get(channel, "")),
+        "prior_sd": line.prior_sd,
+        "from_data": line.from_data,
+    }
 
 
 def result_lines(result: Result, unit: TestedUnit | None) -> tuple[record.ResultLine, ...]:
     """Return the result table: parameters without those of single poses, and derived quantities."""
     model = result.fit.model
-    gravity, outputs = model.campaign.site.gravity, _output_units(model.campaign)
     means = {
         parameter.name: float(np.asarray(parameter.prior.mean)) / parameter.factor
         for parameter in (*model.layout.parameters, *model.hyper_layout.parameters)
@@ -102,101 +113,65 @@ def result_lines(result: Result, unit: TestedUnit | None) -> tuple[record.Result
             if isinstance(line, ParameterSummary)
             else {"kind": "derived"}
         )
-        channel = line.name.partition("[")[2].removesuffix("]").partition(",")[0]
-        found.append(
-            record.ResultLine(
-                name=line.name,
-                unit=shown.get(line.name, line.unit),
-                d_si=digital_unit(line.unit, gravity, outputs.get(channel, "")),
-                prior_mean=means.get(line.name),
-                prior_sd=line.prior_sd,
-                from_data=line.from_data,
-                **diagnostics,
-                **_estimate(unit, line.name),
-            )
-        )
+        estimate = _estimate(result, unit, line, shown.get(line.name, ""))
+        found.append(record.ResultLine(prior_mean=means.get(line.name), **diagnostics, **estimate))
     return tuple(found)
 
 
 def mounting_angles(result: Result, unit: TestedUnit | None) -> tuple[record.MountingAngle, ...]:
     """Return the true mounting angles, and the uncertainty that each procedure alone would leave."""
     campaign, found = result.fit.model.campaign, []
-    evidence = _evidence(result)
+    evidence = {each.quantity: each.by for each in result.summary.contributions}
     lines = {line.name: line for line in result.summary.derived}
     for channel in campaign.channels:
         for mounting in campaign.mountings.values():
             name = f"mounting_angle[{channel.name},{mounting.name}]"
-            line: DerivedSummary | None = lines.get(name)
+            line = lines.get(name)
             if line is None:
                 continue
             along = float((mounting.body_to_table @ channel.axes[0])[2])
             nominal = float(np.degrees(np.arccos(np.clip(along, -1, 1))))
             found.append(
                 record.MountingAngle(
-                    name=name,
-                    unit=line.unit,
-                    d_si=digital_unit(line.unit, campaign.site.gravity),
-                    prior_sd=line.prior_sd,
-                    from_data=line.from_data,
                     channel=channel.name,
                     mounting=mounting.name,
                     nominal=nominal,
                     deviation=None if line.mean is None else line.mean - nominal,
                     evidence=evidence.get(name, ()),
                     runs=tuple(run.name for run in campaign.runs if run.mounting == mounting.name),
-                    **_estimate(unit, name),
+                    **_estimate(result, unit, line),
                 )
             )
     return tuple(found)
 
 
-def _evidence(result: Result) -> dict[str, tuple[record.ProcedureEvidence, ...]]:
-    """Return quantity → its uncertainty by procedure."""
-    return {
-        found.quantity: tuple(
-            record.ProcedureEvidence(procedure=each.procedure, alone=each.alone, without=each.without)
-            for each in found.by
-        )
-        for found in result.summary.contributions
-    }
-
-
 def determined_combinations(result: Result, unit: TestedUnit | None) -> tuple[record.ReportedCombination, ...]:
     """Return what the data determine of quantities that they do not determine by themselves."""
-    campaign, evidence = result.fit.model.campaign, _evidence(result)
-    outputs = _output_units(campaign)
-    found = []
-    for line, shown in zip(result.summary.combinations, in_output_units(result.summary).combinations, strict=True):
-        channel = line.quantities[0].partition("[")[2].removesuffix("]").partition(",")[0]
-        found.append(
-            record.ReportedCombination(
-                name=line.name,
-                unit=shown.unit,
-                d_si=digital_unit(line.unit, campaign.site.gravity, outputs.get(channel, "")),
-                prior_sd=line.prior_sd,
-                from_data=line.from_data,
-                standard=line.standard,
-                quantities=line.quantities,
-                weights=line.weights,
-                constant=line.constant,
-                middle_of=line.middle_of,
-                evidence=evidence.get(line.name, ()),
-                procedures=tuple(dict.fromkeys(run.procedure for run in campaign.runs)),
-                **_estimate(unit, line.name),
-            )
+    procedures = tuple(dict.fromkeys(run.procedure for run in result.fit.model.campaign.runs))
+    evidence = {each.quantity: each.by for each in result.summary.contributions}
+    return tuple(
+        record.ReportedCombination(
+            standard=line.standard,
+            quantities=line.quantities,
+            weights=line.weights,
+            constant=line.constant,
+            middle_of=line.middle_of,
+            evidence=evidence.get(line.name, ()),
+            procedures=procedures,
+            **_estimate(result, unit, line, shown.unit),
         )
-    return tuple(found)
+        for line, shown in zip(result.summary.combinations, in_output_units(result.summary).combinations, strict=True)
+    )
 
 
 def standard_estimates(result: Result, unit: TestedUnit | None) -> tuple[record.StandardEstimate, ...]:
     """Return the quantities of the standards that the result has; none where the fit did not converge."""
     if unit is None:
         return ()
-    under_test = standards_input(result, unit)
     return tuple(
         _of_standard(quantity, draws, unit)
         for quantity in STANDARD_QUANTITIES
-        for draws in draws_of_standard(quantity, under_test)
+        for draws in draws_of_standard(quantity, unit)
     )
 
 
@@ -232,10 +207,9 @@ def not_estimated(
     campaign = result.fit.model.campaign
     kinds = {channel.kind for channel in campaign.channels}
     in_model = {effect.name for effect in result.fit.model.spec.effects}
-    under_test = standards_input(result, unit)
     found = []
     for quantity in STANDARD_QUANTITIES:
-        if quantity.kind not in kinds or draws_of_standard(quantity, under_test):
+        if quantity.kind not in kinds or draws_of_standard(quantity, unit):
             continue
         reason, needs = _why_missing(quantity, in_model, diagnosis)
         found.append(
@@ -291,16 +265,11 @@ def thermal_linearity(result: Result, unit: TestedUnit | None) -> tuple[record.T
             within = probability_of(conformance_probability(marginal, ToleranceInterval(upper=line.within.threshold)))
         found.append(
             record.ThermalLinearity(
-                name=line.name,
-                unit=line.unit,
-                d_si=digital_unit(line.unit, result.fit.model.campaign.site.gravity),
-                prior_sd=line.prior_sd,
-                from_data=line.from_data,
                 channel=channel,
                 run=run,
                 threshold=line.within.threshold,
                 within=within,
-                **_estimate(unit, line.name),
+                **_estimate(result, unit, line),
             )
         )
     return tuple(found)

@@ -1,6 +1,6 @@
 """What the pictures of a report show, as numbers: errors with limits, residuals, mountings, priors and posteriors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -10,9 +10,9 @@ import scipy  # loads its parts when they are first used
 from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import to_si
-from imubayes.qualification.conformity import ConformityOfQuantity
-from imubayes.qualification.standard_quantities import SensorKind, UnitUnderTest
-from imubayes.qualification.temperature_range import ThermalModel, course_over_range
+from imubayes.qualification.conformity import ConformityOfQuantity, TestedUnit
+from imubayes.qualification.standard_quantities import SensorKind
+from imubayes.qualification.temperature_range import course_over_range
 from imubayes.results.stored_tables import thinned
 
 _CURVE, _DENSITY, _BINS = 33, 49, 16
@@ -134,7 +134,7 @@ def _numbers(values: np.ndarray) -> tuple[float, ...]:
 
 
 def error_pictures(
-    unit: UnitUnderTest, thermal: ThermalModel | None, residuals: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
+    unit: TestedUnit, residuals: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
 ) -> tuple[ErrorPicture, ...]:
     """Return the pictures of errors against rate, angle and temperature that the runs allow."""
     kinds: tuple[SensorKind, ...] = ("gyro", "accelerometer")
@@ -144,18 +144,14 @@ def error_pictures(
         own = residuals.filter((pl.col("kind") == kind) & (pl.col("procedure") != "current_injection"))
         if not channels or own.is_empty():
             continue
-        if kind == "gyro":
-            found.append(_against_rate(unit, channels, own, limits))
-        else:
-            found.append(_against_angle(unit, channels, own, limits))
-        if thermal is not None:
-            found.append(_against_temperature(unit, thermal, kind, channels, own, limits))
-        found.append(_residuals_only(kind, channels, own, "table_angle", "table_angle_deg", 360.0))
+        found.append((_against_rate if kind == "gyro" else _against_angle)(unit, channels, own, limits))
+        found.append(_against_temperature(unit, kind, channels, own, limits))
+        found.append(_against_table_angle(kind, channels, own))
     return tuple(picture for picture in found if picture is not None)
 
 
 def _against_rate(
-    unit: UnitUnderTest, channels: Sequence[Channel], own: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
+    unit: TestedUnit, channels: Sequence[Channel], own: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
 ) -> ErrorPicture | None:
     means = _class_means(own, channels, "input_observed")
     if not means:
@@ -164,7 +160,7 @@ def _against_rate(
     for channel in channels:
         low, high = unit.inputs.get(channel.name, (0.0, 0.0))
         rate = np.linspace(low, high, _CURVE)
-        error = _gyro_error(unit, channel, rate)
+        error = _error(unit, channel, rate)
         if error is not None and high > low:
             curves.append(_curve(channel.name, rate, error))
             bounds += _envelope(limits, channel.name, "gyro_bias.bias", "gyro_scale_factor.scale", rate, per_hour)
@@ -174,21 +170,36 @@ def _against_rate(
     )  # fmt: skip
 
 
-def _gyro_error(unit: UnitUnderTest, channel: Channel, rate: np.ndarray) -> np.ndarray | None:
-    """Return the error at rates (n,) in deg/s along the input axis, (S, n) in deg/h; None without a scale factor."""
-    draws, name = thinned(unit.quantities.draws, _MOST_DRAWS), channel.name
-    shapes = {
-        f"gyro_scale_factor.scale[{name}]": 3600e-6 * rate,
-        f"gyro_bias.bias[{name}]": np.ones_like(rate),
-        f"gyro_scale_asymmetry.asymmetry[{name}]": 3600e-6 * np.abs(rate),
-        f"gyro_scale_quadratic.quadratic[{name}]": 3600e-6 * rate**2,
-        f"gyro_scale_cubic.cubic[{name}]": 3600e-6 * rate**3,
-    }
-    return _sum_of(draws, shapes)
+# Parameter → error by a unit of it at an input: in deg/h at a rate in deg/s, in µg at a specific force in g.
+_SHAPES: dict[str, dict[str, Callable[[np.ndarray], np.ndarray]]] = {
+    "gyro": {
+        "gyro_scale_factor.scale": lambda rate: 3600e-6 * rate,
+        "gyro_bias.bias": np.ones_like,
+        "gyro_scale_asymmetry.asymmetry": lambda rate: 3600e-6 * np.abs(rate),
+        "gyro_scale_quadratic.quadratic": lambda rate: 3600e-6 * rate**2,
+        "gyro_scale_cubic.cubic": lambda rate: 3600e-6 * rate**3,
+    },
+    "accelerometer": {
+        "accel_scale_factor.scale": lambda force: force,
+        "accel_bias.bias": np.ones_like,
+        "accel_scale_asymmetry.asymmetry": np.abs,
+        "accel_quadratic.quadratic": np.square,
+        "accel_odd_quadratic.odd_quadratic": lambda force: force * np.abs(force),
+        "accel_cubic.cubic": lambda force: force**3,
+    },
+}
+
+
+def _error(unit: TestedUnit, channel: Channel, along: np.ndarray) -> np.ndarray | None:
+    """Return the error at inputs (n,) along the input axis, (S, n) as `_SHAPES` says; None without its parameters."""
+    draws = thinned(unit.quantities.draws, _MOST_DRAWS)
+    shapes = {f"{family}[{channel.name}]": shape for family, shape in _SHAPES[channel.kind].items()}
+    parts = [draws[name][:, None] * shape(along)[None, :] for name, shape in shapes.items() if name in draws]
+    return np.sum(parts, axis=0) if parts else None
 
 
 def _against_angle(
-    unit: UnitUnderTest, channels: Sequence[Channel], own: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
+    unit: TestedUnit, channels: Sequence[Channel], own: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
 ) -> ErrorPicture | None:
     near = own.filter((pl.col("input_observed").abs() <= _LARGEST_G) & (pl.col("table_rate_deg_s").fill_null(0.0) == 0))
     tilted = near.with_columns(pl.col("input_observed").clip(-1.0, 1.0).arcsin().degrees().alias("input_angle_deg"))
@@ -199,7 +210,7 @@ def _against_angle(
     for channel in channels:
         angle = np.linspace(-90.0, 90.0, _CURVE)
         force = np.sin(np.radians(angle))
-        error = _accelerometer_error(unit, channel, force)
+        error = _error(unit, channel, force)
         if error is not None:
             curves.append(_curve(channel.name, angle, error))
             allowed = _envelope(limits, channel.name, "accel_bias.bias", "accel_scale_factor.scale", force, 1e6)
@@ -210,27 +221,8 @@ def _against_angle(
     )  # fmt: skip
 
 
-def _accelerometer_error(unit: UnitUnderTest, channel: Channel, force: np.ndarray) -> np.ndarray | None:
-    """Return the error at specific forces (n,) in g along the input axis, (S, n) in µg."""
-    draws, name = thinned(unit.quantities.draws, _MOST_DRAWS), channel.name
-    shapes = {
-        f"accel_scale_factor.scale[{name}]": force,
-        f"accel_bias.bias[{name}]": np.ones_like(force),
-        f"accel_scale_asymmetry.asymmetry[{name}]": np.abs(force),
-        f"accel_quadratic.quadratic[{name}]": force**2,
-        f"accel_odd_quadratic.odd_quadratic[{name}]": force * np.abs(force),
-        f"accel_cubic.cubic[{name}]": force**3,
-    }
-    return _sum_of(draws, shapes)
-
-
-def _sum_of(draws: Mapping[str, np.ndarray], shapes: Mapping[str, np.ndarray]) -> np.ndarray | None:
-    parts = [draws[name][:, None] * shape[None, :] for name, shape in shapes.items() if name in draws]
-    return np.sum(parts, axis=0) if parts else None
-
-
 def _against_temperature(
-    unit: UnitUnderTest, thermal: ThermalModel, kind: SensorKind, channels: Sequence[Channel], own: pl.DataFrame,
+    unit: TestedUnit, kind: SensorKind, channels: Sequence[Channel], own: pl.DataFrame,
     limits: Sequence[ConformityOfQuantity],
 ) -> ErrorPicture | None:  # fmt: skip
     means = _class_means(own, channels, "temperature_degC")
@@ -245,30 +237,28 @@ def _against_temperature(
         name = f"{family}[{channel.name}]"
         if name not in draws:
             continue
-        x, values = course_over_range(name, unit.quantities.entries[name].unit, draws, thermal, (low, high))
+        x, values = course_over_range(name, unit.quantities.entries[name].unit, draws, unit.thermal, (low, high))
         curves.append(_curve(channel.name, x, values))
         for found in limits:
             if found.limit.quantity.name == name:
-                span = found.limit.span or (low, high)
-                bounds.append(
-                    _bound(channel.name, np.array(span), found.limit.tolerance.lower, found.limit.tolerance.upper)
-                )
+                span, allowed = np.array(found.limit.span or (low, high)), found.limit.tolerance
+                bounds.append(_bound(channel.name, span, allowed.lower, allowed.upper))
     return ErrorPicture(
         kind=kind, abscissa="temperature", x_unit="degC", unit=ERROR_UNIT[kind],
         curves=tuple(curves), limits=tuple(bounds), residuals=means,
     )  # fmt: skip
 
 
-def _residuals_only(
-    kind: SensorKind, channels: Sequence[Channel], own: pl.DataFrame, abscissa: Abscissa, column: str, period: float
-) -> ErrorPicture | None:
+def _against_table_angle(kind: SensorKind, channels: Sequence[Channel], own: pl.DataFrame) -> ErrorPicture | None:
+    """Return the residuals alone: the errors of a unit do not depend on the angle of a table."""
+    column = "table_angle_deg"
     if column not in own.columns:
         return None
-    means = _class_means(own.with_columns((pl.col(column) % period).alias(column)), channels, column)
+    means = _class_means(own.with_columns((pl.col(column) % 360.0).alias(column)), channels, column)
     if not means:
         return None
     return ErrorPicture(
-        kind=kind, abscissa=abscissa, x_unit="deg", unit=ERROR_UNIT[kind], curves=(), limits=(), residuals=means
+        kind=kind, abscissa="table_angle", x_unit="deg", unit=ERROR_UNIT[kind], curves=(), limits=(), residuals=means
     )
 
 

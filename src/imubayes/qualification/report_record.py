@@ -11,7 +11,7 @@ from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.verdict import Evidence, Verdict
 from imubayes.foundations.records import Record
-from imubayes.inference.identifiability import PriorConflict, WeakDirection
+from imubayes.inference.identifiability import PriorConflict, ProcedureShare, WeakDirection
 from imubayes.qualification.budget_parts import UncertaintyBudgets
 from imubayes.qualification.conformity import Obstacle
 from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
@@ -138,14 +138,6 @@ class NotEstimated(Record):
     screened: tuple[ScreenedCoefficient, ...] = ()
 
 
-class ProcedureEvidence(Record):
-    """Standard uncertainty of a quantity from the runs of one procedure alone, and without them, in its unit."""
-
-    procedure: str
-    alone: float
-    without: float
-
-
 class MountingAngle(ReportedEstimate):
     """The true angle between a sensitive axis and the rotation axis.
 
@@ -161,7 +153,7 @@ class MountingAngle(ReportedEstimate):
     mounting: str
     nominal: float
     deviation: float | None
-    evidence: tuple[ProcedureEvidence, ...]
+    evidence: tuple[ProcedureShare, ...]
     runs: tuple[str, ...]
 
 
@@ -181,7 +173,7 @@ class ReportedCombination(ReportedEstimate):
     weights: tuple[float, ...] | None
     constant: float
     middle_of: str
-    evidence: tuple[ProcedureEvidence, ...]
+    evidence: tuple[ProcedureShare, ...]
     procedures: tuple[str, ...]
 
 

@@ -291,117 +291,107 @@ def _asymmetry(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
     return [StandardDraws(channel.name, "ppm", difference, members)]
 
 
+_STANDARDS: dict[SensorKind, Standard] = {"gyro": "IEEE Std 952", "accelerometer": "IEEE Std 1293"}
+
+
 def _scalar(
-    key: str, symbol: str, name: str, standard: Standard, term: str, family: str, factor: float = 1.0
+    key: str, symbol: str, name: str, term: str, family: str, factor: float = 1.0, standard: Standard | None = None
 ) -> StandardQuantity:
-    """Return a quantity that is one parameter of each channel."""
+    """Return a quantity that is one parameter of each channel; of the standard of its sensors if no other is named."""
     kind: SensorKind = "accelerometer" if family.startswith("accel") else "gyro"
-    effect = family.partition(".")[0]
-    return StandardQuantity(key, symbol, name, standard, kind, term, (of_family(family, factor),), (effect,))
+    sources, effects = (of_family(family, factor),), (family.partition(".")[0],)
+    return StandardQuantity(key, symbol, name, standard or _STANDARDS[kind], kind, term, sources, effects)
 
 
 def _derived(
-    key: str, symbol: str, name: str, standard: Standard, kind: SensorKind, term: str, *sources: Source,
-    effects: tuple[str, ...] = (),
-) -> StandardQuantity:  # fmt: skip
-    return StandardQuantity(key, symbol, name, standard, kind, term, sources, effects)
+    key: str, symbol: str, name: str, kind: SensorKind, term: str, *sources: Source, effects: tuple[str, ...] = ()
+) -> StandardQuantity:
+    return StandardQuantity(key, symbol, name, _STANDARDS[kind], kind, term, sources, effects)
 
 
 _NONLINEAR = ("gyro_scale_asymmetry", "gyro_scale_quadratic", "gyro_scale_cubic")
 STANDARD_QUANTITIES: tuple[StandardQuantity, ...] = (
-    _derived("gyro_scale_factor", "S", "scale factor", "IEEE Std 952", "gyro", "output = S·(Ω + …)",
-             of_family("scale_factor"), effects=("gyro_scale_factor",)),
-    _scalar("gyro_scale_factor_error", "ε_K", "scale factor error", "IEEE Std 952", "S/S_nominal − 1",
-            "gyro_scale_factor.scale"),
-    _derived("nonlinearity", "f(I)", "scale factor nonlinearity", "IEEE Std 952", "gyro",
-             "largest deviation from the least-squares line over the tested rates, of full scale",
-             _nonlinearity, effects=_NONLINEAR),
-    _derived("asymmetry", "S₊ − S₋", "scale factor asymmetry", "IEEE Std 952", "gyro",
-             "difference of the least-squares slopes for positive and negative rates",
-             _asymmetry, effects=_NONLINEAR),
-    _derived("scale_factor_repeatability", "s_S", "scale factor repeatability", "IEEE Std 952", "gyro",
-             "standard deviation over runs", _spread_over_runs("gyro_scale_factor.scale"),
+    _derived("gyro_scale_factor", "S", "scale factor", "gyro", "output = S·(Ω + …)", of_family("scale_factor"),
              effects=("gyro_scale_factor",)),
-    _scalar("gyro_scale_temperature", "ε_T", "scale factor temperature sensitivity", "IEEE Std 952",
-            "ε_T·(T − T_ref)·Ω", "gyro_scale_temperature.slope"),
-    _scalar("gyro_scale_temperature_2", "ε_TT", "scale factor temperature sensitivity, second order", "IEEE Std 952",
+    _scalar("gyro_scale_factor_error", "ε_K", "scale factor error", "S/S_nominal − 1", "gyro_scale_factor.scale"),
+    _derived("nonlinearity", "f(I)", "scale factor nonlinearity", "gyro",
+             "largest deviation from the least-squares line over the tested rates, of full scale", _nonlinearity,
+             effects=_NONLINEAR),
+    _derived("asymmetry", "S₊ − S₋", "scale factor asymmetry", "gyro",
+             "difference of the least-squares slopes for positive and negative rates", _asymmetry, effects=_NONLINEAR),
+    _derived("scale_factor_repeatability", "s_S", "scale factor repeatability", "gyro", "standard deviation over runs",
+             _spread_over_runs("gyro_scale_factor.scale"), effects=("gyro_scale_factor",)),
+    _scalar("gyro_scale_temperature", "ε_T", "scale factor temperature sensitivity", "ε_T·(T − T_ref)·Ω",
+            "gyro_scale_temperature.slope"),
+    _scalar("gyro_scale_temperature_2", "ε_TT", "scale factor temperature sensitivity, second order",
             "ε_TT·(T − T_ref)²·Ω", "gyro_scale_temperature_quadratic.curvature"),
-    _scalar("gyro_bias", "D_F", "bias", "IEEE Std 952", "D_F", "gyro_bias.bias"),
-    _derived("gyro_bias_repeatability", "s_D", "bias repeatability", "IEEE Std 952", "gyro",
-             "standard deviation over runs", of_family("gyro_run_bias.spread"),
-             _at_the_input("run_scatter.tau", "deg/h"), effects=("gyro_run_bias",)),
-    _scalar("gyro_bias_temperature", "D_T", "bias temperature sensitivity", "IEEE Std 952", "D_T·(T − T_ref)",
+    _scalar("gyro_bias", "D_F", "bias", "D_F", "gyro_bias.bias"),
+    _derived("gyro_bias_repeatability", "s_D", "bias repeatability", "gyro", "standard deviation over runs",
+             of_family("gyro_run_bias.spread"), _at_the_input("run_scatter.tau", "deg/h"), effects=("gyro_run_bias",)),
+    _scalar("gyro_bias_temperature", "D_T", "bias temperature sensitivity", "D_T·(T − T_ref)",
             "gyro_bias_temperature.slope"),
-    _scalar("gyro_bias_temperature_2", "D_TT", "bias temperature sensitivity, second order", "IEEE Std 952",
-            "D_TT·(T − T_ref)²", "gyro_bias_temperature_quadratic.curvature"),
-    _scalar("gyro_bias_temperature_rate", "D_Ṫ", "bias temperature-rate sensitivity", "IEEE Std 952", "D_Ṫ·dT/dt",
+    _scalar("gyro_bias_temperature_2", "D_TT", "bias temperature sensitivity, second order", "D_TT·(T − T_ref)²",
+            "gyro_bias_temperature_quadratic.curvature"),
+    _scalar("gyro_bias_temperature_rate", "D_Ṫ", "bias temperature-rate sensitivity", "D_Ṫ·dT/dt",
             "gyro_bias_temperature_rate.slope"),
     *(
         _scalar(f"gyro_g_sensitivity_{axis}", f"D_{axis.upper()}", f"g-sensitivity along {axis.upper()}",
-                "IEEE Std 517", f"D_{axis.upper()}·f_{axis.upper()}", f"gyro_g_sensitivity.d_{axis}")
+                f"D_{axis.upper()}·f_{axis.upper()}", f"gyro_g_sensitivity.d_{axis}", standard="IEEE Std 517")
         for axis in "ios"
     ),
     *(
-        _scalar(f"gyro_g2_sensitivity_{pair}", f"D_{pair.upper()}", f"g²-sensitivity {pair.upper()}", "IEEE Std 517",
-                f"D_{pair.upper()}·f_{pair[0].upper()}·f_{pair[1].upper()}", f"gyro_g2_sensitivity.d_{pair}")
+        _scalar(f"gyro_g2_sensitivity_{pair}", f"D_{pair.upper()}", f"g²-sensitivity {pair.upper()}",
+                f"D_{pair.upper()}·f_{pair[0].upper()}·f_{pair[1].upper()}", f"gyro_g2_sensitivity.d_{pair}",
+                standard="IEEE Std 517")
         for pair in ("ii", "oo", "ss", "io", "os", "si")
     ),
-    _scalar("gyro_misalignment_o", "Θ_O", "input-axis misalignment toward O", "IEEE Std 952", "Θ_O·Ω_O",
-            "gyro_misalignment.toward_o"),
-    _scalar("gyro_misalignment_s", "Θ_S", "input-axis misalignment toward S", "IEEE Std 952", "Θ_S·Ω_S",
-            "gyro_misalignment.toward_s"),
-    _derived("gyro_misalignment_total", "Θ", "input-axis misalignment", "IEEE Std 952", "gyro", "√(Θ_O² + Θ_S²)",
+    _scalar("gyro_misalignment_o", "Θ_O", "input-axis misalignment toward O", "Θ_O·Ω_O", "gyro_misalignment.toward_o"),
+    _scalar("gyro_misalignment_s", "Θ_S", "input-axis misalignment toward S", "Θ_S·Ω_S", "gyro_misalignment.toward_s"),
+    _derived("gyro_misalignment_total", "Θ", "input-axis misalignment", "gyro", "√(Θ_O² + Θ_S²)",
              _total_angle("gyro_misalignment.toward_o", "gyro_misalignment.toward_s"), effects=("gyro_misalignment",)),
-    _derived("gyro_non_orthogonality", "γ", "non-orthogonality", "IEEE Std 952", "gyro",
+    _derived("gyro_non_orthogonality", "γ", "non-orthogonality", "gyro",
              "angle between two input axes, less its nominal value", _non_orthogonality,
              effects=("gyro_misalignment",)),
-    _scalar("gyro_threshold", "Ω_th", "threshold", "IEEE Std 952", "half-width of the dead zone",
-            "gyro_dead_zone.half_width"),
-    _scalar("accel_bias", "K_0", "bias", "IEEE Std 1293", "K_0", "accel_bias.bias"),
-    _derived("accel_scale_factor", "K_1", "scale factor", "IEEE Std 1293", "accelerometer", "output = K_1·(a_i + …)",
+    _scalar("gyro_threshold", "Ω_th", "threshold", "half-width of the dead zone", "gyro_dead_zone.half_width"),
+    _scalar("accel_bias", "K_0", "bias", "K_0", "accel_bias.bias"),
+    _derived("accel_scale_factor", "K_1", "scale factor", "accelerometer", "output = K_1·(a_i + …)",
              of_family("scale_factor"), effects=("accel_scale_factor",)),
-    _scalar("accel_scale_factor_error", "ΔK_1/K_1", "scale factor error", "IEEE Std 1293", "K_1/K_1nominal − 1",
+    _scalar("accel_scale_factor_error", "ΔK_1/K_1", "scale factor error", "K_1/K_1nominal − 1",
             "accel_scale_factor.scale"),
-    _scalar("accel_asymmetry", "K_1′", "scale factor asymmetry", "IEEE Std 1293", "K_1′·|a_i|",
-            "accel_scale_asymmetry.asymmetry"),
-    _scalar("accel_second_order", "K_2", "second-order nonlinearity", "IEEE Std 1293", "K_2·a_i²",
-            "accel_quadratic.quadratic"),
-    _scalar("accel_odd_quadratic", "K_oq", "odd quadratic nonlinearity", "IEEE Std 1293", "K_oq·a_i·|a_i|",
+    _scalar("accel_asymmetry", "K_1′", "scale factor asymmetry", "K_1′·|a_i|", "accel_scale_asymmetry.asymmetry"),
+    _scalar("accel_second_order", "K_2", "second-order nonlinearity", "K_2·a_i²", "accel_quadratic.quadratic"),
+    _scalar("accel_odd_quadratic", "K_oq", "odd quadratic nonlinearity", "K_oq·a_i·|a_i|",
             "accel_odd_quadratic.odd_quadratic"),
-    _scalar("accel_third_order", "K_3", "third-order nonlinearity", "IEEE Std 1293", "K_3·a_i³", "accel_cubic.cubic"),
-    _scalar("accel_cross_coupling_ip", "K_ip", "cross coupling of I and P", "IEEE Std 1293", "K_ip·a_i·a_p",
+    _scalar("accel_third_order", "K_3", "third-order nonlinearity", "K_3·a_i³", "accel_cubic.cubic"),
+    _scalar("accel_cross_coupling_ip", "K_ip", "cross coupling of I and P", "K_ip·a_i·a_p",
             "accel_cross_coupling.k_ip"),
-    _scalar("accel_cross_coupling_io", "K_io", "cross coupling of I and O", "IEEE Std 1293", "K_io·a_i·a_o",
+    _scalar("accel_cross_coupling_io", "K_io", "cross coupling of I and O", "K_io·a_i·a_o",
             "accel_cross_coupling.k_io"),
-    _scalar("accel_cross_axis_oo", "K_oo", "cross-axis nonlinearity along O", "IEEE Std 1293", "K_oo·a_o²",
+    _scalar("accel_cross_axis_oo", "K_oo", "cross-axis nonlinearity along O", "K_oo·a_o²",
             "accel_cross_axis_quadratic.k_oo"),
-    _scalar("accel_cross_axis_pp", "K_pp", "cross-axis nonlinearity along P", "IEEE Std 1293", "K_pp·a_p²",
+    _scalar("accel_cross_axis_pp", "K_pp", "cross-axis nonlinearity along P", "K_pp·a_p²",
             "accel_cross_axis_quadratic.k_pp"),
-    _scalar("accel_misalignment_o", "δ_o", "misalignment about O", "IEEE Std 1293", "δ_o·a_p",
-            "accel_misalignment.toward_p"),
-    _scalar("accel_misalignment_p", "δ_p", "misalignment about P", "IEEE Std 1293", "−δ_p·a_o",
-            "accel_misalignment.toward_o", -1.0),
-    _derived("accel_misalignment_total", "δ", "input-axis misalignment", "IEEE Std 1293", "accelerometer",
-             "√(δ_o² + δ_p²)", _total_angle("accel_misalignment.toward_o", "accel_misalignment.toward_p"),
+    _scalar("accel_misalignment_o", "δ_o", "misalignment about O", "δ_o·a_p", "accel_misalignment.toward_p"),
+    _scalar("accel_misalignment_p", "δ_p", "misalignment about P", "−δ_p·a_o", "accel_misalignment.toward_o", -1.0),
+    _derived("accel_misalignment_total", "δ", "input-axis misalignment", "accelerometer", "√(δ_o² + δ_p²)",
+             _total_angle("accel_misalignment.toward_o", "accel_misalignment.toward_p"),
              effects=("accel_misalignment",)),
-    _derived("accel_non_orthogonality", "γ", "non-orthogonality", "IEEE Std 1293", "accelerometer",
+    _derived("accel_non_orthogonality", "γ", "non-orthogonality", "accelerometer",
              "angle between two input axes, less its nominal value", _non_orthogonality,
              effects=("accel_misalignment",)),
-    _derived("accel_bias_repeatability", "s_K0", "bias repeatability", "IEEE Std 1293", "accelerometer",
-             "standard deviation over runs", of_family("accel_run_bias.spread"),
-             _at_the_input("run_scatter.tau", "ug"), effects=("accel_run_bias",)),
-    _scalar("accel_bias_temperature", "K_0T", "bias temperature sensitivity", "IEEE Std 1293", "K_0T·(T − T_ref)",
+    _derived("accel_bias_repeatability", "s_K0", "bias repeatability", "accelerometer", "standard deviation over runs",
+             of_family("accel_run_bias.spread"), _at_the_input("run_scatter.tau", "ug"), effects=("accel_run_bias",)),
+    _scalar("accel_bias_temperature", "K_0T", "bias temperature sensitivity", "K_0T·(T − T_ref)",
             "accel_bias_temperature.slope"),
-    _scalar("accel_bias_temperature_2", "K_0TT", "bias temperature sensitivity, second order", "IEEE Std 1293",
-            "K_0TT·(T − T_ref)²", "accel_bias_temperature_quadratic.curvature"),
-    _scalar("accel_scale_temperature", "K_1T", "scale factor temperature sensitivity", "IEEE Std 1293",
-            "K_1T·(T − T_ref)·a_i", "accel_scale_temperature.slope"),
+    _scalar("accel_bias_temperature_2", "K_0TT", "bias temperature sensitivity, second order", "K_0TT·(T − T_ref)²",
+            "accel_bias_temperature_quadratic.curvature"),
+    _scalar("accel_scale_temperature", "K_1T", "scale factor temperature sensitivity", "K_1T·(T − T_ref)·a_i",
+            "accel_scale_temperature.slope"),
     _scalar("accel_scale_temperature_2", "K_1TT", "scale factor temperature sensitivity, second order",
-            "IEEE Std 1293", "K_1TT·(T − T_ref)²·a_i", "accel_scale_temperature_quadratic.curvature"),
-    _scalar("accel_vibration_rectification", "K_v", "vibration rectification", "IEEE Std 1293", "K_v·a_rms²",
+            "K_1TT·(T − T_ref)²·a_i", "accel_scale_temperature_quadratic.curvature"),
+    _scalar("accel_vibration_rectification", "K_v", "vibration rectification", "K_v·a_rms²",
             "accel_vibration_rectification.rectification"),
-    _scalar("accel_threshold", "a_th", "threshold", "IEEE Std 1293", "half-width of the dead zone",
-            "accel_dead_zone.half_width"),
+    _scalar("accel_threshold", "a_th", "threshold", "half-width of the dead zone", "accel_dead_zone.half_width"),
 )  # fmt: skip
 """Every quantity of the standards that the report knows, in its order."""
 

@@ -7,6 +7,7 @@ from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
 from imubayes.display.quality_tables import members_text, symbol_text
 from imubayes.foundations.campaign_data import channel_of_component
+from imubayes.inference.identifiability import ProcedureShare
 from imubayes.qualification import report_record as record
 
 _UNDETERMINED = 0.1
@@ -141,7 +142,7 @@ def _deviation(angle: record.MountingAngle) -> str:
 
 
 def _determined_by(
-    evidence: Sequence[record.ProcedureEvidence], standard_uncertainty: float | None, factor: float, unit: str
+    evidence: Sequence[ProcedureShare], standard_uncertainty: float | None, factor: float, unit: str
 ) -> str:
     """Return the procedure that alone leaves the smallest uncertainty, which is shown times `factor` in `unit`."""
     if not evidence:

@@ -11,7 +11,7 @@ from importlib.metadata import version
 import numpy as np
 
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import finite
 from imubayes.inference.identifiability import WEAK_SHARE, from_data
 from imubayes.inference.run_fit import data_hash, model_hash
@@ -95,13 +95,11 @@ def onboard_constants(result: Result) -> OnboardConstants:
     channels = posterior.campaign.channels
     kinds = complete_kinds(channels, [channel.name for channel in channels])
     if not kinds:
-        raise InputError(
-            Issue(
-                "neither the gyros nor the accelerometers of the unit span three axes",
-                str(result.folder or "this fit"), "three or more channels of a kind in different directions",
-                "scale factor, misalignment and bias of each channel are in summary.json; `imubayes apply RESULT "
-                "READINGS.csv --out FILE.csv`, on a table with a column per channel, gives the input along each axis",
-            )
+        raise input_error(
+            "neither the gyros nor the accelerometers of the unit span three axes",
+            str(result.folder or "this fit"), "three or more channels of a kind in different directions",
+            "scale factor, misalignment and bias of each channel are in summary.json; `imubayes apply RESULT "
+            "READINGS.csv --out FILE.csv`, on a table with a column per channel, gives the input along each axis",
         )  # fmt: skip
     needs = _needs(result)
     ranges = {name: span for name, span in temperature_ranges(posterior.campaign).items() if name in needs}

@@ -24,7 +24,7 @@ from imubayes.campaign.run_tables import RowBatch
 from imubayes.effects.shared_formulas import RunBias
 from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.covariates import COVARIATES, REFERENCE_TEMPERATURE
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import InputError, Issue, input_error
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.sensitive_axes import acting_on, solve_rows
 from imubayes.noise.components import Entry, EntryNoise, SharedNoise, SlowNoise, WhiteNoise
@@ -299,14 +299,22 @@ def _refusal(campaign: Campaign, where: str) -> InputError:
     names = [channel.name for channel in campaign.channels if channel.kind != "angle"]
     if complete_kinds(campaign.channels, names):
         what = "the recording has no complete set of gyros or accelerometers that span three axes"
-        issue = Issue(what, f"{where}, header", f"columns {', '.join(names)}", "name the columns like the channels")
-        return InputError(issue)
-    return InputError(
-        Issue(
-            "neither the gyros nor the accelerometers of the unit span three axes", where,
-            f"a table of readings, CSV or Parquet, with columns among {', '.join(names)}",
-            "give the readings as a table: `imubayes apply` then gives the input along each axis",
+        return input_error(
+            what, f"{where}, header", f"columns {', '.join(names)}", "name the columns like the channels"
         )
+    return input_error(
+        "neither the gyros nor the accelerometers of the unit span three axes", where,
+        f"a table of readings, CSV or Parquet, with columns among {', '.join(names)}",
+        "give the readings as a table: `imubayes apply` then gives the input along each axis",
+    )  # fmt: skip
+
+
+def not_given(temperature: str, where: str) -> Issue:
+    """Return the issue of a recording, or of readings, without a temperature that the model depends on."""
+    return Issue(
+        f"the model depends on the {temperature.replace('_', ' ')}, which is not given",
+        f"{where}, header", f"a column '{COVARIATES[temperature].column}'",
+        f"add the column, or state one value with --{temperature.replace('_', '-')}",
     )  # fmt: skip
 
 

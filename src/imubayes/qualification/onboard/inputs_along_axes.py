@@ -21,12 +21,12 @@ from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.covariates import COVARIATES, REFERENCE_TEMPERATURE
-from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.problem import Problem, values_of
 from imubayes.model.sensitive_axes import SensitivityInputs, acting_on, inputs_of
-from imubayes.qualification.onboard.correct_recording import left_in_sd, needed_temperatures, reading_noise
+from imubayes.qualification.onboard.correct_recording import left_in_sd, needed_temperatures, not_given, reading_noise
 from imubayes.qualification.onboard.record import UnexpressedEffect
 from imubayes.qualification.onboard.response import TEMPERATURES, sensor_posterior, temperature_ranges
 from imubayes.qualification.onboard.unexpressed_effects import Acting, input_ranges, uncorrected_effects
@@ -152,9 +152,8 @@ def read_readings(file: Path) -> pl.DataFrame:
         return scanned.collect()
     except (OSError, pl.exceptions.PolarsError) as error:
         fault = "there is no such file" if not file.is_file() else f"the file is no table: {str(error).splitlines()[0]}"
-        raise InputError(
-            Issue(fault, str(file), "a CSV or Parquet table with a header", "give the path of the readings")
-        ) from error
+        allowed = "a CSV or Parquet table with a header"
+        raise input_error(fault, str(file), allowed, "give the path of the readings") from error
 
 
 def _numbers(readings: pl.DataFrame, name: str, otherwise: float) -> np.ndarray:
@@ -178,14 +177,7 @@ def _check(
 
 def _missing(readings: pl.DataFrame, needed: Sequence[str], where: str) -> list[Issue]:
     """Return an issue for every temperature that the channels depend on and the readings lack."""
-    return [
-        Issue(
-            f"the model depends on the {name.replace('_', ' ')}, which is not given",
-            f"{where}, header", f"a column '{COVARIATES[name].column}'",
-            f"add the column, or state one value with --{name.replace('_', '-')}",
-        )
-        for name in needed if COVARIATES[name].column not in readings.columns
-    ]  # fmt: skip
+    return [not_given(name, where) for name in needed if COVARIATES[name].column not in readings.columns]
 
 
 def _not_numeric(readings: pl.DataFrame, channels: Sequence[Channel], where: str) -> list[Issue]:

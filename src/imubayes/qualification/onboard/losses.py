@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.noise_record import StaticNoise, coefficient_unit
 from imubayes.qualification.onboard.record import OnboardConstants, ThermalPolynomial, TriadConstants
@@ -101,16 +101,15 @@ def read_noise(file: Path) -> StaticNoise:
         return StaticNoise.model_validate_json(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         fault = "there is no such file" if not file.is_file() else "the file is no noise record"
-        raise InputError(
-            Issue(fault, str(file), "noise.json, as `imubayes noise CAMPAIGN --out FOLDER` writes it", "give its path")
-        ) from error
+        allowed = "noise.json, as `imubayes noise CAMPAIGN --out FOLDER` writes it"
+        raise input_error(fault, str(file), allowed, "give its path") from error
 
 
 def of_record(noise: StaticNoise, campaign: Campaign) -> dict[str, NoiseDensity]:
     """Return the noise of a static record, kind → density."""
     found = {}
     for kind in ("gyro", "accelerometer"):
-        white, walk, limit = [], [], False
+        white, walk = [], []
         for record in noise.channels:
             channel = next((c for c in campaign.of_kind(kind) if c.name == record.channel), None)
             if channel is None:
@@ -122,9 +121,8 @@ def of_record(noise: StaticNoise, campaign: Campaign) -> dict[str, NoiseDensity]
                 if value is not None:
                     into.append((value * si, not own.determined))
         if white:
-            largest = max(walk) if walk else (None, False)
-            limit = largest[1]
-            found[kind] = NoiseDensity(max(white)[0], largest[0], limit)
+            largest, limit = max(walk) if walk else (None, False)
+            found[kind] = NoiseDensity(max(white)[0], largest, limit)
     return found
 
 
@@ -249,41 +247,42 @@ def _deviations(constants: OnboardConstants, names: list[str]) -> np.ndarray:
     return np.array(constants.covariance)[np.ix_(chosen, chosen)]
 
 
+def _length(constants: OnboardConstants, values: np.ndarray, names: list[str]) -> tuple[float, float]:
+    """Return the length of a vector of constants, and its standard uncertainty."""
+    size = float(np.linalg.norm(values))
+    toward = values / size if size else np.zeros(len(values))
+    return size, float(np.sqrt(toward @ _deviations(constants, names) @ toward))
+
+
+def _worst(kind: LossKind, triad: TriadConstants, sizes: list[tuple[float, float]], factor: float) -> Loss:
+    """Return the loss of the worst of several errors, each with its standard uncertainty, times a factor."""
+    size, sd = max(sizes, key=lambda each: each[0] - COVERAGE * each[1])
+    return Loss(kind, triad.kind, size * factor, sd * factor, triad.unit)
+
+
 def _of_matrix(constants: OnboardConstants, triad: TriadConstants, able: Abilities) -> list[Loss]:
     """Return the loss of the elements off the diagonal, of the worst axis, and of scale factors."""
     matrix, names = np.array(triad.matrix), _names(triad)
-    found = []
     rows = []
     for row in range(3):
         off = [column for column in range(matrix.shape[1]) if column != row]
-        size = float(np.linalg.norm(matrix[row, off]))
-        covariance = _deviations(constants, [str(name) for name in names[row, off]])
-        toward = matrix[row, off] / size if size else np.zeros(len(off))
-        rows.append((size, float(np.sqrt(toward @ covariance @ toward))))
-    size, sd = max(rows, key=lambda each: each[0] - COVERAGE * each[1])
-    found.append(Loss("misalignment", triad.kind, size * triad.input_range, sd * triad.input_range, triad.unit))
+        rows.append(_length(constants, matrix[row, off], names[row, off].tolist()))
+    found = [_worst("misalignment", triad, rows, triad.input_range)]
     if triad.kind not in able.scale:
-        scales = [
-            (abs(matrix[k, k] - 1), float(np.sqrt(_deviations(constants, [str(names[k, k])])[0, 0]))) for k in range(3)
-        ]
-        size, sd = max(scales, key=lambda each: each[0] - COVERAGE * each[1])
-        found.append(
-            Loss("scale_factor", triad.kind, float(size) * triad.input_range, sd * triad.input_range, triad.unit)
-        )
+        sds = [float(np.sqrt(_deviations(constants, [names[k, k]])[0, 0])) for k in range(3)]
+        scales = [(float(abs(matrix[k, k] - 1)), sd) for k, sd in enumerate(sds)]
+        found.append(_worst("scale_factor", triad, scales, triad.input_range))
     return found
 
 
 def _of_g_sensitivity(constants: OnboardConstants, triad: TriadConstants) -> Loss:
     accelerometers = constants.triad("accelerometer")
     span = accelerometers.input_range if accelerometers is not None else constants.gravity_m_s2
-    sensitivity, rows = np.array(triad.g_sensitivity), []
-    for axis, row in zip("xyz", sensitivity, strict=True):
-        size = float(np.linalg.norm(row))
-        covariance = _deviations(constants, [f"A[{axis},{other}]" for other in "xyz"])
-        toward = row / size if size else np.zeros(3)
-        rows.append((size, float(np.sqrt(toward @ covariance @ toward))))
-    size, sd = max(rows, key=lambda each: each[0] - COVERAGE * each[1])
-    return Loss("g_sensitivity", triad.kind, size * span, sd * span, triad.unit)
+    rows = [
+        _length(constants, row, [f"A[{axis},{other}]" for other in "xyz"])
+        for axis, row in zip("xyz", np.array(triad.g_sensitivity), strict=True)
+    ]
+    return _worst("g_sensitivity", triad, rows, span)
 
 
 def _of_bias(constants: OnboardConstants, triad: TriadConstants, able: Abilities) -> list[Loss]:
@@ -311,19 +310,16 @@ def _of_polynomial(
     grid = np.array(list(product(*(_span(constants, name) for name in ("temperature", "converter_temperature")))))
     warmer = grid - constants.reference_degC
     basis = np.stack([warmer[:, 0] ** term.sensor * warmer[:, 1] ** term.converter for term in terms], axis=1)
-    each_channel = []
+    name, each_channel = "gain" if of_gain else "bias", []
+    powers = [f",{t.sensor},{t.converter}" if t.sensor or t.converter else "" for t in terms]
     for channel, coefficients in zip(triad.channels, np.array(found.coefficients)[:, lost], strict=True):
-        name = "gain" if of_gain else "bias"
-        powers = [f",{t.sensor},{t.converter}" if t.sensor or t.converter else "" for t in terms]
         covariance = _deviations(constants, [f"{name}[{channel}{power}]" for power in powers])
         sizes = np.abs(basis @ coefficients)
         place = int(sizes.argmax())
         sd = float(np.sqrt(basis[place] @ covariance @ basis[place]))
         each_channel.append((float(sizes[place]), sd))
-    worst = max(each_channel, key=lambda each: each[0] - COVERAGE * each[1])
-    factor = triad.input_range if of_gain else 1.0
     kind: LossKind = "gain_temperature" if part == "gain" else part
-    return Loss(kind, triad.kind, worst[0] * factor, worst[1] * factor, triad.unit)
+    return _worst(kind, triad, each_channel, triad.input_range if of_gain else 1.0)
 
 
 def _span(constants: OnboardConstants, name: str) -> np.ndarray:

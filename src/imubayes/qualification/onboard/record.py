@@ -196,52 +196,28 @@ class OnboardConstants(Record):
         return next(constant.sd for constant in self.constants if constant.name == name)
 
 
-CONVENTIONS = (
-    Convention(
-        symbol="body axes",
-        meaning="the axes in which campaign.toml states input_axis; not rotated into any vehicle frame",
-        unit="",
-    ),
-    Convention(
-        symbol="r",
-        meaning="output of a channel on its nominal scale: r = (output − nominal_offset)/nominal_scale; gyros and "
-        "accelerometers each in the order of `channels`",
-        unit="rad/s; m/s^2",
-    ),
-    Convention(
-        symbol="b(T)",
-        meaning=f"r at zero input, of the sign of the output. {BIAS_CONVENTION[:-1]}: r − b(T)",
-        unit="rad/s; m/s^2",
-    ),
-    Convention(
-        symbol="κ(T)",
-        meaning="gain relative to that at T_ref, κ(T_ref) = 1: r − b(T) is divided by it, channel by channel",
-        unit="1",
-    ),
-    Convention(
-        symbol="M",
-        meaning="matrix from channels (columns) to body axes (rows): scale factor errors and misalignment together, "
-        "close to the identity where channels lie along the axes. It turns a reading into the truth: "
-        "f = M_a (r_a − b_a(T))/κ_a(T). Kalibr's M goes the other way",
-        unit="1",
-    ),
-    Convention(
-        symbol="A",
-        meaning="g-sensitivity of the gyros, body axes: what is subtracted last, ω = M_g (r_g − b_g(T))/κ_g(T) − A f",
-        unit="rad/s per m/s^2",
-    ),
-    Convention(
-        symbol="f, ω",
-        meaning="specific force, +g along an axis that points up at rest; inertial rate, right-handed, that of the "
-        "Earth included; both in body axes",
-        unit="m/s^2; rad/s",
-    ),
-    Convention(
-        symbol="T, T_c",
-        meaning="temperature of the sensors and of the converter; polynomials are in T − T_ref and T_c − T_ref, "
-        "without a limit at the ends of the calibrated range",
-        unit="degC",
-    ),
+_MEANINGS = {
+    ("body axes", ""): "the axes in which campaign.toml states input_axis; not rotated into any vehicle frame",
+    ("r", "rad/s; m/s^2"): "output of a channel on its nominal scale: r = (output − nominal_offset)/nominal_scale; "
+    "gyros and accelerometers each in the order of `channels`",
+    ("b(T)", "rad/s; m/s^2"): f"r at zero input, of the sign of the output. {BIAS_CONVENTION[:-1]}: r − b(T)",
+    ("κ(T)", "1"): "gain relative to that at T_ref, κ(T_ref) = 1: r − b(T) is divided by it, channel by channel",
+    ("M", "1"): "matrix from channels (columns) to body axes (rows): scale factor errors and misalignment together, "
+    "close to the identity where channels lie along the axes. It turns a reading into the truth: "
+    "f = M_a (r_a − b_a(T))/κ_a(T). Kalibr's M goes the other way",
+    ("A", "rad/s per m/s^2"): "g-sensitivity of the gyros, body axes: what is subtracted last, "
+    "ω = M_g (r_g − b_g(T))/κ_g(T) − A f",
+    ("f, ω", "m/s^2; rad/s"): "specific force, +g along an axis that points up at rest; inertial rate, right-handed, "
+    "that of the Earth included; both in body axes",
+    (
+        "T, T_c",
+        "degC",
+    ): "temperature of the sensors and of the converter; polynomials are in T − T_ref and T_c − T_ref, "
+    "without a limit at the ends of the calibrated range",
+}
+"""Symbol and unit → what it means."""
+CONVENTIONS = tuple(
+    Convention(symbol=symbol, meaning=meaning, unit=unit) for (symbol, unit), meaning in _MEANINGS.items()
 )
 
 

@@ -25,7 +25,7 @@ from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.files import replacing
-from imubayes.qualification.onboard.correct_recording import RowTally, correction_of
+from imubayes.qualification.onboard.correct_recording import RowTally, correction_of, not_given
 from imubayes.qualification.onboard.record import UnexpressedEffect
 from imubayes.qualification.onboard.response import TEMPERATURES
 from imubayes.results.result import Result
@@ -150,14 +150,12 @@ def _refuse_other_unit(campaign: Campaign, path: Path, channels: Sequence[Channe
             and np.isclose(other.scale_si, channel.scale_si, rtol=1e-9)
             and other.offset == channel.offset
         ):
-            issues.append(
-                Issue(
-                    f"channel '{channel.name}' is not the one that was fitted",
-                    f"{path}, [[channel]] {channel.name}",
-                    "the kind, input_axis, scale, per and offset of the campaign that was fitted",
-                    "correct the entry, or fit this campaign",
-                )
+            what, where = (
+                f"channel '{channel.name}' is not the one that was fitted",
+                f"{path}, [[channel]] {channel.name}",
             )
+            allowed = "the kind, input_axis, scale, per and offset of the campaign that was fitted"
+            issues.append(Issue(what, where, allowed, "correct the entry, or fit this campaign"))
     if issues:
         raise InputError(issues)
 
@@ -180,14 +178,7 @@ def correct_recording(
     tell("sizing what is left in")
     correction = correction_of(result, recording.header, recording.where)
     if missing := [name for name in correction.needs if not _given(name, recording)]:
-        raise InputError(
-            Issue(
-                f"the model depends on the {name.replace('_', ' ')}, which is not given",
-                f"{recording.where}, header", f"a column '{COVARIATES[name].column}'",
-                f"add the column, or state one value with --{name.replace('_', '-')}",
-            )
-            for name in missing
-        )  # fmt: skip
+        raise InputError(not_given(name, recording.where) for name in missing)
     tally = RowTally()
     with replacing(out) as scratch:
         writer = _TableWriter(scratch, is_csv(out))

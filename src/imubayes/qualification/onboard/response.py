@@ -23,7 +23,7 @@ from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.model.nodes_and_entries import KINDS
 from imubayes.model.sensitive_axes import SensitivityInputs, outputs_in_body
 from imubayes.results.result import Result
@@ -108,7 +108,7 @@ def sensor_posterior(result: Result) -> SensorPosterior:
     """
     if not result.converged:
         where = str(result.folder) if result.folder is not None else "this fit"
-        raise InputError(Issue("there are no posterior draws", where, "a fit that converged", result.summary.message))
+        raise input_error("there are no posterior draws", where, "a fit that converged", result.summary.message)
     model = result.fit.model
     inputs = result.fit.derived.derivation.inputs
     layout, count = model.layout, len(model.layout)
