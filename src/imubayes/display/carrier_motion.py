@@ -11,7 +11,7 @@ from imubayes.display.layout import Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, value_and_sd
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.earth import earth_rate
-from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.files import write_text
 from imubayes.procedures.rotation_modulation import attenuation, carrier
 from imubayes.results.corrected_outputs import CarrierEstimate
@@ -27,14 +27,9 @@ def rotating_run(campaign: Campaign, name: str) -> Run:
         return found
     fault = "is no run with a rotating table" if found is None else "has no table angle in some of its rows"
     known = [run.name for run in turning if np.isfinite(run.covariates["table_angle"]).all()]
-    raise InputError(
-        Issue(
-            f"'{name}' {fault}",
-            f"campaign '{campaign.name}'",
-            closest_first(name, known) or "a run with table_rate_deg_s and table_angle_deg in every row",
-            "name a run of procedure rotation_modulation",
-        )
-    )
+    allowed = closest_first(name, known) or "a run with table_rate_deg_s and table_angle_deg in every row"
+    remedy = "name a run of procedure rotation_modulation"
+    raise input_error(f"'{name}' {fault}", f"campaign '{campaign.name}'", allowed, remedy)
 
 
 def carrier_table(found: CarrierEstimate, gravity: float, zero_angle: float = 0.0) -> pl.DataFrame:

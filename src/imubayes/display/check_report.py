@@ -7,6 +7,7 @@ states what was packed, what it holds, and what is wrong with it.
 
 import re
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,7 +17,7 @@ from imubayes.archive import ArchivedCampaign, Packed
 from imubayes.campaign import Inspection
 from imubayes.campaign.equipment import grade_of
 from imubayes.display.fit_cautions import left_out_lines
-from imubayes.display.layout import Cell, Report, Sheet, cells
+from imubayes.display.layout import Report, Sheet, cells
 from imubayes.display.numbers_and_labels import counted, listed
 from imubayes.foundations.campaign_data import Campaign, Grade, Run
 from imubayes.foundations.errors import InputError, Issue
@@ -29,23 +30,16 @@ def packed_report(packed: Packed, out: Path) -> Report:
     said = f"{counted(len(packed.added), 'campaign')} added to {out}, {packed.present} already there"
     refused = [str(issue) for refusal in packed.refused for issue in refusal.issues]
     if packed.refused:
-        refused.append(f"{counted(len(packed.refused), 'folder')} cannot be used and {_were(packed)} left out")
+        were = "was" if len(packed.refused) == 1 else "were"
+        refused.append(f"{counted(len(packed.refused), 'folder')} cannot be used and {were} left out")
     return Report([said], closing=refused)
-
-
-def _were(packed: Packed) -> str:
-    return "was" if len(packed.refused) == 1 else "were"
 
 
 def packed_json(packed: Packed) -> dict[str, Any]:
     """Return what packing did, for `--json`."""
-    refused = [{"folder": each.folder, "issues": [_issue(issue) for issue in each.issues]} for each in packed.refused]
-    return {
-        "format": 1,
-        "added": [_entry(each) for each in packed.added],
-        "present": packed.present,
-        "refused": refused,
-    }
+    refused = [{"folder": each.folder, "issues": [asdict(issue) for issue in each.issues]} for each in packed.refused]
+    added = [_entry(each) for each in packed.added]
+    return {"format": 1, "added": added, "present": packed.present, "refused": refused}
 
 
 def list_report(campaigns: Sequence[ArchivedCampaign]) -> Report:
@@ -75,7 +69,7 @@ def archive_check(files: int, issues: Sequence[Issue]) -> Report:
 
 def check_json(files: int, issues: Sequence[Issue]) -> dict[str, Any]:
     """Return what is wrong with an archive, for `--json`."""
-    return {"format": 1, "campaigns": files, "issues": [_issue(issue) for issue in issues]}
+    return {"format": 1, "campaigns": files, "issues": [asdict(issue) for issue in issues]}
 
 
 def _entry(each: ArchivedCampaign) -> dict[str, Any]:
@@ -83,10 +77,6 @@ def _entry(each: ArchivedCampaign) -> dict[str, Any]:
         "unit": each.unit, "campaign": each.name, "date": each.date, "file": str(each.file), "digest": each.digest,
         "runs": each.runs, "rows": each.rows, "channels": each.channels, "checksum": each.checksum,
     }  # fmt: skip
-
-
-def _issue(issue: Issue) -> dict[str, Any]:
-    return {"what": issue.what, "where": issue.where, "allowed": issue.allowed, "remedy": issue.remedy}
 
 
 _CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|(?<![\w.])\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?!\w)")
@@ -233,8 +223,8 @@ def check_report(
     warnings = warning_lines(inspection, verbose)
     count = sum(finding.severity == "warning" for finding in inspection.findings)
     lines = [
-        f"{campaign.name}: {f'{count} warning{"s" if count > 1 else ""}' if count else 'no findings'}",
-        f"{len(campaign.runs)} run{'s' if len(campaign.runs) > 1 else ''}, {len(names)} channels ({listed(names, 8)}), "
+        f"{campaign.name}: {counted(count, 'warning') if count else 'no findings'}",
+        f"{counted(len(campaign.runs), 'run')}, {len(names)} channels ({listed(names, 8)}), "
         f"latitude {np.degrees(site.latitude):.4f} deg, gravity {site.gravity:.5f} m/s²",
     ]
     if model is not None:
@@ -270,9 +260,14 @@ def _notes(inspection: Inspection, campaign: Campaign, verbose: bool) -> list[st
 def run_sheet(campaign: Campaign) -> Sheet:
     """Return the table of the runs."""
     head = ("run", "procedure", "table", "mounting", "rows", "samples", "°C")
-    rows = [_run_row(run) for run in campaign.runs]
-    narrow = Sheet("Runs", (*head[:2], *head[4:]), [[*row[:2], *row[4:]] for row in rows], (0, 1))
-    return Sheet("Runs", head, rows, (0, 1, 2, 3), narrow=narrow)
+    rows = [
+        cells(
+            run.name, run.procedure, run.table or "–", run.mounting or "–", str(run.rows), f"{np.sum(run.samples):.0f}",
+            _span([run]),
+        )
+        for run in campaign.runs
+    ]  # fmt: skip
+    return Sheet("Runs", head, rows, (0, 1, 2, 3)).with_few(0, 1, 4, 5, 6)
 
 
 def table_sheet(campaign: Campaign) -> Sheet:
@@ -283,16 +278,9 @@ def table_sheet(campaign: Campaign) -> Sheet:
     rows = []
     for (procedure, table), runs in groups.items():
         mountings = list(dict.fromkeys(run.mounting for run in runs if run.mounting))
-        texts = (
-            procedure,
-            table or "–",
-            listed(mountings, 4) if mountings else "–",
-            str(len(runs)),
-            str(sum(run.rows for run in runs)),
-            f"{sum(np.sum(run.samples) for run in runs):.0f}",
-            _span(runs),
-        )
-        rows.append([Cell(text) for text in texts])
+        count, samples = sum(run.rows for run in runs), sum(np.sum(run.samples) for run in runs)
+        seats = listed(mountings, 4) if mountings else "–"
+        rows.append(cells(procedure, table or "–", seats, str(len(runs)), str(count), f"{samples:.0f}", _span(runs)))
     head = ("procedure", "table", "mountings", "runs", "rows", "samples", "°C")
     return Sheet("Runs by procedure and table", head, rows, (0, 1, 2))
 
@@ -303,19 +291,6 @@ def _span(runs: Sequence[Run]) -> str:
     values = np.concatenate(found) if found else np.zeros(0)
     ends = [f"{np.min(values):.1f}", f"{np.max(values):.1f}"] if len(values) else []
     return "\u00a0…\u00a0".join(dict.fromkeys(ends)) or "–"  # no line break within
-
-
-def _run_row(run: Run) -> list[Cell]:
-    texts = (
-        run.name,
-        run.procedure,
-        run.table or "–",
-        run.mounting or "–",
-        str(run.rows),
-        f"{np.sum(run.samples):.0f}",
-        _span([run]),
-    )
-    return [Cell(text) for text in texts]
 
 
 def usable(inspection: Inspection) -> Campaign:

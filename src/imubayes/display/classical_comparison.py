@@ -280,12 +280,10 @@ def classical_sheet(estimates: Sequence[ComparedEstimate]) -> Sheet:
     columns = ("joint", "sd", "difference", "explained by") if with_joint else ()
     head, title = ("quantity", "run", "classical", "sd", *columns, "unit"), "Classical estimates, run by run"
     note = "The classical sd is the scatter about the fitted curve; errors of its assumptions are not contained."
+    sheet = Sheet(title, head, rows, (0, 1, 7) if with_joint else (0, 1), "", note)
     if not with_joint:
-        few = [row[:3] for row in few]
-        narrow = Sheet(title, ("quantity", "run", "classical ± sd"), few, (0, 1), "", note)
-        return Sheet(title, head, rows, (0, 1), "", note, narrow=narrow)
-    narrow = Sheet(title, ("quantity", "run", "classical ± sd", "joint ± sd"), few, (0, 1), "", note)
-    return Sheet(title, head, rows, (0, 1, 7), "", note, narrow=narrow)
+        return sheet.with_narrow(("quantity", "run", "classical ± sd"), [row[:3] for row in few], (0, 1))
+    return sheet.with_narrow(("quantity", "run", "classical ± sd", "joint ± sd"), few, (0, 1))
 
 
 def _with_sd(value: str, sd: str) -> str:
@@ -328,8 +326,7 @@ def discrepancy_sheet(comparison: ClassicalComparison) -> Sheet:
     title = "Classical estimates that disagree with the joint fit"
     if not open_ones:
         title = "Classical estimates whose difference the joint fit explains"
-    narrow = None if sheet.narrow is None else replace(sheet.narrow, title=title, note=note)
-    return replace(sheet, title=title, note=note, narrow=narrow)
+    return sheet.changed(title=title, note=note)
 
 
 def _explanation(beyond: Sequence[ComparedEstimate], unexplained: int) -> str:

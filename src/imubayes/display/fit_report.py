@@ -12,7 +12,7 @@ from imubayes.display.classical_comparison import (
     undetermined_sheet,
 )
 from imubayes.display.fit_cautions import alarm_of, chi2_text, conflict_sheet, disagreement_lines, notices
-from imubayes.display.layout import Report, Sheet, render, without_alarm
+from imubayes.display.layout import Report, Sheet, render
 from imubayes.display.loop.history import provenance_line
 from imubayes.display.numbers_and_labels import listed, percent
 from imubayes.results.summary import Summary
@@ -45,7 +45,7 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     closings = (*weak, *disagreement_lines(summary), closing)
     if not alarm:
         return Report(said, sheets, closings)
-    quiet = [without_alarm(sheet) if isinstance(sheet, Sheet) else sheet for sheet in sheets]
+    quiet = [sheet.changed(alarm="") if isinstance(sheet, Sheet) else sheet for sheet in sheets]
     return Report((), quiet, (*said, *closings), alarm)
 
 

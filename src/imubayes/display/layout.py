@@ -99,16 +99,14 @@ class Sheet:
         """Return the table with some of its columns alone for narrow terminals."""
         return replace(self, narrow=of_columns(self, places))
 
+    def changed(self, **changes: Any) -> "Sheet":
+        """Return the table with other attributes, on narrow terminals as well."""
+        return replace(self, narrow=None if self.narrow is None else self.narrow.changed(**changes), **changes)
 
-def without_alarm(sheet: Sheet) -> Sheet:
-    """Return a sheet without its warning, which another sheet above has said."""
-    return replace(sheet, alarm="", narrow=None if sheet.narrow is None else without_alarm(sheet.narrow))
-
-
-def without_dividers(sheet: Sheet) -> Sheet:
-    """Return a sheet whose rows follow one another without gaps."""
-    narrow = None if sheet.narrow is None else without_dividers(sheet.narrow)
-    return replace(sheet, dividers=frozenset(), narrow=narrow)
+    def first(self, most: int, note: str) -> "Sheet":
+        """Return at most so many of its first rows, with another note."""
+        narrow = None if self.narrow is None else self.narrow.first(most, note)
+        return replace(self, rows=self.rows[:most], note=note, narrow=narrow)
 
 
 def of_columns(sheet: Sheet, places: Sequence[int]) -> Sheet:

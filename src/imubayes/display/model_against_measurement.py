@@ -35,7 +35,7 @@ from imubayes.display.layout import SheetTable, render, terminal
 from imubayes.display.progress import progress_of
 from imubayes.display.quality_tables import combination_sheet, fit_sheet, run_sheet, weak_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
-from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.files import write_json, write_text
 from imubayes.foundations.progress import Tell, counted
 from imubayes.model.model_file import read_model
@@ -212,14 +212,16 @@ def _for_corner(
     if parameters:
         names = _checked(summary, folder, parameters)
         if not posterior.is_file():
-            raise InputError(_no_draws(folder))
+            raise input_error(
+                "there are no posterior draws", str(folder),
+                "a result with posterior.nc, which every fit that converged writes",
+                "correct what kept the fit from converging, fit again, then compare",
+            )  # fmt: skip
         return names, _draws(posterior, names, asked=True)
     if not posterior.is_file():
         return [], {}
-    looked_at = [
-        *(entry.name for entry in summary.parameters if not entry.nuisance),
-        *(e.name for e in summary.derived),
-    ]
+    looked_at = [each.name for each in summary.parameters if not each.nuisance]
+    looked_at += [each.name for each in summary.derived]
     draws = _draws(posterior, looked_at, asked=False)
     return corner_choice(summary, draws), draws
 
@@ -228,13 +230,9 @@ def _chosen_runs(residuals: pl.DataFrame, folder: Path, runs: Sequence[str]) -> 
     known = ordered(residuals, "run")
     if list(runs) == ["all"]:
         return known
+    where, remedy = f"{folder}, option --runs", "take names of runs, or 'all'"
     issues = [
-        Issue(
-            f"'{name}' is not a run of the result",
-            f"{folder}, option --runs",
-            closest_first(name, known),
-            "take names of runs, or 'all'",
-        )
+        Issue(f"'{name}' is not a run of the result", where, closest_first(name, known), remedy)
         for name in runs
         if name not in known
     ]
@@ -263,14 +261,12 @@ def _refuse_non_finite(residuals: pl.DataFrame, folder: Path) -> None:
     if bad.is_empty():
         return
     first = bad.row(0, named=True)
-    raise InputError(
-        Issue(
-            f"{len(bad)} of {len(residuals)} predictions are not finite: "
-            f"the first is {first['channel']} in row {first['row']} of {first['run']}",
-            str(folder),
-            "a model that is finite for every observation",
-            "correct the model (an effect of your own may divide by zero), fit again, then compare",
-        )
+    raise input_error(
+        f"{len(bad)} of {len(residuals)} predictions are not finite: "
+        f"the first is {first['channel']} in row {first['row']} of {first['run']}",
+        str(folder),
+        "a model that is finite for every observation",
+        "correct the model (an effect of your own may divide by zero), fit again, then compare",
     )
 
 
@@ -289,15 +285,6 @@ def _checked(summary: Summary, folder: Path, parameters: Sequence[str]) -> list[
     if issues:
         raise InputError(issues)
     return members
-
-
-def _no_draws(folder: Path) -> Issue:
-    return Issue(
-        "there are no posterior draws",
-        str(folder),
-        "a result with posterior.nc, which every fit that converged writes",
-        "correct what kept the fit from converging, fit again, then compare",
-    )
 
 
 def _draws(file: Path, names: Sequence[str], asked: bool) -> Mapping[str, Any]:
@@ -353,13 +340,9 @@ def _make_folder(target: Path) -> None:
     try:
         target.mkdir(exist_ok=True)
     except OSError as error:
-        problem = Issue(
-            f"the pictures cannot be written: {error.strerror or error}",
-            str(target),
-            "a folder that can be written",
-            "free the place or give yourself the right to write there",
-        )
-        raise InputError(problem) from error
+        what = f"the pictures cannot be written: {error.strerror or error}"
+        remedy = "free the place or give yourself the right to write there"
+        raise input_error(what, str(target), "a folder that can be written", remedy) from error
 
 
 def _replace_index(target: Path, captions: Mapping[str, str]) -> None:

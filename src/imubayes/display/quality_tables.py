@@ -77,8 +77,8 @@ def fit_sheet(summary: Summary) -> Sheet:
     channels = dict.fromkeys(run.channel for run in summary.runs)
     rows = [cells(name, *(_fit_cell(entries.get((name, channel)), share) for channel in channels)) for name in names]
     sizes = [_rms([run for run in summary.runs if run.channel == channel]) for channel in channels]
-    rows.append(cells("rms residual", *(Cell(size) for size, _ in sizes)))
-    rows.append(cells("unit", *(Cell(unit) for _, unit in sizes)))
+    rows.append(cells("rms residual", *(size for size, _ in sizes)))
+    rows.append(cells("unit", *(unit for _, unit in sizes)))
     head, note = ("chi2/n", *channels), _fit_note(summary)
     return Sheet("Goodness of fit", head, rows, (0,), alarm_of(summary), note, frozenset({len(names)}))
 
@@ -135,8 +135,8 @@ def contribution_sheet(summary: Summary) -> Sheet:
         f"single procedure. {more(len(summary.contributions) - len(shown))}"
     ).strip()
     title, last = "Contribution of each procedure", ("all", "gain", "unit")
-    few = Sheet(title, ("quantity", "best alone", "sd", *last), narrow, (0, 1, 5), "", note)
-    return Sheet(title, ("quantity", *procedures, *last), wide, (0, len(procedures) + 3), "", note, narrow=few)
+    sheet = Sheet(title, ("quantity", *procedures, *last), wide, (0, len(procedures) + 3), "", note)
+    return sheet.with_narrow(("quantity", "best alone", "sd", *last), narrow, (0, 1, 5))
 
 
 def _leading_contributions(summary: Summary) -> list[Contribution]:
@@ -272,9 +272,9 @@ def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) 
         for found in shown
     ]
     title, note = "Determined combinations", (_NOTE + more(len(known) - len(shown))).strip()
-    narrow = Sheet(title, ("combination", "estimate ± sd"), few, (0, 1), alarm_of(summary), note)
     head = ("symbol", "combination", "estimate", "sd", summary.interval, "unit")
-    return Sheet(title, head, rows, (0, 1, 5), alarm_of(summary), note, narrow=narrow)
+    sheet = Sheet(title, head, rows, (0, 1, 5), alarm_of(summary), note)
+    return sheet.with_narrow(("combination", "estimate ± sd"), few, (0, 1))
 
 
 def _row(found: CombinationSummary) -> tuple[Cell, ...]:

@@ -12,7 +12,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from imubayes.display.fit_cautions import alarm_of
-from imubayes.display.layout import Cell, Sheet, cells, without_dividers
+from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import NO_NUMBER, concise, is_exact, percent, pretty, rounded, value_and_sd
 from imubayes.display.quality_tables import NOT_DETERMINED, more
 from imubayes.foundations.campaign_data import channel_of_component
@@ -36,7 +36,7 @@ def scale_and_angle_sheet(summary: Summary) -> Sheet:
         for entry in summary.derived
         if not entry.repeats_misalignments and not entry.name.startswith("axis_angle[")
     ]
-    return without_dividers(_quantities(summary, own, "Derived quantities", None, nuisance=False))
+    return _quantities(summary, own, "Derived quantities", None, nuisance=False).changed(dividers=frozenset())
 
 
 def equipment_sheet(summary: Summary, shown: Collection[str]) -> Sheet:
@@ -51,10 +51,9 @@ def equipment_sheet(summary: Summary, shown: Collection[str]) -> Sheet:
         for entry in in_output_units(summary).parameters
         if entry.name not in shown and not entry.name.startswith("mounting_error.")
     ]
-    sheet = without_dividers(_quantities(summary, own, "Tables, station and reference", None, nuisance=False))
+    sheet = _quantities(summary, own, "Tables, station and reference", None, nuisance=False)
     # The same note stands below the derived quantities.
-    narrow = replace(sheet.narrow, note="", dense=True) if sheet.narrow is not None else None
-    return replace(sheet, note="", dense=True, narrow=narrow)
+    return sheet.changed(note="", dense=True, dividers=frozenset())
 
 
 def derived_sheet(summary: Summary, most: int | None = None) -> Sheet:
@@ -71,12 +70,10 @@ def _quantities(
     families = [entry.name.partition("[")[0].partition(".")[0] for entry in chosen]
     dividers = frozenset(place for place in range(1, len(chosen)) if families[place] != families[place - 1])
     note = (_note(entries, len(everything) - len(entries)) + more(len(entries) - len(chosen))).strip()
-    alarm = alarm_of(summary)
-    few = [_short(entry) for entry in chosen]
-    narrow = Sheet(title, ("name", "estimate ± sd", "from data"), few, (0, 1), alarm, note, dividers)
     head = ("name", "estimate", "sd", summary.interval, "unit", "from data", *(("R-hat", "ESS") if sampling else ()))
     rows = [(*_estimate(entry), *(_sampling_cells(entry) if sampling else ())) for entry in chosen]
-    return Sheet(title, head, rows, (0, 4), alarm, note, dividers, narrow)
+    sheet = Sheet(title, head, rows, (0, 4), alarm_of(summary), note, dividers)
+    return sheet.with_narrow(("name", "estimate ± sd", "from data"), [_short(entry) for entry in chosen], (0, 1))
 
 
 def is_nuisance(entry: Quantity) -> bool:
@@ -277,5 +274,4 @@ def axis_sheet(summary: Summary) -> Sheet:
         for is_short in (False, True)
     )
     title, head = "Input axes in body axes: input_axis[channel,component]", ("", "x", "y", "z")
-    short = Sheet(title, head, narrow, dense=True)
-    return Sheet(title, head, wide, dense=True, narrow=short)
+    return Sheet(title, head, wide, dense=True).with_narrow(head, narrow)

@@ -6,7 +6,6 @@ tables give the coefficients, the estimates that moved, and residual rms before 
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from imubayes.criticism.verdict import RmsChange
@@ -47,9 +46,7 @@ def first_rows(sheet: Sheet) -> Sheet:
     left = len(sheet.rows) - _MOST_ROWS
     if left <= 0:
         return sheet
-    narrow = first_rows(sheet.narrow) if sheet.narrow is not None else None
-    note = f"{left} more with --verbose." + (f" {sheet.note}" if sheet.note else "")
-    return replace(sheet, rows=sheet.rows[:_MOST_ROWS], note=note, narrow=narrow)
+    return sheet.first(_MOST_ROWS, f"{left} more with --verbose." + (f" {sheet.note}" if sheet.note else ""))
 
 
 def moved_sheet(change: ModelChange) -> Sheet:

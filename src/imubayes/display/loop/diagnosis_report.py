@@ -6,7 +6,6 @@ the source of an effect class is written.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,9 @@ from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.display.fit_cautions import noise_ratio
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop.diagnosis_sentences import evidence_text, noise_text, probability, sentence, why_undetectable
-from imubayes.display.numbers_and_labels import chance_text, listed, percent, pretty, significant, value_and_sd
+from imubayes.display.numbers_and_labels import chance_text, counted, listed, percent, pretty, significant, value_and_sd
 from imubayes.display.quality_tables import run_design_text
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 
 _MOST_RANKED, _MOST_OUTLIERS = 10, 8
 # A bias below this share of a posterior standard deviation is not worth a word.
@@ -241,23 +240,13 @@ def leading_sheets(found: Diagnosis) -> list[Sheet]:
     }.get(found.verdict, [ranking_sheet(found)])
     sheets = [sheet for sheet in sheets if sheet.rows]
     each = max(_MOST_LEADING // max(len(sheets), 1), 2)
-    return [_leading(sheet, each) for sheet in sheets]
-
-
-def _leading(sheet: Sheet, most: int) -> Sheet:
-    """Return the first rows of a table, without its note."""
-    narrow = _leading(sheet.narrow, most) if sheet.narrow is not None else None
-    return replace(sheet, rows=sheet.rows[:most], note="", narrow=narrow)
+    return [sheet.first(each, note="") for sheet in sheets]
 
 
 def _omitted(found: Diagnosis) -> list[str]:
     """Return what the tables that are left out hold, in one line."""
-    counts = {
-        "effect": len(found.ranking),
-        "outlier": len(found.outliers),
-        "undetectable effect": len(found.undetectable),
-    }
-    each = [f"{count} {name}{'s' if count > 1 else ''}" for name, count in counts.items() if count]
+    lists = {"effect": found.ranking, "outlier": found.outliers, "undetectable effect": found.undetectable}
+    each = [counted(len(lines), name) for name, lines in lists.items() if lines]
     return [f"All tables: {', '.join(each)}: imubayes diagnose {found.result} --verbose"] if each else []
 
 
@@ -331,14 +320,9 @@ def effect_source(found: Diagnosis) -> str:
     """
     if found.formulas:
         return formula_source(found.formulas[0])
-    raise InputError(
-        Issue(
-            "there is no effect class to print",
-            f"diagnosis: {found.verdict}",
-            "a cause outside the catalogue, with a formula",
-            f"do what the diagnosis says next: {next_command(found) or 'nothing'}",
-        )
-    )
+    what, allowed = "there is no effect class to print", "a cause outside the catalogue, with a formula"
+    remedy = f"do what the diagnosis says next: {next_command(found) or 'nothing'}"
+    raise input_error(what, f"diagnosis: {found.verdict}", allowed, remedy)
 
 
 def _prediction(found: Diagnosis) -> str:
