@@ -306,6 +306,12 @@ def panels(
     return found
 
 
+def name_rows(axes: Axes, names: Sequence[str], most: int = 34, **style: Any) -> None:
+    """Write names beside rows, the first at 0, shortened to so many characters and without ticks."""
+    axes.set_yticks(range(len(names)), [shortened(name, most) for name in names], **style)
+    axes.tick_params(axis="y", length=0)
+
+
 def legend_at(figure: Picture, left: float, top: float, handles: Sequence, **style: Any) -> None:
     """Put a legend with its upper left corner at a place in inches."""
     width, height = figure.get_size_inches()

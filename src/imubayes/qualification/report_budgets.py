@@ -13,17 +13,8 @@ from imubayes.foundations.records import Record, finite
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import expected_deviations
 from imubayes.parameters.declarations import Parameter
+from imubayes.qualification import budget_parts
 from imubayes.qualification import uncertainty_budget as budget
-from imubayes.qualification.budget_parts import (
-    BudgetLine,
-    CorrelationMatrix,
-    HalvedInput,
-    NarrowingRun,
-    QuantityBudget,
-    Source,
-    UncertaintyBudgets,
-    effective_degrees,
-)
 from imubayes.qualification.conformity import TestedUnit, tested_unit
 from imubayes.qualification.decision_rules import LEAST_SHARE, USEFUL_RUN
 from imubayes.qualification.posterior_quantities import posterior_quantities, slopes
@@ -44,10 +35,10 @@ class KeptBudgets(Record):
     """Budgets in a result folder, with the method that they were computed by."""
 
     method: int
-    budgets: UncertaintyBudgets
+    budgets: budget_parts.UncertaintyBudgets
 
 
-def budgets_of(result: Result, unit: TestedUnit | None) -> UncertaintyBudgets | None:
+def budgets_of(result: Result, unit: TestedUnit | None) -> budget_parts.UncertaintyBudgets | None:
     """Return the budgets of all quantities of a result; None where the fit did not converge.
 
     Those that the result folder keeps are taken where they are of this result; others are kept there.
@@ -82,7 +73,7 @@ def _kept(folder: Path) -> KeptBudgets | None:
         return None
 
 
-def _computed(result: Result, unit: TestedUnit) -> UncertaintyBudgets:
+def _computed(result: Result, unit: TestedUnit) -> budget_parts.UncertaintyBudgets:
     draws = unit.quantities.draws
     # The component along a nominal axis has no gradient there; the budgets of the misalignments say it all.
     entries = posterior_quantities(result).entries.values()
@@ -96,7 +87,9 @@ def _computed(result: Result, unit: TestedUnit) -> UncertaintyBudgets:
         tuple(round(float(value), _DECIMALS) + 0.0 for value in row[: place + 1])
         for place, row in enumerate(arrays.correlation)
     )
-    return UncertaintyBudgets(quantities=quantities, correlation=CorrelationMatrix(names=arrays.names, rows=rows))
+    return budget_parts.UncertaintyBudgets(
+        quantities=quantities, correlation=budget_parts.CorrelationMatrix(names=arrays.names, rows=rows)
+    )
 
 
 def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, budget.FunctionOfQuantities]:
@@ -127,7 +120,7 @@ class _Parts:
     widths: tuple[float | None, ...]
 
 
-def _budget(parts: _Parts, place: int, next_run: NarrowingRun | None) -> QuantityBudget:
+def _budget(parts: _Parts, place: int, next_run: budget_parts.NarrowingRun | None) -> budget_parts.QuantityBudget:
     arrays, name = parts.arrays, parts.arrays.names[place]
     posterior = float(arrays.posterior[place])
     lines = _lines(parts, place)
@@ -135,8 +128,10 @@ def _budget(parts: _Parts, place: int, next_run: NarrowingRun | None) -> Quantit
     low, high = parts.unit.quantities.marginal(name).interval
     type_a = arrays.averaged.type_a[place]
     rest = posterior - float(type_a.sum())
-    degrees = effective_degrees(np.append(type_a, max(rest, 0.0)), np.append(arrays.degrees[place], np.inf))
-    return QuantityBudget(
+    degrees = budget_parts.effective_degrees(
+        np.append(type_a, max(rest, 0.0)), np.append(arrays.degrees[place], np.inf)
+    )
+    return budget_parts.QuantityBudget(
         name=name,
         unit=parts.unit.quantities.entries[name].unit,
         standard_uncertainty=u,
@@ -154,7 +149,7 @@ def _budget(parts: _Parts, place: int, next_run: NarrowingRun | None) -> Quantit
     )
 
 
-def _lines(parts: _Parts, place: int) -> list[BudgetLine]:
+def _lines(parts: _Parts, place: int) -> list[budget_parts.BudgetLine]:
     """Return the contributions to a quantity, the largest first, and last those too small for a line of their own."""
     posterior, contributions = float(parts.arrays.posterior[place]), list(_contributions(parts, place))
     least = LEAST_SHARE * posterior
@@ -166,7 +161,7 @@ def _lines(parts: _Parts, place: int) -> list[BudgetLine]:
         same = all(each.type == first for each in small)
         shown.append(_Contribution(together, first if same else None, sum(each.inputs for each in small)))
     return [
-        BudgetLine(
+        budget_parts.BudgetLine(
             type=each.type,
             inputs=each.inputs,
             contribution=float(np.sqrt(each.variance)),
@@ -219,7 +214,7 @@ def _of_prior(parameter: Parameter, width: float | None, variance: float, slope:
     }  # fmt: skip
 
 
-def _halved(parts: _Parts, place: int) -> tuple[HalvedInput, ...]:
+def _halved(parts: _Parts, place: int) -> tuple[budget_parts.HalvedInput, ...]:
     """Return what halving one contribution would leave, for the most useful ones.
 
     Deviations are those at the mode, scaled to the posterior one.
@@ -230,14 +225,14 @@ def _halved(parts: _Parts, place: int) -> tuple[HalvedInput, ...]:
     scale = float(np.sqrt(arrays.posterior[place]) / improved.at_mode[place])
     best = sorted(_better_inputs(arrays, place), key=lambda each: each[0])[:_MOST_HALVED]
     return tuple(
-        HalvedInput(kind=kind, input=name, source=source, standard_uncertainty=scale * after)
+        budget_parts.HalvedInput(kind=kind, input=name, source=source, standard_uncertainty=scale * after)
         for after, kind, name, source in best
     )
 
 
 def _better_inputs(
     arrays: budget.BudgetArrays, place: int
-) -> Iterator[tuple[float, Literal["run", "prior", "priors"], str, Source | None]]:
+) -> Iterator[tuple[float, Literal["run", "prior", "priors"], str, budget_parts.Source | None]]:
     """Yield the standard deviation with each input halved, and what the input is."""
     improved = arrays.improved
     for run, after in zip(arrays.runs, improved.halved_noise[place].tolist(), strict=True):
@@ -249,7 +244,7 @@ def _better_inputs(
         yield after, "priors", effect, budget.SOURCES.get(effect, "unit")
 
 
-def _next_runs(result: Result, arrays: budget.BudgetArrays) -> list[NarrowingRun | None]:
+def _next_runs(result: Result, arrays: budget.BudgetArrays) -> list[budget_parts.NarrowingRun | None]:
     """Return, for each quantity, the run that would narrow it most; None where no run would."""
     count, runs = len(arrays.names), result.fit.model.campaign.runs
     before = np.maximum(arrays.improved.at_mode, np.finfo(float).tiny)
@@ -260,12 +255,14 @@ def _next_runs(result: Result, arrays: budget.BudgetArrays) -> list[NarrowingRun
         expected = expected_deviations(result.fit, arrays.components)
         designs = expected.designs
         left = np.concatenate([left, expected.after / np.maximum(expected.before, np.finfo(float).tiny)])
-    found: list[NarrowingRun | None] = []
+    found: list[budget_parts.NarrowingRun | None] = []
     for place in range(count):
         best, u = int(left[:, place].argmin()), float(np.sqrt(arrays.posterior[place]))
         useful = 0 < left[best, place] < USEFUL_RUN
         run = designs[best - len(runs)] if best >= len(runs) else None
         repeats = runs[best].name if best < len(runs) else None
-        narrowing = NarrowingRun(run=run, repeats=repeats, standard_uncertainty=u * float(left[best, place]))
+        narrowing = budget_parts.NarrowingRun(
+            run=run, repeats=repeats, standard_uncertainty=u * float(left[best, place])
+        )
         found.append(narrowing if useful else None)
     return found

@@ -8,11 +8,7 @@ from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.parameters.priors import Normal
 from imubayes.qualification import report_record as record
 from imubayes.qualification.conformity import TestedUnit
-from imubayes.qualification.decision_rules import (
-    ProbabilityByTwoMethods,
-    ToleranceInterval,
-    conformance_probability,
-)
+from imubayes.qualification.decision_rules import ProbabilityByTwoMethods, ToleranceInterval, conformance_probability
 from imubayes.qualification.marginal import Marginal, digits_deserved, draws_needed
 from imubayes.qualification.standard_quantities import (
     STANDARD_QUANTITIES,

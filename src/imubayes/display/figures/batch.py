@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.batch.pooled_discovery import PooledDiscovery, PooledFinding
 from imubayes.display import figure_style as style
-from imubayes.display.numbers_and_labels import pretty, shortened, value_and_sd
+from imubayes.display.numbers_and_labels import pretty, value_and_sd
 
 _MOST_ROWS, _MOST_PANELS, _MOST_UNITS = 20, 6, 60
 # Standard uncertainties above so many times the median do not set the limits of an axis.
@@ -56,9 +56,8 @@ def population_picture(found: Populations, units: pl.DataFrame) -> style.Picture
     random = np.random.default_rng(0)
     for row, each in enumerate(known):
         _strip(axes, row, each, units.filter(pl.col("parameter") == each.parameter), random)
-    axes.set_yticks(range(len(known)), [shortened(each.parameter, 34) for each in known])
+    style.name_rows(axes, [each.parameter for each in known])
     axes.set(ylim=(len(known) - 0.4, -0.6), xlim=(-6, 6), xlabel="estimate / spreads from the population mean")
-    axes.tick_params(axis="y", length=0)
     bands = (Patch(color=style.BAND, label="±1 spread"), Patch(color=style.BAND_WIDE, label="±2 spreads"))
     style.legend_above(figure, [*bands, style.dot(style.BLUE, "unit"), style.dot(style.VERMILION, "outlying")])
     return figure
@@ -201,8 +200,7 @@ def change_picture(changes: pl.DataFrame) -> style.Picture:
         place = np.clip(table["change"].to_numpy() / np.where(deviation > 0, deviation, np.inf), -9.8, 9.8)
         colours = np.where(table["significant"].to_numpy(), style.VERMILION, style.BLUE)
         axes.scatter(place, row + random.uniform(-0.28, 0.28, len(place)), s=14, c=colours, linewidths=0, zorder=3)
-    axes.set_yticks(range(len(ranked)), [shortened(name, 34) for name in ranked])
+    style.name_rows(axes, ranked)
     axes.set(ylim=(len(ranked) - 0.4, -0.6), xlim=(-10, 10), xlabel="change / standard deviation of the change")
-    axes.tick_params(axis="y", length=0)
     style.legend_above(figure, [style.dot(style.BLUE, "campaign"), style.dot(style.VERMILION, "significant")])
     return figure

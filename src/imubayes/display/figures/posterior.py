@@ -233,9 +233,8 @@ def _bars(axes: Axes, entries: Sequence[tuple[float, str]], lines: int, least: f
     ticks = [tick for tick in _TICKS if tick >= least]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    axes.set_yticks(places, [shortened(name, 38) for _, name in entries])
+    style.name_rows(axes, [name for _, name in entries], 38)
     axes.grid(axis="x")
-    axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     axes.spines["bottom"].set_color(style.QUIET)
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from imubayes.display import figure_style as style
 from imubayes.display.figures.panels import set_decades
 from imubayes.display.fit_cautions import alarm_of
-from imubayes.display.numbers_and_labels import concise, pretty, shortened, significant
+from imubayes.display.numbers_and_labels import concise, pretty, significant
 from imubayes.display.quantity_tables import is_nuisance
 from imubayes.results.summary import Quantity, Summary, in_output_units
 
@@ -54,8 +54,7 @@ def prior_posterior_figure(summary: Summary, names: Sequence[str] | None = None)
     for axes in grid:
         axes.set(ylim=(len(chosen) - 0.4, -0.6), yticks=[])
         axes.spines["left"].set_visible(False)
-    grid[0].set_yticks(range(len(chosen)), [shortened(entry.name, 34) for entry in chosen])
-    grid[0].tick_params(axis="y", length=0)
+    style.name_rows(grid[0], [entry.name for entry in chosen])
     bands = (Patch(color=style.BAND, label="prior, ±1 sd"), Patch(color=style.BAND_WIDE, label="prior, ±2 sd"))
     before = style.dot(style.QUIET, "before", markerfacecolor="white", markeredgewidth=1.0)
     style.legend_above(

@@ -14,20 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.lines import Line2D
 
-from imubayes.display.figure_style import (
-    BLUE,
-    FAINT,
-    GREEN,
-    HUES,
-    INK,
-    QUIET,
-    VERMILION,
-    Picture,
-    legend_at,
-    panels,
-    picture,
-    themed,
-)
+from imubayes.display import figure_style as style
 from imubayes.display.numbers_and_labels import shortened
 from imubayes.foundations.campaign_data import Campaign, Run, Table
 from imubayes.procedures.ambient import instant
@@ -41,8 +28,8 @@ _CAPTION = (
 )
 
 
-@themed
-def campaign_timeline_figure(campaign: Campaign) -> Picture:
+@style.themed
+def campaign_timeline_figure(campaign: Campaign) -> style.Picture:
     """Return the runs of a campaign on a time axis.
 
     Raises
@@ -55,12 +42,12 @@ def campaign_timeline_figure(campaign: Campaign) -> Picture:
         raise ValueError("no run states its start")
     kinds = list(dict.fromkeys(run.procedure for run in runs))
     mountings = list(dict.fromkeys(run.mounting or _NO_MOUNTING for run in runs))
-    hues = {name: HUES[place % len(HUES)] for place, name in enumerate(mountings)}
+    hues = {name: style.HUES[place % len(style.HUES)] for place, name in enumerate(mountings)}
     height = _LINE * len(kinds) + 2.6
     left_out = len(campaign.runs) - len(runs)
     missing = f" {left_out} of {len(campaign.runs)} runs state no start and are left out." if left_out else ""
-    figure = picture(11.5, height, f"Runs of {campaign.name}", _CAPTION + missing)
-    upper, lower = panels(figure, 2, 1, (1.6, 0.5, _LEGEND, 0.1), (0.85, 0.3), share_x=True)[:, 0]
+    figure = style.picture(11.5, height, f"Runs of {campaign.name}", _CAPTION + missing)
+    upper, lower = style.panels(figure, 2, 1, (1.6, 0.5, _LEGEND, 0.1), (0.85, 0.3), share_x=True)[:, 0]
     lower.xaxis.set_visible(True)
     for run in runs:
         start, end = _span(run)
@@ -77,7 +64,7 @@ def campaign_timeline_figure(campaign: Campaign) -> Picture:
     lower.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=UTC))
     lower.set_xlabel("UTC")
     handles = [Line2D([], [], color=hue, linewidth=5, label=shortened(name, 25)) for name, hue in hues.items()]
-    legend_at(figure, figure.inside[2] - _LEGEND + 0.3, figure.inside[3], handles, handlelength=0.8)
+    style.legend_at(figure, figure.inside[2] - _LEGEND + 0.3, figure.inside[3], handles, handlelength=0.8)
     return figure
 
 
@@ -100,7 +87,7 @@ def _temperature(axes: Axes, run: Run, start: float, end: float, hue: str) -> No
         axes.plot([(start + end) / 2] * 2, [low, high], "o-", color=hue, linewidth=3, markersize=4)
 
 
-_BODY = (BLUE, GREEN, VERMILION)
+_BODY = (style.BLUE, style.GREEN, style.VERMILION)
 # East, North and up on the page, as they are seen from the south and above.
 _VIEW = np.array([[0.93, 0.36, 0.0], [-0.16, 0.42, 0.89]])
 _COMPASS = np.array([-1.5, -1.2])
@@ -124,8 +111,8 @@ def mounted_pairs(campaign: Campaign) -> list[Pair]:
     return list(dict.fromkeys((run.table, run.mounting) for run in campaign.runs if run.table and run.mounting))
 
 
-@themed
-def mounting_sketch_figure(campaign: Campaign, pairs: Sequence[Pair] | None = None) -> Picture:
+@style.themed
+def mounting_sketch_figure(campaign: Campaign, pairs: Sequence[Pair] | None = None) -> style.Picture:
     """Return a sketch of each pair of table and mounting.
 
     Parameters
@@ -142,8 +129,8 @@ def mounting_sketch_figure(campaign: Campaign, pairs: Sequence[Pair] | None = No
         raise ValueError("no run has a table and a mounting")
     columns = min(_ABREAST, len(pairs))
     rows = -(-len(pairs) // columns)
-    figure = picture(max(7.5, _WIDE * columns), _HIGH * rows, f"Mountings of {campaign.name}", _SKETCH_CAPTION)
-    grid = panels(figure, rows, columns, (0.0, 0.0, 0.0, 0.4), (0.1, 0.5)).flatten()
+    figure = style.picture(max(7.5, _WIDE * columns), _HIGH * rows, f"Mountings of {campaign.name}", _SKETCH_CAPTION)
+    grid = style.panels(figure, rows, columns, (0.0, 0.0, 0.0, 0.4), (0.1, 0.5)).flatten()
     for axes in grid:
         axes.axis("off")
     for axes, (table, mounting) in zip(grid, pairs, strict=False):
@@ -155,7 +142,7 @@ def _panel(axes: Axes, campaign: Campaign, table: str, mounting: str) -> None:
     stand = campaign.tables[table].to_local
     body = stand @ campaign.mountings[mounting].body_to_table
     for name, way in (("E", (1, 0, 0)), ("N", (0, 1, 0)), ("up", (0, 0, 1))):
-        _arrow(axes, np.array(way) * 0.4, name, QUIET, 0.9, _COMPASS)
+        _arrow(axes, np.array(way) * 0.4, name, style.QUIET, 0.9, _COMPASS)
     _disc(axes, stand)
     _table_axes(axes, campaign.tables[table])
     seat = _VIEW @ (stand[:, 2] * _SEAT)
@@ -163,13 +150,13 @@ def _panel(axes: Axes, campaign: Campaign, table: str, mounting: str) -> None:
     for place, colour in enumerate(_BODY):
         _arrow(axes, body[:, place] * _AXIS, _label(campaign, place), colour, 2.0, seat)
     for name, axis in _skew(campaign):
-        _arrow(axes, body @ axis * _AXIS, name, QUIET, 1.0, seat)
+        _arrow(axes, body @ axis * _AXIS, name, style.QUIET, 1.0, seat)
     angles = np.degrees(np.arccos(np.clip(stand[:, 2] @ body, -1, 1)))
     runs = sum((run.table, run.mounting) == (table, mounting) for run in campaign.runs)
     axes.set(xlim=(-2.0, 2.0), ylim=(-1.75, 1.95), aspect="equal")
     axes.set_title(f"{shortened(mounting, 20)} on {shortened(table, 20)}, {runs} run{'s' if runs != 1 else ''}")
     said = ", ".join(f"{name} {angle:.4g}°" for name, angle in zip("xyz", angles, strict=True))
-    axes.text(0.5, 0.0, f"to the axis: {said}", transform=axes.transAxes, ha="center", va="bottom", color=QUIET)
+    axes.text(0.5, 0.0, f"to the axis: {said}", transform=axes.transAxes, ha="center", va="bottom", color=style.QUIET)
 
 
 def _disc(axes: Axes, stand: np.ndarray) -> None:
@@ -179,13 +166,13 @@ def _disc(axes: Axes, stand: np.ndarray) -> None:
         angle = np.radians(degrees)
         return _RADIUS * radius * (_VIEW @ stand @ np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)]))
 
-    axes.fill(*rim(np.linspace(0, 360, 73), 1.0), facecolor="#f4f4f4", edgecolor=FAINT)
-    axes.plot(*np.stack([rim(np.zeros(1), 0.88)[:, 0], rim(np.zeros(1), 1.06)[:, 0]]).T, color=INK, linewidth=2)
-    _text(axes, rim(np.zeros(1), 1.25)[:, 0], "0°", INK)
+    axes.fill(*rim(np.linspace(0, 360, 73), 1.0), facecolor="#f4f4f4", edgecolor=style.FAINT)
+    axes.plot(*np.stack([rim(np.zeros(1), 0.88)[:, 0], rim(np.zeros(1), 1.06)[:, 0]]).T, color=style.INK, linewidth=2)
+    _text(axes, rim(np.zeros(1), 1.25)[:, 0], "0°", style.INK)
     turned = rim(np.linspace(195, 245, 30), 1.08)
-    axes.plot(*turned[:, :-1], color=INK, linewidth=1.1)
-    _head(axes, turned[:, -4], turned[:, -1], INK, 1.1)
-    _text(axes, rim(np.array([220.0]), 1.2)[:, 0], "+", INK, fontsize=11)
+    axes.plot(*turned[:, :-1], color=style.INK, linewidth=1.1)
+    _head(axes, turned[:, -4], turned[:, -1], style.INK, 1.1)
+    _text(axes, rim(np.array([220.0]), 1.2)[:, 0], "+", style.INK, fontsize=11)
 
 
 def _table_axes(axes: Axes, table: Table) -> None:
@@ -195,10 +182,10 @@ def _table_axes(axes: Axes, table: Table) -> None:
         _shaft(axes, inner, "table axis", _SHAFT)
     elif table.arm:
         start = _VIEW @ (-outer[:, 0] * _ARM)
-        axes.plot(*np.stack([start, np.zeros(2)]).T, color=QUIET, linewidth=1.5)
-        _text(axes, start / 2, f"{table.arm:.3g} m", QUIET, va="bottom")
+        axes.plot(*np.stack([start, np.zeros(2)]).T, color=style.QUIET, linewidth=1.5)
+        _text(axes, start / 2, f"{table.arm:.3g} m", style.QUIET, va="bottom")
         _shaft(axes, inner, "inner axis", _SHAFT)
-        _arrow(axes, outer[:, 2] * _AXIS, "outer axis", QUIET, 1.2, start)
+        _arrow(axes, outer[:, 2] * _AXIS, "outer axis", style.QUIET, 1.2, start)
     else:
         middle = [] if table.middle_axis is None else [("middle", outer @ np.array(table.middle_axis))]
         shafts: list[tuple[str, np.ndarray]] = []
@@ -214,8 +201,8 @@ def _table_axes(axes: Axes, table: Table) -> None:
 
 def _shaft(axes: Axes, way: np.ndarray, label: str, length: float) -> None:
     tail = _VIEW @ way * -length
-    _arrow(axes, way * length, "", INK, 1.2, tail)
-    _text(axes, tail * (1 + 0.16 / length), label, INK, _side(tail[0]))
+    _arrow(axes, way * length, "", style.INK, 1.2, tail)
+    _text(axes, tail * (1 + 0.16 / length), label, style.INK, _side(tail[0]))
 
 
 def _box(axes: Axes, body: np.ndarray, seat: np.ndarray) -> None:
@@ -223,7 +210,7 @@ def _box(axes: Axes, body: np.ndarray, seat: np.ndarray) -> None:
     for first, second in itertools.combinations(corners, 2):
         if sum(a != b for a, b in zip(first, second, strict=True)) == 1:
             ends = [seat + _VIEW @ body @ np.array(end) for end in (first, second)]
-            axes.plot(*np.stack(ends).T, color=INK, linewidth=0.6)
+            axes.plot(*np.stack(ends).T, color=style.INK, linewidth=0.6)
 
 
 def _label(campaign: Campaign, place: int) -> str:
@@ -253,14 +240,14 @@ def _arrow(axes: Axes, way: np.ndarray, label: str, colour: str, width: float, s
 
 
 def _head(axes: Axes, start: np.ndarray, end: np.ndarray, colour: str, width: float) -> None:
-    style = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=style)
+    look = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=look)
 
 
 def _text(
-    axes: Axes, place: np.ndarray, label: str, colour: str, ha: str = "center", va: str = "center", **style: Any
+    axes: Axes, place: np.ndarray, label: str, colour: str, ha: str = "center", va: str = "center", **look: Any
 ) -> None:
-    axes.text(place[0], place[1], label, color=colour, ha=ha, va=va, **style)
+    axes.text(place[0], place[1], label, color=colour, ha=ha, va=va, **look)
 
 
 def _side(across: float) -> str:

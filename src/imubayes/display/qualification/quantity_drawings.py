@@ -11,8 +11,19 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 
-from imubayes.display.figure_style import BAND, BAND_WIDE, BLUE, GREEN, INK, ORANGE, PURPLE, QUIET, SKY, VERMILION
-from imubayes.display.numbers_and_labels import shortened
+from imubayes.display.figure_style import (
+    BAND,
+    BAND_WIDE,
+    BLUE,
+    GREEN,
+    INK,
+    ORANGE,
+    PURPLE,
+    QUIET,
+    SKY,
+    VERMILION,
+    name_rows,
+)
 from imubayes.display.qualification.document import WIDTH, Drawing, Drawings, drawn, place, title
 from imubayes.qualification.budget_parts import BudgetLine, CorrelationMatrix, QuantityBudget
 from imubayes.qualification.report_record import ResultLine
@@ -59,8 +70,7 @@ def _in_parts[T: (QuantityBudget, ResultLine)](
 
 def _name_rows(axes: Axes, names: Sequence[str], size: float = 7) -> None:
     """Write names beside rows, without ticks and without a line at the left."""
-    axes.set_yticks(range(len(names)), [shortened(name, 34) for name in names], fontsize=size)
-    axes.tick_params(axis="y", length=0)
+    name_rows(axes, names, fontsize=size)
     axes.spines["left"].set_visible(False)
 
 

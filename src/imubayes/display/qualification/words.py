@@ -5,15 +5,9 @@ from collections.abc import Sequence
 from imubayes.criticism.verdict import Verdict
 from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, rounded, significant
 from imubayes.display.qualification.document import Mood, Text
+from imubayes.qualification import report_record as record
 from imubayes.qualification.conformity import Obstacle
 from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
-from imubayes.qualification.report_record import (
-    LimitOutcome,
-    MonteCarloError,
-    NumberWithheld,
-    Probability,
-    ReportedEstimate,
-)
 
 OUTCOMES: dict[Outcome, tuple[str, Mood]] = {
     "pass": ("PASS", "good"),
@@ -54,7 +48,7 @@ WITHHELD_NUMBER = (
     "Withheld: twice the Monte Carlo error exceeds half a unit of the first digit of u (JCGM 101, 7.9); so many times "
     f"the draws are needed (`{MORE_DRAWS}`)."
 )
-_NO_POSTERIOR: dict[NumberWithheld, str] = {
+_NO_POSTERIOR: dict[record.NumberWithheld, str] = {
     "not_converged": "no convergence", "no_draws": "no draws", "monte_carlo_error": "too few draws",
 }  # fmt: skip
 _RULES: dict[RuleName, str] = {
@@ -67,7 +61,7 @@ _RULES: dict[RuleName, str] = {
 }
 
 
-def rule_text(limit: LimitOutcome) -> str:
+def rule_text(limit: record.LimitOutcome) -> str:
     """Return the decision rule of a limit: ``guard band, w = 1.65 u``."""
     said = _RULES[limit.rule]
     if limit.rule == "guard_band":
@@ -81,7 +75,7 @@ def rule_text(limit: LimitOutcome) -> str:
     return said
 
 
-def stated(found: ReportedEstimate) -> tuple[str, str, str, str]:
+def stated(found: record.ReportedEstimate) -> tuple[str, str, str, str]:
     """Return estimate, standard uncertainty and both ends of the interval with the digits that they deserve."""
     if found.estimate is None or found.standard_uncertainty is None:
         return NO_NUMBER, _NO_POSTERIOR[found.withheld or "no_draws"], NO_NUMBER, NO_NUMBER
@@ -97,20 +91,22 @@ def beside(estimate: str, u: str) -> str:
     return f"{estimate} ± {u}" if u[0].isdigit() else f"{estimate}: {u}"
 
 
-def with_digits(values: tuple[float | None, ...], uncertainty: float, error: MonteCarloError | None) -> tuple[str, ...]:
+def with_digits(
+    values: tuple[float | None, ...], uncertainty: float, error: record.MonteCarloError | None
+) -> tuple[str, ...]:
     """Return numbers, u the second of them, with the digits that u deserves; or that they are withheld, and why."""
     if error is not None and error.digits == 0:
         return "withheld", f"needs {significant(error.draws_needed, 2)} × the draws", *(MORE_DRAWS for _ in values[2:])
     return tuple(rounded(values, uncertainty * (1 if error is None or error.digits == 2 else 10)))
 
 
-def interval_text(found: ReportedEstimate) -> str:
+def interval_text(found: record.ReportedEstimate) -> str:
     """Return the coverage interval; empty for an exact quantity."""
     _, _, low, high = stated(found)
     return low if found.withheld is not None or not low else f"{low} … {high}"
 
 
-def probability_text(found: Probability | None) -> Text:
+def probability_text(found: record.Probability | None) -> Text:
     """Return a probability with its Monte Carlo error, or why it is withheld."""
     if found is None:
         return Text(NO_NUMBER)
@@ -128,7 +124,7 @@ def risk_text(risk: float | None) -> str:
     return f"{100 * risk:.2g} %" if risk >= 1e-4 else "< 0.01 %"
 
 
-def limits_text(limit: LimitOutcome) -> str:
+def limits_text(limit: record.LimitOutcome) -> str:
     """Return the tolerance interval: ``-20 … 20``, ``≤ 5``."""
     lower, upper = limit.lower, limit.upper
     if lower is None:

@@ -15,20 +15,9 @@ from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import finite
 from imubayes.inference.identifiability import WEAK_SHARE, from_data
 from imubayes.inference.run_fit import data_hash, model_hash
+from imubayes.qualification.onboard import record as onboard
+from imubayes.qualification.onboard import unexpressed_effects as unexpressed
 from imubayes.qualification.onboard.correct_recording import ReadingNoise, reading_noise
-from imubayes.qualification.onboard.record import (
-    CONVENTIONS,
-    Constant,
-    OnboardConstants,
-    ThermalPolynomial,
-    ThermalPowers,
-    TriadConstants,
-    WorkedSample,
-    body_vector,
-    nominal,
-    polynomial,
-    unscaled,
-)
 from imubayes.qualification.onboard.response import (
     TEMPERATURES,
     LinearResponse,
@@ -40,14 +29,6 @@ from imubayes.qualification.onboard.response import (
     sensor_posterior,
     sufficient_grid,
     temperature_ranges,
-)
-from imubayes.qualification.onboard.unexpressed_effects import (
-    acts_linearly,
-    input_ranges,
-    modelled_outputs,
-    probe_inputs,
-    probe_temperatures,
-    unexpressed_effects,
 )
 from imubayes.results.result import Result
 
@@ -83,7 +64,7 @@ class _Triad:
         return [self.matrix, self.bias, self.gain, *([self.g_sensitivity] if self.g_sensitivity else [])]
 
 
-def onboard_constants(result: Result) -> OnboardConstants:
+def onboard_constants(result: Result) -> onboard.OnboardConstants:
     """Return the constants to use on board of a fitted unit.
 
     Raises
@@ -108,12 +89,12 @@ def onboard_constants(result: Result) -> OnboardConstants:
     before = prior_values(result, posterior)
     prior = None if before is None else _triads(posterior, before, grid, kinds, triads)
     noise = reading_noise(result, [channel for channel in channels if channel.kind in kinds])
-    spans = input_ranges(posterior.campaign)
+    spans = unexpressed.input_ranges(posterior.campaign)
     made = {kind: _record(kind, triads[kind], posterior, grid, noise, spans[kind]) for kind in sorted(kinds)}
     records = _checked(made, posterior, ranges)
     constants = _constants(triads, prior)
     summary, model = result.summary, result.fit.model
-    return OnboardConstants(
+    return onboard.OnboardConstants(
         serial=posterior.campaign.serial,
         campaign=summary.campaign,
         model=summary.model,
@@ -132,21 +113,21 @@ def onboard_constants(result: Result) -> OnboardConstants:
         covariance=_covariance(triads),
         not_determined=_not_determined(constants),
         weak_directions=summary.weak_directions,
-        unexpressed=unexpressed_effects(result, posterior, spans),
+        unexpressed=unexpressed.unexpressed_effects(result, posterior, spans),
         slow_noise=noise.slow,
-        conventions=CONVENTIONS,
+        conventions=onboard.CONVENTIONS,
         worked_sample=_sample(records, posterior, ranges),
     )
 
 
 def _needs(result: Result) -> tuple[str, ...]:
     """Return the temperatures that constants can depend on."""
-    effects = [effect for effect in result.fit.model.assembly.effects if acts_linearly(effect)]
+    effects = [effect for effect in result.fit.model.assembly.effects if unexpressed.acts_linearly(effect)]
     felt = {need for effect in effects for need in effect.effect_class.needs}
     return tuple(name for name in TEMPERATURES if name in felt)
 
 
-def _not_determined(constants: tuple[Constant, ...]) -> tuple[str, ...]:
+def _not_determined(constants: tuple[onboard.Constant, ...]) -> tuple[str, ...]:
     return tuple(c.name for c in constants if c.from_data is not None and c.from_data < WEAK_SHARE)
 
 
@@ -209,7 +190,7 @@ def _kept(coefficients: np.ndarray, grid: ThermalGrid) -> np.ndarray:
 
 def _record(
     kind: str, triad: _Triad, posterior: SensorPosterior, grid: ThermalGrid, noise: ReadingNoise, span: float
-) -> TriadConstants:
+) -> onboard.TriadConstants:
     """Return the record of the constants of one kind; `error_left` is found once all kinds are known."""
     channels = posterior.campaign.of_kind(kind)
     scales = np.array([channel.scale_si for channel in channels])
@@ -217,7 +198,7 @@ def _record(
     white = [np.sqrt(noise.variances(c, one, none + c.offset)[0]) for c in channels]
     offsets = [noise.run_sd[channel.name] for channel in channels]
     sensitivity = triad.g_sensitivity
-    return TriadConstants(
+    return onboard.TriadConstants(
         kind="gyro" if kind == "gyro" else "accelerometer",
         unit=_UNITS[kind],
         channels=tuple(channel.name for channel in channels),
@@ -239,12 +220,12 @@ def _rows(block: _Block, rows: int) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, block.draws.mean(axis=0).reshape(rows, -1).tolist()))
 
 
-def _polynomial(block: _Block, kept: np.ndarray, grid: ThermalGrid, channels: int) -> ThermalPolynomial:
-    terms = tuple(ThermalPowers(sensor=int(i), converter=int(j)) for i, j in grid.powers[kept])
-    return ThermalPolynomial(terms=terms, coefficients=_rows(block, channels))
+def _polynomial(block: _Block, kept: np.ndarray, grid: ThermalGrid, channels: int) -> onboard.ThermalPolynomial:
+    terms = tuple(onboard.ThermalPowers(sensor=int(i), converter=int(j)) for i, j in grid.powers[kept])
+    return onboard.ThermalPolynomial(terms=terms, coefficients=_rows(block, channels))
 
 
-def _constants(triads: dict[str, _Triad], prior: dict[str, _Triad] | None) -> tuple[Constant, ...]:
+def _constants(triads: dict[str, _Triad], prior: dict[str, _Triad] | None) -> tuple[onboard.Constant, ...]:
     """Return every constant with its marginal posterior."""
     found = []
     for kind in sorted(triads):
@@ -256,7 +237,7 @@ def _constants(triads: dict[str, _Triad], prior: dict[str, _Triad] | None) -> tu
                 share = None if earlier is None else from_data(np.var(draws), np.var(earlier.draws[:, place]))
                 fixed = np.var(draws) == 0
                 found.append(
-                    Constant(
+                    onboard.Constant(
                         name=name, unit=block.unit, value=float(draws.mean()), sd=float(draws.std(ddof=1)),
                         q025=float(low), q975=float(high),
                         from_data=None if share is None or fixed else finite(float(share)),
@@ -265,12 +246,15 @@ def _constants(triads: dict[str, _Triad], prior: dict[str, _Triad] | None) -> tu
     return tuple(found)
 
 
-def _with_error_left(record: TriadConstants, found: np.ndarray, true: np.ndarray) -> TriadConstants:
+def _with_error_left(record: onboard.TriadConstants, found: np.ndarray, true: np.ndarray) -> onboard.TriadConstants:
     return record.model_copy(update={"error_left": float(np.linalg.norm(found - true, axis=1).max())})
 
 
 def body_inputs(
-    triads: Mapping[str, TriadConstants], outputs: Mapping[str, np.ndarray], temperatures: np.ndarray, reference: float
+    triads: Mapping[str, onboard.TriadConstants],
+    outputs: Mapping[str, np.ndarray],
+    temperatures: np.ndarray,
+    reference: float,
 ) -> dict[str, np.ndarray]:
     """Return what the constants make of outputs, kind → (R, 3), rad/s and m/s².
 
@@ -283,21 +267,23 @@ def body_inputs(
     for row, (warm, converter) in enumerate(temperatures):
         force = None
         for kind in sorted(triads):
-            r = nominal(triads[kind], {name: float(values[row]) for name, values in outputs.items()})
-            vector = body_vector(triads[kind], unscaled(triads[kind], r, warm, converter, reference), force)
+            r = onboard.nominal(triads[kind], {name: float(values[row]) for name, values in outputs.items()})
+            vector = onboard.body_vector(
+                triads[kind], onboard.unscaled(triads[kind], r, warm, converter, reference), force
+            )
             force = vector if kind == "accelerometer" else force
             found[kind].append(vector)
     return {kind: np.array(rows) for kind, rows in found.items()}
 
 
 def _checked(
-    records: dict[str, TriadConstants], posterior: SensorPosterior, ranges: dict[str, tuple[float, float]]
-) -> dict[str, TriadConstants]:
+    records: dict[str, onboard.TriadConstants], posterior: SensorPosterior, ranges: dict[str, tuple[float, float]]
+) -> dict[str, onboard.TriadConstants]:
     """Return the records with their largest error against the model, within the ranges of inputs and temperatures."""
     spans = {kind: record.input_range for kind, record in records.items()}
-    probes = probe_inputs(spans)
-    temperatures = probe_temperatures(len(probes), ranges)
-    modelled = modelled_outputs(posterior, posterior.values[None], probes, temperatures)
+    probes = unexpressed.probe_inputs(spans)
+    temperatures = unexpressed.probe_temperatures(len(probes), ranges)
+    modelled = unexpressed.modelled_outputs(posterior, posterior.values[None], probes, temperatures)
     outputs = {
         channel.name: modelled[kind][0, :, place]
         for kind in modelled
@@ -309,22 +295,23 @@ def _checked(
 
 
 def _sample(
-    records: dict[str, TriadConstants], posterior: SensorPosterior, ranges: dict[str, tuple[float, float]]
-) -> WorkedSample:
+    records: dict[str, onboard.TriadConstants], posterior: SensorPosterior, ranges: dict[str, tuple[float, float]]
+) -> onboard.WorkedSample:
     """Return a sample taken through the constants, ten degrees from T_ref where the model depends on temperature."""
     temperatures = [
         float(np.clip(REFERENCE_TEMPERATURE + 10, *ranges[name])) if name in ranges else REFERENCE_TEMPERATURE
         for name in TEMPERATURES
     ]
     stimulus, at = np.concatenate([_SAMPLE_RATE, _SAMPLE_FORCE])[None], np.array([temperatures])
-    modelled = modelled_outputs(posterior, posterior.values[None], stimulus, at)
+    modelled = unexpressed.modelled_outputs(posterior, posterior.values[None], stimulus, at)
     outputs: dict[str, float] = {}
     for kind, record in records.items():
         outputs |= {n: float(f"{y:.10g}") for n, y in zip(record.channels, modelled[kind][0, 0], strict=True)}
     warm, converter = temperatures
     steps = [
-        (r := nominal(record, outputs), r - polynomial(record.bias, warm, converter, REFERENCE_TEMPERATURE),
-         unscaled(record, r, warm, converter, REFERENCE_TEMPERATURE))
+        (r := onboard.nominal(record, outputs),
+         r - onboard.polynomial(record.bias, warm, converter, REFERENCE_TEMPERATURE),
+         onboard.unscaled(record, r, warm, converter, REFERENCE_TEMPERATURE))
         for record in records.values()
     ]  # fmt: skip
     joined = [tuple(np.concatenate(part).tolist()) for part in zip(*steps, strict=True)]
@@ -334,7 +321,7 @@ def _sample(
     def triple(kind: str) -> tuple[float, float, float] | None:
         return (*vectors[kind][0].tolist(),) if kind in vectors else None  # pyright: ignore[reportReturnType]
 
-    return WorkedSample(
+    return onboard.WorkedSample(
         temperature_degC=temperatures[0],
         converter_temperature_degC=temperatures[1],
         channels=tuple(name for record in records.values() for name in record.channels),
