@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.display.figures.allan import allan_figure
-from imubayes.display.layout import Cell, Report, Sheet
+from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, rounded, significant
 from imubayes.foundations.files import write_text
 from imubayes.noise_analysis.cosine_spectra import NoiseTerm
@@ -329,7 +329,7 @@ def _sheet(noise: ChannelNoise, percent: str) -> Sheet:
     if noise.correlation_time_s is not None and noise.of(NoiseTerm.MARKOV).determined:
         value, sd = rounded((noise.correlation_time_s, noise.correlation_time_sd_s), noise.correlation_time_sd_s)
         place = next(k for k, term in enumerate(noise.terms) if term.term is NoiseTerm.MARKOV) + 1
-        rows.insert(place, tuple(map(Cell, ("Gauss–Markov T", value, sd, "", "s"))))
+        rows.insert(place, cells("Gauss–Markov T", value, sd, "", "s"))
     return Sheet(title, head, rows, (0, 4), "", "")
 
 
@@ -340,7 +340,7 @@ def _row(term: TermRecord, kind: str) -> tuple[Cell, ...]:
         limit = "not determined" if term.upper_limit is None or term.withheld else f"< {significant(term.upper_limit)}"
         return tuple(Cell(text, "dim") for text in (name, "–", "–", limit, unit))
     value, sd, low, high = rounded((term.value, term.sd, term.low, term.high), term.sd)
-    return tuple(map(Cell, (name, value, sd, f"{low} … {high}", unit)))
+    return cells(name, value, sd, f"{low} … {high}", unit)
 
 
 def _warnings(noise: ChannelNoise) -> list[str]:

@@ -190,37 +190,24 @@ _NOTE = (
 
 @runtime_checkable
 class Combined(Protocol):
-    """A determined combination, as the summary and as the report have it."""
+    """A determined combination, as the summary and as the report have it.
 
-    @property
-    def name(self) -> str:
-        """Standard symbol, or the sum as it is written."""
-        ...
+    Attributes
+    ----------
+    name : standard symbol, or the sum as it is written.
+    standard : whether it has a standard symbol.
+    quantities : members.
+    weights : of the members; None for k cos θ.
+    constant : what is added to the sum.
+    middle_of : run in the middle of whose record it holds; empty where it does not change with time.
+    """
 
-    @property
-    def standard(self) -> bool:
-        """Whether it has a standard symbol."""
-        ...
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """Members."""
-        ...
-
-    @property
-    def weights(self) -> tuple[float, ...] | None:
-        """Weights of the members; None for k cos θ."""
-        ...
-
-    @property
-    def constant(self) -> float:
-        """What is added to the sum."""
-        ...
-
-    @property
-    def middle_of(self) -> str:
-        """Run in the middle of whose record it holds; empty where it does not change with time."""
-        ...
+    name: str
+    standard: bool
+    quantities: tuple[str, ...]
+    weights: tuple[float, ...] | None
+    constant: float
+    middle_of: str
 
 
 def weak_sheet(summary: Summary) -> Sheet:
