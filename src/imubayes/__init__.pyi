@@ -1,6 +1,7 @@
 from .api import (
     CalibratedInputs,
     ModelChange,
+    ReportSection,
     Result,
     add,
     apply,
@@ -53,6 +54,7 @@ __all__ = [
     "PlaceEffect",
     "Play",
     "RecordEffect",
+    "ReportSection",
     "Result",
     "Sample",
     "Samples",

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
+import imubayes
 from display.made_diagnoses import ASYMMETRY, QUADRATIC, diagnosis
 from imubayes.cli.main import run
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.verdict import Verdict
 from imubayes.display.qualification.report_files import html_page, report_document
+from imubayes.foundations.errors import InputError
 from imubayes.model import derived_quantities
 from imubayes.qualification import report_budgets
 from imubayes.qualification.report_record import QualificationReport
@@ -73,6 +75,31 @@ def test_an_adequate_unit_passes_and_the_page_is_made_from_the_record_alone(resu
     assert written(result, again, "--spec", specification(tmp_path))[1:] == (record, page)
     assert "PASS" in visible(page)
     assert len(page.encode()) < 1.5e6
+
+
+def traceability(report: QualificationReport) -> imubayes.ReportSection:
+    """A section of the user's own, in one file outside the package."""
+    rows = (("rate table", "NMI 2026-117", "2027-03-01"), (report.subject.campaign, "–", "–"))
+    return imubayes.ReportSection(title="Traceability", head=("equipment", "certificate", "due"), rows=rows)
+
+
+def test_a_section_of_the_user_is_in_every_form_and_marked_as_theirs(result, tmp_path):
+    files = [tmp_path / "report.json", tmp_path / "report.html"]
+    record = imubayes.report(result, sections=[traceability], out=files)
+    assert QualificationReport.model_validate_json(files[0].read_text()) == record
+    page = files[1].read_text()
+    assert html_page(report_document(record)) == page
+    assert "Traceability Stated by the author of this report; imubayes computed none of it." in visible(page)
+    assert "NMI 2026-117" in visible(page)
+    assert "Traceability" not in visible(written(result, tmp_path / "without")[2])
+
+
+@pytest.mark.parametrize(
+    "made", [None, imubayes.ReportSection(title="x", head=("a", "b"), rows=(("1",),))], ids=["nothing", "narrow rows"]
+)
+def test_what_is_no_section_is_refused(result, made):
+    with pytest.raises(InputError, match=r"rows that are not as wide|a NoneType"):
+        imubayes.report(result, sections=[lambda _: made])
 
 
 def test_the_quantities_of_the_standards_have_posteriors(result, tmp_path):

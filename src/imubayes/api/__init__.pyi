@@ -1,6 +1,7 @@
 from .calibrated_unit import (
     CalibratedInputs,
     CorrectedRecording,
+    ReportSection,
     apply,
     correct,
     export_constants,
@@ -14,6 +15,7 @@ __all__ = [
     "CalibratedInputs",
     "CorrectedRecording",
     "ModelChange",
+    "ReportSection",
     "Result",
     "Settings",
     "add",

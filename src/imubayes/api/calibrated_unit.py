@@ -1,20 +1,25 @@
 """Use and report the calibration of a unit."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import lazy_loader
 import polars as pl
 
 from imubayes.display.onboard.export_files import ExportOptions, Format, write_constants
 from imubayes.display.progress import progress_of
+from imubayes.foundations.errors import input_error
 from imubayes.qualification.onboard.constants import onboard_constants as constants_of
 from imubayes.qualification.onboard.inputs_along_axes import CalibratedInputs, inputs_along_axes, read_readings
 from imubayes.qualification.onboard.losses import Loss, of_fit, of_record, read_noise
 from imubayes.qualification.onboard.record import OnboardConstants
 from imubayes.qualification.onboard.recording_files import CorrectedRecording, correct_recording, open_recording
 from imubayes.qualification.report_build import report_of
-from imubayes.qualification.report_record import QualificationReport
+from imubayes.qualification.report_record import QualificationReport, ReportSection
 from imubayes.results.result import Result, read_result
+
+report_files: Any = lazy_loader.load("imubayes.display.qualification.report_files", suppress_warning=True)
 
 
 def apply(
@@ -129,18 +134,43 @@ def export_constants(
     return write_constants(constants, format, Path(out), ExportOptions(rate, topic, known, accept_loss))
 
 
-def report(result: Result | str | Path, specification: str | Path | None = None) -> QualificationReport:
-    """Return the uncertainty report of a result as a record; `imubayes report` writes it as page, PDF and JSON.
+def report(
+    result: Result | str | Path,
+    specification: str | Path | None = None,
+    *,
+    sections: Sequence[Callable[[QualificationReport], ReportSection]] = (),
+    out: Sequence[str | Path] = (),
+) -> QualificationReport:
+    """Return the uncertainty report of a result as a record, and write it as page, PDF or JSON.
 
     Parameters
     ----------
     result : a result that has a folder, or the folder; its diagnosis and history are read from there.
     specification : file with limits and decision rules; None where nothing is to be decided.
+    sections : functions of the report that return further sections, such as a statement of traceability.
+    out : files to write, by their endings: .html, .pdf, .json; none where the record alone is asked for.
 
     Raises
     ------
     InputError
-        for a result that cannot be read, one whose campaign is gone or has changed, and a specification that cannot be
-        used with it.
+        for a result that cannot be read, one whose campaign is gone or has changed, a specification that cannot be
+        used with it, a function that returns no section, and a file that exists and is no report.
     """
-    return report_of(result, specification)
+    files = [Path(file) for file in out]
+    with report_files.places_held(files):
+        found = report_of(result, specification)
+        if sections:
+            found = found.model_copy(update={"supplied": tuple(_supplied(each, found) for each in sections)})
+        report_files.write_report(found, files)
+    return found
+
+
+def _supplied(section: Callable[[QualificationReport], ReportSection], report: QualificationReport) -> ReportSection:
+    made = section(report)
+    if isinstance(made, ReportSection) and all(len(row) == len(made.head) for row in made.rows):
+        return made
+    fault = "rows that are not as wide as the head" if isinstance(made, ReportSection) else f"a {type(made).__name__}"
+    name = getattr(section, "__name__", repr(section))
+    raise input_error(
+        f"'{name}' returned {fault}", "sections of the report", "an imubayes.ReportSection", "correct the function"
+    )

@@ -215,13 +215,9 @@ def report(result: Path, *, out: Out, spec: Path | None = None, trust: Trust = F
         start_jax()
         trusting(result, trust)
         from imubayes.api import report as make_report
-        from imubayes.display.qualification.report_files import places_held, write_report
 
-        with places_held(out):
-            tell("evaluating the posterior")
-            found = make_report(result, spec)
-            tell("drawing")
-            write_report(found, out)
+        tell("evaluating the posterior")
+        found = make_report(result, spec, out=out)
     from imubayes.display.qualification.first_page import alarms, banner
 
     said = banner(found)

@@ -385,6 +385,20 @@ class StatisticalScope(Record):
     from_priors: tuple[str, ...]
 
 
+class ReportSection(Record):
+    """A section that the author of a report adds: text, and a table where it has rows.
+
+    Attributes
+    ----------
+    head, rows : of the table; its first column names the row.
+    """
+
+    title: str
+    paragraphs: tuple[str, ...] = ()
+    head: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+
+
 class QualificationReport(Record):
     """The uncertainty report of one unit (format 1).
 
@@ -394,6 +408,7 @@ class QualificationReport(Record):
     conformity : None where no specification was given.
     budgets : None where the fit did not converge.
     pictures : what the pictures show, as numbers.
+    supplied : what the author of the report added; the package computed none of it.
     """
 
     format: Literal[1] = 1
@@ -413,6 +428,7 @@ class QualificationReport(Record):
     left_out: Omissions
     scope: StatisticalScope
     pictures: PictureData
+    supplied: tuple[ReportSection, ...] = ()
 
     @property
     def accepted(self) -> bool:

@@ -202,6 +202,8 @@ def _blocks(report: QualificationReport) -> Iterator[Block | None]:
     yield from model_sections.scope_section(report.scope)
     yield from result_sections.result_section(report)
     yield forest_drawings(report.results)
+    for each in report.supplied:
+        yield from result_sections.supplied_section(each)
     yield from model_sections.equipment_section(report.subject)
     yield from model_sections.provenance_section(report.provenance)
 

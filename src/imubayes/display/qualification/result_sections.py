@@ -248,6 +248,15 @@ def result_section(report: record.QualificationReport) -> Iterator[Block]:
         yield axis_table(axes)
 
 
+def supplied_section(section: record.ReportSection) -> Iterator[Block]:
+    """Return a section that the author of the report added, marked as such."""
+    yield Heading(section.title)
+    yield Paragraph("Stated by the author of this report; imubayes computed none of it.", "dim")
+    yield from map(Paragraph, section.paragraphs)
+    if section.rows:
+        yield ReportTable(section.title, section.head, [texts(*row) for row in section.rows], range(len(section.head)))
+
+
 def axis_table(lines: Sequence[record.ResultLine]) -> ReportTable:
     """Return the input axes as vectors, a row for each channel."""
     cells: dict[str, list[Text]] = {}
