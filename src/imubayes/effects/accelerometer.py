@@ -2,57 +2,33 @@
 
 import jax.numpy as jnp
 
+from imubayes.effects import shared_formulas as formulas
 from imubayes.effects.base import Order, SignalEffect
-from imubayes.effects.shared_formulas import (
-    Accelerometer,
-    BiasDrift,
-    ConstantBias,
-    DeadZone,
-    LinearThermalBias,
-    LinearThermalScale,
-    Misalignment,
-    QuadraticThermalBias,
-    QuadraticThermalScale,
-    RunBias,
-    ScaleAsymmetry,
-    ScaleFactor,
-    SecondOrderNonlinearity,
-    ThermalHysteresis,
-    ThermalLag,
-    ThermalRateBias,
-    ThirdOrderNonlinearity,
-    WarmUp,
-)
+from imubayes.effects.shared_formulas import Accelerometer
 from imubayes.foundations.arrays import Scalar
 from imubayes.foundations.signal_path_state import Sample
 from imubayes.parameters.declarations import parameter, thermal_play, time_constant
 
 
-class AccelMisalignment(Accelerometer, Misalignment):
+class AccelMisalignment(Accelerometer, formulas.Misalignment):
     """The true input axis is the unit vector along I + a·O + b·P: a is the angle toward O, b toward P."""
 
     name = "accel_misalignment"
-    confused_with = "mounting error common to all axes"
     reference = "IEEE Std 1293, δ_o and δ_p"
-    toward_o: Scalar = parameter(
-        "arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward O", coarse=(700, 4000)
-    )
-    toward_p: Scalar = parameter(
-        "arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward P", coarse=(700, 4000)
-    )
+    toward_p: Scalar = formulas.input_axis_angle("P")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return self.misaligned(signal, sample, self.toward_o, self.toward_p)
+        return self.misaligned(signal, sample, self.toward_p)
 
 
-class AccelQuadratic(Accelerometer, SecondOrderNonlinearity):
+class AccelQuadratic(Accelerometer, formulas.SecondOrderNonlinearity):
     name = "accel_quadratic"
     confused_with = "K_oo and K_pp, and a second harmonic of the dividing head"
     reference = "IEEE Std 1293, K2"
     quadratic: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K2", coarse=(500, 3000))
 
 
-class AccelCubic(Accelerometer, ThirdOrderNonlinearity):
+class AccelCubic(Accelerometer, formulas.ThirdOrderNonlinearity):
     name = "accel_cubic"
     confused_with = "K1, in a 1 g field of few positions; a third harmonic of the dividing head"
     reference = "IEEE Std 1293, K3"
@@ -106,7 +82,7 @@ class AccelCrossAxisQuadratic(Accelerometer, SignalEffect):
         return signal + self.k_oo * sample.force[1] ** 2 + self.k_pp * sample.force[2] ** 2
 
 
-class AccelScaleAsymmetry(Accelerometer, ScaleAsymmetry):
+class AccelScaleAsymmetry(Accelerometer, formulas.ScaleAsymmetry):
     name = "accel_scale_asymmetry"
     confused_with = "bias and K2, in a 1 g field of few positions"
     reference = "IEEE Std 1293, scale factor asymmetry K1'"
@@ -115,20 +91,20 @@ class AccelScaleAsymmetry(Accelerometer, ScaleAsymmetry):
     )
 
 
-class AccelBias(Accelerometer, ConstantBias):
+class AccelBias(Accelerometer, formulas.ConstantBias):
     name = "accel_bias"
     confused_with = "K2 and K_oo, K_pp in a 1 g tumble"
     reference = "IEEE Std 1293, K0"
     bias: Scalar = parameter("ug", "normal(0, 20 mg)", (50, 2000), "the constant offset K0", coarse=(20000, 60000))
 
 
-class AccelBiasTemperature(Accelerometer, LinearThermalBias):
+class AccelBiasTemperature(Accelerometer, formulas.LinearThermalBias):
     name = "accel_bias_temperature"
     reference = "IEEE Std 1293, bias temperature sensitivity"
     slope: Scalar = parameter("ug/degC", "normal(0, 100 ug/degC)", (1, 100), "the bias per degree", coarse=(300, 1000))
 
 
-class AccelBiasTemperatureQuadratic(Accelerometer, QuadraticThermalBias):
+class AccelBiasTemperatureQuadratic(Accelerometer, formulas.QuadraticThermalBias):
     name = "accel_bias_temperature_quadratic"
     reference = "IEEE Std 1293, bias temperature sensitivity"
     curvature: Scalar = parameter(
@@ -136,7 +112,7 @@ class AccelBiasTemperatureQuadratic(Accelerometer, QuadraticThermalBias):
     )
 
 
-class AccelBiasTemperatureRate(Accelerometer, ThermalRateBias):
+class AccelBiasTemperatureRate(Accelerometer, formulas.ThermalRateBias):
     name = "accel_bias_temperature_rate"
     reference = "IEEE Std 1293, bias thermal-transient sensitivity"
     slope: Scalar = parameter(
@@ -144,7 +120,7 @@ class AccelBiasTemperatureRate(Accelerometer, ThermalRateBias):
     )
 
 
-class AccelThermalLag(Accelerometer, ThermalLag):
+class AccelThermalLag(Accelerometer, formulas.ThermalLag):
     name = "accel_thermal_lag"
     reference = "first-order lag, IEEE Std 1293 thermal model; time constants of minutes"
     coefficient: Scalar = parameter(
@@ -153,7 +129,7 @@ class AccelThermalLag(Accelerometer, ThermalLag):
     tau: Scalar = time_constant("the time constant of the lag")
 
 
-class AccelThermalHysteresis(Accelerometer, ThermalHysteresis):
+class AccelThermalHysteresis(Accelerometer, formulas.ThermalHysteresis):
     name = "accel_thermal_hysteresis"
     confused_with = "accel_thermal_lag, at one ramp rate; accel_bias_temperature, where all ramps are monotonic"
     reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; IEEE Std 1293, thermal hysteresis"
@@ -163,7 +139,7 @@ class AccelThermalHysteresis(Accelerometer, ThermalHysteresis):
     play: Scalar = thermal_play()
 
 
-class AccelWarmUp(Accelerometer, WarmUp):
+class AccelWarmUp(Accelerometer, formulas.WarmUp):
     name = "accel_warm_up"
     reference = "IEEE Std 1293, turn-on transient and warm-up"
     amplitude: Scalar = parameter(
@@ -172,7 +148,7 @@ class AccelWarmUp(Accelerometer, WarmUp):
     tau: Scalar = time_constant("the time constant")
 
 
-class AccelBiasDrift(Accelerometer, BiasDrift):
+class AccelBiasDrift(Accelerometer, formulas.BiasDrift):
     name = "accel_bias_drift"
     reference = "IEEE Std 1293, bias trend"
     slope: Scalar = parameter("ug/h", "normal(0, 10 ug/h)", (0.01, 50), "the change of bias per hour", coarse=(50, 300))
@@ -194,7 +170,7 @@ class AccelVibrationRectification(Accelerometer, SignalEffect):
         return signal + self.rectification * sample.ambient.vibration**2
 
 
-class AccelRunBias(Accelerometer, RunBias):
+class AccelRunBias(Accelerometer, formulas.RunBias):
     name = "accel_run_bias"
     reference = "IEEE Std 1293, bias repeatability"
     offset: Scalar = parameter("ug", "normal(0, 50 ug)", (1, 200), "the run's own offset", spread="spread")
@@ -208,7 +184,7 @@ class AccelRunBias(Accelerometer, RunBias):
     )
 
 
-class AccelScaleFactor(Accelerometer, ScaleFactor):
+class AccelScaleFactor(Accelerometer, formulas.ScaleFactor):
     name = "accel_scale_factor"
     confused_with = "K3 in a 1 g field"
     reference = "IEEE Std 1293, K1"
@@ -217,7 +193,7 @@ class AccelScaleFactor(Accelerometer, ScaleFactor):
     )
 
 
-class AccelScaleTemperature(Accelerometer, LinearThermalScale):
+class AccelScaleTemperature(Accelerometer, formulas.LinearThermalScale):
     name = "accel_scale_temperature"
     reference = "IEEE Std 1293, scale factor temperature sensitivity"
     slope: Scalar = parameter(
@@ -225,7 +201,7 @@ class AccelScaleTemperature(Accelerometer, LinearThermalScale):
     )
 
 
-class AccelScaleTemperatureQuadratic(Accelerometer, QuadraticThermalScale):
+class AccelScaleTemperatureQuadratic(Accelerometer, formulas.QuadraticThermalScale):
     name = "accel_scale_temperature_quadratic"
     reference = "IEEE Std 1293, scale factor temperature sensitivity"
     curvature: Scalar = parameter(
@@ -233,7 +209,7 @@ class AccelScaleTemperatureQuadratic(Accelerometer, QuadraticThermalScale):
     )
 
 
-class AccelDeadZone(Accelerometer, DeadZone):
+class AccelDeadZone(Accelerometer, formulas.DeadZone):
     name = "accel_dead_zone"
     confused_with = "the bias, where the input axis points up in all runs"
     reference = "IEEE Std 1293, dead band and threshold"

@@ -2,25 +2,24 @@
 
 import jax.numpy as jnp
 
+from imubayes.effects import shared_formulas as formulas
 from imubayes.effects.base import Order, SignalEffect
-from imubayes.effects.shared_formulas import (
-    Converter,
-    DeadZone,
-    LinearThermalBias,
-    LinearThermalScale,
-    QuadraticThermalBias,
-    QuadraticThermalScale,
-    ThermalHysteresis,
-    ThermalHysteresisScale,
-    ThermalLag,
-    ThermalLagScale,
-    ThermalRateBias,
-    ThermalRateScale,
-    WarmUp,
-)
+from imubayes.effects.shared_formulas import Converter
 from imubayes.foundations.arrays import Scalar
 from imubayes.foundations.signal_path_state import Sample
 from imubayes.parameters.declarations import parameter, reference_temperature, thermal_play, time_constant
+
+
+class Gain(Converter):
+    """The gain of a converter."""
+
+    order = Order.GAIN
+
+
+class Offset(Converter):
+    """The offset of a converter, after its gain."""
+
+    order = Order.OFFSET
 
 
 class InjectionError(Converter, SignalEffect):
@@ -38,23 +37,19 @@ class InjectionError(Converter, SignalEffect):
         return signal * (1 + self.gain) + self.offset * sample.output_scale
 
 
-class ConverterGainDrift(Converter, LinearThermalScale):
+class ConverterGainDrift(Gain, formulas.LinearThermalScale):
     """Gain linear in converter temperature: signal · (1 + γ1·(T_c − T_ref))."""
 
     name = "converter_gain_drift"
-    order = Order.GAIN
-    needs = ("converter_temperature",)
     confused_with = "converter offset drift, with one input; the sensor's scale temperature coefficient"
     reference = "first-order thermal gain model of ADC, I/F and V/F converters"
     slope: Scalar = parameter("ppm/degC", "normal(0, 100 ppm/degC)", (1, 100), "the gain change per degree")
 
 
-class ConverterGainDriftQuadratic(Converter, QuadraticThermalScale):
+class ConverterGainDriftQuadratic(Gain, formulas.QuadraticThermalScale):
     """Gain quadratic in converter temperature: signal · (1 + γ2·(T_c − T_ref)²)."""
 
     name = "converter_gain_drift_quadratic"
-    order = Order.GAIN
-    needs = ("converter_temperature",)
     confused_with = "converter offset drift, with one input; the sensor's quadratic scale temperature coefficient"
     reference = "second-order thermal gain model of ADC, I/F and V/F converters"
     curvature: Scalar = parameter(
@@ -62,12 +57,10 @@ class ConverterGainDriftQuadratic(Converter, QuadraticThermalScale):
     )
 
 
-class ConverterGainTemperatureRate(Converter, ThermalRateScale):
+class ConverterGainTemperatureRate(Gain, formulas.ThermalRateScale):
     """Gain linear in the rate of converter temperature: signal · (1 + γ·dT_c/dt)."""
 
     name = "converter_gain_temperature_rate"
-    order = Order.GAIN
-    needs = ("converter_temperature_rate",)
     confused_with = "converter_gain_lag, where changes are slow against τ; converter_offset_temperature_rate, one input"
     reference = "first-order lag of slow changes, gain drift times time constant: 100 ppm/degC and 10 min"
     slope: Scalar = parameter(
@@ -75,7 +68,7 @@ class ConverterGainTemperatureRate(Converter, ThermalRateScale):
     )
 
 
-class ConverterGainLag(Converter, ThermalLagScale):
+class ConverterGainLag(Gain, formulas.ThermalLagScale):
     """Gain linear in the thermal lag: signal · (1 + γ·(T_τ − T_c)) with dT_τ/dt = (T_c − T_τ)/τ.
 
     T_τ = T_c where a run begins.  A converter whose gain follows its internal temperature alone has γ equal to its
@@ -83,8 +76,6 @@ class ConverterGainLag(Converter, ThermalLagScale):
     """
 
     name = "converter_gain_lag"
-    order = Order.GAIN
-    needs = ("converter_temperature", "converter_temperature_rate")
     confused_with = "converter_gain_temperature_rate, where changes are slow against τ; converter_offset_lag, one input"
     reference = "first-order thermal network between temperature sensor and converter; size of the gain drift"
     coefficient: Scalar = parameter(
@@ -93,15 +84,13 @@ class ConverterGainLag(Converter, ThermalLagScale):
     tau: Scalar = time_constant("the time constant of the lag")
 
 
-class ConverterGainHysteresis(Converter, ThermalHysteresisScale):
+class ConverterGainHysteresis(Gain, formulas.ThermalHysteresisScale):
     """Thermal hysteresis of gain: signal · (1 + h·m/w), m following T_c with play ±w: m ← clip(m + ΔT_c, −w, w).
 
     Each run begins in the middle of the loop.
     """
 
     name = "converter_gain_hysteresis"
-    order = Order.GAIN
-    needs = ("converter_temperature", "converter_temperature_rate")
     confused_with = "converter_gain_lag, at one ramp rate; converter_gain_drift, where all ramps are monotonic"
     reference = (
         "thermal hysteresis of voltage references, 10 to 200 ppm in data sheets; play operator, Visintin, ch. III"
@@ -110,14 +99,13 @@ class ConverterGainHysteresis(Converter, ThermalHysteresisScale):
     play: Scalar = thermal_play()
 
 
-class ConverterNonlinearity(Converter, SignalEffect):
+class ConverterNonlinearity(Gain, SignalEffect):
     """Gain error that depends on the input: signal · (1 + q·signal + c·signal²), signal in output units.
 
     The priors are in `scale`, the nominal output for 1 deg/s or 1 g: 10 ppm/scale is 120 ppm at 12 g.
     """
 
     name = "converter_nonlinearity"
-    order = Order.GAIN
     confused_with = "the sensor's own K2 and K3 or the gyro's nonlinearity: exactly, without injected current"
     reference = "transfer curve of ADC, I/F and V/F converters; IEEE Std 1241, integral nonlinearity"
     quadratic: Scalar = parameter("ppm/output", "normal(0, 10 ppm/scale)", (0.1, 100), "the gain change per output")
@@ -129,23 +117,19 @@ class ConverterNonlinearity(Converter, SignalEffect):
         return signal * (1 + self.quadratic * signal + self.cubic * signal**2)
 
 
-class ConverterOffsetDrift(Converter, LinearThermalBias):
+class ConverterOffsetDrift(Offset, formulas.LinearThermalBias):
     """Offset linear in converter temperature: signal + o1·(T_c − T_ref)."""
 
     name = "converter_offset_drift"
-    order = Order.OFFSET
-    needs = ("converter_temperature",)
     confused_with = "converter gain drift, with one input; the sensor's bias temperature coefficient"
     reference = "first-order thermal offset model of ADC, I/F and V/F converters"
     slope: Scalar = parameter("output/degC", "normal(0, 1e-4 scale/degC)", (1e-6, 1e-3), "the offset per degree")
 
 
-class ConverterOffsetDriftQuadratic(Converter, QuadraticThermalBias):
+class ConverterOffsetDriftQuadratic(Offset, formulas.QuadraticThermalBias):
     """Offset quadratic in converter temperature: signal + o2·(T_c − T_ref)²."""
 
     name = "converter_offset_drift_quadratic"
-    order = Order.OFFSET
-    needs = ("converter_temperature",)
     confused_with = "converter_leakage; converter gain drift, with one input"
     reference = "second-order thermal offset model of ADC, I/F and V/F converters"
     curvature: Scalar = parameter(
@@ -153,12 +137,10 @@ class ConverterOffsetDriftQuadratic(Converter, QuadraticThermalBias):
     )
 
 
-class ConverterOffsetTemperatureRate(Converter, ThermalRateBias):
+class ConverterOffsetTemperatureRate(Offset, formulas.ThermalRateBias):
     """Offset linear in the rate of converter temperature: signal + o·dT_c/dt."""
 
     name = "converter_offset_temperature_rate"
-    order = Order.OFFSET
-    needs = ("converter_temperature_rate",)
     confused_with = "converter_offset_lag, where changes are slow against τ; bias_drift, in a single monotonic ramp"
     reference = "thermoelectric voltages across gradients; offset drift times time constant: 1e-4 scale/degC and 10 min"
     slope: Scalar = parameter(
@@ -166,7 +148,7 @@ class ConverterOffsetTemperatureRate(Converter, ThermalRateBias):
     )
 
 
-class ConverterOffsetLag(Converter, ThermalLag):
+class ConverterOffsetLag(Offset, formulas.ThermalLag):
     """Offset linear in the thermal lag: signal + o·(T_τ − T_c) with dT_τ/dt = (T_c − T_τ)/τ.
 
     T_τ = T_c where a run begins.  A converter whose offset follows its internal temperature alone has o equal to its
@@ -174,8 +156,6 @@ class ConverterOffsetLag(Converter, ThermalLag):
     """
 
     name = "converter_offset_lag"
-    order = Order.OFFSET
-    needs = ("converter_temperature", "converter_temperature_rate")
     confused_with = "converter_offset_temperature_rate, where changes are slow against τ; converter_gain_lag, one input"
     reference = "first-order thermal network between temperature sensor and converter; size of the offset drift"
     coefficient: Scalar = parameter(
@@ -184,29 +164,26 @@ class ConverterOffsetLag(Converter, ThermalLag):
     tau: Scalar = time_constant("the time constant of the lag")
 
 
-class ConverterOffsetHysteresis(Converter, ThermalHysteresis):
+class ConverterOffsetHysteresis(Offset, formulas.ThermalHysteresis):
     """Thermal hysteresis of offset: signal + h·m/w, m following T_c with play ±w: m ← clip(m + ΔT_c, −w, w).
 
     Each run begins in the middle of the loop.
     """
 
     name = "converter_offset_hysteresis"
-    order = Order.OFFSET
-    needs = ("converter_temperature", "converter_temperature_rate")
     confused_with = "converter_offset_lag, at one ramp rate; converter_offset_drift, where all ramps are monotonic"
     reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; offset drift over a few degrees"
     half_width: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-6, 1e-2), "half the height of the loop")
     play: Scalar = thermal_play()
 
 
-class ConverterLeakage(Converter, SignalEffect):
+class ConverterLeakage(Offset, SignalEffect):
     """Offset exponential in converter temperature: signal + L·(2^((T_c − T_ref)/D) − 1).
 
     A junction in silicon has D of about 10 °C; the leakage at T_ref itself is bias.
     """
 
     name = "converter_leakage"
-    order = Order.OFFSET
     needs = ("converter_temperature",)
     confused_with = "converter_offset_drift and its quadratic, over a narrow range of temperature"
     reference = "reverse current of a p–n junction, doubling every 10 °C"
@@ -226,18 +203,17 @@ class ConverterLeakage(Converter, SignalEffect):
         return signal + self.leakage * jnp.expm1(jnp.log(2.0) * warmer)
 
 
-class ConverterWarmUp(Converter, WarmUp):
+class ConverterWarmUp(Offset, formulas.WarmUp):
     """Offset transient after power-on: signal + A·e^(−t_on/τ)."""
 
     name = "converter_warm_up"
-    order = Order.OFFSET
     confused_with = "the sensor's warm-up, without injected current; converter_offset_drift, with self-heating"
     reference = "turn-on transient of ADC, I/F and V/F converters"
     amplitude: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-6, 1e-2), "the excess offset at power-on")
     tau: Scalar = time_constant("the time constant")
 
 
-class ConverterDeadZone(Converter, DeadZone):
+class ConverterDeadZone(Converter, formulas.DeadZone):
     name = "converter_dead_zone"
     confused_with = "the sensor's own dead zone, without injected current"
     reference = "dead zone of bipolar I/F and V/F converters about zero"

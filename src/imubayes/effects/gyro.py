@@ -4,33 +4,17 @@ Bias and scale factor depend on temperature and time; the drift is sensitive to 
 the magnetic field.
 """
 
+from typing import Any
+
+from imubayes.effects import shared_formulas as formulas
 from imubayes.effects.base import Order, SignalEffect
-from imubayes.effects.shared_formulas import (
-    BiasDrift,
-    ConstantBias,
-    DeadZone,
-    Gyro,
-    LinearThermalBias,
-    LinearThermalScale,
-    Misalignment,
-    QuadraticThermalBias,
-    QuadraticThermalScale,
-    RunBias,
-    ScaleAsymmetry,
-    ScaleFactor,
-    SecondOrderNonlinearity,
-    ThermalHysteresis,
-    ThermalLag,
-    ThermalRateBias,
-    ThirdOrderNonlinearity,
-    WarmUp,
-)
+from imubayes.effects.shared_formulas import Gyro
 from imubayes.foundations.arrays import Scalar, cross
 from imubayes.foundations.signal_path_state import Sample
 from imubayes.parameters.declarations import option, parameter, thermal_play, time_constant
 
 
-class GyroBias(Gyro, ConstantBias):
+class GyroBias(Gyro, formulas.ConstantBias):
     name = "gyro_bias"
     confused_with = "run offsets, where every run has its own"
     reference = "IEEE Std 952, bias (D_F)"
@@ -39,7 +23,7 @@ class GyroBias(Gyro, ConstantBias):
     )
 
 
-class GyroBiasTemperature(Gyro, LinearThermalBias):
+class GyroBiasTemperature(Gyro, formulas.LinearThermalBias):
     name = "gyro_bias_temperature"
     reference = "IEEE Std 952, bias temperature sensitivity"
     slope: Scalar = parameter(
@@ -47,7 +31,7 @@ class GyroBiasTemperature(Gyro, LinearThermalBias):
     )
 
 
-class GyroBiasTemperatureQuadratic(Gyro, QuadraticThermalBias):
+class GyroBiasTemperatureQuadratic(Gyro, formulas.QuadraticThermalBias):
     name = "gyro_bias_temperature_quadratic"
     reference = "IEEE Std 952, bias temperature sensitivity"
     curvature: Scalar = parameter(
@@ -55,7 +39,7 @@ class GyroBiasTemperatureQuadratic(Gyro, QuadraticThermalBias):
     )
 
 
-class GyroBiasTemperatureRate(Gyro, ThermalRateBias):
+class GyroBiasTemperatureRate(Gyro, formulas.ThermalRateBias):
     """Bias linear in the rate of sensor temperature: signal + c·dT/dt, the Shupe term of a fibre-optic gyro."""
 
     name = "gyro_bias_temperature_rate"
@@ -69,7 +53,7 @@ class GyroBiasTemperatureRate(Gyro, ThermalRateBias):
     )
 
 
-class GyroThermalLag(Gyro, ThermalLag):
+class GyroThermalLag(Gyro, formulas.ThermalLag):
     name = "gyro_thermal_lag"
     reference = "first-order lag, IEEE Std 952 thermal model; time constants of minutes"
     coefficient: Scalar = parameter(
@@ -78,7 +62,7 @@ class GyroThermalLag(Gyro, ThermalLag):
     tau: Scalar = time_constant("the time constant of the lag")
 
 
-class GyroThermalHysteresis(Gyro, ThermalHysteresis):
+class GyroThermalHysteresis(Gyro, formulas.ThermalHysteresis):
     name = "gyro_thermal_hysteresis"
     confused_with = "gyro_thermal_lag, at one ramp rate; gyro_bias_temperature, where all ramps are monotonic"
     reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; IEEE Std 952, thermal hysteresis"
@@ -88,7 +72,7 @@ class GyroThermalHysteresis(Gyro, ThermalHysteresis):
     play: Scalar = thermal_play()
 
 
-class GyroWarmUp(Gyro, WarmUp):
+class GyroWarmUp(Gyro, formulas.WarmUp):
     name = "gyro_warm_up"
     reference = "IEEE Std 952, turn-on transient and warm-up"
     amplitude: Scalar = parameter(
@@ -97,7 +81,7 @@ class GyroWarmUp(Gyro, WarmUp):
     tau: Scalar = time_constant("the time constant")
 
 
-class GyroBiasDrift(Gyro, BiasDrift):
+class GyroBiasDrift(Gyro, formulas.BiasDrift):
     name = "gyro_bias_drift"
     reference = "IEEE Std 952, bias trend"
     slope: Scalar = parameter(
@@ -105,7 +89,7 @@ class GyroBiasDrift(Gyro, BiasDrift):
     )
 
 
-class GyroRunBias(Gyro, RunBias):
+class GyroRunBias(Gyro, formulas.RunBias):
     name = "gyro_run_bias"
     reference = "IEEE Std 952, bias run-to-run repeatability"
     offset: Scalar = parameter("deg/h", "normal(0, 10 deg/h)", (0.01, 100), "the run's own offset", spread="spread")
@@ -119,7 +103,7 @@ class GyroRunBias(Gyro, RunBias):
     )
 
 
-class GyroScaleFactor(Gyro, ScaleFactor):
+class GyroScaleFactor(Gyro, formulas.ScaleFactor):
     name = "gyro_scale_factor"
     confused_with = "mounting angle and table rate error, in one mounting"
     reference = "IEEE Std 952, scale factor S"
@@ -128,7 +112,7 @@ class GyroScaleFactor(Gyro, ScaleFactor):
     )
 
 
-class GyroScaleTemperature(Gyro, LinearThermalScale):
+class GyroScaleTemperature(Gyro, formulas.LinearThermalScale):
     name = "gyro_scale_temperature"
     reference = "IEEE Std 952, scale factor temperature sensitivity"
     slope: Scalar = parameter(
@@ -136,7 +120,7 @@ class GyroScaleTemperature(Gyro, LinearThermalScale):
     )
 
 
-class GyroScaleTemperatureQuadratic(Gyro, QuadraticThermalScale):
+class GyroScaleTemperatureQuadratic(Gyro, formulas.QuadraticThermalScale):
     name = "gyro_scale_temperature_quadratic"
     reference = "IEEE Std 952, scale factor temperature sensitivity"
     curvature: Scalar = parameter(
@@ -144,7 +128,7 @@ class GyroScaleTemperatureQuadratic(Gyro, QuadraticThermalScale):
     )
 
 
-class GyroDeadZone(Gyro, DeadZone):
+class GyroDeadZone(Gyro, formulas.DeadZone):
     name = "gyro_dead_zone"
     confused_with = "gyro_scale_asymmetry and the bias, where all runs rotate in one direction"
     reference = "IEEE Std 952, dead zone"
@@ -156,21 +140,27 @@ class GyroDeadZone(Gyro, DeadZone):
 _TESLA_PER_UT = 1e-6
 
 
-class GyroMisalignment(Gyro, Misalignment):
+def _drift_per_g(meaning: str) -> Any:
+    return parameter("deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), meaning, coarse=(200, 500))
+
+
+def _drift_per_g2(meaning: str) -> Any:
+    return parameter("deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), meaning, coarse=(30, 100))
+
+
+def _drift_per_gauss(meaning: str) -> Any:
+    return parameter("deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), meaning, coarse=(200, 1000))
+
+
+class GyroMisalignment(Gyro, formulas.Misalignment):
     """The true input axis is the unit vector along I + a·O + b·S: a is the angle toward O, b toward S."""
 
     name = "gyro_misalignment"
-    confused_with = "mounting error common to all axes"
     reference = "IEEE Std 952, input axis misalignment"
-    toward_o: Scalar = parameter(
-        "arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward O", coarse=(700, 4000)
-    )
-    toward_s: Scalar = parameter(
-        "arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward S", coarse=(700, 4000)
-    )
+    toward_s: Scalar = formulas.input_axis_angle("S")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return self.misaligned(signal, sample, self.toward_o, self.toward_s)
+        return self.misaligned(signal, sample, self.toward_s)
 
 
 class GyroGSensitivity(Gyro, SignalEffect):
@@ -180,15 +170,9 @@ class GyroGSensitivity(Gyro, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "levelling error and Earth rate components"
     reference = "IEEE Std 517, D_I, D_O, D_S"
-    d_i: Scalar = parameter(
-        "deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the input axis", coarse=(200, 500)
-    )
-    d_o: Scalar = parameter(
-        "deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the output axis", coarse=(200, 500)
-    )
-    d_s: Scalar = parameter(
-        "deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the spin axis", coarse=(200, 500)
-    )
+    d_i: Scalar = _drift_per_g("the drift per g along the input axis")
+    d_o: Scalar = _drift_per_g("the drift per g along the output axis")
+    d_s: Scalar = _drift_per_g("the drift per g along the spin axis")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         force = sample.force
@@ -205,24 +189,12 @@ class GyroG2Sensitivity(Gyro, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "the bias: D_II, D_OO and D_SS together, in a 1 g field; table_axis_tilt"
     reference = "IEEE Std 517, D_II … D_SI; 0.01 … 20 deg/h/g²"
-    d_ii: Scalar = parameter(
-        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along I", coarse=(30, 100)
-    )
-    d_oo: Scalar = parameter(
-        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along O", coarse=(30, 100)
-    )
-    d_ss: Scalar = parameter(
-        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along S", coarse=(30, 100)
-    )
-    d_io: Scalar = parameter(
-        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along I and O", coarse=(30, 100)
-    )
-    d_os: Scalar = parameter(
-        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along O and S", coarse=(30, 100)
-    )
-    d_si: Scalar = parameter(
-        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along S and I", coarse=(30, 100)
-    )
+    d_ii: Scalar = _drift_per_g2("the drift per g² along I")
+    d_oo: Scalar = _drift_per_g2("the drift per g² along O")
+    d_ss: Scalar = _drift_per_g2("the drift per g² along S")
+    d_io: Scalar = _drift_per_g2("the drift per g² along I and O")
+    d_os: Scalar = _drift_per_g2("the drift per g² along O and S")
+    d_si: Scalar = _drift_per_g2("the drift per g² along S and I")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         f_i, f_o, f_s = sample.force[0], sample.force[1], sample.force[2]
@@ -230,7 +202,7 @@ class GyroG2Sensitivity(Gyro, SignalEffect):
         return signal + squares + self.d_io * f_i * f_o + self.d_os * f_o * f_s + self.d_si * f_s * f_i
 
 
-class GyroScaleAsymmetry(Gyro, ScaleAsymmetry):
+class GyroScaleAsymmetry(Gyro, formulas.ScaleAsymmetry):
     name = "gyro_scale_asymmetry"
     confused_with = "gyro_scale_quadratic, where few rates are tested; a bias, at one rate"
     reference = "IEEE Std 952, asymmetry error; 10 … 300 ppm"
@@ -239,7 +211,7 @@ class GyroScaleAsymmetry(Gyro, ScaleAsymmetry):
     )
 
 
-class GyroScaleQuadratic(Gyro, SecondOrderNonlinearity):
+class GyroScaleQuadratic(Gyro, formulas.SecondOrderNonlinearity):
     """Second-order nonlinearity: signal + K2·Ω².
 
     Even in rate: the error has the same sign in both directions; 25 … 50 ppm at 200 … 400 °/s is 0.1 ppm/(°/s).
@@ -253,7 +225,7 @@ class GyroScaleQuadratic(Gyro, SecondOrderNonlinearity):
     )
 
 
-class GyroScaleCubic(Gyro, ThirdOrderNonlinearity):
+class GyroScaleCubic(Gyro, formulas.ThirdOrderNonlinearity):
     """Third-order nonlinearity: signal + K3·Ω³.
 
     50 ppm at 400 °/s is 3·10⁻⁴ ppm/(°/s)².
@@ -293,15 +265,9 @@ class GyroMagneticSensitivity(Gyro, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "g-sensitivity and misalignment: field, gravity and Earth rate are nearly coplanar"
     reference = "IEEE Std 952, magnetic sensitivity; 1 … 50 deg/h/gauss without a shield"
-    m_i: Scalar = parameter(
-        "deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along I", coarse=(200, 1000)
-    )
-    m_o: Scalar = parameter(
-        "deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along O", coarse=(200, 1000)
-    )
-    m_s: Scalar = parameter(
-        "deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along S", coarse=(200, 1000)
-    )
+    m_i: Scalar = _drift_per_gauss("the drift per gauss along I")
+    m_o: Scalar = _drift_per_gauss("the drift per gauss along O")
+    m_s: Scalar = _drift_per_gauss("the drift per gauss along S")
     north_uT: float = option(25.0, "the field towards true North, µT")
     east_uT: float = option(0.0, "the field towards East, µT")
     up_uT: float = option(-40.0, "the field upwards, µT; negative in the northern hemisphere")

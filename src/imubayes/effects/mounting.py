@@ -142,16 +142,22 @@ class LeverArm(PlaceEffect):
         return replace(experience, force=experience.force + cross(rate, velocity) + tangential + coriolis)
 
 
-class ReferenceBias(MotionEffect):
+class ReferenceGyroEffect(MotionEffect):
+    """An effect of the reference gyro beside the unit; it acts in runs that have one only."""
+
+    stage = Stage.TABLE
+    per = ()
+    needs = ("reference",)
+
+
+class ReferenceBias(ReferenceGyroEffect):
     """Reading of each axis of the reference = true rate + b.
 
     It acts in runs with a reference gyro only.
     """
 
     name = "reference_bias"
-    stage, order = Stage.TABLE, -5
-    per = ()
-    needs = ("reference",)
+    order = -5
     confused_with = "the bias of the gyro along the same axis: exactly, unless other runs determine the latter"
     reference = "IEEE Std 952, bias; of the reference, its certificate"
     x: Scalar = parameter("deg/h", "normal(0, 0.1 deg/h)", (0.001, 10), "the bias of the reference about body x")
@@ -162,13 +168,10 @@ class ReferenceBias(MotionEffect):
         return replace(motion, reference_rate=motion.reference_rate - vector3(self.x, self.y, self.z))
 
 
-class ReferenceScaleFactor(MotionEffect):
+class ReferenceScaleFactor(ReferenceGyroEffect):
     """Reading of each axis of the reference = (1 + s) · true rate."""
 
     name = "reference_scale_factor"
-    stage = Stage.TABLE
-    per = ()
-    needs = ("reference",)
     confused_with = "a scale factor of the gyro along the same axis: exactly, except through the priors"
     reference = "IEEE Std 952, scale factor error; of the reference, its certificate"
     x: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 100), "the relative error of the reference about body x")
@@ -184,13 +187,11 @@ class ReferenceScaleFactor(MotionEffect):
         )
 
 
-class ReferenceAlignment(MotionEffect):
+class ReferenceAlignment(ReferenceGyroEffect):
     """Rate in body axes = exp([δ]×) · rate in the axes of the reference."""
 
     name = "reference_alignment"
-    stage, order = Stage.TABLE, Order.AXIS
-    per = ()
-    needs = ("reference",)
+    order = Order.AXIS
     confused_with = "misalignments of all gyros together, unless runs without the reference determine them"
     reference = "physics of a rigid fixture; Titterton and Weston § 3.6"
     x: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (10, 1000), "the rotation of the reference about body x")

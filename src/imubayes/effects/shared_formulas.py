@@ -5,6 +5,7 @@ An effect combines the two: `class GyroBias(Gyro, ConstantBias)` gives a formula
 
 from abc import abstractmethod
 from dataclasses import replace
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,37 +13,42 @@ import jax.numpy as jnp
 from imubayes.effects.base import Decay, Effect, MotionEffect, Order, Play, RecordEffect, SignalEffect, Stage
 from imubayes.foundations.arrays import Scalar, Vector3, compose, exponential, vector3
 from imubayes.foundations.signal_path_state import Ambient, Motion, Sample
-from imubayes.parameters.declarations import reference_temperature
+from imubayes.parameters.declarations import parameter, reference_temperature
 
 Parameter = eqx.AbstractVar[Scalar]
 
 
 class Device(Effect):
-    """The device in the signal chain that an effect belongs to."""
+    """The device in the signal chain that an effect belongs to.
 
-    @staticmethod
-    @abstractmethod
-    def temperature(ambient: Ambient) -> Scalar:
+    A formula needs and takes the temperature of the device, whichever that is.
+
+    Attributes
+    ----------
+    owner : what the covariates of the device's temperature begin with.
+    """
+
+    owner: ClassVar[str] = ""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.needs = tuple(cls.owner + need if need.startswith("temperature") else need for need in cls.needs)
+
+    @classmethod
+    def temperature(cls, ambient: Ambient) -> Scalar:
         """Return the device's temperature, °C."""
+        return getattr(ambient, f"{cls.owner}temperature")
 
-    @staticmethod
-    @abstractmethod
-    def temperature_rate(ambient: Ambient) -> Scalar:
+    @classmethod
+    def temperature_rate(cls, ambient: Ambient) -> Scalar:
         """Return the rate of the device's temperature, °C/s."""
+        return getattr(ambient, f"{cls.owner}temperature_rate")
 
 
 class Sensor(Device):
     """A sensor: its effects are referred to the input."""
 
     stage = Stage.SENSOR
-
-    @staticmethod
-    def temperature(ambient: Ambient) -> Scalar:
-        return ambient.temperature
-
-    @staticmethod
-    def temperature_rate(ambient: Ambient) -> Scalar:
-        return ambient.temperature_rate
 
     @staticmethod
     @abstractmethod
@@ -74,27 +80,28 @@ class Converter(Device):
     """The readout of a channel of either kind: its effects are in output units."""
 
     stage = Stage.CONVERTER
+    owner = "converter_"
 
-    @staticmethod
-    def temperature(ambient: Ambient) -> Scalar:
-        return ambient.converter_temperature
 
-    @staticmethod
-    def temperature_rate(ambient: Ambient) -> Scalar:
-        return ambient.converter_temperature_rate
+def input_axis_angle(axis: str) -> Any:
+    """Declare a field as the angle of the true input axis toward one of the axes across the nominal one."""
+    meaning = f"the misalignment toward {axis}"
+    return parameter("arcsec", "normal(0, 200 arcsec)", (10, 200), meaning, coarse=(700, 4000))
 
 
 class Misalignment(Sensor, SignalEffect):
     """Base of input-axis misalignments, which differ in the name of the third axis."""
 
     order = Order.AXIS
+    confused_with = "mounting error common to all axes"
+    toward_o: Scalar = input_axis_angle("O")
 
-    def misaligned(self, signal: Scalar, sample: Sample, toward_second: Scalar, toward_third: Scalar) -> Scalar:
-        """Return the signal along the unit vector in the direction of (1, toward_second, toward_third)."""
-        norm = jnp.sqrt(1 + toward_second**2 + toward_third**2)
+    def misaligned(self, signal: Scalar, sample: Sample, toward_third: Scalar) -> Scalar:
+        """Return the signal along the unit vector in the direction of (1, toward_o, toward_third)."""
+        norm = jnp.sqrt(1 + self.toward_o**2 + toward_third**2)
         measurand = self.measurand(sample)
         along = measurand[0]
-        projected = (along + toward_second * measurand[1] + toward_third * measurand[2]) / norm
+        projected = (along + self.toward_o * measurand[1] + toward_third * measurand[2]) / norm
         # Only the projection changes: what earlier effects added stays.
         return signal + (projected - along)
 

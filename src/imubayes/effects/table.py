@@ -5,7 +5,9 @@ squareness and intersection of their axes, and the arm.
 """
 
 from dataclasses import replace
+from typing import Any, ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from imubayes.effects.base import MotionEffect, Order, Stage
@@ -18,125 +20,129 @@ _OUTER, _MIDDLE = 0, 1
 _PARALLEL = 1e-3
 
 
+class TableEffect(MotionEffect):
+    """An effect of the table's own motion."""
+
+    stage = Stage.TABLE
+    per = ("table",)
+
+
+class OuterAxisEffect(TableEffect):
+    """An effect of one of the axes outside the inner one, by its place in `OuterAxes`."""
+
+    order = Order.AXIS
+    needs = ("outer_angle",)
+    place: ClassVar[int] = _OUTER
+
+    def link(self, motion: Motion) -> Matrix3:
+        """Return the rotation from this axis to the next one."""
+        return _axes(motion).link[self.place]
+
+    def normal(self, motion: Motion) -> Vector3:
+        """Return the unit normal z × n of this axis and the next one, n; 0 where they are parallel."""
+        link = self.link(motion)
+        normal = vector3(-link[1, 2], link[0, 2], jnp.zeros_like(link[0, 2]))
+        square = jnp.sum(normal * normal)
+        apart = square > _PARALLEL**2
+        return jnp.where(apart, normal / jnp.sqrt(jnp.where(apart, square, 1.0)), 0.0)
+
+    def relinked(self, motion: Motion, link: Matrix3) -> Motion:
+        """Return the motion with another rotation from this axis to the next one."""
+        axes = _axes(motion)
+        return replace(motion, outer=replace(axes, link=jnp.asarray(axes.link).at[self.place].set(link)))
+
+    def moved(self, motion: Motion, arm: Vector3) -> Motion:
+        """Return the motion with an arm from this axis to the next one that is longer by a vector."""
+        axes = _axes(motion)
+        return replace(motion, outer=replace(axes, arm=jnp.asarray(axes.arm).at[self.place].add(arm)))
+
+
 def _axes(motion: Motion) -> OuterAxes:
     assert motion.outer is not None
     return motion.outer
 
 
-def _normal(link: Matrix3) -> Vector3:
-    """Return the unit normal z × n of an axis and the next one, n; 0 where they are parallel."""
-    normal = vector3(-link[1, 2], link[0, 2], jnp.zeros_like(link[0, 2]))
-    square = jnp.sum(normal * normal)
-    apart = square > _PARALLEL**2
-    return jnp.where(apart, normal / jnp.sqrt(jnp.where(apart, square, 1.0)), 0.0)
+def _zero_of(axis: str) -> Any:
+    return parameter("arcsec", "normal(0, 30 arcsec)", (1, 60), f"the error of the {axis} axis' zero", "zero")
 
 
-def _turned(motion: Motion, place: int, zero: Scalar) -> Motion:
-    axes = _axes(motion)
-    return replace(motion, outer=replace(axes, angle=jnp.asarray(axes.angle).at[place].add(zero)))
+class AxisZero(OuterAxisEffect):
+    """True angle of an axis = φ + δ."""
+
+    order = Order.ANGLE
+    reference = "IEEE Std 1293, angle reference of multi-axis tables; 1 … 60 arcsec"
+    zero: eqx.AbstractVar[Scalar]
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        axes = _axes(motion)
+        return replace(motion, outer=replace(axes, angle=jnp.asarray(axes.angle).at[self.place].add(self.zero)))
 
 
-def _relinked(motion: Motion, place: int, link: Matrix3) -> Motion:
-    axes = _axes(motion)
-    return replace(motion, outer=replace(axes, link=jnp.asarray(axes.link).at[place].set(link)))
-
-
-def _moved(motion: Motion, place: int, arm: Vector3) -> Motion:
-    axes = _axes(motion)
-    return replace(motion, outer=replace(axes, arm=jnp.asarray(axes.arm).at[place].add(arm)))
-
-
-class OuterAxisZero(MotionEffect):
+class OuterAxisZero(AxisZero):
     """True angle of the outer axis = φ_o + δ."""
 
     name = "outer_axis_zero"
-    stage, order = Stage.TABLE, Order.ANGLE
-    per = ("table",)
-    needs = ("outer_angle",)
     confused_with = "the azimuth of the table: about a vertical outer axis only the Earth rate shows it"
-    reference = "IEEE Std 1293, angle reference of multi-axis tables; 1 … 60 arcsec"
-    zero: Scalar = parameter("arcsec", "normal(0, 30 arcsec)", (1, 60), "the error of the outer axis' zero", "zero")
-
-    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
-        return _turned(motion, _OUTER, self.zero)
+    zero: Scalar = _zero_of("outer")
 
 
-class MiddleAxisZero(MotionEffect):
+class MiddleAxisZero(AxisZero):
     """True angle of the middle axis = φ_m + δ."""
 
     name = "middle_axis_zero"
-    stage, order = Stage.TABLE, Order.ANGLE
-    per = ("table",)
+    place = _MIDDLE
     needs = ("middle_angle",)
     confused_with = "mounting error, where the inner axis is never turned; table_axis_tilt, where the outer is not"
-    reference = "IEEE Std 1293, angle reference of multi-axis tables; 1 … 60 arcsec"
-    zero: Scalar = parameter("arcsec", "normal(0, 30 arcsec)", (1, 60), "the error of the middle axis' zero", "zero")
-
-    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
-        return _turned(motion, _MIDDLE, self.zero)
+    zero: Scalar = _zero_of("middle")
 
 
-class InnerAxisZero(MotionEffect):
+class InnerAxisZero(AxisZero):
     """True angle of the inner axis = φ + δ: of a table of one axis that axis, of a centrifuge the platform."""
 
     name = "inner_axis_zero"
-    stage, order = Stage.TABLE, Order.ANGLE
-    per = ("table",)
     needs = ("table_angle",)
     confused_with = "mounting error about the inner axis: exactly, in one mounting"
-    reference = "IEEE Std 1293, angle reference of multi-axis tables; 1 … 60 arcsec"
-    zero: Scalar = parameter("arcsec", "normal(0, 30 arcsec)", (1, 60), "the error of the inner axis' zero", "zero")
+    zero: Scalar = _zero_of("inner")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
         return replace(motion, table_angle=motion.table_angle + self.zero)
 
 
-class OuterAxisSquareness(MotionEffect):
+class AxisSquareness(OuterAxisEffect):
+    """The angle between an axis and the next one is the nominal one + ε, by a turn about their common normal."""
+
+    reference = "IEEE Std 1293, orthogonality of the axes of multi-axis tables; 0.5 … 30 arcsec"
+    angle: Scalar = parameter(
+        "arcsec", "normal(0, 10 arcsec)", (0.5, 30), "the excess of the angle between the axes", "squareness"
+    )
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        return self.relinked(motion, compose(exponential(self.angle * self.normal(motion)), self.link(motion)))
+
+
+class OuterAxisSquareness(AxisSquareness):
     """The angle between the outer and the next axis is the nominal one + ε, by a turn about their common normal."""
 
     name = "outer_axis_squareness"
-    stage, order = Stage.TABLE, Order.AXIS
-    per = ("table",)
-    needs = ("outer_angle",)
     confused_with = "table_axis_tilt, where the outer axis is not turned"
-    reference = "IEEE Std 1293, orthogonality of the axes of multi-axis tables; 0.5 … 30 arcsec"
-    angle: Scalar = parameter(
-        "arcsec", "normal(0, 10 arcsec)", (0.5, 30), "the excess of the angle between the axes", "squareness"
-    )
-
-    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
-        link = _axes(motion).link[_OUTER]
-        return _relinked(motion, _OUTER, compose(exponential(self.angle * _normal(link)), link))
 
 
-class MiddleAxisSquareness(MotionEffect):
+class MiddleAxisSquareness(AxisSquareness):
     """The angle between the middle and the inner axis is the nominal one + ε, by a turn about their common normal."""
 
     name = "middle_axis_squareness"
-    stage, order = Stage.TABLE, Order.AXIS
-    per = ("table",)
+    place = _MIDDLE
     needs = ("middle_angle",)
     confused_with = "mounting error, where the inner axis is not turned; outer_axis_squareness, where the middle is not"
-    reference = "IEEE Std 1293, orthogonality of the axes of multi-axis tables; 0.5 … 30 arcsec"
-    angle: Scalar = parameter(
-        "arcsec", "normal(0, 10 arcsec)", (0.5, 30), "the excess of the angle between the axes", "squareness"
-    )
-
-    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
-        link = _axes(motion).link[_MIDDLE]
-        return _relinked(motion, _MIDDLE, compose(exponential(self.angle * _normal(link)), link))
 
 
-class OuterAxisIntersection(MotionEffect):
+class OuterAxisIntersection(OuterAxisEffect):
     """The next axis passes the outer one at d along their common normal: d adds Ω×(Ω×d) + Ω̇×d, turning with it.
 
     10 µm at 100 °/s are 3 µg.
     """
 
     name = "outer_axis_intersection"
-    stage, order = Stage.TABLE, Order.AXIS
-    per = ("table",)
-    needs = ("outer_angle",)
     confused_with = "lever_arm, where the next axis is not turned"
     reference = "IEEE Std 1293, intersection of the axes of multi-axis tables; 10 … 500 µm"
     distance: Scalar = parameter(
@@ -144,24 +150,19 @@ class OuterAxisIntersection(MotionEffect):
     )
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
-        return _moved(motion, _OUTER, self.distance * _normal(_axes(motion).link[_OUTER]))
+        return self.moved(motion, self.distance * self.normal(motion))
 
 
-class MiddleAxisIntersection(MotionEffect):
+class MiddleAxisIntersection(OuterAxisIntersection):
     """The inner axis passes the middle one at d along their common normal, and the outer one at e along the middle one.
 
     d and e add Ω×(Ω×r) + Ω̇×r with the turning of the middle axis, r = d·(z × n) + e·z in its frame.
     """
 
     name = "middle_axis_intersection"
-    stage, order = Stage.TABLE, Order.AXIS
-    per = ("table",)
+    place = _MIDDLE
     needs = ("middle_angle",)
     confused_with = "lever_arm, where the inner axis is not turned"
-    reference = "IEEE Std 1293, intersection of the axes of multi-axis tables; 10 … 500 µm"
-    distance: Scalar = parameter(
-        "um", "normal(0, 100 um)", (10, 1000), "the distance of the axes along z × n", "intersection"
-    )
     along: Scalar = parameter(
         "um", "normal(0, 100 um)", (10, 1000), "the distance of inner and outer axis along the middle one",
         "intersection",
@@ -169,11 +170,10 @@ class MiddleAxisIntersection(MotionEffect):
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
         zero = jnp.zeros_like(self.along)
-        arm = self.distance * _normal(_axes(motion).link[_MIDDLE]) + vector3(zero, zero, self.along)
-        return _moved(motion, _MIDDLE, arm)
+        return self.moved(motion, self.distance * self.normal(motion) + vector3(zero, zero, self.along))
 
 
-class PlatformTilt(MotionEffect):
+class PlatformTilt(OuterAxisEffect):
     """Tilt of the platform of a centrifuge, whose axis is nominally parallel to the arm's: C · exp([x, y, 0]×).
 
     x and y are about the platform's axes at angle 0.  Between axes that are not parallel squareness and zeros say the
@@ -181,31 +181,24 @@ class PlatformTilt(MotionEffect):
     """
 
     name = "platform_tilt"
-    stage, order = Stage.TABLE, Order.AXIS
-    per = ("table",)
-    needs = ("outer_angle",)
     confused_with = "mounting error, where the platform is not turned"
     reference = "IEEE Std 836, alignment of the counter-rotating platform; 1 … 60 arcsec"
     x: Scalar = parameter("arcsec", "normal(0, 20 arcsec)", (1, 60), "the tilt about platform x", "squareness")
     y: Scalar = parameter("arcsec", "normal(0, 20 arcsec)", (1, 60), "the tilt about platform y", "squareness")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
-        link = _axes(motion).link[_OUTER]
-        parallel = jnp.where(jnp.sum(_normal(link) ** 2) > 0.5, 0.0, 1.0)
+        parallel = jnp.where(jnp.sum(self.normal(motion) ** 2) > 0.5, 0.0, 1.0)
         tilt = exponential(parallel * vector3(self.x, self.y, jnp.zeros_like(self.x)))
-        return _relinked(motion, _OUTER, compose(link, tilt))
+        return self.relinked(motion, compose(self.link(motion), tilt))
 
 
-class ArmError(MotionEffect):
+class ArmError(OuterAxisEffect):
     """True radius of a centrifuge R = R₀ + δ + s·Ω²R₀: its error at rest, and its stretch with the centripetal load.
 
     100 µm of 1 m are 100 ppm of the centripetal acceleration.
     """
 
     name = "arm_error"
-    stage, order = Stage.TABLE, Order.AXIS
-    per = ("table",)
-    needs = ("outer_angle",)
     confused_with = (
         "the radius: exactly with the scale factor of accelerometers where the centrifuge is their only input; the "
         "stretch: with K_oq, and with K2 where the input axis points one way only"
@@ -216,12 +209,12 @@ class ArmError(MotionEffect):
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
         axes = _axes(motion)
-        arm = axes.arm[_OUTER]
+        arm = axes.arm[self.place]
         square = jnp.sum(arm * arm)
         there = square > 0
         length = jnp.sqrt(jnp.where(there, square, 1.0))
-        longer = self.radius + self.stretch * axes.rate[_OUTER] ** 2 * length
-        return _moved(motion, _OUTER, jnp.where(there, longer / length, 0.0) * arm)
+        longer = self.radius + self.stretch * axes.rate[self.place] ** 2 * length
+        return self.moved(motion, jnp.where(there, longer / length, 0.0) * arm)
 
 
 class TableAxisTilt(MotionEffect):
@@ -263,15 +256,14 @@ class GravityAnomaly(MotionEffect):
         return replace(motion, gravity=motion.gravity + vector3(zero, zero, self.anomaly))
 
 
-class TimeSkew(MotionEffect):
+class TimeSkew(TableEffect):
     """True angle = φ + Ω·δ + ½ Ω̇·δ², true rate = Ω + Ω̇·δ, of every axis: the unit is sampled δ after the table.
 
     At a constant rate over whole turns it has no effect; rotating rows of known angle or a changing rate determine it.
     """
 
     name = "time_skew"
-    stage, order = Stage.TABLE, Order.TIME
-    per = ("table",)
+    order = Order.TIME
     confused_with = "an error of the table's angle, where all runs rotate at one rate in one direction"
     reference = "first-order clock offset between table and unit; 0.01 … 50 ms"
     skew: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 100), "the delay of the unit's samples")
@@ -290,15 +282,14 @@ class TimeSkew(MotionEffect):
         )
 
 
-class EncoderHarmonic(MotionEffect):
+class EncoderHarmonic(TableEffect):
     """True angle = φ + Σ_n (s_n sin nφ + c_n cos nφ), n = 1, 2: eccentricity and ellipticity of the graduation.
 
     The indicated rate comes from the same encoder and has the error's slope, which averages to zero over whole turns.
     """
 
     name = "encoder_harmonic"
-    stage, order = Stage.TABLE, Order.ANGLE
-    per = ("table",)
+    order = Order.ANGLE
     needs = ("table_angle",)
     confused_with = "misalignment and bias (n = 1), K2 and cross-coupling (n = 2) of accelerometers in one mounting"
     reference = "IEEE Std 1293, dividing head angle errors; 0.1 … 10 arcsec"
@@ -320,12 +311,10 @@ class EncoderHarmonic(MotionEffect):
         )
 
 
-class TableRateError(MotionEffect):
+class TableRateError(TableEffect):
     """Actual rate = indicated rate · (1 + e), of every axis: an error of the clock that they share."""
 
     name = "table_rate_error"
-    stage = Stage.TABLE
-    per = ("table",)
     confused_with = "a scale factor common to all gyros: exactly, unless a reference gyro is mounted beside the unit"
     reference = "IEEE Std 952, rate table accuracy"
     rate_error: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 50), "the relative error of the rate", "rate")
@@ -342,7 +331,7 @@ class TableRateError(MotionEffect):
         )
 
 
-class TableWobble(MotionEffect):
+class TableWobble(TableEffect):
     """C_nt = C_nt0 · W(φ) · Rz(φ), W = exp([x, y, 0]×), x = Σ_n (x_cos_n cos nφ + x_sin_n sin nφ), y alike, n = 1, 2.
 
     x and y are about the table's axes at angle 0.  Wobble that rotates with the table (x_cos_1 = y_sin_1,
@@ -351,8 +340,7 @@ class TableWobble(MotionEffect):
     """
 
     name = "table_wobble"
-    stage, order = Stage.TABLE, Order.AXIS
-    per = ("table",)
+    order = Order.AXIS
     needs = ("table_angle",)
     confused_with = "mounting error, where it rotates with the table; table_axis_tilt, where few angles are used"
     reference = "IEEE Std 1293, axis wobble of rotary tables; 0.1 … 10 arcsec"
