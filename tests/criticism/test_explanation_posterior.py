@@ -15,7 +15,7 @@ from test_one_number import made
 from imubayes.criticism.diagnosis_record import ranking
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
-from imubayes.criticism.formula_search import Formula, coefficient_unit, find_formula
+from imubayes.criticism.formula_search import ResidualFormula, coefficient_unit, find_formula
 from imubayes.criticism.residual_evidence import outliers
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
@@ -87,7 +87,7 @@ def test_scatter_alone_makes_no_second_hypothesis() -> None:
     assert len(set(keys)) == len(keys) <= len(posterior.search.known)
 
 
-def formula_of(shape: np.ndarray, deg_h: float, seed: int = 11) -> Formula | None:
+def formula_of(shape: np.ndarray, deg_h: float, seed: int = 11) -> ResidualFormula | None:
     """Return the formula found where gx has so much of a shape in its residual, in deg/h at the input."""
     residual = drawn(seed)
     factor, unit = coefficient_unit("gyro", 1.0, 9.8)

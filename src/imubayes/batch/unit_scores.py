@@ -271,13 +271,11 @@ def refitted(spec: ModelSpec, campaign: Campaign, row: dict) -> Fit:
     ]
     mode = find_mode(model.problem, *start)
     if not bool(mode.converged):
-        raise InputError(
-            Issue(
-                f"unit {row['unit']}: the optimiser does not find the mode again",
-                row["file"],
-                "the campaign that was fitted",
-                "run the batch again with --retry",
-            )
+        raise input_error(
+            f"unit {row['unit']}: the optimiser does not find the mode again",
+            row["file"],
+            "the campaign that was fitted",
+            "run the batch again with --retry",
         )
     return Fit(model, np.asarray(mode.z), np.asarray(mode.h), True)
 

@@ -260,8 +260,7 @@ class AbsorbedResponses:
 
     def explained(self, found: Evaluated, places: Sequence[int]) -> np.ndarray:
         """Return what the own parameters take of some coefficients at their sizes in a hypothesis, in z, (P,)."""
-        at = {int(column) - self.of.problem.own: n for n, column in enumerate(found.columns)}
-        return self.shift[:, list(places)] @ found.mean[[at[k] for k in places]]
+        return self.shift[:, list(places)] @ found.mean[self.of.among(found, places)]
 
 
 def deviations_needed(variant: EffectVariant) -> float:

@@ -22,7 +22,6 @@ from imubayes.criticism.diagnosis_record import (
     Diagnosis,
     Disagreement,
     EffectGroup,
-    ResidualFormula,
     ScreenedEffect,
     UndetectableEffect,
     UntypicalSize,
@@ -33,13 +32,13 @@ from imubayes.criticism.evidence.explain import explain
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.noise_structures import Family
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
-from imubayes.criticism.formula_search import find_formula
+from imubayes.criticism.formula_search import ResidualFormula, find_formula
 from imubayes.criticism.residual_evidence import ResidualEvidence, outliers, residual_evidence
 from imubayes.criticism.verdict import NAMED, CoefficientEstimate, Explanation, RmsChange, Suggestion, Verdict
 from imubayes.effects.base import Effect
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import Tell, silent
 from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
@@ -161,17 +160,15 @@ def _refuse_unknown(effect: str, fit: Fit) -> None:
     where = f"effect '{effect}'"
     member = fit.model.registry.find(effect, where)
     if not issubclass(member, Effect):
-        raise InputError(
-            Issue(f"'{effect}' is noise, not an effect", where, "an effect", "ask without it: noise is always judged")
+        raise input_error(
+            f"'{effect}' is noise, not an effect", where, "an effect", "ask without it: noise is always judged"
         )
     if any(spec.name == effect and spec.channels is None for spec in fit.model.spec.effects):
-        raise InputError(
-            Issue(
-                f"'{effect}' is in the model already",
-                fit.model.spec.where,
-                "an effect that the model lacks",
-                "see its estimate in the summary of the fit",
-            )
+        raise input_error(
+            f"'{effect}' is in the model already",
+            fit.model.spec.where,
+            "an effect that the model lacks",
+            "see its estimate in the summary of the fit",
         )
 
 
@@ -353,13 +350,7 @@ class _Judged:
         found = [
             find_formula(self.of, beside, top.scale, self.posterior.fitted, self.known, k) for k in chosen.channels
         ]
-        return [
-            ResidualFormula(
-                channel=each.channel, kind=each.kind, shape=each.text, terms=each.terms, inclusion=each.inclusion,
-                near=each.near,
-            )
-            for each in found if each is not None
-        ]  # fmt: skip
+        return [each for each in found if each is not None]
 
     def _undetectable(self) -> tuple[UndetectableEffect, ...]:
         hidden = [_hidden(each) for each in self.absorbed.of_effects if each.undetectable]

@@ -5,7 +5,6 @@ made where a diagnosis is displayed.  Every effect that the runs can show is ran
 missing.  A run that does not agree with the others is recorded with what would make it agree.
 """
 
-import math
 from typing import Literal
 
 import numpy as np
@@ -16,9 +15,9 @@ from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.criticism.detectability import NEGLECTED_SHIFT, Absorber, NeglectedUncertainty, ParameterBias
 from imubayes.criticism.evidence.hypothesis import Evaluated, inverse
 from imubayes.criticism.evidence.model_search import states_noise
-from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
+from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, estimates
 from imubayes.criticism.evidence.proposals import Conditional, Screen, conditional
-from imubayes.criticism.formula_search import FormulaTerm
+from imubayes.criticism.formula_search import ResidualFormula
 from imubayes.criticism.residual_evidence import Outlier, ResidualEvidence
 from imubayes.criticism.verdict import CoefficientEstimate, Evidence, RmsChange, Suggestion, Verdict
 from imubayes.foundations.records import Presented, Record
@@ -172,26 +171,6 @@ class UndetectableEffect(Record):
     bias: ParameterBias | None = None
 
 
-class ResidualFormula(Record):
-    """The simplest formula for what no effect of the catalogue explains on a channel.
-
-    Attributes
-    ----------
-    kind : kind of the channel.
-    shape : the formula in symbols.
-    terms : with their coefficients at the input.
-    inclusion : how often the first term comes first when runs are resampled.
-    near : terms that fit almost as well as the first.
-    """
-
-    channel: str
-    kind: str
-    shape: str
-    terms: tuple[FormulaTerm, ...]
-    inclusion: float
-    near: tuple[str, ...]
-
-
 class AskedEffect(Record):
     """The effect that was asked about, with the size detected with 80 % power; None where none would be."""
 
@@ -327,7 +306,7 @@ def _line(
     of, variant = posterior.of, posterior.of.variants[n]
     places = np.array(variant.places)
     covariance = inverse(_positive(alone.own[np.ix_(places, places)]) + np.eye(len(places)) / max(variant.widths) ** 2)
-    mean, sizes = covariance @ alone.right[places], of.problem.sizes[places]
+    mean = covariance @ alone.right[places]
     own, right = as_known.own[np.ix_(places, places)], as_known.right[places]
     return RankedEffect(
         effect=variant.effect,
@@ -335,15 +314,7 @@ def _line(
         probability=posterior.including([variant.effect]),
         delta_chi2=float(right @ np.linalg.lstsq(own, right, rcond=1e-9)[0]),
         shape=dict(of.problem.candidates[variant.response].scan.shape),
-        coefficients=tuple(
-            CoefficientEstimate(
-                name=of.problem.coefficients[k].parameter.name,
-                value=float(value * size),
-                sd=float(math.sqrt(variance) * size),
-                unit=of.problem.coefficients[k].parameter.shown_unit,
-            )
-            for k, value, variance, size in zip(places, mean, np.diag(covariance), sizes, strict=True)
-        ),
+        coefficients=estimates(of.problem, variant.places, mean, np.diag(covariance)),
         log_odds=gain,
     )
 

@@ -235,28 +235,24 @@ class FormulaTerm(Record):
     log_odds: float
 
 
-@dataclass(frozen=True)
-class Formula:
-    """The formula found for one channel.
+class ResidualFormula(Record):
+    """The simplest formula for what no effect of the catalogue explains on a channel.
 
     Attributes
     ----------
-    channel, kind : name and kind.
-    terms : in the order of selection.
-    inclusion : inclusion frequency of the first term.
-    near : terms that explain almost as much as the first, in symbols.
+    kind : kind of the channel.
+    shape : the formula in symbols: the sum of the terms.
+    terms : with their coefficients at the input, in the order of selection.
+    inclusion : how often the first term comes first when runs are resampled.
+    near : terms that fit almost as well as the first, in symbols.
     """
 
     channel: str
     kind: str
+    shape: str
     terms: tuple[FormulaTerm, ...]
     inclusion: float
     near: tuple[str, ...]
-
-    @property
-    def text(self) -> str:
-        """The sum of the terms, in symbols."""
-        return " + ".join(term.shape for term in self.terms)
 
 
 @dataclass(frozen=True)
@@ -280,7 +276,7 @@ class _Pursuit:
 
 def find_formula(
     of: EvidenceOf, at: Evaluated, scale: np.ndarray, fitted: Fit, covariates: Sequence[ResidualCovariate], channel: int
-) -> Formula | None:
+) -> ResidualFormula | None:
     """Return the simplest formula for what a hypothesis leaves of a channel; None where no term is worth its odds.
 
     Parameters
@@ -312,9 +308,10 @@ def find_formula(
     covariance = np.linalg.inv(first.own[np.ix_(places, places)])
     values, sds = covariance @ first.right[places], np.sqrt(np.diag(covariance))
     drops = first.drops(np.sum(white**2, axis=0))
-    return Formula(
+    return ResidualFormula(
         channel=constants.name,
         kind=constants.kind,
+        shape=" + ".join(terms[place].text for place in places),
         terms=tuple(
             _formula_term(terms[place], drop, odds, value, sd, base)
             for (place, drop, odds), value, sd in zip(selected, values / size[places], sds / size[places], strict=True)

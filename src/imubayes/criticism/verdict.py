@@ -21,10 +21,6 @@ Verdict = Literal[
 ]
 
 
-MISSING: tuple[Verdict, ...] = ("missing_effect", "equivalent_effects")
-"""Verdicts that name effects."""
-
-
 class CoefficientEstimate(Record):
     """A coefficient with its standard uncertainty, in its unit; None where it is not determined."""
 

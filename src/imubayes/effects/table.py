@@ -66,7 +66,7 @@ def _zero_of(axis: str) -> Any:
     return parameter("arcsec", "normal(0, 30 arcsec)", (1, 60), f"the error of the {axis} axis' zero", "zero")
 
 
-class AxisZero(OuterAxisEffect):
+class AxisAngleZero(OuterAxisEffect):
     """True angle of an axis = φ + δ."""
 
     order = Order.ANGLE
@@ -78,7 +78,7 @@ class AxisZero(OuterAxisEffect):
         return replace(motion, outer=replace(axes, angle=jnp.asarray(axes.angle).at[self.place].add(self.zero)))
 
 
-class OuterAxisZero(AxisZero):
+class OuterAxisZero(AxisAngleZero):
     """True angle of the outer axis = φ_o + δ."""
 
     name = "outer_axis_zero"
@@ -86,7 +86,7 @@ class OuterAxisZero(AxisZero):
     zero: Scalar = _zero_of("outer")
 
 
-class MiddleAxisZero(AxisZero):
+class MiddleAxisZero(AxisAngleZero):
     """True angle of the middle axis = φ_m + δ."""
 
     name = "middle_axis_zero"
@@ -96,7 +96,7 @@ class MiddleAxisZero(AxisZero):
     zero: Scalar = _zero_of("middle")
 
 
-class InnerAxisZero(AxisZero):
+class InnerAxisZero(AxisAngleZero):
     """True angle of the inner axis = φ + δ: of a table of one axis that axis, of a centrifuge the platform."""
 
     name = "inner_axis_zero"

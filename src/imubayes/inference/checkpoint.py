@@ -15,7 +15,7 @@ import h5py
 import lazy_loader
 import numpy as np
 
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import replacing
 
 if TYPE_CHECKING:
@@ -60,28 +60,24 @@ class Checkpoint:
     def check(self) -> None:
         """Raise InputError unless the file belongs to this fit."""
         if not self.path.is_file():
-            raise InputError(Issue("there is nothing to resume", str(self.path), "a checkpoint", "leave --resume out"))
+            raise input_error("there is nothing to resume", str(self.path), "a checkpoint", "leave --resume out")
         try:
             with h5py.File(self.path, "r") as file:
                 found = {key: str(file.attrs.get(key, "")) for key in self.fingerprints}
         except OSError as error:
-            raise InputError(
-                Issue(
-                    f"the checkpoint cannot be read ({error})",
-                    str(self.path),
-                    "a checkpoint written by this command",
-                    "remove the file and begin anew",
-                )
+            raise input_error(
+                f"the checkpoint cannot be read ({error})",
+                str(self.path),
+                "a checkpoint written by this command",
+                "remove the file and begin anew",
             ) from None
         changed = [key for key, value in self.fingerprints.items() if found[key] != value]
         if changed:
-            raise InputError(
-                Issue(
-                    "the checkpoint is of another fit: " + "; ".join(_WORDS.get(key, key) for key in changed),
-                    str(self.path),
-                    "the same data, model, parameter order, seed and ensemble size",
-                    "restore them, or choose another --out and begin anew",
-                )
+            raise input_error(
+                "the checkpoint is of another fit: " + "; ".join(_WORDS.get(key, key) for key in changed),
+                str(self.path),
+                "the same data, model, parameter order, seed and ensemble size",
+                "restore them, or choose another --out and begin anew",
             )
 
     @contextmanager

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.foundations.arrays import Array, Float
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import counted
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.ensemble_sampling import Chains, Settings, sample, thinned, walkers_for
@@ -136,13 +136,11 @@ def _sampled(
 
 def _require_double_precision() -> None:
     if jnp.result_type(float) != jnp.float64:
-        raise InputError(
-            Issue(
-                "JAX runs in single precision",
-                "this Python process",
-                "float64: a part in a million of a scale factor is lost in float32",
-                'call jax.config.update("jax_enable_x64", True) before the first computation',
-            )
+        raise input_error(
+            "JAX runs in single precision",
+            "this Python process",
+            "float64: a part in a million of a scale factor is lost in float32",
+            'call jax.config.update("jax_enable_x64", True) before the first computation',
         )
 
 

@@ -23,7 +23,7 @@ import lazy_loader
 import numpy as np
 from arviz_base import from_dict
 
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import BLIND, WORST_PARETO_K
 from imubayes.inference.ensemble_sampling import Chains, Settings, walkers_for
@@ -319,23 +319,19 @@ def _check(log_density: BatchedDensity, points: np.ndarray, names: tuple[str, ..
     """Raise InputError unless names and log density fit the points (n, D)."""
     if len(names) != points.shape[1]:
         what = f"{len(names)} names for {points.shape[1]} parameters"
-        raise InputError(Issue(what, "names", "one name per entry of `start`", "give as many names as parameters"))
+        raise input_error(what, "names", "one name per entry of `start`", "give as many names as parameters")
     values = np.asarray(log_density(points))
     if values.shape != points.shape[:1]:
-        raise InputError(
-            Issue(
-                f"the log density of points {points.shape} has shape {values.shape}",
-                "log_density",
-                f"shape {points.shape[:1]}, one value per point",
-                "vectorise it: `jax.vmap(function)`, or a loop over the points",
-            )
+        raise input_error(
+            f"the log density of points {points.shape} has shape {values.shape}",
+            "log_density",
+            f"shape {points.shape[:1]}, one value per point",
+            "vectorise it: `jax.vmap(function)`, or a loop over the points",
         )
     if not np.isfinite(values).any():
-        raise InputError(
-            Issue(
-                "the log density is not finite at any starting point",
-                "log_density, start, scale",
-                "a start within the bulk of the density",
-                "choose another start, or a smaller scale",
-            )
+        raise input_error(
+            "the log density is not finite at any starting point",
+            "log_density, start, scale",
+            "a start within the bulk of the density",
+            "choose another start, or a smaller scale",
         )

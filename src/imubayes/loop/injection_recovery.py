@@ -18,7 +18,7 @@ from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.verdict import Verdict
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import InputError, input_error
 from imubayes.foundations.progress import counted
 from imubayes.foundations.records import Presented
 from imubayes.inference.fitted_model import Fit
@@ -54,9 +54,7 @@ class Size:
     def __post_init__(self):
         for name, value in (("delta_chi2", self.delta_chi2), ("size", self.typical)):
             if value is not None and not (np.isfinite(value) and value > 0):
-                raise InputError(
-                    Issue(f"{name} = {value:g} is no size", "plant", "a number more than 0", f"correct {name}")
-                )
+                raise input_error(f"{name} = {value:g} is no size", "plant", "a number more than 0", f"correct {name}")
 
 
 @dataclass(frozen=True)
@@ -173,7 +171,7 @@ def plant_effects(
         for an effect that does not exist, and for free tumbles, which cannot be simulated.
     """
     if draws < 0:
-        raise InputError(Issue(f"draws = {draws}", "plant", "a number of simulations, 0 or more", "correct draws"))
+        raise input_error(f"draws = {draws}", "plant", "a number of simulations, 0 or more", "correct draws")
     nulls, trials, skipped = [], [], {}
     for draw in counted(tell, "without injection", range(draws)):
         simulated = simulate(fitted.model, _seed(seed, f"null {draw}"), _truth(fitted.model, fitted.z, fitted.h))

@@ -17,7 +17,7 @@ import numpy as np
 from imubayes.adequacy.known_noise import known_scales
 from imubayes.adequacy.known_noise_fit import known_noise_point
 from imubayes.criticism.verdict import CoefficientEstimate
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Record, finite
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.laplace_marginal import linearise
@@ -69,13 +69,11 @@ class Refit:
 def require_fit(before: Fit) -> None:
     """Raise InputError for a fit that cannot be started from."""
     if not np.isfinite(before.z).all():
-        raise InputError(
-            Issue(
-                f"there is no fit to go on from: {before.message}",
-                before.model.spec.where,
-                "a fit that converged",
-                "mend what kept the fit from converging, fit again, then change the model",
-            )
+        raise input_error(
+            f"there is no fit to go on from: {before.message}",
+            before.model.spec.where,
+            "a fit that converged",
+            "mend what kept the fit from converging, fit again, then change the model",
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from imubayes.campaign.campaign_reader import raw_log
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import counted, silent
 from imubayes.foundations.records import Record, finite
 from imubayes.noise_analysis.allan_deviation import AllanVariance, allan_variance
@@ -225,9 +225,7 @@ def _chosen(campaign: Campaign, names: Sequence[str]) -> list[Run]:
     if unknown or not records:
         what = f"'{unknown[0]}' is no static record" if unknown else "there is no static record"
         allowed = closest_first(unknown[0], list(records)) if unknown and records else f"a run of {PROCEDURE}"
-        raise InputError(
-            Issue(what, f"campaign '{campaign.name}'", allowed, "name a run of this procedure, or add one")
-        )
+        raise input_error(what, f"campaign '{campaign.name}'", allowed, "name a run of this procedure, or add one")
     return [records[name] for name in names] if names else list(records.values())
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from imubayes.foundations.campaign_data import Campaign, Run
-from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import closest_first, input_error
 from imubayes.procedures.kinematics import nominal_outputs
 from imubayes.procedures.rotation_modulation import Carrier, attenuation, carrier, noise_of, to_table_axes
 from imubayes.results.stored_tables import Residuals
@@ -50,13 +50,12 @@ def corrected_run(campaign: Campaign, run: Run, residuals: Residuals, summary: S
     own = residuals.table.filter(pl.col("run") == run.name)
     if own.is_empty():
         known = residuals.table["run"].unique().to_list()
-        issue = Issue(
+        raise input_error(
             f"the fit has no run '{run.name}'",
             f"result of campaign '{campaign.name}'",
             closest_first(run.name, known),
             "name a run of the fit, or fit the campaign with it",
         )
-        raise InputError(issue)
     columns = {channel.name: place for place, channel in enumerate(campaign.channels)}
     predicted = np.full(run.observed.shape, np.nan)
     spread = np.full(run.observed.shape, np.nan)

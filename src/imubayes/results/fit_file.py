@@ -18,7 +18,7 @@ import numpy as np
 
 from imubayes.campaign import load_campaign
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import finite
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import data_hash, model_hash
@@ -85,25 +85,21 @@ def read_fit(folder: str | Path) -> Fit:
     found = replace(found, notes=record.campaign_notes or found.notes)
     model = bind(spec, found)
     if campaign_hash(model) != record.data_hash:
-        raise InputError(
-            Issue(
-                f"the campaign '{found.name}' is no longer the one that was fitted",
-                found.folder or f"{folder / FIT}, key 'data_hash'",
-                "the files as they were: the fit belongs to their every byte, campaign.toml included",
-                "restore the campaign, or fit it as it is now: `imubayes fit CAMPAIGN --model "
-                f"{folder / MODEL} --out FOLDER`",
-            )
+        raise input_error(
+            f"the campaign '{found.name}' is no longer the one that was fitted",
+            found.folder or f"{folder / FIT}, key 'data_hash'",
+            "the files as they were: the fit belongs to their every byte, campaign.toml included",
+            "restore the campaign, or fit it as it is now: `imubayes fit CAMPAIGN --model "
+            f"{folder / MODEL} --out FOLDER`",
         )
     z, h = _in_order(model.layout, record.z, folder), _in_order(model.hyper_layout, record.h, folder)
     if model_hash(model) != record.model_hash:
-        raise InputError(
-            Issue(
-                "the model is no longer the one that was fitted",
-                str(folder / MODEL),
-                "the file as the fit wrote it, with the effect files beside it",
-                "restore it; to fit the model as it is now: "
-                f"`imubayes fit CAMPAIGN --model {folder / MODEL} --out ANOTHER`",
-            )
+        raise input_error(
+            "the model is no longer the one that was fitted",
+            str(folder / MODEL),
+            "the file as the fit wrote it, with the effect files beside it",
+            "restore it; to fit the model as it is now: "
+            f"`imubayes fit CAMPAIGN --model {folder / MODEL} --out ANOTHER`",
         )
     optimised = record.converged if record.optimised is None else record.optimised
     return Fit(model, z, h, optimised, record.message, sampled=record.converged or not optimised)
@@ -112,13 +108,11 @@ def read_fit(folder: str | Path) -> Fit:
 def _in_order(layout: Layout, by_name: dict[str, float | None], folder: Path) -> np.ndarray:
     if set(by_name) != set(layout.names):
         changed = sorted(set(by_name) ^ set(layout.names))
-        raise InputError(
-            Issue(
-                f"the model declares other parameters than were fitted: {', '.join(changed[:4])}",
-                f"{folder / MODEL}",
-                "the model file as the fit wrote it, and the effects of its time",
-                "run the fit again",
-            )
+        raise input_error(
+            f"the model declares other parameters than were fitted: {', '.join(changed[:4])}",
+            f"{folder / MODEL}",
+            "the model file as the fit wrote it, and the effects of its time",
+            "run the fit again",
         )
     numbers = [by_name[name] for name in layout.names]
     return np.array([math.nan if value is None else value for value in numbers], dtype=float)

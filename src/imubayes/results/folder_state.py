@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import only_writer
 from imubayes.inference.checkpoint import steps_in
 from imubayes.results.folder_files import CHECKPOINT, FIT, POSTERIOR, SUMMARY
@@ -48,31 +48,25 @@ def claim(folder: Path, resume: bool = False, replace: bool = False) -> None:
     if folder.is_dir():
         held = [file.name for file in folder.iterdir() if not file.name.startswith(".")]
         if held and not any((folder / name).is_file() for name in (FIT, CHECKPOINT)):
-            raise InputError(
-                Issue(
-                    f"the folder holds '{min(held)}' and no result",
-                    str(folder),
-                    "a folder that does not exist yet, an empty one, or one with a result, which is replaced",
-                    "choose another --out",
-                )
+            raise input_error(
+                f"the folder holds '{min(held)}' and no result",
+                str(folder),
+                "a folder that does not exist yet, an empty one, or one with a result, which is replaced",
+                "choose another --out",
             )
         if not resume and _interrupted(folder):
-            raise InputError(
-                Issue(
-                    "the folder holds a sampling that was interrupted",
-                    str(folder / CHECKPOINT),
-                    "the same fit with --resume, which continues it",
-                    f"add --resume; to begin anew choose another --out, or remove {folder / CHECKPOINT}",
-                )
+            raise input_error(
+                "the folder holds a sampling that was interrupted",
+                str(folder / CHECKPOINT),
+                "the same fit with --resume, which continues it",
+                f"add --resume; to begin anew choose another --out, or remove {folder / CHECKPOINT}",
             )
         if not (resume or replace) and (folder / POSTERIOR).is_file() and _sampled(folder):
-            raise InputError(
-                Issue(
-                    "the folder holds a sampled result",
-                    str(folder),
-                    "a folder that does not exist yet, an empty one, or a result that was not sampled",
-                    f"choose another --out, or add --replace (in Python replace=True) to lose {folder / POSTERIOR}",
-                )
+            raise input_error(
+                "the folder holds a sampled result",
+                str(folder),
+                "a folder that does not exist yet, an empty one, or a result that was not sampled",
+                f"choose another --out, or add --replace (in Python replace=True) to lose {folder / POSTERIOR}",
             )
 
 
@@ -91,13 +85,11 @@ def claimed_new(folder: Path | None, parent: Path | None) -> Iterator[None]:
 def refuse_taken(folder: Path, parent: Path | None) -> None:
     """Raise InputError where a folder holds a result."""
     if (folder / FIT).exists() or (parent is not None and folder.resolve() == parent.resolve()):
-        raise InputError(
-            Issue(
-                "the folder holds a result already",
-                str(folder),
-                "a folder that does not exist yet: each model tried keeps its own",
-                "choose another --out, or remove the folder",
-            )
+        raise input_error(
+            "the folder holds a result already",
+            str(folder),
+            "a folder that does not exist yet: each model tried keeps its own",
+            "choose another --out, or remove the folder",
         )
 
 

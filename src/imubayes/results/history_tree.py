@@ -12,7 +12,7 @@ from typing import Literal
 
 from imubayes.campaign import load_campaign
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.errors import InputError, Issue, input_error
+from imubayes.foundations.errors import InputError, input_error
 from imubayes.foundations.records import Record
 from imubayes.loop.model_history import Node, Tree
 from imubayes.results.folder_files import AGAIN, FIT, HISTORY, checked, mark_selected, read_record
@@ -88,13 +88,11 @@ def _folder(places: CampaignPlaces, folder: Path) -> Path:
         if (place / "campaign.toml").is_file():
             return place
     what = f"the campaign is not at '{places.given}' any more" if candidates else "the campaign was never in a folder"
-    raise InputError(
-        Issue(
-            what,
-            f"{folder / FIT}, key 'campaign'",
-            " or ".join(str(place) for place in candidates) or "a fit of a campaign folder",
-            "put the campaign back, or fit it at its new place",
-        )
+    raise input_error(
+        what,
+        f"{folder / FIT}, key 'campaign'",
+        " or ".join(str(place) for place in candidates) or "a fit of a campaign folder",
+        "put the campaign back, or fit it at its new place",
     )
 
 

@@ -17,7 +17,7 @@ import polars as pl
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.campaign_data import INPUT_UNIT
 from imubayes.foundations.covariates import shown
-from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.records import Presented
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
@@ -193,8 +193,7 @@ class Result(Presented):
         file = self.posterior_file
         if file is None:
             where = str(self.folder) if self.folder is not None else "this fit"
-            issue = Issue("there are no posterior draws", where, "a fit that converged", self.summary.message)
-            raise InputError(issue)
+            raise input_error("there are no posterior draws", where, "a fit that converged", self.summary.message)
         try:
             return xarray.open_datatree(file, engine="h5netcdf")
         except (OSError, ValueError, KeyError) as error:

@@ -19,20 +19,9 @@ import tomlkit
 from imubayes.inference.posterior_groups import Group, Groups, Labelled, posterior_groups
 from imubayes.loop.model_history import Node
 from imubayes.model.model_file import ModelSpec
+from imubayes.results import folder_files
 from imubayes.results.change_records import ModelChange
 from imubayes.results.fit_file import fit_record
-from imubayes.results.folder_files import (
-    ADDED_VARIABLE,
-    CHANGE,
-    FIT,
-    HISTORY,
-    MODEL,
-    POSTERIOR,
-    RESIDUALS,
-    SUMMARY,
-    checked,
-    replacing_result,
-)
 from imubayes.results.result import Result
 
 
@@ -93,21 +82,21 @@ def write_result(
     """
     fit, folder = result.fit, result.folder
     assert folder is not None
-    with replacing_result(folder, selection) as scratch:
-        (scratch / SUMMARY).write_text(result.summary.json_text(), encoding="utf-8")
-        (scratch / FIT).write_text(fit_record(fit, folder, node.seed).json_text(), encoding="utf-8")
-        (scratch / HISTORY).write_text(node.file_text(), encoding="utf-8")
-        result.residuals.table.write_parquet(scratch / RESIDUALS)
-        (scratch / MODEL).write_text(model_text(fit.model.spec), encoding="utf-8")
+    with folder_files.replacing_result(folder, selection) as scratch:
+        (scratch / folder_files.SUMMARY).write_text(result.summary.json_text(), encoding="utf-8")
+        (scratch / folder_files.FIT).write_text(fit_record(fit, folder, node.seed).json_text(), encoding="utf-8")
+        (scratch / folder_files.HISTORY).write_text(node.file_text(), encoding="utf-8")
+        result.residuals.table.write_parquet(scratch / folder_files.RESIDUALS)
+        (scratch / folder_files.MODEL).write_text(model_text(fit.model.spec), encoding="utf-8")
         for file in fit.model.spec.files:
             shutil.copyfile(file, scratch / Path(file).name)
         if fit.posterior is not None:
-            write_posterior(posterior_groups(fit), scratch / POSTERIOR)
+            write_posterior(posterior_groups(fit), scratch / folder_files.POSTERIOR)
         if change is not None:
-            (scratch / CHANGE).write_text(change.json_text(), encoding="utf-8")
+            (scratch / folder_files.CHANGE).write_text(change.json_text(), encoding="utf-8")
         if added_variable is not None:
-            added_variable.write_parquet(scratch / ADDED_VARIABLE)
-    return replace(result, identity=checked(folder).identity)
+            added_variable.write_parquet(scratch / folder_files.ADDED_VARIABLE)
+    return replace(result, identity=folder_files.checked(folder).identity)
 
 
 def model_text(spec: ModelSpec) -> str:

@@ -7,14 +7,14 @@ summed over the widths of the priors.
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, LinearProblem, typical_sizes
 from imubayes.foundations.tail_probabilities import normal_log_survival
-from imubayes.responses.candidate_effects import Response
 
 EXPECTED = 1.0
 """Expected number of missing effects, in equal shares of the catalogue."""
@@ -54,32 +54,23 @@ class EffectVariant:
         return self.effect == other.effect and bool(set(self.owners) & set(other.owners))
 
 
-@dataclass
-class _Share:
-    """Live coefficients of one response that belong to one kind of owner."""
-
-    response: int
-    places: list[int] = field(default_factory=list)
-
-
 def effect_variants(problem: LinearProblem) -> tuple[EffectVariant, ...]:
     """Return all variants of the effects that the rows respond to."""
-    shares, first, kind = list[tuple[str, str, _Share]](), 0, dict(zip(_names(problem), problem.kinds, strict=True))
+    owned: dict[tuple[int, str], list[int]] = {}
+    kind, first = {each.name: each.kind for each in problem.channels}, 0
     for place, response in enumerate(problem.candidates):
-        own: dict[str, _Share] = {}
         for k, coefficient in enumerate(response.coefficients, first):
             if problem.shown[k]:
-                own.setdefault(kind.get(coefficient.owner, ""), _Share(place)).places.append(k)
-        shares += [(response.scan.effect, name, share) for name, share in own.items()]
+                owned.setdefault((place, kind.get(coefficient.owner, "")), []).append(k)
         first += len(response.coefficients)
-    causes = {(effect, name) for effect, name, _ in shares}
-    effects = [effect for effect, _ in causes]
-    odds = EXPECTED / max(len(set(effects)), 1)
-    shapes = {cause: sum((effect, name) == cause for effect, name, _ in shares) for cause in causes}
+    # Live coefficients of an effect that belong to one kind of owner are one cause; each of its shapes has a share.
+    causes = [(problem.candidates[place].scan.effect, name) for place, name in owned]
+    shapes, kinds = Counter(causes), Counter(effect for effect, _ in set(causes))
+    odds = EXPECTED / max(len(kinds), 1)
     found: list[EffectVariant] = []
-    for effect, name, share in shares:
-        log_odds = math.log(odds / effects.count(effect) / shapes[effect, name])
-        found += _variants(problem, problem.candidates[share.response], share, log_odds)
+    for ((place, _), places), cause in zip(owned.items(), causes, strict=True):
+        log_odds = math.log(odds / kinds[cause[0]] / shapes[cause])
+        found += _variants(problem, place, places, log_odds)
     return tuple(found)
 
 
@@ -107,24 +98,22 @@ def visible(variants: Sequence[EffectVariant], information: np.ndarray) -> tuple
     return tuple(found)
 
 
-def _names(problem: LinearProblem) -> list[str]:
-    return [channel.name for channel in problem.channels]
+def _variants(problem: LinearProblem, response: int, live: Sequence[int], log_odds: float) -> list[EffectVariant]:
+    effect = problem.candidates[response].scan.effect
 
-
-def _variants(problem: LinearProblem, response: Response, share: _Share, log_odds: float) -> list[EffectVariant]:
-    def variant(places: list[int], log_share: float) -> EffectVariant:
+    def variant(places: Sequence[int], log_share: float) -> EffectVariant:
         owners = tuple(dict.fromkeys(problem.coefficients[k].owner for k in places))
         widths = _widths(problem, places)
-        return EffectVariant(response.scan.effect, share.response, owners, tuple(places), log_odds + log_share, widths)
+        return EffectVariant(effect, response, owners, tuple(places), log_odds + log_share, widths)
 
     fields: dict[str, list[int]] = {}
     owners: dict[str, list[int]] = {}
-    for k in share.places:
+    for k in live:
         fields.setdefault(problem.coefficients[k].parameter.field, []).append(k)
         owners.setdefault(problem.coefficients[k].owner, []).append(k)
     several = math.log(1 - ONE_OWNER) if len(owners) > 1 else 0.0
     whole = math.log(1 - ONE_PARAMETER) if len(fields) > 1 else 0.0
-    found = [variant(share.places, whole + several)]
+    found = [variant(live, whole + several)]
     if len(fields) > 1:
         part = math.log(ONE_PARAMETER / len(fields))
         for places in fields.values():
@@ -136,7 +125,7 @@ def _variants(problem: LinearProblem, response: Response, share: _Share, log_odd
     return found
 
 
-def _widths(problem: LinearProblem, places: list[int]) -> tuple[float, ...]:
+def _widths(problem: LinearProblem, places: Sequence[int]) -> tuple[float, ...]:
     typical = np.array([typical_sizes(problem.coefficients[k]) for k in places])
     least = float(np.exp(np.mean(np.log(np.maximum(typical[:, 0], 1e-300) / typical[:, 1]))))
     least = max(least / _REACH, NEGLIGIBLE)

@@ -179,15 +179,14 @@ def _linearised(problem: LinearProblem, about: _About) -> LinearProblem | None:
 def _point(search: ModelSearch, top: Evaluated) -> LinearisationPoint:
     """Return where a hypothesis puts its coefficients."""
     of = search.of
-    at = {int(column) - of.problem.own: n for n, column in enumerate(top.columns)}
     values: dict[str, float] = {}
     shapes: dict[str, dict[str, float]] = {}
     for variant in (of.variants[n] for n in top.hypothesis.variants):
         shape = of.problem.candidates[variant.response].scan.shape
         if shape:
             shapes[variant.effect] = dict(shape)
-        for k in variant.places:
+        for k, mean in zip(variant.places, top.mean[of.among(top, variant.places)], strict=True):
             one = of.problem.coefficients[k]
-            size = float(top.mean[at[k]] * of.problem.sizes[k])
+            size = float(mean * of.problem.sizes[k])
             values[one.parameter.name] = one.null / one.parameter.factor + size
     return LinearisationPoint(values, shapes)

@@ -9,7 +9,7 @@ hypothesis costs one Cholesky factorisation of the coefficients that take part.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 import scipy.linalg
@@ -20,7 +20,6 @@ from imubayes.criticism.evidence.linear_problem import UNEXPECTED, ChannelRows, 
 from imubayes.criticism.evidence.noise_structures import (
     HeavyTails,
     NoiseOfUnit,
-    NoiseStructure,
     NoiseUnit,
     log_prior_of_sisters,
     noise_units,
@@ -118,7 +117,7 @@ class EvidenceOf:
         self.unit_of = {k: place for place, unit in enumerate(self.units) for k in unit.channels}
         self._place = [_places_of(rows, problem.own + len(problem.coefficients)) for rows in problem.rows]
         self.rows = [WhitenedRows(rows) for rows in problem.rows]
-        self._of_sisters: dict[tuple[NoiseOfUnit, ...], float] = {}
+        self._of_sisters = cache(partial(log_prior_of_sisters, problem, self.units))
         self.known: dict[Hypothesis, Evaluated] = {}
 
     @cached_property
@@ -135,10 +134,7 @@ class EvidenceOf:
         """Return the logarithm of the prior probability."""
         found = sum(self.variants[each].log_odds for each in hypothesis.variants)
         found += sum(each.log_prior for each in hypothesis.noise)
-        if hypothesis.noise not in self._of_sisters:
-            told = log_prior_of_sisters(self.problem, self.units, hypothesis.noise)
-            self._of_sisters[hypothesis.noise] = told
-        found += self._of_sisters[hypothesis.noise]
+        found += self._of_sisters(hypothesis.noise)
         form = hypothesis.form
         return found + (form.log_prior if form is not None else math.log(1 - UNEXPECTED))
 
@@ -181,11 +177,8 @@ class EvidenceOf:
     def solved(self, at: Evaluated, scale: np.ndarray | None = None) -> Solved:
         """Return the posterior of a hypothesis, at other noise scales (K,) if given: larger ones hide effects."""
         scale = at.scale if scale is None else scale
-        whole, right = np.diag(at.precision).astype(float), at.pull.copy()
-        for k in self.unit_of:
-            found = self.products(at.hypothesis, at.columns, k, at.weight.get(k))
-            whole[np.ix_(found.where, found.where)] += found.own / scale[k] ** 2
-            right[found.where] += found.right / scale[k] ** 2
+        products = {k: self.products(at.hypothesis, at.columns, k, at.weight.get(k)) for k in self.unit_of}
+        whole, right = _system(at.precision, at.pull, products, scale)
         covariance = inverse(whole)
         return Solved(at, scale, covariance @ right, covariance)
 
@@ -201,6 +194,11 @@ class EvidenceOf:
         """Return which columns a channel responds to, (n,) bool, and their places in its Gram matrix."""
         place = self._place[channel][columns]
         return place >= 0, place[place >= 0]
+
+    def among(self, found: Evaluated, places: Sequence[int]) -> list[int]:
+        """Return where coefficients stand among the columns of a hypothesis."""
+        at = {int(column) - self.problem.own: n for n, column in enumerate(found.columns)}
+        return [at[k] for k in places]
 
     def taking_part(self, channel: int, columns: np.ndarray, form: ChosenForm | None) -> np.ndarray:
         """Return the places of what a channel responds to among the columns of a hypothesis, its form after them."""
@@ -249,16 +247,15 @@ class _Evaluation:
         form = hypothesis.form
         self.form_columns = form.width if form is not None else 0
         self.scale = np.ones(len(problem.rows)) if start is None else start.scale.copy()
-        self.degrees = {k: each.degrees for k in self.channels if isinstance(each := self._rows_noise(k), HeavyTails)}
+        self.degrees = {
+            k: each.degrees for k in self.channels if isinstance(each := of.noise(hypothesis, k).rows, HeavyTails)
+        }
         self.weight: dict[int, np.ndarray] = {}
         for k, degrees in self.degrees.items():
             known = start.weight.get(k) if start is not None else None
             self.weight[k] = self._first_weights(k, degrees) if known is None else known
-        before = _widths_before(start)
+        before = {} if start is None else dict(zip(start.hypothesis.variants, start.widths, strict=True))
         self.widths = [before.get(each, _middle(of.variants[each].widths)) for each in hypothesis.variants]
-
-    def _rows_noise(self, channel: int) -> NoiseStructure:
-        return self.of.noise(self.hypothesis, channel).rows
 
     def _first_weights(self, channel: int, degrees: float) -> np.ndarray:
         """Return the weights at the fit where its model has heavy tails; else 1, since outliers have moved the fit."""
@@ -297,15 +294,8 @@ class _Evaluation:
         precision = np.concatenate([problem.precision, width**-2.0, np.full(self.form_columns, amplitude**-2.0)])
         return precision, np.concatenate([problem.pull, np.zeros(len(precision) - problem.own)])
 
-    def _system(self, precision: np.ndarray, pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        whole, right = np.diag(precision), pull.copy()
-        for k, each in self.products.items():
-            whole[np.ix_(each.where, each.where)] += each.own / self.scale[k] ** 2
-            right[each.where] += each.right / self.scale[k] ** 2
-        return whole, right
-
     def _solve(self, precision: np.ndarray, pull: np.ndarray) -> None:
-        self.whole, self.right = self._system(precision, pull)
+        self.whole, self.right = _system(precision, pull, self.products, self.scale)
         self.covariance = inverse(self.whole)
         self.mean = self.covariance @ self.right
 
@@ -377,6 +367,17 @@ class _Evaluation:
         return widths, gain, float(found)
 
 
+def _system(
+    precision: np.ndarray, pull: np.ndarray, products: Mapping[int, Products], scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normal equations of the coefficients of a hypothesis at noise scales, (n, n) and (n,)."""
+    whole, right = np.diag(precision).astype(float), pull.copy()
+    for k, each in products.items():
+        whole[np.ix_(each.where, each.where)] += each.own / scale[k] ** 2
+        right[each.where] += each.right / scale[k] ** 2
+    return whole, right
+
+
 def inverse(whole: np.ndarray) -> np.ndarray:
     """Return the inverse of a positive definite matrix, (n, n), at unit diagonal."""
     unit = 1 / np.sqrt(np.diag(whole))
@@ -392,10 +393,6 @@ def _places_of(rows: ChannelRows, count: int) -> np.ndarray:
 
 def _middle(widths: Sequence[float]) -> float:
     return min(widths, key=lambda each: abs(math.log(each)))
-
-
-def _widths_before(start: Evaluated | None) -> dict[int, float]:
-    return {} if start is None else dict(zip(start.hypothesis.variants, start.widths, strict=True))
 
 
 def scale_mode(rest: float, freedom: float, sd: float) -> tuple[float, float]:

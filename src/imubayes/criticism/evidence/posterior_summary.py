@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from imubayes.criticism.evidence.hypothesis import Evaluated, Hypothesis
+from imubayes.criticism.evidence.linear_problem import LinearProblem
 from imubayes.criticism.evidence.model_search import ModelSearch
 from imubayes.criticism.verdict import (
     NEAR,
@@ -182,17 +183,9 @@ class ExplanationPosterior:
 
     def coefficients(self, variant: int, found: Evaluated) -> tuple[CoefficientEstimate, ...]:
         """Return the coefficients of a variant in a hypothesis, with their posterior standard deviations."""
-        problem, covariance = self.of.problem, self.of.solved(found).covariance
-        at = {int(column) - problem.own: n for n, column in enumerate(found.columns)}
-        return tuple(
-            CoefficientEstimate(
-                name=problem.coefficients[k].parameter.name,
-                value=float(found.mean[at[k]] * problem.sizes[k]),
-                sd=float(np.sqrt(covariance[at[k], at[k]]) * problem.sizes[k]),
-                unit=problem.coefficients[k].parameter.shown_unit,
-            )
-            for k in self.of.variants[variant].places
-        )
+        places = self.of.variants[variant].places
+        at, variance = self.of.among(found, places), np.diag(self.of.solved(found).covariance)
+        return estimates(self.of.problem, places, found.mean[at], variance[at])
 
     def response_to(self, member: SlotMember, responses: Responses) -> tuple[np.ndarray, np.ndarray]:
         """Return the responses (E, k) of other rows or at another point to a member's coefficients, and these (k,)."""
@@ -249,6 +242,21 @@ class ExplanationPosterior:
                 scale = float(np.exp(np.mean(np.log(self.top.scale[list(unit.channels)]))))
                 channels = tuple(names[k] for k in unit.channels)
                 yield FoundNoise(channels=channels, family=noise.family, scale=scale)
+
+
+def estimates(
+    problem: LinearProblem, places: Sequence[int], mean: np.ndarray, variance: np.ndarray
+) -> tuple[CoefficientEstimate, ...]:
+    """Return coefficients in their units, from means and variances in their largest typical sizes, (k,)."""
+    return tuple(
+        CoefficientEstimate(
+            name=problem.coefficients[k].parameter.name,
+            value=float(value * problem.sizes[k]),
+            sd=float(np.sqrt(square) * problem.sizes[k]),
+            unit=problem.coefficients[k].parameter.shown_unit,
+        )
+        for k, value, square in zip(places, mean, variance, strict=True)
+    )
 
 
 def kind_of(hypothesis: Hypothesis) -> Explanation:

@@ -83,11 +83,8 @@ def log_likelihood(
     """Return the logarithm of prior and likelihood of residuals under a noise, its scale at the mode; a screen."""
     found = noise.log_prior
     for k in channels:
-        white, count, sd = (
-            of.rows[k].residual_with(noise, residual[k]),
-            len(residual[k]),
-            noise.scale_sd(of.problem.rows[k]),
-        )
+        white, count = of.rows[k].structured(noise, residual[k]), len(residual[k])
+        sd = noise.scale_sd(of.problem.rows[k])
         if isinstance(noise.rows, HeavyTails):
             found += white.log_det + _under_tails(of.rows[k].rows, white, noise.scatter, noise.rows.degrees, sd)
             continue

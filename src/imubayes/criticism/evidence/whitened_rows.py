@@ -86,11 +86,11 @@ class WhitenedRows:
         found = self._remembered(("in time", noise.size), lambda: self._in_time(noise))
         return found.columns, found.offset
 
-    def residual_with(self, noise: NoiseOfUnit, residual: np.ndarray) -> WhitenedColumns:
-        """Return a residual, (n,), as the only column, whitened but for offsets of runs; tails leave it as it is."""
-        both, in_time = self.in_time(noise, np.column_stack([residual, self.rows.root]))
+    def structured(self, noise: NoiseOfUnit, columns: np.ndarray) -> WhitenedColumns:
+        """Return columns (n, C), or a residual (n,), whitened but for offsets of runs; tails leave them as they are."""
+        both, in_time = self.in_time(noise, np.column_stack([columns, self.rows.root]))
         both, log_det = noise.rows.whiten(self.rows, both)
-        return WhitenedColumns(both[:, :1], both[:, 1], log_det + in_time)
+        return WhitenedColumns(both[:, :-1], both[:, -1], log_det + in_time)
 
     def _in_time(self, noise: NoiseOfUnit) -> WhitenedColumns:
         both, log_det = self.in_time(noise, np.column_stack([self.rows.columns, self.rows.root]))
@@ -102,15 +102,10 @@ class WhitenedRows:
             return WhitenedColumns(columns * root[:, None], offset * root, self._log_det_in_time(noise))
         if noise.rows.is_white and not self.rows.correlations:
             return WhitenedColumns(self.rows.columns, self.rows.root, 0.0)
-        return self._remembered((noise.rows, noise.size), lambda: self._structured(noise))
+        return self._remembered((noise.rows, noise.size), lambda: self.structured(noise, self.rows.columns))
 
     def _log_det_in_time(self, noise: NoiseOfUnit) -> float:
         return self.rows.correlations[noise.size].log_det if self.rows.correlations else 0.0
-
-    def _structured(self, noise: NoiseOfUnit) -> WhitenedColumns:
-        both, in_time = self.in_time(noise, np.column_stack([self.rows.columns, self.rows.root]))
-        both, log_det = noise.rows.whiten(self.rows, both)
-        return WhitenedColumns(both[:, :-1], both[:, -1], log_det + in_time)
 
     def _remembered(self, key: object, make: Callable[[], WhitenedColumns]) -> WhitenedColumns:
         found = self._kept.pop(key) if key in self._kept else make()
