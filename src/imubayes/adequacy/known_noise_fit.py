@@ -25,12 +25,11 @@ from imubayes.foundations.campaign_data import INPUT_UNIT
 from imubayes.foundations.earth import group_means
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Linearised, linearise
+from imubayes.inference.laplace_marginal import Linearised, linearise, whitened_about, whitened_columns
 from imubayes.inference.posterior_mode import fit_at
 from imubayes.model.bind import Model
-from imubayes.model.likelihood import pseudo_values
-from imubayes.model.noise_covariance import noise_deviation, whiten, whitener
-from imubayes.model.problem import Problem, prior_widths
+from imubayes.model.noise_covariance import noise_deviation, whitener
+from imubayes.model.problem import Problem
 
 _RETAINED_MIN = 1e-12
 """A direction of a candidate whose projection retains less than this share of its squared length is rounding, and
@@ -65,7 +64,7 @@ class KnownNoisePoint:
 
     def with_columns(self, columns: np.ndarray) -> "KnownNoisePoint":
         """Return the same with further responses (E, C) fitted, without a prior."""
-        white = np.asarray(_whitened(self.model.problem, self.h, columns))
+        white = whitened_columns(self.model.problem, self.h, columns)
         fresh = np.concatenate([white, np.zeros((len(self.left) - len(white), columns.shape[1]))])
         absorbed = self.basis.T @ fresh
         across = fresh - self.basis @ absorbed
@@ -98,21 +97,9 @@ class KnownNoisePoint:
         return tuple(found)
 
 
-@kept
-def _whitened(problem: Problem, h, columns):
-    return whiten(problem, whitener(problem, h), columns)
-
-
 def whitened_rows(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return columns (E, C) whitened by the noise at scales h."""
-    return in_batches(lambda some: np.asarray(_whitened(problem, h, jnp.asarray(some.T))).T, columns.T, _AT_ONCE).T
-
-
-@kept
-def _parts(problem: Problem, h, about: Linearised):
-    by = whitener(problem, h)
-    residual = whiten(problem, by, pseudo_values(problem, h, about.misfit))
-    return residual, whiten(problem, by, about.jacobian), prior_widths(problem, h)
+    return in_batches(lambda some: whitened_columns(problem, h, some.T).T, columns.T, _AT_ONCE).T
 
 
 @kept
@@ -122,7 +109,7 @@ def _noise(problem: Problem, h):
 
 def known_noise_point(model: Model, about: Linearised, h: np.ndarray) -> KnownNoisePoint:
     """Return a linearised model fitted at noise scales h, in z, shape (H,)."""
-    residual, jacobian, widths = (np.asarray(part) for part in _parts(model.problem, jnp.asarray(h), about))
+    residual, jacobian, widths = whitened_about(model.problem, about, h)
     rows = np.concatenate([jacobian, np.diag(1 / widths)])
     right = np.concatenate([residual, -np.asarray(about.z) / widths])
     basis, upper = np.linalg.qr(rows)

@@ -14,8 +14,9 @@ import numpy as np
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.laplace_marginal import whitened_columns
 from imubayes.model.likelihood import pseudo_values
-from imubayes.model.noise_covariance import whiten, whitener
+from imubayes.model.noise_covariance import whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
 from imubayes.noise.components import SharedNoise
 
@@ -115,7 +116,7 @@ class RowTransform:
 
     def whiten(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (E, C), in output units, as entries whitened by the noise of the model."""
-        return np.asarray(_whiten(self.problem, self.h, columns))
+        return whitened_columns(self.problem, self.h, columns)
 
     def reflect(self, white: np.ndarray) -> np.ndarray:
         """Reflect each group so that its common direction becomes its first row; the reflection is its own inverse."""
@@ -128,11 +129,6 @@ class RowTransform:
                 own = white[members]
                 result[members] = own - np.outer(2 * direction, direction @ own)
         return result
-
-
-@kept
-def _whiten(problem: Problem, h, columns):
-    return whiten(problem, whitener(problem, h), columns)
 
 
 _pseudo_values = kept(pseudo_values)
@@ -218,7 +214,7 @@ def _reflectors(fitted: Fit, members: np.ndarray, offsets: bool) -> tuple[np.nda
     """Return which groups have an offset that is noise, (G,) bool, and their Householder vectors, (G, M)."""
     problem, count = fitted.model.problem, len(fitted.model.entries)
     # The whitened offset of a run is its direction in the group's rows.
-    offset = np.asarray(_whiten(problem, fitted.h, np.ones((count, 1))))
+    offset = whitened_columns(problem, fitted.h, np.ones((count, 1)))
     offset = np.concatenate([offset[:, 0], [0.0]])[members]
     length = np.linalg.norm(offset, axis=1)
     several = np.sum(members < count, axis=1) > 1

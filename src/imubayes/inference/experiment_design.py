@@ -47,6 +47,7 @@ from imubayes.model.bind import Model, bind
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived, evaluate_directions
 from imubayes.model.nodes_and_entries import KINDS
 from imubayes.model.problem import Problem, prior_widths
+from imubayes.parameters.declarations import prior_slopes
 
 # An angle closer to 0° or 180° than this many standard deviations of its components is near it: at four the standard
 # deviation by its gradient is that of the angle to 3 %.
@@ -327,18 +328,13 @@ def _gradients(fit: Fit, quantities: Sequence[str]) -> Iterator[tuple[str, np.nd
     layout, problem = fit.model.layout, fit.model.problem
     names = [name.name for name in fit.derived.names]
     of_derived = derived_jacobian(fit.derived.derivation, problem, fit.z)
-    slopes = np.asarray(_slopes(problem, jnp.asarray(fit.z))) / layout.factors()
+    slopes = np.asarray(prior_slopes(problem.priors, jnp.asarray(fit.z))) / layout.factors()
     for quantity in quantities:
         if quantity in names:
             yield quantity, of_derived[[names.index(quantity)]]
         else:
             place = layout.index(quantity)
             yield quantity, np.eye(len(layout))[[place]] * slopes[place]
-
-
-@kept
-def _slopes(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " P"]:
-    return problem.priors.slopes(z)
 
 
 _QUANTITIES = ("mounting_angle[", "scale_factor[")

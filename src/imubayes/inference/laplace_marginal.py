@@ -88,6 +88,29 @@ def whitened_jacobian(problem: Problem, about: Linearised, h: Float[Array, " H"]
     return whiten(problem, whitener(problem, h), about.jacobian)
 
 
+def whitened_columns(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return columns (E, …), in output units, whitened by the noise at scales h."""
+    return np.asarray(_whitened_columns(problem, jnp.asarray(h), jnp.asarray(columns)))
+
+
+@kept
+def _whitened_columns(problem: Problem, h, columns):
+    return whiten(problem, whitener(problem, h), columns)
+
+
+def whitened_about(problem: Problem, about: Linearised, h: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,) at noise scales h."""
+    residual, jacobian, widths = map(np.asarray, _whitened_about(problem, about, jnp.asarray(h)))
+    return residual, jacobian, widths
+
+
+@kept
+def _whitened_about(problem: Problem, about: Linearised, h):
+    by = whitener(problem, h)
+    residual = whiten(problem, by, pseudo_values(problem, h, about.misfit))
+    return residual, whiten(problem, by, about.jacobian), prior_widths(problem, h)
+
+
 def deviations(gradients: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """Return the standard deviations, (n,), of quantities with gradients (n, P) under a precision (P, P)."""
     return np.sqrt(np.sum(gradients * np.linalg.solve(precision, gradients.T).T, axis=1))

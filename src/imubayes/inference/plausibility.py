@@ -21,8 +21,6 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import INPUT_UNIT, Channel
 from imubayes.foundations.earth import group_means
 from imubayes.foundations.records import finite
@@ -30,7 +28,7 @@ from imubayes.foundations.units import to_si
 from imubayes.inference.identifiability import ImplausibleEstimate, PriorConflict, UnexplainedOutput
 from imubayes.model.bind import Model
 from imubayes.model.bound_effects import BoundEffect
-from imubayes.parameters.declarations import Parameter, Priors
+from imubayes.parameters.declarations import Parameter, prior_values
 from imubayes.parameters.priors import HalfNormal, Normal, rounded_width
 
 # Distance from the middle of a prior, in its standard deviations, from which the estimate is of something else.
@@ -56,7 +54,7 @@ def implausible_estimates(model: Model, z: np.ndarray, h: np.ndarray) -> tuple[I
     z, h : shapes (P,) and (H,), posterior mode.
     """
     names, problem = (*model.layout.names, *model.hyper_layout.names), model.problem
-    values = np.concatenate([_in_si(problem.priors, z), _in_si(problem.hyper_priors, h)])
+    values = np.concatenate([prior_values(problem.priors, z), prior_values(problem.hyper_priors, h)])
     at = dict(zip(names, zip([*z.tolist(), *h.tolist()], values.tolist(), strict=True), strict=True))
     judged = [
         _judged(effect, parameter, *at[parameter.name], model.campaign.site.gravity)
@@ -64,11 +62,6 @@ def implausible_estimates(model: Model, z: np.ndarray, h: np.ndarray) -> tuple[I
         for parameter in (*effect.parameters, *effect.hyperparameters)
     ]
     return tuple(sorted((each for each in judged if each is not None), key=lambda each: -each.distance))
-
-
-@kept
-def _in_si(priors: Priors, z: Float[Array, " n"]) -> Float[Array, " n"]:
-    return priors.values(z)
 
 
 def _judged(

@@ -12,21 +12,19 @@ import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.compiled.kept_programs import kept
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.verdict import Verdict
-from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, input_error
 from imubayes.foundations.progress import counted
 from imubayes.foundations.records import Presented
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.laplace_marginal import whitened_columns
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.run_fit import judged_fit
 from imubayes.loop.warm_start import extended, whitened
 from imubayes.model.bind import Model, bind
-from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict
 from imubayes.parameters.declarations import Declared
 from imubayes.responses.candidate_effects import searchable
@@ -216,20 +214,14 @@ class _Clear:
 
     @staticmethod
     def of(fitted: Fit) -> "_Clear":
-        parts = whitened(fitted.model.problem, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
-        _, jacobian, widths = (np.asarray(part) for part in parts)
+        _, jacobian, widths = whitened(fitted.model.problem, fitted.z, fitted.h)
         return _Clear(fitted.model.problem, fitted.h, np.linalg.qr(np.concatenate([jacobian, np.diag(1 / widths)]))[0])
 
     def chi2(self, change: np.ndarray) -> float:
         """Return what chi² would fall by if this change of the entries, (E,), were modelled."""
-        column = np.asarray(_white(self.problem, jnp.asarray(change), jnp.asarray(self.h)))
+        column = whitened_columns(self.problem, self.h, change)
         taken = self.basis[: len(column)].T @ column
         return float(column @ column - taken @ taken)
-
-
-@kept
-def _white(problem: Problem, change: Float[Array, " E"], h: Float[Array, " H"]) -> Float[Array, " E"]:
-    return whiten(problem, whitener(problem, h), change)
 
 
 def _trial(fitted: Fit, clear: _Clear, name: str, size: Size, seed: int, screen: Screen, asked: bool) -> Trial | str:

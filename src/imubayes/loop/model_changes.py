@@ -54,8 +54,7 @@ def start_at_estimates(change: ChangedModel, estimates: Mapping[str, float]) -> 
 
 def _others_fitted(change: ChangedModel, start: np.ndarray) -> np.ndarray:
     """Return a start, shape (P,), after a Gauss–Newton step of the parameters that the model had before."""
-    parts = whitened(change.model.problem, jnp.asarray(start), jnp.asarray(change.h))
-    residual, jacobian, widths = (np.asarray(part) for part in parts)
+    residual, jacobian, widths = whitened(change.model.problem, start, change.h)
     old = ~change.new
     columns, precision = jacobian[:, old], np.diag(widths[old] ** -2)
     moved = start.copy()

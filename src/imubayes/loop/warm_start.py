@@ -14,21 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from imubayes.compiled.kept_programs import kept
 from imubayes.criticism.verdict import CoefficientEstimate, EffectChoice
 from imubayes.effects.base import MotionEffect
-from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import finite
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Linearised, linearise
+from imubayes.inference.laplace_marginal import linearise, whitened_about
 from imubayes.model.bind import Model, bind, dry_run
 from imubayes.model.effect_registry import EffectClass, Registry
-from imubayes.model.likelihood import pseudo_values
 from imubayes.model.model_file import EffectSpec, ModelSpec
-from imubayes.model.noise_covariance import whiten, whitener
-from imubayes.model.problem import Problem, prior_widths
+from imubayes.model.problem import Problem
 from imubayes.parameters.declarations import Declared, Layout, Parameter
 from imubayes.parameters.priors import HalfNormal, Normal, Prior, rounded_width
 from imubayes.responses.candidate_effects import fitting_channels
@@ -214,8 +210,7 @@ def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
     acts = [each for each in _chosen(model, new) if _null(model, each) is None and not _declared(model, each).shape]
     if not acts or model.hyper_layout.names != before.model.hyper_layout.names:
         return None
-    parts = whitened(before.model.problem, jnp.asarray(before.z), jnp.asarray(before.h))
-    residual, _, widths = (np.asarray(part) for part in parts)
+    residual, _, widths = whitened(before.model.problem, before.z, before.h)
     return float(residual @ residual + np.sum((before.z / widths) ** 2))
 
 
@@ -285,25 +280,15 @@ def _chosen(model: Model, new: np.ndarray) -> list[Parameter]:
     return [parameter for parameter, is_new in pairs if is_new]
 
 
-def whitened(
-    problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]
-) -> tuple[Float[Array, " E"], Float[Array, "E P"], Float[Array, " P"]]:
+def whitened(problem: Problem, z: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,)."""
-    return _whitened(problem, linearise(problem, z), h)
-
-
-@kept
-def _whitened(problem: Problem, about: Linearised, h: Float[Array, " H"]):
-    by = whitener(problem, h)
-    residual = whiten(problem, by, pseudo_values(problem, h, about.misfit))
-    return residual, whiten(problem, by, about.jacobian), prior_widths(problem, h)
+    return whitened_about(problem, linearise(problem, jnp.asarray(z)), h)
 
 
 def _first_step(
     model: Model, null: np.ndarray, h: np.ndarray, new: np.ndarray, hints: Mapping[str, float], without: float | None
 ) -> ChangedModel:
-    parts = whitened(model.problem, jnp.asarray(null), jnp.asarray(h))
-    residual, jacobian, widths = (np.asarray(part) for part in parts)
+    residual, jacobian, widths = whitened(model.problem, null, h)
     entries, count = jacobian.shape[0], int(new.sum())
     old = np.concatenate([jacobian[:, ~new], np.diag(1 / widths[~new])])
     right = np.concatenate([residual, -null[~new] / widths[~new]])
@@ -397,8 +382,7 @@ def _second_step(
     """
 
     def at(point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        parts = whitened(model.problem, jnp.asarray(point), jnp.asarray(h))
-        residual, jacobian, widths = (np.asarray(part) for part in parts)
+        residual, jacobian, widths = whitened(model.problem, point, h)
         square = float(residual @ residual + np.sum((point / widths) ** 2) - np.sum((point[new] / widths[new]) ** 2))
         return square, residual, jacobian, widths
 

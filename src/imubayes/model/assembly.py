@@ -8,11 +8,10 @@ import numpy as np
 from imubayes.effects.base import AmbientEffect, Effect, MotionEffect, RecordEffect, Stage
 from imubayes.foundations.arrays import Array
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.earth import earth_rate
-from imubayes.foundations.signal_path_state import Ambient, Motion, Nodes
+from imubayes.foundations.signal_path_state import Ambient, Nodes
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
-from imubayes.model.nodes_and_entries import KINDS, NodeTable, outer_axes, records_of
+from imubayes.model.nodes_and_entries import KINDS, NodeTable, motion_at, outer_axes, records_of
 from imubayes.model.signal_path import (
     AddOffset,
     Broadcast,
@@ -157,20 +156,11 @@ def _channels(campaign: Campaign, kind: str) -> Channels:
 def nodes_of(campaign: Campaign, nodes: NodeTable) -> Nodes:
     """Return the nodes of a campaign as arrays."""
     stimulus, first = nodes.stimulus, nodes.stand_node
-    count, still = len(first), np.zeros(len(first))
-    referenced = np.any(stimulus.reference_rate[first] != 0, axis=1)
-    stands = Motion(
-        base=stimulus.base[first],
-        mounting=stimulus.mounting[first],
-        table_angle=still,
-        table_rate=still,
-        table_acceleration=still,
-        reference_rate=np.zeros((count, 3)),
-        reference_acceleration=np.zeros((count, 3)),
-        gravity=np.tile([0.0, 0.0, campaign.site.gravity], (count, 1)),
-        earth_rate=np.where(referenced[:, None], 0.0, earth_rate(campaign.site.latitude)),
-        outer=outer_axes(stimulus, first),
-    )
+    still, at_rest = np.zeros(len(first)), np.zeros((len(first), 3))
+    stands = replace(
+        motion_at(campaign, nodes, first), table_angle=still, table_rate=still, table_acceleration=still,
+        reference_rate=at_rest, reference_acceleration=at_rest,
+    )  # fmt: skip
     return Nodes(
         stands=stands,
         stand_ambient=Ambient(**{name: values[first] for name, values in stimulus.ambient.items()}),

@@ -10,6 +10,7 @@ a run without times follow each other without a gap.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -17,7 +18,8 @@ import numpy as np
 from imubayes.foundations.arrays import Array, Int
 from imubayes.foundations.campaign_data import Campaign, Kind, Run
 from imubayes.foundations.covariates import ambient_names
-from imubayes.foundations.signal_path_state import Ambient, OuterAxes, Records
+from imubayes.foundations.earth import earth_rate
+from imubayes.foundations.signal_path_state import Ambient, Motion, OuterAxes, Records
 from imubayes.noise.components import RowSpan
 from imubayes.procedures import PROCEDURES
 from imubayes.procedures.kinematics import OuterMotion, Stimulus, turning_rate
@@ -102,6 +104,13 @@ def join_nodes(campaign: Campaign) -> NodeTable:
     )
 
 
+# Columns of a stimulus that every procedure gives.
+_OF_NODES = (
+    "row", "weight", "base", "mounting", "pose", "table_angle", "table_rate", "table_acceleration", "reference_rate",
+    "reference_acceleration",
+)  # fmt: skip
+
+
 def _join(parts: Sequence[Stimulus], order: np.ndarray) -> Stimulus:
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(part, name) for part in parts])[order]
@@ -110,21 +119,8 @@ def _join(parts: Sequence[Stimulus], order: np.ndarray) -> Stimulus:
         name: np.concatenate([part.ambient.get(name, np.zeros(len(part.row))) for part in parts])[order]
         for name in ambient_names()
     }
-    return Stimulus(
-        row=joined("row"),
-        weight=joined("weight"),
-        base=joined("base"),
-        mounting=joined("mounting"),
-        table_angle=joined("table_angle"),
-        table_rate=joined("table_rate"),
-        table_acceleration=joined("table_acceleration"),
-        reference_rate=joined("reference_rate"),
-        reference_acceleration=joined("reference_acceleration"),
-        ambient=ambient,
-        injected=False,
-        pose=joined("pose"),
-        outer=_join_outer(parts, order),
-    )
+    columns: dict[str, Any] = {name: joined(name) for name in _OF_NODES}
+    return Stimulus(**columns, ambient=ambient, injected=False, outer=_join_outer(parts, order))
 
 
 def _join_outer(parts: Sequence[Stimulus], order: np.ndarray) -> OuterMotion | None:
@@ -143,6 +139,24 @@ def outer_axes(stimulus: Stimulus, chosen: np.ndarray) -> OuterAxes | None:
         return None
     return OuterAxes(
         outer.links[chosen], outer.arms[chosen], outer.angle[chosen], outer.rate[chosen], outer.acceleration[chosen]
+    )
+
+
+def motion_at(campaign: Campaign, nodes: NodeTable, chosen: np.ndarray) -> Motion:
+    """Return the motion at chosen nodes; a reference gyro there has the rotation of the Earth in its rate."""
+    stimulus = nodes.stimulus
+    referenced = np.any(stimulus.reference_rate[nodes.stand_node[nodes.stand[chosen]]] != 0, axis=1)
+    return Motion(
+        base=stimulus.base[chosen],
+        mounting=stimulus.mounting[chosen],
+        table_angle=stimulus.table_angle[chosen],
+        table_rate=stimulus.table_rate[chosen],
+        table_acceleration=stimulus.table_acceleration[chosen],
+        reference_rate=stimulus.reference_rate[chosen],
+        reference_acceleration=stimulus.reference_acceleration[chosen],
+        gravity=np.tile([0.0, 0.0, campaign.site.gravity], (len(chosen), 1)),
+        earth_rate=np.where(referenced[:, None], 0.0, earth_rate(campaign.site.latitude)),
+        outer=outer_axes(stimulus, chosen),
     )
 
 

@@ -25,15 +25,14 @@ from imubayes.effects.base import Effect, MotionEffect, PlaceEffect, RecordEffec
 from imubayes.foundations.arrays import Array
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import ambient_names
-from imubayes.foundations.earth import earth_rate
 from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, Sample
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.nodes_and_entries import (
     Entries,
     NodeTable,
     has_row_times,
+    motion_at,
     nominal_rates,
-    outer_axes,
     reference_scales,
     servo_runs,
 )
@@ -161,7 +160,7 @@ def _block(campaign: Campaign, nodes: NodeTable, node: np.ndarray, channel: np.n
         equivalent=stimulus.ambient["current"][node] / per_current,
     )
     return NominalSamples(
-        place, _motion(campaign, nodes, node), Ambient(**{name: v[node] for name, v in stimulus.ambient.items()})
+        place, motion_at(campaign, nodes, node), Ambient(**{name: v[node] for name, v in stimulus.ambient.items()})
     )
 
 
@@ -185,23 +184,6 @@ def _instants(nodes: NodeTable, run: int) -> list[int]:
     extreme = [int(np.argmax(column)) for column in columns if np.ptp(column) > 0]
     even = np.linspace(0, len(own) - 1, min(len(own), _EVEN_INSTANTS)).astype(int).tolist()
     return [int(own[place]) for place in dict.fromkeys((*extreme, *even))]
-
-
-def _motion(campaign: Campaign, nodes: NodeTable, chosen: np.ndarray) -> Motion:
-    stimulus = nodes.stimulus
-    referenced = np.any(stimulus.reference_rate[nodes.stand_node[nodes.stand[chosen]]] != 0, axis=1)
-    return Motion(
-        base=stimulus.base[chosen],
-        mounting=stimulus.mounting[chosen],
-        table_angle=stimulus.table_angle[chosen],
-        table_rate=stimulus.table_rate[chosen],
-        table_acceleration=stimulus.table_acceleration[chosen],
-        reference_rate=stimulus.reference_rate[chosen],
-        reference_acceleration=stimulus.reference_acceleration[chosen],
-        gravity=np.tile([0.0, 0.0, campaign.site.gravity], (len(chosen), 1)),
-        earth_rate=np.where(referenced[:, None], 0.0, earth_rate(campaign.site.latitude)),
-        outer=outer_axes(stimulus, chosen),
-    )
 
 
 @dataclass(frozen=True)

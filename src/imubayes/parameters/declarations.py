@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, Int, take
 from imubayes.foundations.campaign_data import Grade, graded_prior
 from imubayes.foundations.units import with_output_unit
@@ -271,3 +272,15 @@ class Priors(eqx.Module):
     def slopes(self, z: Float[Array, " P"]) -> Float[Array, " P"]:
         """Return the derivative of each value by its own z."""
         return jax.jvp(self.values, (z,), (jnp.ones_like(z),))[1]
+
+
+@kept
+def prior_values(priors: Priors, z: Float[Array, " P"]) -> Float[Array, " P"]:
+    """Return SI values of a vector of z; compiled once for all who ask."""
+    return priors.values(z)
+
+
+@kept
+def prior_slopes(priors: Priors, z: Float[Array, " P"]) -> Float[Array, " P"]:
+    """Return the derivative of each value by its own z; compiled once for all who ask."""
+    return priors.slopes(z)

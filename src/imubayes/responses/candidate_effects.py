@@ -14,7 +14,7 @@ import numpy as np
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.effects.base import Effect, MotionEffect
-from imubayes.foundations.arrays import Array, Float, on_device
+from imubayes.foundations.arrays import on_device
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.assembly import assemble
@@ -30,7 +30,7 @@ from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_file import EffectSpec
 from imubayes.model.parameter_priors import stated_uncertainty
 from imubayes.model.problem import Problem, predict_from
-from imubayes.parameters.declarations import Parameter, declared_parameters
+from imubayes.parameters.declarations import Parameter, declared_parameters, prior_slopes, prior_values
 
 # Columns of the Jacobian at once: most places of a scan need the derivatives by a few shapes' coefficients alone.
 _SEEDS_AT_ONCE = 16
@@ -174,8 +174,8 @@ def _linearised_with(
 ) -> Responses:
     extended = _extend(fitted, acting, about)
     z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.own)])
-    slopes = np.asarray(_slopes(extended.problem, jnp.asarray(z)))
-    own = np.asarray(_values(extended.problem, jnp.asarray(z)))[: extended.own]
+    slopes = np.asarray(prior_slopes(extended.problem.priors, jnp.asarray(z)))
+    own = np.asarray(prior_values(extended.problem.priors, jnp.asarray(z)))[: extended.own]
     first = _linearised(extended, own, 0, range(len(extended.parameters)))
     candidates: list[Response] = []
     for place in range(max((1, *(len(extended.grid(effect)) for effect in acting)))):
@@ -353,16 +353,6 @@ def _push(problem: Problem, values, seeds):
     predicted, push = jax.linearize(lambda values: predict_from(problem, values), values)
     nulls = jnp.zeros_like(problem.nulls)
     return predicted, jax.vmap(lambda seed: push(jnp.concatenate([seed, nulls])))(seeds)
-
-
-@kept
-def _values(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " P"]:
-    return problem.priors.values(z)
-
-
-@kept
-def _slopes(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " P"]:
-    return problem.priors.slopes(z)
 
 
 def _linear(effect: BoundEffect) -> list[Parameter]:

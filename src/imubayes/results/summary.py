@@ -5,10 +5,9 @@ An estimate from posterior draws is mean, standard deviation and the 95 % equal-
 units are shown in the unit of their channel.  The record also holds what the fit comes from.
 """
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import field_validator
 
 from imubayes.adequacy.adequacy_record import DoubtedRun, KnownNoiseFit, NoiseComparison, NoiseViolation
 from imubayes.campaign.equipment import ANGLE, ANGLE_UNIT
@@ -258,18 +257,6 @@ class Summary(Record):
     def delta_k_threshold(self) -> float | None:
         """The threshold of Δk in percent; None where the fit has no Δk."""
         return next((each.within.threshold for each in self.derived if each.within is not None), None)
-
-    @field_validator("next_runs", mode="before")
-    @classmethod
-    def _designs(cls, runs: Any) -> Any:
-        """Leave out the next runs of earlier versions, which are sentences."""
-        return [run for run in runs if not (isinstance(run, dict) and isinstance(run.get("run"), str))]
-
-    @field_validator("weak_directions", mode="before")
-    @classmethod
-    def _weighted(cls, found: Any) -> Any:
-        """Leave out the weak directions of earlier versions that are known as text alone."""
-        return [each for each in found if not (isinstance(each, dict) and not each.get("quantities"))]
 
 
 def channel_units(summary: Summary) -> dict[str, tuple[str, str]]:

@@ -247,9 +247,8 @@ class _Evaluation:
         form = hypothesis.form
         self.form_columns = form.width if form is not None else 0
         self.scale = np.ones(len(problem.rows)) if start is None else start.scale.copy()
-        self.degrees = {
-            k: each.degrees for k in self.channels if isinstance(each := of.noise(hypothesis, k).rows, HeavyTails)
-        }
+        rows = {k: of.noise(hypothesis, k).rows for k in self.channels}
+        self.degrees = {k: each.degrees for k, each in rows.items() if isinstance(each, HeavyTails)}
         self.weight: dict[int, np.ndarray] = {}
         for k, degrees in self.degrees.items():
             known = start.weight.get(k) if start is not None else None
