@@ -172,8 +172,8 @@ def moments_of(packed: Array, misfit: Array, weight: Array, variance: Array) -> 
 
 def with_misfit(model: GroupedModel, z: Float[Array, " P"], misfit: Float[Array, "G M"]) -> GroupedModel:
     """Return the model about another point with the Jacobian as it is."""
-    known, scaled = model.moments, model.packed * (model.weight / model.relative)[..., None]
-    precision = model.weight / model.relative
+    known, precision = model.moments, model.weight / model.relative
+    scaled = model.packed * precision[..., None]
     moments = eqx.tree_at(
         lambda m: (m.pulled, m.mean, m.square),
         known,

@@ -22,7 +22,7 @@ from scipy import special
 
 from imubayes.batch.posterior_table import unpacked
 from imubayes.batch.unit_scores import CandidateKey
-from imubayes.criticism.evidence.effect_variants import EffectVariant, gain_of_coefficients
+from imubayes.criticism.evidence.effect_variants import SEEN, SHOWN, EffectVariant, gain_of_coefficients
 
 _RANK = 1e-8
 """Information, in units of what each coefficient had at first, below which it is rounding."""
@@ -162,9 +162,6 @@ def _candidates(rows: pl.DataFrame, place: Mapping[str, int]) -> dict[CandidateK
 Law = Literal["common", "own", "some"]
 LAWS: tuple[Law, ...] = ("common", "own", "some")
 """Equally likely."""
-_SHOWN, _SEEN = 3.0, 1.0
-"""Standard deviations at which an effect of its largest typical size, and one of a width, would stand: as in a single
-diagnosis, what the units would not show is no hypothesis."""
 _ABOUT_ZERO = 0.5
 """Prior probability that sizes of units' own have the mean zero."""
 
@@ -255,8 +252,8 @@ def _gains_of_means(gains: UnitGains, inside: np.ndarray) -> np.ndarray:
 
 
 def _log_seen(widths: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return the log prior of widths that units show, (G, Q); −∞ of the others."""
-    seen = (widths * size[:, None] >= _SEEN) & (size[:, None] >= _SHOWN)
+    """Return the log prior of widths that units show, (G, Q); −∞ of the others: no hypotheses, as in one diagnosis."""
+    seen = (widths * size[:, None] >= SEEN) & (size[:, None] >= SHOWN)
     return np.where(seen, -np.log(np.maximum(seen.sum(axis=1, keepdims=True), 1)), -np.inf)
 
 

@@ -92,30 +92,29 @@ def normal_law(estimate: np.ndarray, variance: np.ndarray) -> GridPosterior:
     estimate, variance : shape (n,), n ≥ 3, of the units, the prior of their model divided out.
     """
     scale = _scales(estimate, variance)
+    log_density, centre, precision = _at_scales(estimate, variance, scale)
+    constant = 0.5 * (1 - len(estimate)) * np.log(2 * np.pi)
+    log_weight = constant + log_density + np.log(np.gradient(scale) * _ends(len(scale)))
+    weight, log_evidence = _normalised(log_weight)
+    return GridPosterior(weight, centre, 1 / precision, scale, np.inf, log_evidence)
+
+
+def _at_scales(
+    estimate: np.ndarray, variance: np.ndarray, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the log density of each scale up to a constant, and centre and precision of the estimates there, (S,)."""
     total = variance + scale[:, None] ** 2
     precision = np.sum(1 / total, axis=1)
     centre = np.sum(estimate / total, axis=1) / precision
     misfit = np.sum((estimate - centre[:, None]) ** 2 / total, axis=1)
-    constant = 0.5 * (1 - len(estimate)) * np.log(2 * np.pi)
-    log_density = constant - 0.5 * (np.log(precision) + np.sum(np.log(total), axis=1) + misfit)
-    log_weight = log_density + np.log(np.gradient(scale) * _ends(len(scale)))
-    weight, log_evidence = _normalised(log_weight)
-    return GridPosterior(weight, centre, 1 / precision, scale, np.inf, log_evidence)
+    return -0.5 * (np.log(precision) + np.sum(np.log(total), axis=1) + misfit), centre, precision
 
 
 def _scales(estimate: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Return a grid of τ from 0 to where the posterior has vanished, linear at first and geometric in the tail."""
     unit = np.sqrt(np.median(variance)) / len(estimate) + np.std(estimate) + 1e-300
-
-    def density(scale: np.ndarray) -> np.ndarray:
-        total = variance + scale[:, None] ** 2
-        precision = np.sum(1 / total, axis=1)
-        centre = np.sum(estimate / total, axis=1) / precision
-        misfit = np.sum((estimate - centre[:, None]) ** 2 / total, axis=1)
-        return -0.5 * (np.log(precision) + np.sum(np.log(total), axis=1) + misfit)
-
     coarse = unit * np.sinh(np.linspace(0.0, np.arcsinh(1e7), 1200)) * 1e-3
-    seen = density(coarse)
+    seen = _at_scales(estimate, variance, coarse)[0]
     kept = np.flatnonzero(seen > seen.max() - _DEPTH)
     low, high = coarse[max(kept[0] - 1, 0)], coarse[min(kept[-1] + 1, len(coarse) - 1)]
     # Equal steps of asinh(τ/c) about the mode: dense where the mass is, however long the tail.

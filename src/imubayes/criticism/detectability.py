@@ -134,10 +134,8 @@ class AbsorbedResponses:
         count = len(problem.coefficients)
         own, across = np.diag(problem.precision).astype(float), np.zeros((problem.own, count))
         self.raw, self.white = np.zeros(count), np.zeros(count)
-        stated, apart = (
-            Hypothesis((), of.as_fitted),
-            Hypothesis((), tuple(replace(each, scatter=0.0) for each in of.as_fitted)),
-        )
+        stated = Hypothesis((), of.as_fitted)
+        apart = Hypothesis((), tuple(replace(each, scatter=0.0) for each in of.as_fitted))
         parameters, every = np.arange(problem.own), problem.own + np.arange(count)
         for k in of.unit_of:
             products = of.gram(stated, k).products

@@ -254,7 +254,7 @@ class _Judged:
 
     def _group(self, slot: MissingEffect, shown: ResidualEvidence) -> EffectGroup:
         leader = slot.members[0]
-        members = tuple(map(self._screened, slot.members))
+        members, about = tuple(map(self._screened, slot.members)), shown.covariate
         return EffectGroup(
             channels=members[0].channels,
             probability=slot.probability,
@@ -263,7 +263,7 @@ class _Judged:
             candidates=members,
             residual=self._rms(leader, shown.channel),
             within=shown.within,
-            covariate=_label(shown.covariate) if shown.covariate is not None else None,
+            covariate=CovariateLabel.model_validate(about, from_attributes=True) if about is not None else None,
             discriminating_run=discriminating_run(self.fit, self.posterior, slot) if slot is self._doubtful else None,
             beyond_typical=self._beyond_typical(leader, members[0].coefficients),
         )
@@ -373,7 +373,3 @@ def _hidden(seen: Detectability) -> UndetectableEffect:
 
 def _not_supplied(effect: str, needs: tuple[str, ...]) -> UndetectableEffect:
     return UndetectableEffect(effect=effect, reason="not_supplied", needs=needs)
-
-
-def _label(covariate: ResidualCovariate) -> CovariateLabel:
-    return CovariateLabel(name=covariate.name, unit=covariate.unit, phrase=covariate.phrase)

@@ -184,8 +184,8 @@ def diagnose(
     names : of the D parameters.
     weighed : the proposal of the chains with its importance weights, where they have one.
     """
-    ensembles, steps, walkers, dimensions = chain.shape
-    flat = chain.transpose(0, 2, 1, 3).reshape(ensembles * walkers, steps, dimensions)
+    _, steps, _, dimensions = chain.shape
+    flat = _by_walker(chain)
     judged, labels = chain, [*names]
     if np.ptp(log_density) > 0:  # it is not where the density is uniform
         judged, labels = np.concatenate([chain, log_density[..., None]], axis=-1), [*names, LOG_DENSITY]
@@ -247,10 +247,14 @@ def _strays(log_density: np.ndarray) -> list[str]:
     return [f"{strays} walkers began far below the log density of the others, where none came later"]
 
 
+def _by_walker(chain: np.ndarray) -> np.ndarray:
+    """Return chains (ensembles, steps, walkers, D) as one of each walker, (ensembles · walkers, steps, D)."""
+    return chain.transpose(0, 2, 1, 3).reshape(-1, chain.shape[1], chain.shape[3])
+
+
 def _effective_sizes(chain: np.ndarray) -> dict[str, np.ndarray]:
     """Return effective sizes (D,) of chains (ensembles, steps, walkers, D), by what they are effective for."""
-    ensembles, steps, walkers, dimensions = chain.shape
-    flat = chain.transpose(0, 2, 1, 3).reshape(ensembles * walkers, steps, dimensions)
+    flat = _by_walker(chain)
     ess = arviz_stats.sampling_diagnostics.ess
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
@@ -315,12 +319,11 @@ def nested_r_hat(chain: np.ndarray) -> np.ndarray:
 
     Source: Margossian, Hoffman, Sountsov, Riou-Durand, Vehtari, Gelman, "Nested R̂", Bayesian Analysis 2024.
     """
-    ensembles, steps, walkers, dimensions = chain.shape
-    flat = chain.transpose(0, 2, 1, 3).reshape(ensembles * walkers, steps, dimensions)
+    ensembles, _, walkers, _ = chain.shape
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         return np.asarray(
             arviz_stats.sampling_diagnostics.rhat_nested(
-                flat, superchain_ids=np.repeat(np.arange(ensembles), walkers), chain_axis=0, draw_axis=1
+                _by_walker(chain), superchain_ids=np.repeat(np.arange(ensembles), walkers), chain_axis=0, draw_axis=1
             )
         )

@@ -7,6 +7,6 @@ from imubayes.noise import components
 from imubayes.noise.components import EntryNoise, Noise, SeriesNoise, SharedNoise, SlowNoise, TailNoise
 from imubayes.parameters.declarations import named_in
 
-NOISES: tuple[type[Noise], ...] = (*named_in(components, Noise), *named_in(components, Noise))
+NOISES: tuple[type[Noise], ...] = tuple(named_in(components, Noise))
 
 __all__ = ["NOISES", "EntryNoise", "Noise", "SeriesNoise", "SharedNoise", "SlowNoise", "TailNoise"]

@@ -128,25 +128,17 @@ class NoiseLikelihood:
         left_out: Sequence[tuple[float, float]],
         removed: Sequence[np.ndarray] | None,
     ) -> None:
-        power, count, slope, coefficient, frequency, width = [], [], [], [], [], []
+        # Of each level frequency and width of its bins, then power, count, and what a ramp and the record have there.
+        levels: list[tuple[np.ndarray, ...]] = []
         if (fine := statistics.fine) is not None:
-            power.append(fine.power)
-            count.append(np.full(len(fine.power), float(fine.blocks)))
-            step = 1 / (2 * statistics.block * statistics.interval)
-            frequency.append(fine.order * step)
-            width.append(np.full(len(fine.power), step))
-            slope.append(np.zeros(len(fine.power)))
-            coefficient.append(np.zeros(len(fine.power)))
+            step, none = 1 / (2 * statistics.block * statistics.interval), np.zeros(len(fine.power))
+            count = np.full(len(none), float(fine.blocks))
+            levels.append((fine.order * step, np.full(len(none), step), fine.power, count, none, none))
         for level in statistics.coarse:
-            power.append(level.power)
-            count.append(level.count.astype(float))
             step = 1 / (2 * level.means * statistics.block * statistics.interval)
-            frequency.append((level.first + level.last) / 2 * step)
-            width.append(level.count * step)
-            slope.append(level.ramp)
-            coefficient.append(level.coefficient)
-        parts = (frequency, width, power, count, slope, coefficient)
-        at, wide, *of_bin = (np.concatenate(part) if part else np.zeros(0) for part in parts)
+            middle, count = (level.first + level.last) / 2 * step, level.count.astype(float)
+            levels.append((middle, level.count * step, level.power, count, level.ramp, level.coefficient))
+        at, wide, *of_bin = map(np.concatenate, zip(*levels, strict=True)) if levels else [np.zeros(0)] * 6
         taken = np.zeros(len(at))
         for low, high in left_out:
             taken += np.clip(np.minimum(high, at + wide / 2) - np.maximum(low, at - wide / 2), 0.0, None) / wide

@@ -198,15 +198,10 @@ class _Writer:
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the running sum)
         self._file.write(np.zeros(1).tobytes())
-        self._total, self._next, self._shift = 0.0, 0, np.nan
+        self._total, self.next, self._shift = 0.0, 0, np.nan
         self._unused = weakref.finalize(self, self._file.close)
         self._holes: list[tuple[int, int]] = []
         self._resolution = np.inf
-
-    @property
-    def next(self) -> int:
-        """Number of samples so far, the missing ones included."""
-        return self._next
 
     @property
     def any(self) -> bool:
@@ -225,7 +220,7 @@ class _Writer:
         """Add consecutive samples from a place of the grid on, shape (n,); NaN where missing."""
         self._skip(first)
         empty = ~np.isfinite(values)
-        if self._next < _RESOLUTION_ROWS or not np.isfinite(self._resolution):
+        if self.next < _RESOLUTION_ROWS or not np.isfinite(self._resolution):
             self._resolution = min(self._resolution, _resolution(values[~empty]))
         if not self.any and not empty.all():
             self._shift = float(np.median(values[~empty]))
@@ -237,17 +232,17 @@ class _Writer:
         sums[:1] += self._total
         np.cumsum(sums, out=sums)
         self._file.write(sums.tobytes())
-        self._total, self._next = float(sums[-1]) if len(sums) else self._total, first + len(values)
+        self._total, self.next = float(sums[-1]) if len(sums) else self._total, first + len(values)
 
     def _skip(self, first: int) -> None:
-        if first > self._next:
-            self._holes.append((self._next, first))
-            for count in _chunk_lengths(first - self._next):
+        if first > self.next:
+            self._holes.append((self.next, first))
+            for count in _chunk_lengths(first - self.next):
                 self._file.write(np.full(count, self._total).tobytes())
 
     def finish(self, interval: float, size: int | None = None) -> RunningSum:
         """Return the running sum over a grid of `size` samples."""
-        self._skip(self._next if size is None else size)
+        self._skip(self.next if size is None else size)
         self._file.flush()
         self._unused.detach()
         holes = None
@@ -256,7 +251,7 @@ class _Writer:
             joined = np.concatenate([[True], start[1:] > stop[:-1]])
             holes = Holes(start[joined], stop[np.concatenate([joined[1:], [True]])])
         resolution = self._resolution if np.isfinite(self._resolution) else 0.0
-        return RunningSum(self._file, size or self._next, interval, self._shift, holes, resolution)
+        return RunningSum(self._file, size or self.next, interval, self._shift, holes, resolution)
 
 
 def _resolution(values: np.ndarray) -> float:

@@ -10,7 +10,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import polars as pl
@@ -323,10 +323,15 @@ def added_variable(change: ChangedModel) -> pl.DataFrame:
 
 def first_node(model: Model, summary: Summary, seed: int) -> Node:
     """Return the node of a fit that was made from no other."""
-    data, made, converged = campaign_hash(model), model_hash(model), summary.converged
-    known = summary.known_noise if converged else None
+    return _node(model, summary, seed, "", taken=summary.converged, message=summary.message)
+
+
+def _node(model: Model, summary: Summary, seed: int, above: str, *, taken: bool, **more: Any) -> Node:
+    """Return the node of a fit; `above` is the id of its parent, `more` what else is known of it."""
+    data, made = campaign_hash(model), model_hash(model)
+    known = summary.known_noise if taken else None
     return Node(
-        id=node_id(data, made, seed, ""),
+        id=node_id(data, made, seed, above),
         model=model.spec.name,
         chi2=known.chi2 if known is not None else None,
         dof=known.dof if known is not None else None,
@@ -334,8 +339,8 @@ def first_node(model: Model, summary: Summary, seed: int) -> Node:
         data_hash=data,
         model_hash=made,
         seed=seed,
-        taken=converged,
-        message=summary.message,
+        taken=taken,
+        **more,
     )
 
 
@@ -351,25 +356,19 @@ def next_node(parent: Path | None, change: ModelChange, diagnosis: Diagnosis | N
     refitted = change.result
     if parent is None or refitted.folder is None:
         return first_node(refitted.fit.model, refitted.summary, seed)
-    model, above = refitted.fit.model, read_node(parent)
-    data, made, held_out = campaign_hash(model), model_hash(model), change.held_out
-    known = refitted.summary.known_noise if change.taken else None
-    return Node(
-        id=node_id(data, made, seed, above.id),
-        model=model.spec.name,
+    held_out = change.held_out
+    return _node(
+        refitted.fit.model,
+        refitted.summary,
+        seed,
+        read_node(parent).id,
         parent=os.path.relpath(parent.resolve(), refitted.folder.resolve()),
         added=change.added,
         removed=change.removed,
         verdict=diagnosis.verdict if diagnosis is not None else None,
-        chi2=known.chi2 if known is not None else None,
-        dof=known.dof if known is not None else None,
-        rms=known.channels if known is not None else (),
         offsets_moved=change.offsets_moved,
         delta_chi2=ChiSquareDrop(predicted=change.predicted.delta_chi2, observed=change.observed.delta_chi2),
         held_out=held_out.model_copy(update={"each": (), "rates": ()}) if held_out is not None else None,
-        data_hash=data,
-        model_hash=made,
-        seed=seed,
         taken=change.taken,
         message=change.message,
     )

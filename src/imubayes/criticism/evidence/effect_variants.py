@@ -24,7 +24,7 @@ _REACH, WIDTH_RATIO = 10.0, 4.0
 """Widths of the prior of coefficients: from a tenth of the smallest to ten times the largest typical size, in steps of
 a ratio.  Derived: a coarser ratio costs more than a nat of Occam's factor; and of two effects with equal responses the
 one whose size is within its range would win by its range alone."""
-SHOWN, _SEEN = 3.0, 1.0
+SHOWN, SEEN = 3.0, 1.0
 """Standard deviations at which an effect of its largest typical size would stand, to be looked for, and at which one of
 a width would, for that width to be told from nothing."""
 
@@ -88,7 +88,7 @@ def visible(variants: Sequence[EffectVariant], information: np.ndarray) -> tuple
     found = []
     for each in variants:
         size = float(np.sqrt(max(np.linalg.eigvalsh(information[np.ix_(each.places, each.places)])[-1], 0.0)))
-        widths = tuple(width for width in each.widths if width * size >= _SEEN)
+        widths = tuple(width for width in each.widths if width * size >= SEEN)
         far = tuple(width for width in widths if width * size >= SHOWN)
         if size >= SHOWN and widths:
             found.append(replace(each, widths=widths))
