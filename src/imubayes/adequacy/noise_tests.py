@@ -83,7 +83,8 @@ def input_proportionality(projection: Projection, entries: np.ndarray, chosen: n
     """Return the relative slope of the squared entries over the squared input, per column."""
     here = np.unique(projection.turn.members[chosen])
     here = here[here < len(entries)]
-    weight = _relative_square(projection.input[here])
+    own = projection.input[here]
+    weight = (own / max(float(np.abs(own).max()), 1e-300)) ** 2
     weight = weight - weight.mean()
     square = entries[here] ** 2
     return weight @ square / np.sum(square, axis=0) * len(here) / max(float(weight @ weight), 1e-300)
@@ -165,10 +166,6 @@ def _groups(projection: Projection, names: tuple[str, ...], effect: str) -> np.n
     if effect in present or not allowed or (effect == "run_scatter" and {"gyro_run_bias", "accel_run_bias"} & present):
         return np.zeros_like(chosen)
     return chosen
-
-
-def _relative_square(values: np.ndarray) -> np.ndarray:
-    return (values / max(float(np.abs(values).max()), 1e-300)) ** 2
 
 
 _FALSE_ALARM_INTERVALS = 0.006
