@@ -32,7 +32,8 @@ class Device(Effect):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        cls.needs = tuple(cls.owner + need if need.startswith("temperature") else need for need in cls.needs)
+        if "name" in vars(cls):  # of a formula alone the device is not known, and a device alone needs nothing
+            cls.needs = tuple(cls.owner + need if need.startswith("temperature") else need for need in cls.needs)
 
     @classmethod
     def temperature(cls, ambient: Ambient) -> Scalar:
