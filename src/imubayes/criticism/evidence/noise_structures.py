@@ -276,13 +276,12 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
 
 def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     own, kind = problem.rows[channels[0]], problem.kinds[channels[0]]
-    grows = kind == "gyro" and own.input_varies
-    others = [each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or grows)]
+    others = _others(kind == "gyro" and own.input_varies)
     # What the model leaves open is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
     sizes = tuple((k, each.log_prior) for k, each in enumerate(own.correlations)) or ((0, 0.0),)
     opened = [(tau, k, p + q) for tau, p in scatters for k, q in sizes]
-    stated = [(HeavyTails("known", False, degrees), p) for degrees, p in own.tails] or [(KNOWN, 0.0)]
+    stated = _stated(own)
     scattered = _SCATTERS if len(own.series) > 1 and not own.run_scatter else ()
     believed = math.log(1 - UNEXPECTED)
     open_and_stated = [(*one, *other) for one, other in product(opened, stated)]
@@ -293,6 +292,16 @@ def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     whole = len(sizes) - 1 if any(each.whole for each in own.correlations) else None
     other = _other_noise(others, scatters, opened, whole, beside, len(scattered))
     return NoiseUnit(channels, kind, (*as_stated, *other), tuple(each.factor for each in own.correlations))
+
+
+def _stated(rows: ChannelRows) -> Sequence[tuple[NoiseStructure, float]]:
+    """Return the structures of rows that a model states, with the logarithms of their probabilities."""
+    return [(HeavyTails("known", False, degrees), p) for degrees, p in rows.tails] or [(KNOWN, 0.0)]
+
+
+def _others(grows: bool) -> list[NoiseStructure]:
+    """Return the structures other than stated; noise may grow with an input that varies."""
+    return [each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or grows)]
 
 
 def _other_noise(
