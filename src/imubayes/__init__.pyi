@@ -18,7 +18,17 @@ from .api import (
 from .campaign import check_campaign, load_campaign
 from .criticism.diagnosis_record import Diagnosis
 from .display.model_against_measurement import compare
-from .effects.base import Decay, Effect, MotionEffect, Order, PlaceEffect, Play, RecordEffect, SignalEffect, Stage
+from .effects.base import (
+    Decay,
+    Effect,
+    MotionEffect,
+    Order,
+    PlaceEffect,
+    Play,
+    RecordEffect,
+    SignalEffect,
+    Stage,
+)
 from .foundations.arrays import Scalar, compose, cross, exponential, rotate, vector3
 from .foundations.campaign_data import Campaign
 from .foundations.errors import InputError

@@ -12,7 +12,14 @@ from small_units import DATA, MODELS, change_readings, edit, make_units
 import imubayes.batch.fit_chunk as chunks
 from imubayes.batch.batch_folder import BatchSettings, sources_of
 from imubayes.batch.fit_chunk import fit_chunk, padded_count, padded_entries
-from imubayes.batch.fit_unit import bound_to, fit_alone, joint_normal_vectors, normal_vectors, posterior_of, posteriors
+from imubayes.batch.fit_unit import (
+    bound_to,
+    fit_alone,
+    joint_normal_vectors,
+    normal_vectors,
+    posterior_of,
+    posteriors,
+)
 from imubayes.batch.group_moments import grouped_model, log_marginal_of, marginal_slope
 from imubayes.batch.lanes import LANES, LaneStructure, find_modes, structure_key
 from imubayes.batch.posterior_table import UnitIdentity, UnitPosterior

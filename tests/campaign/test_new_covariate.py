@@ -16,7 +16,7 @@ from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
-from imubayes.responses.covariates import covariates
+from imubayes.responses.residual_covariates import covariates
 from imubayes.results.result import residuals_of
 
 HUMIDITY = Covariate("humidity", "humidity_pct", "%", "1", "relative humidity", symbol="H")

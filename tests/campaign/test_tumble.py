@@ -14,7 +14,14 @@ from tumble_files import NAMES, channels, tumble_log
 from imubayes.campaign import check_campaign, load_campaign
 from imubayes.campaign.reduction.free_tumble import reduce_tumble
 from imubayes.campaign.reduction.magnitude_calibration import fit_magnitude
-from imubayes.campaign.reduction.static_poses import Rest, coning, rotation_over, step_edges, step_means, trim_rests
+from imubayes.campaign.reduction.static_poses import (
+    Rest,
+    coning,
+    rotation_over,
+    step_edges,
+    step_means,
+    trim_rests,
+)
 
 DESK = Path(__file__).parents[2] / "data" / "desk-imu"
 

@@ -18,7 +18,7 @@ from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.evidence import explain
 from imubayes.criticism.evidence.hypothesis import EvidenceOf
 from imubayes.criticism.evidence.linear_problem import linear_problem
-from imubayes.criticism.verdict import NAMED, Explanation
+from imubayes.criticism.explanations import NAMED, Explanation
 from imubayes.display.loop.diagnosis_report import diagnosis_lines
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind

@@ -16,7 +16,7 @@ from test_one_number import made
 from imubayes.criticism import detectability
 from imubayes.criticism.detectability import RUN_OFFSETS, AbsorbedResponses
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
-from imubayes.criticism.verdict import NAMED
+from imubayes.criticism.explanations import NAMED
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 

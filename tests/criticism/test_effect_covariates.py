@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from imubayes.effects import EFFECTS
-from imubayes.responses import covariates
-from imubayes.responses.covariates import MEMORY, covariates_of
+from imubayes.responses import residual_covariates
+from imubayes.responses.residual_covariates import MEMORY, covariates_of
 
 CATALOGUE = {member.name: member for member in EFFECTS}
 FORMULAS = [
@@ -31,5 +31,5 @@ def test_a_coefficient_goes_with_the_covariates_of_its_formula(name, kind, expec
 
 def test_the_signal_itself_is_varied(monkeypatch):
     """Planted fault: where the generic signal is zero, a scale factor over temperature goes with nothing."""
-    monkeypatch.setattr(covariates, "_GENERIC", np.zeros(64))
+    monkeypatch.setattr(residual_covariates, "_GENERIC", np.zeros(64))
     assert covariates_of(CATALOGUE["accel_scale_temperature"], "accelerometer") == (frozenset(),)

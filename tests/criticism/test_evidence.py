@@ -17,14 +17,14 @@ from imubayes.criticism.evidence.model_search import ModelSearch
 from imubayes.criticism.evidence.noise_structures import KNOWN, StateNoise, correlated, random_walk
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.row_correlation import RowCorrelation
-from imubayes.criticism.verdict import Evidence
+from imubayes.criticism.explanations import Evidence
 from imubayes.foundations.campaign_data import Channel
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.noise_covariance import Series
 from imubayes.parameters.declarations import Parameter
 from imubayes.parameters.priors import Normal
 from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
-from imubayes.responses.covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 RUNS, ROWS = 6, 20
 RATE = np.tile(np.linspace(-1.0, 1.0, ROWS), RUNS)

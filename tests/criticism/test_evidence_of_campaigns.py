@@ -8,14 +8,14 @@ import pytest
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.evidence.explain import explain
-from imubayes.criticism.verdict import Evidence
+from imubayes.criticism.explanations import Evidence
 from imubayes.display.loop.diagnosis_report import diagnosis_lines
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.responses.candidate_effects import candidate_responses
-from imubayes.responses.covariates import covariates
+from imubayes.responses.residual_covariates import covariates
 
 ROOT = Path(__file__).parents[2]
 CASES = ROOT.parent / "shared" / "cases"

@@ -19,7 +19,7 @@ from imubayes.criticism.formula_search import ResidualFormula, coefficient_unit,
 from imubayes.criticism.residual_evidence import outliers
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
-from imubayes.responses.covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 COUNT = RUNS * ROWS
 WARMTH = 30 * TEMPERATURE

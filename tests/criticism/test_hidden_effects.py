@@ -91,6 +91,13 @@ def test_a_fit_that_stopped_is_explained_about_where_it_stopped() -> None:
     assert document["verdict"] == "not_converged"
     assert document["sentence"].startswith("It did not settle.")
     assert document["explanations"] is not None
+    # Asked about one effect it is no answer either.
+    stopped = replace(converter(), optimised=False, message="It did not settle.")
+    document = diagnosis_json(judge(stopped, effect="accel_cubic"))
+    assert document["verdict"] == "not_converged"
+    assert document["sentence"].startswith(
+        "It did not settle. At the point where it stopped accel_cubic is missing with"
+    )
     # Without a mode there is nothing to be linear about.
     nowhere = replace(converter(), z=np.full(len(converter().z), np.nan), optimised=False, message="It diverged.")
     document = diagnosis_json(judge(nowhere))

@@ -20,7 +20,7 @@ from imubayes.criticism.residual_evidence import _following, input_times
 from imubayes.effects import EFFECTS
 from imubayes.loop import model_changes
 from imubayes.loop.warm_start import ChangedModel
-from imubayes.responses.covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 PPM = "ppm"
 

@@ -17,7 +17,7 @@ from imubayes.loop.cross_validation import groups, predict_left_out, whole_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import EffectSpec
 from imubayes.model.noise_covariance import noise_distribution
-from imubayes.responses.covariates import covariates
+from imubayes.responses.residual_covariates import covariates
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 import imubayes.loop.refit as refit_module
 from imubayes.api import ModelChange, Result, add, fit, remove
 from imubayes.cli.main import run
-from imubayes.criticism.verdict import EffectSlot, Evidence, ProbableEffect
+from imubayes.criticism.explanations import EffectSlot, Evidence, ProbableEffect
 from imubayes.display.loop.change_report import change_lines
 from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit

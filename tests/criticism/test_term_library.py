@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imubayes.criticism.formula_search import levels, library
-from imubayes.responses.covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 
 @pytest.mark.parametrize("count", [20, 51, 80, 1000])

@@ -9,7 +9,7 @@ from imubayes.criticism.diagnosis_record import (
     ScreenedEffect,
     UndetectableEffect,
 )
-from imubayes.criticism.verdict import (
+from imubayes.criticism.explanations import (
     CoefficientEstimate,
     EffectSlot,
     Evidence,

@@ -22,9 +22,9 @@ from imubayes.criticism.diagnosis_record import (
     UndetectableEffect,
     UntypicalSize,
 )
+from imubayes.criticism.explanations import EffectChoice, FoundForm, FoundNoise, Suggestion, Verdict
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
-from imubayes.criticism.verdict import EffectChoice, FoundForm, FoundNoise, Suggestion, Verdict
 from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_figure
 from imubayes.display.figures.residual_evidence import (
     added_variable_figure,
@@ -41,7 +41,7 @@ from imubayes.display.loop.history import history_json, history_sheet
 from imubayes.foundations.errors import InputError
 from imubayes.loop.injection_recovery import Size, Trial, Trials
 from imubayes.loop.model_history import ChiSquareDrop, CrossValidation, Node, Tree, node_id
-from imubayes.responses.covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.results.change_records import read_diagnosis, write_diagnosis
 from imubayes.results.folder_files import RESIDUALS, SUMMARY
 from kept_results import listed

@@ -10,9 +10,7 @@ import pytest
 import synthetic_results as made
 from rich.console import Console
 
-from imubayes.display.fit_report import summary_html
-from imubayes.display.layout import Cell, Report, Sheet, report_text, terminal
-from imubayes.display.quality_tables import (
+from imubayes.display.fit_quality_tables import (
     combination_sheet,
     fit_sheet,
     next_run_sheet,
@@ -20,6 +18,8 @@ from imubayes.display.quality_tables import (
     run_sheet,
     weak_sheet,
 )
+from imubayes.display.fit_report import summary_html
+from imubayes.display.layout import Cell, Report, Sheet, report_text, terminal
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.inference.candidate_runs import RunDesign, TemperatureProfile
 from imubayes.inference.identifiability import WeakDirection

@@ -17,7 +17,7 @@ from imubayes.model.model_file import read_model
 from imubayes.model.problem import predict_many
 from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate
-from imubayes.responses.covariates import covariates
+from imubayes.responses.residual_covariates import covariates
 
 ROOT = Path(__file__).parents[2]
 

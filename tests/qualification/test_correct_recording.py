@@ -15,7 +15,12 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 from imubayes.qualification.onboard.correct_recording import Correction, ReadingNoise, RowTally, correction_of
 from imubayes.qualification.onboard.recording_files import open_recording
-from imubayes.qualification.onboard.response import SensorPosterior, complete_kinds, linear_response, sufficient_grid
+from imubayes.qualification.onboard.response import (
+    SensorPosterior,
+    complete_kinds,
+    linear_response,
+    sufficient_grid,
+)
 from planted_result import planted
 from small_campaign import GRAVITY, campaign, spec
 

@@ -8,7 +8,7 @@ from combination_scores import ROOT, fitted, scored
 
 from imubayes.campaign import load_campaign
 from imubayes.display.classical_comparison import compare_classical
-from imubayes.display.quality_tables import symbol_text
+from imubayes.display.fit_quality_tables import symbol_text
 from imubayes.inference.experiment_design import rank
 from imubayes.procedures import classical, declared_combinations
 from imubayes.procedures.textbook import Estimate

@@ -46,7 +46,7 @@ def examine(bench: Bench, case: Case, place: Path, keep: Path | None = None) -> 
     """Fit a campaign and weigh the explanations of what is left."""
     from imubayes.criticism.evidence.explain import explain
     from imubayes.responses.candidate_effects import candidate_responses
-    from imubayes.responses.covariates import covariates
+    from imubayes.responses.residual_covariates import covariates
 
     started = time.perf_counter()
     try:

@@ -11,10 +11,18 @@ from imubayes.display.onboard.export_files import ExportOptions, Format, write_c
 from imubayes.display.progress import progress_of
 from imubayes.foundations.errors import input_error
 from imubayes.qualification.onboard.constants import onboard_constants as constants_of
-from imubayes.qualification.onboard.inputs_along_axes import CalibratedInputs, inputs_along_axes, read_readings
+from imubayes.qualification.onboard.inputs_along_axes import (
+    CalibratedInputs,
+    inputs_along_axes,
+    read_readings,
+)
 from imubayes.qualification.onboard.losses import Loss, of_fit, of_record, read_noise
 from imubayes.qualification.onboard.record import OnboardConstants
-from imubayes.qualification.onboard.recording_files import CorrectedRecording, correct_recording, open_recording
+from imubayes.qualification.onboard.recording_files import (
+    CorrectedRecording,
+    correct_recording,
+    open_recording,
+)
 from imubayes.qualification.report_build import report_of
 from imubayes.qualification.report_record import QualificationReport, ReportSection
 from imubayes.results.result import Result, read_result

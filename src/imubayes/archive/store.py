@@ -13,7 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from imubayes.archive.campaign_file import ArchivedCampaign, date_of, read_campaign, read_head, unit_of, write_campaign
+from imubayes.archive.campaign_file import (
+    ArchivedCampaign,
+    date_of,
+    read_campaign,
+    read_head,
+    unit_of,
+    write_campaign,
+)
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign, source_digest
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, Issue, input_error

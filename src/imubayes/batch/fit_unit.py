@@ -25,7 +25,13 @@ from scipy.special import ndtri
 from scipy.stats import qmc, skew
 
 from imubayes.batch.batch_folder import BatchSettings, UnitSource
-from imubayes.batch.group_moments import GroupedModel, GroupIndex, log_marginal_of, marginal_slope, normal_equations
+from imubayes.batch.group_moments import (
+    GroupedModel,
+    GroupIndex,
+    log_marginal_of,
+    marginal_slope,
+    normal_equations,
+)
 from imubayes.batch.lanes import LANES, LaneMode, LaneStructure, Stacked, of_lane
 from imubayes.batch.posterior_table import Kind, Outcome, Quantities, UnitIdentity, UnitPosterior
 from imubayes.compiled.kept_programs import kept

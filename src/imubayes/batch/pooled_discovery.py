@@ -27,7 +27,7 @@ from imubayes.batch.pooled_evidence import (
     probability_of_any,
 )
 from imubayes.criticism.evidence.effect_variants import EXPECTED
-from imubayes.criticism.verdict import NAMED
+from imubayes.criticism.explanations import NAMED
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Record, finite
 

@@ -24,7 +24,14 @@ from imubayes.campaign.reduction import (
     reduce_log,
 )
 from imubayes.campaign.reduction.free_tumble import reduce_tumble
-from imubayes.campaign.run_tables import TEXT_COLUMNS, ColumnLayout, TableSource, lay_out, read_header, refuse_long
+from imubayes.campaign.run_tables import (
+    TEXT_COLUMNS,
+    ColumnLayout,
+    TableSource,
+    lay_out,
+    read_header,
+    refuse_long,
+)
 from imubayes.campaign.stream_checks import UNIT_FINDINGS, Finding, Monitor
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table, Tumble
 from imubayes.foundations.covariates import recorded

@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from imubayes.cli.session import Flag, Json, Names, Trust, inspecting, progress, show, split, start_jax, trusting
+from imubayes.cli.session import (
+    Flag,
+    Json,
+    Names,
+    Trust,
+    inspecting,
+    progress,
+    show,
+    split,
+    start_jax,
+    trusting,
+)
 from imubayes.foundations.errors import closest_first, input_error
 
 if TYPE_CHECKING:

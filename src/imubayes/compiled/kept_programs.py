@@ -24,7 +24,13 @@ from jax._src import config, core
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from imubayes.compiled.program_identity import NoIdentityError, Slot, identity, sources_unchanged
-from imubayes.compiled.stored_programs import Preloading, make_room, packed_program, read_program, write_program
+from imubayes.compiled.stored_programs import (
+    Preloading,
+    make_room,
+    packed_program,
+    read_program,
+    write_program,
+)
 
 SWITCH = "IMUBAYES_KEEP_PROGRAMS"
 """Environment variable; at 0 every process traces its programs anew."""

@@ -32,9 +32,16 @@ from imubayes.criticism.evidence.explain import explain
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.noise_structures import Family
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
+from imubayes.criticism.explanations import (
+    NAMED,
+    CoefficientEstimate,
+    Explanation,
+    RmsChange,
+    Suggestion,
+    Verdict,
+)
 from imubayes.criticism.formula_search import ResidualFormula, find_formula
 from imubayes.criticism.residual_evidence import ResidualEvidence, outliers, residual_evidence
-from imubayes.criticism.verdict import NAMED, CoefficientEstimate, Explanation, RmsChange, Suggestion, Verdict
 from imubayes.effects.base import Effect
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
@@ -45,7 +52,7 @@ from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import Linearised
 from imubayes.responses.candidate_effects import Responses, candidate_responses
-from imubayes.responses.covariates import ResidualCovariate, covariates
+from imubayes.responses.residual_covariates import ResidualCovariate, covariates
 from imubayes.responses.wrong_inputs import WrongInput
 
 
@@ -223,8 +230,10 @@ class _Judged:
         lines = tuple(line for line in ranking(self.posterior) if line.effect == effect)
         seen = next((each for each in self.absorbed.of_effects if each.effect == effect), None)
         undetectable: tuple[UndetectableEffect, ...] = ()
-        if self.posterior.including([effect]) >= 0.5:
-            verdict: Verdict = "missing_effect"
+        if not self.fit.optimised:
+            verdict: Verdict = "not_converged"
+        elif self.posterior.including([effect]) >= 0.5:
+            verdict = "missing_effect"
         elif seen is not None and not seen.undetectable:
             verdict = "adequate"
         else:
@@ -237,8 +246,8 @@ class _Judged:
             unit=seen.unit if seen is not None else "",
         )
         return Diagnosis(
-            verdict=verdict, result=self.result, explanations=self.posterior.evidence, ranking=lines,
-            undetectable=undetectable, asked=asked,
+            verdict=verdict, message="" if self.fit.optimised else self.fit.message, result=self.result,
+            explanations=self.posterior.evidence, ranking=lines, undetectable=undetectable, asked=asked,
         )  # fmt: skip
 
     def _verdict(self) -> Verdict:

@@ -17,9 +17,9 @@ from imubayes.criticism.evidence.hypothesis import Evaluated, inverse
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, estimates
 from imubayes.criticism.evidence.proposals import Conditional, Screen, conditional
+from imubayes.criticism.explanations import CoefficientEstimate, Evidence, RmsChange, Suggestion, Verdict
 from imubayes.criticism.formula_search import ResidualFormula
 from imubayes.criticism.residual_evidence import Outlier, ResidualEvidence
-from imubayes.criticism.verdict import CoefficientEstimate, Evidence, RmsChange, Suggestion, Verdict
 from imubayes.foundations.records import Presented, Record
 from imubayes.inference.candidate_runs import RunDesign
 

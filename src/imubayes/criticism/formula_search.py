@@ -21,11 +21,11 @@ from imubayes.criticism.evidence.free_forms import HARMONICS, HIGHEST_POWER, PLA
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, SAME_LEVEL
 from imubayes.criticism.evidence.proposals import base_columns
-from imubayes.criticism.verdict import NAMED_ODDS, NEAR
+from imubayes.criticism.explanations import NAMED_ODDS, NEAR
 from imubayes.foundations.covariates import Covariate, regressors
 from imubayes.foundations.records import Record, finite
 from imubayes.inference.fitted_model import Fit
-from imubayes.responses.covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 _TIME_CONSTANTS_MIN = (2.0, 5.0, 10.0, 30.0, 60.0)
 

@@ -20,7 +20,7 @@ from imubayes.foundations.records import Record
 from imubayes.foundations.units import to_si
 from imubayes.model.bind import Model
 from imubayes.responses.candidate_effects import Responses
-from imubayes.responses.covariates import INPUTS, MEMORY, ResidualCovariate, as_read, covariates_of
+from imubayes.responses.residual_covariates import INPUTS, MEMORY, ResidualCovariate, as_read, covariates_of
 
 COVARIATE_SHARE = 0.9
 """Share of the squares of what an effect explains that a polynomial of a covariate gives, to be said to follow it."""

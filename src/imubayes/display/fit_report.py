@@ -3,7 +3,7 @@
 The HTML has no scripts, links or external styles; all text is escaped.
 """
 
-from imubayes.display import quality_tables as quality
+from imubayes.display import fit_quality_tables as quality
 from imubayes.display import quantity_tables as quantities
 from imubayes.display.classical_comparison import (
     ClassicalComparison,

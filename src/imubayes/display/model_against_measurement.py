@@ -30,10 +30,10 @@ from imubayes.display.classical_comparison import (
 from imubayes.display.figure_selection import corner_choice, most_telling_first, plan, runs_shown
 from imubayes.display.figure_style import Picture, ordered
 from imubayes.display.fit_cautions import disagreement_lines
+from imubayes.display.fit_quality_tables import combination_sheet, fit_sheet, run_sheet, weak_sheet
 from imubayes.display.fit_report import summary_html
 from imubayes.display.layout import SheetTable, render, terminal
 from imubayes.display.progress import progress_of
-from imubayes.display.quality_tables import combination_sheet, fit_sheet, run_sheet, weak_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.files import write_json, write_text

@@ -12,9 +12,17 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from imubayes.display.fit_cautions import alarm_of
+from imubayes.display.fit_quality_tables import NOT_DETERMINED, more
 from imubayes.display.layout import Cell, Sheet, cells
-from imubayes.display.numbers_and_labels import NO_NUMBER, concise, is_exact, percent, pretty, rounded, value_and_sd
-from imubayes.display.quality_tables import NOT_DETERMINED, more
+from imubayes.display.numbers_and_labels import (
+    NO_NUMBER,
+    concise,
+    is_exact,
+    percent,
+    pretty,
+    rounded,
+    value_and_sd,
+)
 from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.results.summary import ParameterSummary, Quantity, Summary, channel_units, in_output_units

@@ -24,7 +24,13 @@ from imubayes.foundations.arrays import Array, Float, Int, take
 from imubayes.inference.laplace_marginal import Linearised, knowledge
 from imubayes.inference.posterior_mode import Mode
 from imubayes.model.likelihood import pseudo_values
-from imubayes.model.noise_covariance import group_sum, noise_distribution, row_correlations, rows_correlate, whitener
+from imubayes.model.noise_covariance import (
+    group_sum,
+    noise_distribution,
+    row_correlations,
+    rows_correlate,
+    whitener,
+)
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.noise.components import EntryNoise, SeriesNoise, SharedNoise, TailNoise
 

@@ -12,7 +12,16 @@ from imubayes.foundations.signal_path_state import Ambient, Nodes
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
 from imubayes.model.nodes_and_entries import KINDS, NodeTable, motion_at, outer_axes, records_of
-from imubayes.model.signal_path import AddOffset, Broadcast, Channels, Convert, EffectLayer, Layer, Project, Resolve
+from imubayes.model.signal_path import (
+    AddOffset,
+    Broadcast,
+    Channels,
+    Convert,
+    EffectLayer,
+    Layer,
+    Project,
+    Resolve,
+)
 from imubayes.parameters.declarations import Layout
 
 

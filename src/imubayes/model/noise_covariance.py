@@ -24,7 +24,14 @@ from jax.scipy.special import gammaln
 from imubayes.foundations.arrays import Array, Float, Int, Scalar, take
 from imubayes.model.nodes_and_entries import Timeline
 from imubayes.model.problem import Observations, Problem
-from imubayes.noise.components import EntryNoise, SeriesNoise, SharedNoise, SlowNoise, StateCovariance, TailNoise
+from imubayes.noise.components import (
+    EntryNoise,
+    SeriesNoise,
+    SharedNoise,
+    SlowNoise,
+    StateCovariance,
+    TailNoise,
+)
 
 
 class SlowSeries(eqx.Module):

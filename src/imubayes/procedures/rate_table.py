@@ -32,7 +32,14 @@ from imubayes.procedures import fitted_terms, textbook
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, whole_turns
 from imubayes.procedures.fitted_terms import LEAST_COSINE, StandardCombination
 from imubayes.procedures.kinematics import mean_input
-from imubayes.procedures.textbook import DEGREE_PER_HOUR, Estimate, Evaluation, Line, TextbookResult, Undetermined
+from imubayes.procedures.textbook import (
+    DEGREE_PER_HOUR,
+    Estimate,
+    Evaluation,
+    Line,
+    TextbookResult,
+    Undetermined,
+)
 
 METHOD = "IEEE Std 952 rate test"
 

@@ -14,7 +14,14 @@ from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.earth import EARTH_RATE, earth_rate
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
 from imubayes.procedures.kinematics import about_z
-from imubayes.procedures.textbook import DEGREE_PER_HOUR, Estimate, Evaluation, TextbookResult, Undetermined, measured
+from imubayes.procedures.textbook import (
+    DEGREE_PER_HOUR,
+    Estimate,
+    Evaluation,
+    TextbookResult,
+    Undetermined,
+    measured,
+)
 
 METHOD = "IEEE Std 952, mean of the static record"
 COMPASS = "gyrocompass: mean rate against the Earth rate"

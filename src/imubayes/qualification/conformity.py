@@ -25,7 +25,11 @@ from imubayes.foundations.units import same_dimension, to_si
 from imubayes.inference.identifiability import WEAK_SHARE
 from imubayes.qualification import decision_rules as rules
 from imubayes.qualification.marginal import Marginal
-from imubayes.qualification.posterior_quantities import PosteriorQuantities, posterior_quantities, with_combinations
+from imubayes.qualification.posterior_quantities import (
+    PosteriorQuantities,
+    posterior_quantities,
+    with_combinations,
+)
 from imubayes.qualification.specification import LimitEntry, SpecificationFile, read_specification, rule_of
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
 from imubayes.qualification.temperature_range import ThermalModel, over_range, thermal_model

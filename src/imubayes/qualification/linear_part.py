@@ -27,7 +27,12 @@ import numpy as np
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
-from imubayes.inference.conditional_precision import ExactPrecision, PrecisionBlocks, conditional, precision_blocks
+from imubayes.inference.conditional_precision import (
+    ExactPrecision,
+    PrecisionBlocks,
+    conditional,
+    precision_blocks,
+)
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import Curvature, Linearised, inverse_of_precision
 from imubayes.inference.nested_laplace import weak_directions

@@ -19,7 +19,13 @@ from imubayes.loop.model_history import Tree
 from imubayes.qualification import report_estimates as estimates
 from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
-from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, TestedUnit, assess, tested_unit
+from imubayes.qualification.conformity import (
+    Assessment,
+    ConformityOfQuantity,
+    TestedUnit,
+    assess,
+    tested_unit,
+)
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
 from imubayes.qualification.report_budgets import budgets_of
 from imubayes.qualification.report_pictures import (

@@ -8,7 +8,11 @@ from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.parameters.priors import Normal
 from imubayes.qualification import report_record as record
 from imubayes.qualification.conformity import TestedUnit
-from imubayes.qualification.decision_rules import ProbabilityByTwoMethods, ToleranceInterval, conformance_probability
+from imubayes.qualification.decision_rules import (
+    ProbabilityByTwoMethods,
+    ToleranceInterval,
+    conformance_probability,
+)
 from imubayes.qualification.marginal import Marginal, digits_deserved, draws_needed
 from imubayes.qualification.standard_quantities import (
     STANDARD_QUANTITIES,
@@ -18,7 +22,13 @@ from imubayes.qualification.standard_quantities import (
     draws_of_standard,
 )
 from imubayes.results.result import Result
-from imubayes.results.summary import CombinationSummary, ParameterSummary, Quantity, in_output_units, is_constant
+from imubayes.results.summary import (
+    CombinationSummary,
+    ParameterSummary,
+    Quantity,
+    in_output_units,
+    is_constant,
+)
 
 _MOST_SCREENED = 4
 

@@ -14,7 +14,13 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.convert.recording_formats import ACCELEROMETERS, GYROS, SIX, Columns, ConvertOptions
-from imubayes.campaign.reduction.static_poses import Rest, angle_between, find_rests, initial_rest, variance_ratio
+from imubayes.campaign.reduction.static_poses import (
+    Rest,
+    angle_between,
+    find_rests,
+    initial_rest,
+    variance_ratio,
+)
 from imubayes.foundations.errors import input_error
 
 QUIET = 6.0  # multiple of the variance at rest

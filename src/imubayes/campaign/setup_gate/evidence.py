@@ -39,7 +39,14 @@ from imubayes.campaign.setup_gate.error_model import (
     weighted,
     widths,
 )
-from imubayes.campaign.setup_gate.setup_view import RunView, changed, feels_the_earth_alone, in_body, stacked, views_of
+from imubayes.campaign.setup_gate.setup_view import (
+    RunView,
+    changed,
+    feels_the_earth_alone,
+    in_body,
+    stacked,
+    views_of,
+)
 from imubayes.foundations.campaign_data import Campaign
 
 # Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, three of

@@ -13,7 +13,13 @@ import numpy as np
 
 from imubayes.campaign.setup_gate.drift_rivals import score_with_drift
 from imubayes.campaign.setup_gate.equipment_mistakes import MISTAKES, Mistake
-from imubayes.campaign.setup_gate.error_model import G_SENSITIVITIES, POOR, NormalTerms, Steadiness, stacked_terms
+from imubayes.campaign.setup_gate.error_model import (
+    G_SENSITIVITIES,
+    POOR,
+    NormalTerms,
+    Steadiness,
+    stacked_terms,
+)
 from imubayes.campaign.setup_gate.evidence import ErrorModel
 from imubayes.campaign.setup_gate.reading_mistakes import (
     TEMPERATURE_MISTAKES,

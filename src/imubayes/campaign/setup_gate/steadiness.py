@@ -19,8 +19,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.equipment_mistakes import MISTAKES, Mistake, TableAzimuth, TableElevation, TableZero
-from imubayes.campaign.setup_gate.error_model import G_SENSITIVITIES, POOR, Steadiness, stacked_terms, weighted
+from imubayes.campaign.setup_gate.equipment_mistakes import (
+    MISTAKES,
+    Mistake,
+    TableAzimuth,
+    TableElevation,
+    TableZero,
+)
+from imubayes.campaign.setup_gate.error_model import (
+    G_SENSITIVITIES,
+    POOR,
+    Steadiness,
+    stacked_terms,
+    weighted,
+)
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
 from imubayes.campaign.setup_gate.reading_mistakes import (
     LATITUDE_MISTAKES,

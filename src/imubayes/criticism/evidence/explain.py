@@ -19,7 +19,7 @@ from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import LinearisationPoint, Responses, candidate_responses
-from imubayes.responses.covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, problem_of
 
 GROSS = 500.0

@@ -17,7 +17,7 @@ import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import ONE_OWNER, WIDTH_RATIO
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, UNEXPECTED, ChannelRows, LinearProblem
-from imubayes.responses.covariates import ResidualCovariate
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.responses.wrong_inputs import WrongInput
 
 FormFamily = Literal[

@@ -24,7 +24,7 @@ from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, LinearProblem
 from imubayes.criticism.evidence.noise_structures import SCALED, TAILED, NoiseOfUnit, NoiseStructure
 from imubayes.criticism.evidence.proposals import Screen, base_columns, conditional, log_likelihood, residuals
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
-from imubayes.criticism.verdict import NEAR
+from imubayes.criticism.explanations import NEAR
 
 _AT_ONCE = 160
 """Forms that are decomposed together, and the likeliest ones whose gain is exact."""

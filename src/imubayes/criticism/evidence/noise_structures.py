@@ -26,7 +26,14 @@ import numpy as np
 from scipy import special
 
 from imubayes.adequacy.known_noise import SISTERS_LOG_SD
-from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, UNEXPECTED, UNKNOWN, ChannelRows, Grid, LinearProblem
+from imubayes.criticism.evidence.linear_problem import (
+    NEGLIGIBLE,
+    UNEXPECTED,
+    UNKNOWN,
+    ChannelRows,
+    Grid,
+    LinearProblem,
+)
 
 _BLOCK = 64
 """Rows that are filtered by one matrix.  Numerical: a compromise of loops and products."""

@@ -15,7 +15,7 @@ import numpy as np
 from imubayes.criticism.evidence.hypothesis import Evaluated, Hypothesis
 from imubayes.criticism.evidence.linear_problem import LinearProblem
 from imubayes.criticism.evidence.model_search import ModelSearch
-from imubayes.criticism.verdict import (
+from imubayes.criticism.explanations import (
     NEAR,
     CoefficientEstimate,
     EffectSlot,

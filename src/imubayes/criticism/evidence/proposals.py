@@ -12,9 +12,21 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import gain_of_coefficients
-from imubayes.criticism.evidence.hypothesis import ROUNDS, SETTLED_WEIGHT, Evaluated, EvidenceOf, Solved, scale_mode
+from imubayes.criticism.evidence.hypothesis import (
+    ROUNDS,
+    SETTLED_WEIGHT,
+    Evaluated,
+    EvidenceOf,
+    Solved,
+    scale_mode,
+)
 from imubayes.criticism.evidence.linear_problem import ChannelRows
-from imubayes.criticism.evidence.noise_structures import HeavyTails, NoiseOfUnit, tail_log_density, tail_weights
+from imubayes.criticism.evidence.noise_structures import (
+    HeavyTails,
+    NoiseOfUnit,
+    tail_log_density,
+    tail_weights,
+)
 from imubayes.criticism.evidence.whitened_rows import WhitenedColumns, offsets_of_runs, with_scatter
 
 

@@ -17,8 +17,8 @@ from scipy.ndimage import gaussian_filter
 
 from imubayes.display import figure_style as style
 from imubayes.display.fit_cautions import alarm_of
+from imubayes.display.fit_quality_tables import NOT_DETERMINED
 from imubayes.display.numbers_and_labels import concise, pretty, readable, shortened, significant
-from imubayes.display.quality_tables import NOT_DETERMINED
 from imubayes.display.quantity_tables import is_nuisance
 from imubayes.results.stored_tables import complete, draws_of, thinned
 from imubayes.results.summary import Quantity, Summary, in_output_units

@@ -12,8 +12,22 @@ from matplotlib.patches import Patch, Rectangle
 
 from imubayes.display import figure_style as style
 from imubayes.display.figures import panels
-from imubayes.display.fit_cautions import SIGNIFICANT, alarm_of, share_of_freedom, tail, worst_channels, worst_first
-from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, ratio_text, readable, shortened, significant
+from imubayes.display.fit_cautions import (
+    SIGNIFICANT,
+    alarm_of,
+    share_of_freedom,
+    tail,
+    worst_channels,
+    worst_first,
+)
+from imubayes.display.numbers_and_labels import (
+    NO_NUMBER,
+    pretty,
+    ratio_text,
+    readable,
+    shortened,
+    significant,
+)
 from imubayes.display.numbers_and_labels import covariate as covariate_of
 from imubayes.foundations.covariates import Covariate
 from imubayes.results.summary import RunSummary, Summary

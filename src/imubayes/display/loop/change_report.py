@@ -8,13 +8,21 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from imubayes.criticism.verdict import RmsChange
+from imubayes.criticism.explanations import RmsChange
 from imubayes.display.fit_cautions import conflict_line
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.diagnosis_sentences import probability, sentence
 from imubayes.display.loop.history import offsets_moved_text
-from imubayes.display.numbers_and_labels import counted, listed, percent, pretty, readable, significant, value_and_sd
+from imubayes.display.numbers_and_labels import (
+    counted,
+    listed,
+    percent,
+    pretty,
+    readable,
+    significant,
+    value_and_sd,
+)
 from imubayes.loop.injection_recovery import Trial, Trials
 from imubayes.loop.model_history import CrossValidation
 from imubayes.loop.refit import NotDistinguished

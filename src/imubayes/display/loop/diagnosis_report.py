@@ -14,10 +14,24 @@ from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, ResidualFormula, ScreenedEffect
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.display.fit_cautions import noise_ratio
+from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.layout import Cell, Report, Sheet, cells
-from imubayes.display.loop.diagnosis_sentences import evidence_text, noise_text, probability, sentence, why_undetectable
-from imubayes.display.numbers_and_labels import chance_text, counted, listed, percent, pretty, significant, value_and_sd
-from imubayes.display.quality_tables import run_design_text
+from imubayes.display.loop.diagnosis_sentences import (
+    evidence_text,
+    noise_text,
+    probability,
+    sentence,
+    why_undetectable,
+)
+from imubayes.display.numbers_and_labels import (
+    chance_text,
+    counted,
+    listed,
+    percent,
+    pretty,
+    significant,
+    value_and_sd,
+)
 from imubayes.foundations.errors import input_error
 
 _MOST_RANKED, _MOST_OUTLIERS = 10, 8

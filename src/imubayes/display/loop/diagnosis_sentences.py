@@ -9,8 +9,14 @@ from collections.abc import Iterable, Sequence
 
 from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.diagnosis_record import AgreeingInput, Diagnosis, Disagreement, EffectGroup, UndetectableEffect
-from imubayes.criticism.verdict import NAMED, EffectSlot, Evidence, Explanation, FoundForm, FoundNoise
+from imubayes.criticism.diagnosis_record import (
+    AgreeingInput,
+    Diagnosis,
+    Disagreement,
+    EffectGroup,
+    UndetectableEffect,
+)
+from imubayes.criticism.explanations import NAMED, EffectSlot, Evidence, Explanation, FoundForm, FoundNoise
 from imubayes.display.fit_cautions import contradiction_text, noise_ratio
 from imubayes.display.numbers_and_labels import listed, percent, pretty, significant, value_and_sd
 
@@ -336,6 +342,9 @@ def _asked_sentence(found: Diagnosis) -> str:
     asked = found.asked
     assert asked is not None
     missing = found.probability(asked.effect)
+    if found.verdict == "not_converged":
+        chance = probability(missing)
+        return f"{found.message} At the point where it stopped {asked.effect} is missing with probability {chance}."
     if found.verdict == "missing_effect":
         adverb, _ = likely(missing)
         return (

@@ -8,7 +8,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from imubayes.display.layout import Cell, Report, Sheet, cells
-from imubayes.display.numbers_and_labels import listed, pretty, ratio_text, readable, significant, value_and_sd
+from imubayes.display.numbers_and_labels import (
+    listed,
+    pretty,
+    ratio_text,
+    readable,
+    significant,
+    value_and_sd,
+)
 from imubayes.loop.model_history import Node, Tree, rms_by_unit
 from imubayes.results.history_tree import shown_place
 from imubayes.results.summary import FitProvenance

@@ -3,11 +3,11 @@
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
+from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, significant
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
 from imubayes.display.qualification.quantity_drawings import bar_drawings, correlation_drawing
 from imubayes.display.qualification.words import MORE_DRAWS
-from imubayes.display.quality_tables import run_design_text
 from imubayes.qualification import budget_parts as parts
 from imubayes.qualification.decision_rules import ADDS_UP
 from imubayes.qualification.report_record import QualificationReport

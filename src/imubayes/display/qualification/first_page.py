@@ -5,7 +5,12 @@ from collections.abc import Sequence
 from imubayes.display.numbers_and_labels import pretty, significant
 from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Banner, ReportTable, Text, texts
-from imubayes.qualification.report_record import Conformity, LimitOutcome, QualificationReport, ReportedConvergence
+from imubayes.qualification.report_record import (
+    Conformity,
+    LimitOutcome,
+    QualificationReport,
+    ReportedConvergence,
+)
 
 
 def banner(report: QualificationReport) -> Banner:

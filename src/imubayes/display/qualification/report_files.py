@@ -24,7 +24,14 @@ from markupsafe import Markup, escape
 from imubayes.display.layout import render
 from imubayes.display.qualification import model_sections, result_sections, unit_drawings
 from imubayes.display.qualification.budget_sections import budget_section
-from imubayes.display.qualification.document import Block, Drawings, Heading, Paragraph, ReportDocument, ReportTable
+from imubayes.display.qualification.document import (
+    Block,
+    Drawings,
+    Heading,
+    Paragraph,
+    ReportDocument,
+    ReportTable,
+)
 from imubayes.display.qualification.first_page import alarms, banner, facts, limits_table, risk_table
 from imubayes.display.qualification.quantity_drawings import forest_drawings
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 
+from imubayes.display.fit_quality_tables import members_text, symbol_text
 from imubayes.display.numbers_and_labels import NO_NUMBER, percent, pretty, rounded, significant, value_and_sd
 from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
-from imubayes.display.quality_tables import members_text, symbol_text
 from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.inference.identifiability import ProcedureShare
 from imubayes.qualification import report_record as record

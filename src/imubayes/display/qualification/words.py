@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from imubayes.criticism.verdict import Verdict
+from imubayes.criticism.explanations import Verdict
 from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, rounded, significant
 from imubayes.display.qualification.document import Mood, Text
 from imubayes.qualification import report_record as record

@@ -36,7 +36,12 @@ from imubayes.qualification.onboard.response import (
     sensor_posterior,
     temperature_ranges,
 )
-from imubayes.qualification.onboard.unexpressed_effects import Acting, acts_linearly, input_ranges, uncorrected_effects
+from imubayes.qualification.onboard.unexpressed_effects import (
+    Acting,
+    acts_linearly,
+    input_ranges,
+    uncorrected_effects,
+)
 from imubayes.results.result import Result
 
 _NOT_OF_THE_UNIT = ("reference_noise", "rotation_closure")

@@ -26,7 +26,12 @@ from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.problem import Problem, values_of
 from imubayes.model.sensitive_axes import SensitivityInputs, acting_on, inputs_of
-from imubayes.qualification.onboard.correct_recording import left_in_sd, needed_temperatures, not_given, reading_noise
+from imubayes.qualification.onboard.correct_recording import (
+    left_in_sd,
+    needed_temperatures,
+    not_given,
+    reading_noise,
+)
 from imubayes.qualification.onboard.record import UnexpressedEffect
 from imubayes.qualification.onboard.response import TEMPERATURES, sensor_posterior, temperature_ranges
 from imubayes.qualification.onboard.unexpressed_effects import Acting, input_ranges, uncorrected_effects

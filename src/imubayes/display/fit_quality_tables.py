@@ -14,7 +14,14 @@ from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.inference.candidate_runs import RunDesign, TemperatureProfile
 from imubayes.inference.identifiability import WeakDirection
-from imubayes.results.summary import CombinationSummary, Contribution, NextRun, RunSummary, Summary, in_output_units
+from imubayes.results.summary import (
+    CombinationSummary,
+    Contribution,
+    NextRun,
+    RunSummary,
+    Summary,
+    in_output_units,
+)
 
 
 def run_design_text(design: RunDesign) -> str:
