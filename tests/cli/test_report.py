@@ -16,7 +16,7 @@ from imubayes.criticism.explanations import Verdict
 from imubayes.display.qualification.report_files import html_page, report_document
 from imubayes.foundations.errors import InputError
 from imubayes.model import derived_quantities
-from imubayes.qualification import report_budgets
+from imubayes.qualification import report_budgets, uncertainty_budget
 from imubayes.qualification.report_record import QualificationReport
 from imubayes.results.change_records import write_diagnosis
 from imubayes.results.result import read_result
@@ -156,7 +156,7 @@ def test_a_report_of_a_fit_evaluates_no_model(result, tmp_path, monkeypatch, cap
         raise AssertionError("the model is evaluated")
 
     for module, name in (
-        (report_budgets, "budget_of"),
+        (uncertainty_budget, "budget_of"),
         (report_budgets, "expected_deviations"),
         (derived_quantities, "_derive_batch"),
     ):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from imubayes.procedures.fitted_terms import estimable, rank
-from imubayes.procedures.polar_tumble import COEFFICIENTS, drift_terms, standard_combinations
+from imubayes.procedures.fitted_terms import drift_terms, estimable, rank
+from imubayes.procedures.polar_tumble import COEFFICIENTS, standard_combinations
 
 PHI, LATITUDE = sp.symbols("phi L", real=True)
 C, S = sp.cos(LATITUDE), sp.sin(LATITUDE)

@@ -93,7 +93,7 @@ def whole_response(fitted: Any) -> Callable[[Any, np.ndarray], np.ndarray]:
     import equinox as eqx
     import jax.numpy as jnp
 
-    from imubayes.criticism import candidate_effects
+    from imubayes.responses import candidate_effects
     from imubayes.model.problem import predict_from
 
     extended = candidate_effects._extend(fitted, candidate_effects._candidates(fitted)[0], candidate_effects._AT_NULLS)
