@@ -93,8 +93,8 @@ def whole_response(fitted: Any) -> Callable[[Any, np.ndarray], np.ndarray]:
     import equinox as eqx
     import jax.numpy as jnp
 
-    from imubayes.responses import candidate_effects
     from imubayes.model.problem import predict_from
+    from imubayes.responses import candidate_effects
 
     extended = candidate_effects._extend(fitted, candidate_effects._candidates(fitted)[0], candidate_effects._AT_NULLS)
     own = np.asarray(fitted.model.problem.priors.values(jnp.asarray(fitted.z)))
