@@ -62,6 +62,7 @@ def test_where_a_great_deal_is_missing_its_effects_are_named() -> None:
     assert next_command(found).startswith(f"imubayes add {found.suggested.effects[0]} ")
 
 
+@pytest.mark.slow
 def test_three_of_very_different_size_are_named_together() -> None:
     """An asymmetry, a cube and a square on three gyros, ten to a thousand times the noise."""
     fitted = fitted_to("hidden-none")

@@ -60,6 +60,7 @@ def test_nothing_is_found_where_nothing_is_hidden():
     assert _probability(document, "nothing") > 0.5
 
 
+@pytest.mark.slow  # compiles a campaign; test_wrong_names.py has causes outside the catalogue at every run
 def test_what_the_catalogue_does_not_know_is_not_named():
     document, _ = _diagnosed("hidden-outside")
     assert document["verdict"] == "unexplained_structure"
