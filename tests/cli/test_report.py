@@ -84,10 +84,11 @@ def traceability(report: QualificationReport) -> imubayes.ReportSection:
 
 
 def test_a_section_of_the_user_is_in_every_form_and_marked_as_theirs(result, tmp_path):
-    files = [tmp_path / "report.json", tmp_path / "report.html"]
+    files = [tmp_path / "report.json", tmp_path / "report.html", tmp_path / "report.pdf"]
     record = imubayes.report(result, sections=[traceability], out=files)
     assert QualificationReport.model_validate_json(files[0].read_text()) == record
     page = files[1].read_text()
+    assert files[2].read_bytes().startswith(b"%PDF")
     assert html_page(report_document(record)) == page
     assert "Traceability Stated by the author of this report; imubayes computed none of it." in visible(page)
     assert "NMI 2026-117" in visible(page)

@@ -254,7 +254,8 @@ def supplied_section(section: record.ReportSection) -> Iterator[Block]:
     yield Paragraph("Stated by the author of this report; imubayes computed none of it.", "dim")
     yield from map(Paragraph, section.paragraphs)
     if section.rows:
-        yield ReportTable(section.title, section.head, [texts(*row) for row in section.rows], range(len(section.head)))
+        left = tuple(range(len(section.head)))
+        yield ReportTable(section.title, section.head, [texts(*row) for row in section.rows], left)
 
 
 def axis_table(lines: Sequence[record.ResultLine]) -> ReportTable:
