@@ -95,6 +95,13 @@ def test_a_section_of_the_user_is_in_every_form_and_marked_as_theirs(result, tmp
     assert "Traceability" not in visible(written(result, tmp_path / "without")[2])
 
 
+def test_adding_to_a_result_that_was_not_diagnosed_says_so_and_what_to_do(result):
+    (result / "diagnosis.json").unlink(missing_ok=True)
+    with pytest.raises(InputError, match=r"the result was not diagnosed") as caught:
+        imubayes.add(result)
+    assert "imubayes diagnose" in caught.value.issues[0].remedy
+
+
 @pytest.mark.parametrize(
     "made", [None, imubayes.ReportSection(title="x", head=("a", "b"), rows=(("1",),))], ids=["nothing", "narrow rows"]
 )

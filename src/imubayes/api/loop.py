@@ -276,7 +276,10 @@ def _named(
     proposed = diagnosis.proposed if diagnosis is not None else None
     if proposed is None:
         allowed = "what a diagnosis of the result proposes, or an effect that `imubayes effects` lists"
-        raise input_error("no effect is named, and no diagnosis proposes one", "add", allowed, "name one")
+        if diagnosis is not None:
+            raise input_error("no effect is named, and the diagnosis proposes none", "add", allowed, "name one")
+        fault, remedy = "the result was not diagnosed", "run `imubayes diagnose RESULT`, or name an effect"
+        raise input_error(f"no effect is named, and {fault}", "add", allowed, remedy)
     return proposed.effects, channels or proposed.channels
 
 
