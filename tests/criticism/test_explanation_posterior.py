@@ -61,6 +61,18 @@ def test_probabilities_add_up(planted: dict[tuple[str, int], float]) -> None:
     assert all(posterior.including([each.effect]) == each.probability for each in posterior.evidence.inclusion)
 
 
+def test_a_share_of_what_noise_takes_up_leaves_the_odds_of_a_form_that_leads(monkeypatch: pytest.MonkeyPatch) -> None:
+    residual = drawn(6)
+    residual[0] += 3.0 * np.sin(12 * RATE)
+    monkeypatch.setattr(ExplanationPosterior, "_beside_excess", lambda _, each: bool(each.hypothesis.variants))
+    posterior = posterior_of(searched(residual))
+    found = posterior.evidence
+    assert posterior.unlisted > 0
+    assert sum(each.probability for each in found.explanations) == pytest.approx(1)
+    assert found.leading.kind == "outside"
+    assert found.of("outside").log_odds == 0
+
+
 @pytest.mark.parametrize("planted", PLANTED)
 def test_the_ranking_is_in_order(planted: dict[tuple[str, int], float]) -> None:
     posterior = posterior_of(searched(drawn(4, planted)))

@@ -79,8 +79,9 @@ class ExplanationPosterior:
         self.distinct = [each for each in _distinct(search.known) if self._possible(each)]
         self._logs = np.array([each.log_posterior for each in self.distinct])
         share = np.exp(self._logs - np.logaddexp.reduce(self._logs))
-        imitating = UNLISTED * np.array([self._beside_excess(each) for each in self.distinct])
-        self.share, self.unlisted = share * (1 - imitating), float(share @ imitating)
+        self._imitating = np.array([self._beside_excess(each) for each in self.distinct])
+        taken = UNLISTED * self._imitating
+        self.share, self.unlisted = share * (1 - taken), float(share @ taken)
 
     def _possible(self, found: Evaluated) -> bool:
         """Whether a record can be wrong by what a hypothesis says."""
@@ -115,10 +116,11 @@ class ExplanationPosterior:
 
         def explanation(kind: Explanation) -> ProbableExplanation:
             here = np.array([each == kind for each in kinds])
-            odds = float(self._logs[here].max() - self._logs.max()) if here.any() else None
-            probability = float(self.share[here].sum())
-            if kind == "outside" and self.unlisted > 0:
-                probability, odds = probability + self.unlisted, max(odds or -math.inf, math.log(self.unlisted))
+            probability, logs = float(self.share[here].sum()), self._logs[here]
+            if kind == "outside":
+                probability += self.unlisted
+                logs = np.concatenate([logs, self._logs[self._imitating] + math.log(UNLISTED)])
+            odds = float(logs.max() - self._logs.max()) if len(logs) else None
             return ProbableExplanation(kind=kind, probability=min(probability, 1.0), log_odds=odds)
 
         return tuple(map(explanation, _KINDS))
