@@ -1,12 +1,12 @@
 """A share among simulated cases with its 95 % interval, by Clopper and Pearson."""
 
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 
 def interval(hits: int, count: int) -> tuple[float, float]:
     """Return the 95 % interval of a share."""
-    low = float(beta.ppf(0.025, hits, count - hits + 1)) if hits else 0.0
-    return low, float(beta.ppf(0.975, hits + 1, count - hits)) if hits < count else 1.0
+    found = binomtest(hits, count).proportion_ci(0.95, method="exact")
+    return float(found.low), float(found.high)
 
 
 def told(hits: int, count: int, digits: int = 0) -> str:

@@ -17,7 +17,7 @@ from unittest import mock
 
 import jax
 import numpy as np
-from scipy.stats import beta
+from binomial_share import interval
 
 from imubayes.adequacy.noise_tests import judged_noise
 from imubayes.campaign import load_campaign
@@ -125,7 +125,7 @@ def _coverage(outcomes: list[Outcome]) -> str:
     if not inside:
         return "–"
     held, count = sum(inside), len(inside)
-    low, high = beta.ppf(0.025, held, count - held + 1), beta.ppf(0.975, held + 1, count - held) if held < count else 1
+    low, high = interval(held, count)
     return f"{held / count:.3f} ({low:.3f} … {high:.3f}) of {count}"
 
 

@@ -22,7 +22,7 @@ from imubayes.adequacy.known_noise import known_scales
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import in_batches
 from imubayes.foundations.campaign_data import INPUT_UNIT
-from imubayes.foundations.earth import group_means
+from imubayes.foundations.numerics import group_means
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import Linearised, linearise, whitened_about, whitened_columns

@@ -1,6 +1,7 @@
 """Use and report the calibration of a unit."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -148,6 +149,7 @@ def report(
     *,
     sections: Sequence[Callable[[QualificationReport], ReportSection]] = (),
     out: Sequence[str | Path] = (),
+    progress: Callable[[str], None] | None = None,
 ) -> QualificationReport:
     """Return the uncertainty report of a result as a record, and write it as page, PDF or JSON.
 
@@ -157,6 +159,7 @@ def report(
     specification : file with limits and decision rules; None where nothing is to be decided.
     sections : functions of the report that return further sections, such as a statement of traceability.
     out : files to write, by their endings: .html, .pdf, .json; none where the record alone is asked for.
+    progress : called with a short text as the work goes on.
 
     Raises
     ------
@@ -165,11 +168,15 @@ def report(
         used with it, a function that returns no section, and a file that exists and is no report.
     """
     files = [Path(file) for file in out]
-    with report_files.places_held(files):
+    # The record alone needs nothing that draws.
+    with progress_of(progress) as tell, report_files.places_held(files) if files else nullcontext():
+        tell("evaluating the posterior")
         found = report_of(result, specification)
         if sections:
             found = found.model_copy(update={"supplied": tuple(_supplied(each, found) for each in sections)})
-        report_files.write_report(found, files)
+        if files:
+            tell("drawing")
+            report_files.write_report(found, files)
     return found
 
 

@@ -216,8 +216,7 @@ def report(result: Path, *, out: Out, spec: Path | None = None, trust: Trust = F
         trusting(result, trust)
         from imubayes.api import report as make_report
 
-        tell("evaluating the posterior")
-        found = make_report(result, spec, out=out)
+        found = make_report(result, spec, out=out, progress=tell)
     from imubayes.display.qualification.first_page import alarms, banner
 
     said = banner(found)

@@ -206,7 +206,7 @@ class _Judged:
         noise = compare_with_known(project(fit, self.responses.misfit, self.responses.jacobian))
         simple, every = self._suggestions()
         diagnosis = Diagnosis(
-            verdict=self._verdict() if fit.optimised else "not_converged",
+            verdict=self._verdict(),
             message=fit.message if not (fit.optimised and fit.sampled) else "",
             result=self.result,
             explanations=posterior.evidence,
@@ -251,6 +251,8 @@ class _Judged:
         )  # fmt: skip
 
     def _verdict(self) -> Verdict:
+        if not self.fit.optimised:
+            return "not_converged"
         found = _VERDICTS[self.posterior.leading]
         certain = self.posterior.evidence.of("effects").probability >= NAMED
         single = all(len(slot.members) == 1 and slot.probability >= NAMED for slot in self.posterior.slots)

@@ -15,7 +15,7 @@ from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, 
 from imubayes.criticism.evidence.proposals import base_columns
 from imubayes.foundations.campaign_data import INPUT_UNIT, Kind
 from imubayes.foundations.covariates import COVARIATES
-from imubayes.foundations.earth import group_means
+from imubayes.foundations.numerics import group_means
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import to_si
 from imubayes.model.bind import Model

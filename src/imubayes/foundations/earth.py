@@ -1,7 +1,4 @@
-"""Normal gravity, Earth rotation and the orientation of a table axis in the local level frame; means over groups.
-
-NumPy only.  The means are those of groups of entries.
-"""
+"""Normal gravity, Earth rotation and the orientation of a table axis in the local level frame.  NumPy only."""
 
 import math
 from collections.abc import Sequence
@@ -53,16 +50,3 @@ def towards(axis: Sequence[float]) -> np.ndarray:
     # Rodrigues' formula about z × axis: I + [v]× + [v]×²/(1 + cos), v = (−y, x, 0).
     factor = 1 / (1 + z)
     return np.array([[1 - factor * x * x, -factor * x * y, x], [-factor * x * y, 1 - factor * y * y, y], [-x, -y, z]])
-
-
-def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Return at each entry the mean of the finite values of its group, (n,); 0 where the group has none.
-
-    Parameters
-    ----------
-    values : shape (n,).
-    group : shape (n,), numbers of the groups, from 0.
-    """
-    good = np.isfinite(values)
-    total = np.bincount(group, np.where(good, values, 0.0))
-    return (total / np.maximum(np.bincount(group, good), 1))[group]

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.foundations.campaign_data import INPUT_UNIT, Channel
-from imubayes.foundations.earth import group_means
+from imubayes.foundations.numerics import group_means
 from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
 from imubayes.inference.identifiability import ImplausibleEstimate, PriorConflict, UnexplainedOutput

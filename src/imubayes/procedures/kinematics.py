@@ -17,13 +17,13 @@ rad/s.  The axes of a row turn at constant rates about their angles at the middl
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.foundations.earth import earth_rate
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import gauss_legendre
 from imubayes.procedures.ambient import ambient_of
 
 
@@ -121,8 +121,7 @@ class Stimulus:
 _NODES_VERTICAL, _NODES_INCLINED = 4, 12
 _VERTICAL_WITHIN = math.radians(1.0)
 # A partial turn is integrated by Gauss–Legendre quadrature: exact for polynomials of degree 9 over the arc.
-_gauss_legendre = lru_cache(maxsize=256)(np.polynomial.legendre.leggauss)  # rows of a run have few numbers of nodes
-_ARC_POINTS, _ARC_WEIGHTS = _gauss_legendre(5)
+_ARC_POINTS, _ARC_WEIGHTS = gauss_legendre(5)
 
 
 def _angle_nodes(angle: float, span: float, whole_turn_nodes: int) -> tuple[np.ndarray, np.ndarray]:
@@ -344,7 +343,7 @@ def row_path(angle: np.ndarray, rate: np.ndarray, span: np.ndarray) -> tuple[np.
         share, weight = np.arange(count) / count, np.full(count, 1 / count)
     else:
         count = _FURTHER_NODES + math.ceil(_NODES_PER_TURN * turns)
-        share, weight = (part / 2 for part in _gauss_legendre(count))
+        share, weight = (part / 2 for part in gauss_legendre(count))
     return middle + share[:, None] * swept, weight
 
 

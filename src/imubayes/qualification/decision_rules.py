@@ -29,8 +29,9 @@ from typing import Literal
 import numpy as np
 import scipy  # loads its parts when they are first used
 
+from imubayes.foundations.numerics import gauss_legendre
 from imubayes.foundations.tail_probabilities import normal_survival
-from imubayes.qualification.marginal import Marginal, gauss_legendre
+from imubayes.qualification.marginal import Marginal
 
 RISK_ERRORS = 3.0
 """Monte Carlo errors by which a risk from draws may differ from that of quadrature.

@@ -14,13 +14,14 @@ standard error of mean, standard deviation and both ends of the interval is at m
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 import scipy  # loads its parts when they are first used
 from scipy import special
 
+from imubayes.foundations.numerics import gauss_legendre
 from imubayes.foundations.tail_probabilities import normal_survival
 
 # Nodes of the quadrature, and how far beyond the draws an infinite end is placed, in standard normals.
@@ -154,12 +155,6 @@ class FittedMarginal:
         angle = ends[0] + half * (nodes + 1)
         values = np.exp(self.log_density(self.location + self.scale * np.sinh(angle))) * self.scale * np.cosh(angle)
         return float(np.clip(half * np.sum(weights * values), 0.0, 1.0))
-
-
-@cache
-def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return nodes on [−1, 1] and weights of Gauss–Legendre quadrature, (count,) each, not to be changed."""
-    return np.polynomial.legendre.leggauss(count)
 
 
 def fitted_to(draws: np.ndarray) -> FittedMarginal:

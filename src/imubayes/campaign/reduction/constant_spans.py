@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from imubayes.campaign.reduction.log_survey import BlockSurvey, Steady, steady_part
-from imubayes.foundations.earth import group_means
+from imubayes.foundations.numerics import group_means
 
 WIDTH = 5  # blocks of the running median; an odd number
 NOISE_FACTOR = 5.0  # standard deviations of a block mean within which a level is one level

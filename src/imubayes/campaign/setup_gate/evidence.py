@@ -5,7 +5,7 @@ Output over nominal scale factor, less the nominal input u along the input axis 
     e = (δk u·I + α u·O + β u·S) + b + b_r + c·T + …  + δ_m·(u × I) + τ_t·(v × C I) + noise,
 
 with errors of scale factor and input axis, a bias, one offset per run, slopes with the temperatures, for gyros a
-g-sensitivity, a small rotation of every mounting and of every table.  All have Gaussian priors (`plausible_errors`), so
+g-sensitivity, a small rotation of every mounting and of every table.  All have Gaussian priors (`error_model`), so
 the marginal likelihood is in closed form.  Every run adds a term to the normal equations, and a suspected mistake
 changes the terms of the runs that it concerns: one evaluation is the solution of some hundred equations.
 

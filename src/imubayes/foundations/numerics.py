@@ -1,0 +1,31 @@
+"""Numerical helpers that need NumPy alone: means of groups of entries, and nodes of Gauss–Legendre quadrature.
+
+What is computed with in compiled functions stands in `imubayes.foundations.arrays`, tail probabilities in
+`imubayes.foundations.tail_probabilities`.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+
+def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return at each entry the mean of the finite values of its group, (n,); 0 where the group has none.
+
+    Parameters
+    ----------
+    values : shape (n,).
+    group : shape (n,), numbers of the groups, from 0.
+    """
+    good = np.isfinite(values)
+    total = np.bincount(group, np.where(good, values, 0.0))
+    return (total / np.maximum(np.bincount(group, good), 1))[group]
+
+
+@lru_cache(maxsize=256)  # rows of a run, and quadratures of a report, have few numbers of nodes
+def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes on [−1, 1] and weights of Gauss–Legendre quadrature, (count,) each, not to be changed.
+
+    Exact for polynomials of degree 2 count − 1.
+    """
+    return np.polynomial.legendre.leggauss(count)
