@@ -26,6 +26,8 @@ import numpy as np
 from imubayes.adequacy.adequacy_record import NOISE_AGREES, NOISE_TOLD_SD, NoiseComparison
 from imubayes.adequacy.noise_tests import to_entries
 from imubayes.adequacy.projection import Projection
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.tail_probabilities import LEAST_P, f_survival, normal_survival
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
@@ -172,7 +174,7 @@ class _FittedRows:
         channels = self.projection.fitted.model.campaign.channels
         return NoiseComparison(
             channel=channels[channel].name if channel is not None else ",".join(parameter.label),
-            fitted=_value(parameter, z), recorded=0.0, source="prior", ratio=1.0, ratio_sd=0.0, p=1.0,
+            fitted=parameter.value_at(z), recorded=0.0, source="prior", ratio=1.0, ratio_sd=0.0, p=1.0,
             correlated=bool(self.correlated[self.of(channel)].any()), unit=parameter.shown_unit,
             parameter=parameter.name, between_runs=issubclass(member, SharedNoise),
         )  # fmt: skip
@@ -242,7 +244,7 @@ def largest_scatter(model: Model) -> np.ndarray:
     found, records = np.full(len(model.campaign.channels), _RUNS_AGREE), sample_noise(model)
     for parameter, member, place in noise_scales(model):
         if issubclass(member, WhiteNoise) and place is not None and place not in records:
-            found[place] = max(_RUNS_AGREE, _value(parameter, 2.0) / stated(parameter))
+            found[place] = max(_RUNS_AGREE, parameter.value_at(2.0) / stated(parameter))
     return found
 
 
@@ -259,11 +261,7 @@ def _known_size(parameter: Parameter, record: SampleNoise | None) -> float:
 def stated(parameter: Parameter) -> float:
     """Return the size that a prior states, in the parameter's unit: its scale where it reaches down to zero."""
     prior = parameter.prior
-    return float(prior.scale) / parameter.factor if isinstance(prior, HalfNormal) else _value(parameter, 0.0)
-
-
-def _value(parameter: Parameter, z: float) -> float:
-    return float(parameter.prior.value(jnp.asarray(z))) / parameter.factor
+    return float(prior.scale) / parameter.factor if isinstance(prior, HalfNormal) else parameter.value_at(0.0)
 
 
 def noise_scales(model: Model) -> list[tuple[Parameter, EffectClass, int | None]]:
@@ -287,7 +285,7 @@ def _against_record(base: NoiseComparison, record: SampleNoise, factor: float) -
 def _against_prior(base: NoiseComparison, parameter: Parameter) -> NoiseComparison:
     known, z = stated(parameter), parameter.z_at(base.fitted)
     ratio = base.fitted / known
-    spread = 0.5 * math.log(_value(parameter, 1.0) / _value(parameter, -1.0))
+    spread = 0.5 * math.log(parameter.value_at(1.0) / parameter.value_at(-1.0))
     sd = ratio * math.hypot(spread, math.sqrt(0.5 / base.freedom) if base.freedom else 0.0)
     # A size that the prior excludes is beyond every one that it allows.
     p = float(normal_survival(z)) if z is not None else (LEAST_P if ratio > 1 else 1.0)
@@ -366,9 +364,8 @@ def _between_runs(projection: Projection) -> dict[int, _ScaleEstimate]:
     """Return the scatter of the means of the runs of each channel about the model."""
     apart = projection.offsets_apart
     fitted, strata = projection.fitted, apart.strata
-    problem, h = fitted.model.problem, jnp.asarray(fitted.h)
-    precision = np.asarray(group_sum(whitener(problem, h).direction ** 2, problem.observations))
-    shared = np.asarray(noise_distribution(problem, h).shared_variance)
+    problem, h = fitted.model.problem, fitted.h
+    precision, shared = map(np.asarray, _of_means(problem, h))
     channel = fitted.model.entries.channel[projection.turn.members[:, 0]]
     squares, found = strata.sums(apart.residual**2), {}
     for place in np.flatnonzero(strata.between).tolist():
@@ -380,20 +377,32 @@ def _between_runs(projection: Projection) -> dict[int, _ScaleEstimate]:
     return found
 
 
+@kept
+def _of_means(problem: Problem, h: Float[Array, " H"]) -> tuple[Float[Array, " G"], Float[Array, " G"]]:
+    """Return of the mean of each group the precision within its run, and the variance that its rows share."""
+    precision = group_sum(whitener(problem, h).direction ** 2, problem.observations)
+    return precision, noise_distribution(problem, h).shared_variance
+
+
 def _white_noise(problem: Problem, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the white noise of one raw sample at each entry, 0 without, and whether its noise is autocorrelated."""
     observations = problem.observations
-    values = problem.hyper_priors.values(jnp.asarray(h))
-    variance = np.zeros(len(observations.value))
+    variance = np.asarray(_white_variances(problem, h))
     correlated = np.zeros(len(observations.value), dtype=bool)
     for layer in problem.noise:
-        if issubclass(layer.noise, WhiteNoise):
-            variance += np.asarray(layer.entry_variances(values, observations.entry))
-        elif issubclass(layer.noise, SeriesNoise):
+        if issubclass(layer.noise, SeriesNoise):
             correlated |= (np.asarray(layer.acts) > 0)[np.asarray(observations.group)]
         elif issubclass(layer.noise, SlowNoise):
             correlated |= np.asarray(layer.acts) > 0
     return np.sqrt(variance * np.asarray(observations.entry.samples)), correlated
+
+
+@kept
+def _white_variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E"]:
+    """Return the variance of the white noise of each entry."""
+    values, entries = problem.hyper_priors.values(h), problem.observations.entry
+    white = [layer for layer in problem.noise if issubclass(layer.noise, WhiteNoise)]
+    return sum((layer.entry_variances(values, entries) for layer in white), jnp.zeros_like(entries.samples))
 
 
 def sample_noise(model: Model) -> dict[int, SampleNoise]:

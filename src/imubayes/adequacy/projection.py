@@ -9,16 +9,15 @@ has inflated the noise of the strata it acts in; judging it needs their scale wi
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import Array, Float
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import whitened_columns
 from imubayes.model.likelihood import pseudo_values
-from imubayes.model.noise_covariance import whitener
+from imubayes.model.noise_covariance import noise_distribution, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
-from imubayes.noise.components import SharedNoise
 
 _OFFSET_INFLATION = 1.2
 """A run offset is a stratum of its own where it inflates the variance of the run's mean by more than this factor.
@@ -197,10 +196,12 @@ def with_run_offsets(projection: Projection) -> Projection:
 
 def _can_scatter(problem: Problem) -> np.ndarray:
     """Return which groups have an offset with a noise scale, (G,) bool."""
-    values = problem.hyper_priors.values(jnp.ones(problem.size[1]))
-    shared = [layer.shared_variances(values) for layer in problem.noise if issubclass(layer.noise, SharedNoise)]
-    groups = len(np.asarray(problem.observations.members))
-    return np.asarray(sum(shared, jnp.zeros(groups))) > 0
+    return np.asarray(_shared_variances(problem, np.ones(problem.size[1]))) > 0
+
+
+@kept
+def _shared_variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
+    return noise_distribution(problem, h).shared_variance
 
 
 def _freedom(problem: Problem, strata: Strata, basis: np.ndarray) -> np.ndarray:

@@ -18,7 +18,6 @@ prior mean in prior standard deviations; where the prior decides, the estimate i
 
 import math
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.foundations.campaign_data import INPUT_UNIT, Channel
@@ -84,7 +83,7 @@ def _judged(
         value=value,
         lowest=None if inside else finite(lowest),
         highest=None if inside else finite(highest),
-        prior_mean=finite(float(parameter.prior.value(jnp.asarray(0.0))) / parameter.factor),
+        prior_mean=finite(parameter.value_at(0.0)),
         prior_sd=finite(parameter.prior_sd),
         distance=abs(z),
     )
@@ -166,7 +165,7 @@ def _owner(model: Model, parameter: Parameter) -> BoundEffect:
 
 
 def _conflict(parameter: Parameter, effect: BoundEffect, z: float, variance: float, distance: float) -> PriorConflict:
-    about, slope = _in_unit(parameter, z), _slope(parameter, z)
+    about, slope = parameter.value_at(z), _slope(parameter, z)
     alone, spread = z / (1 - variance), np.sqrt(variance / (1 - variance))
     declared, written = effect.declared[parameter.field], parameter.field in effect.spec.prior
     asked = about + slope * (alone - z)
@@ -175,7 +174,7 @@ def _conflict(parameter: Parameter, effect: BoundEffect, z: float, variance: flo
         unit=parameter.shown_unit,
         effect=parameter.effect,
         parameter=parameter.field,
-        prior_mean=_in_unit(parameter, 0.0),
+        prior_mean=parameter.value_at(0.0),
         prior_sd=finite(parameter.prior_sd),
         value=about,
         sd=slope * float(np.sqrt(variance)),
@@ -188,14 +187,10 @@ def _conflict(parameter: Parameter, effect: BoundEffect, z: float, variance: flo
     )
 
 
-def _in_unit(parameter: Parameter, z: float) -> float:
-    return float(parameter.prior.value(jnp.asarray(z))) / parameter.factor
-
-
 def _slope(parameter: Parameter, z: float) -> float:
     """Return the derivative of the value by z, in the unit."""
     step = 1e-4
-    return (_in_unit(parameter, z + step) - _in_unit(parameter, z - step)) / (2 * step)
+    return (parameter.value_at(z + step) - parameter.value_at(z - step)) / (2 * step)
 
 
 def _wider(parameter: Parameter, asked: float) -> str:

@@ -26,7 +26,7 @@ from imubayes.inference.run_fit import judged_fit
 from imubayes.loop.warm_start import extended, whitened
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import Problem, predict
-from imubayes.parameters.declarations import Declared
+from imubayes.parameters.declarations import Declared, prior_values
 from imubayes.responses.candidate_effects import searchable
 from imubayes.simulation.simulate import random_stream, simulate
 
@@ -248,7 +248,7 @@ def _trial(fitted: Fit, clear: _Clear, name: str, size: Size, seed: int, screen:
         if scale is None:
             return "the model absorbs all of it: no size of it is detectable in these runs"
     z = _placed(model, null, unit, scale)
-    values = np.asarray(model.problem.priors.values(jnp.asarray(z))) / model.layout.factors()
+    values = np.asarray(prior_values(model.problem.priors, z)) / model.layout.factors()
     planted = tuple(
         InjectedParameter(parameter.name, float(values[place]), parameter.shown_unit)
         for place, parameter in ((place, model.layout.parameters[place]) for place in (*unit, *shape))
@@ -308,8 +308,8 @@ def _placed(model: Model, null: np.ndarray, unit: dict[int, float], scale: float
 
 def _truth(model: Model, z: np.ndarray, h: np.ndarray) -> dict[str, float]:
     """Return all parameters by name, in their units."""
-    values = np.asarray(model.problem.priors.values(jnp.asarray(z))) / model.layout.factors()
-    hyper = np.asarray(model.problem.hyper_priors.values(jnp.asarray(h))) / model.hyper_layout.factors()
+    values = np.asarray(prior_values(model.problem.priors, z)) / model.layout.factors()
+    hyper = np.asarray(prior_values(model.problem.hyper_priors, h)) / model.hyper_layout.factors()
     truth = dict(zip(model.layout.names, values.tolist(), strict=True))
     return truth | dict(zip(model.hyper_layout.names, hyper.tolist(), strict=True))
 

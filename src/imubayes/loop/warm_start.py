@@ -419,15 +419,13 @@ def _coefficients(
         parameter = layout.parameters[place]
         if not blind:
             # The standard deviation in the unit: a secant over one standard deviation to each side.
-            low, here, high = (
-                float(parameter.prior.value(jnp.asarray(z[place] + side * width))) for side in (-1, 0, 1)
-            )
+            low, here, high = (parameter.value_at(z[place] + side * width) for side in (-1, 0, 1))
             spread = abs(high - low) / 2
             found.append(
                 CoefficientEstimate(
                     name=parameter.name,
-                    value=finite(here / parameter.factor),
-                    sd=finite(spread / parameter.factor),
+                    value=finite(here),
+                    sd=finite(spread),
                     unit=parameter.shown_unit,
                 )
             )

@@ -193,6 +193,10 @@ class Parameter:
             return None
         return z if np.isfinite(z) else None
 
+    def value_at(self, z: float) -> float:
+        """Return the value at z, in the parameter's unit (the inverse of `z_at`)."""
+        return float(prior_values(Priors.stack([self.prior]), np.array([z]))[0]) / self.factor
+
 
 @dataclass(frozen=True)
 class Layout:

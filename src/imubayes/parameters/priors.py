@@ -11,11 +11,12 @@ import math
 import re
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, reduce
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jax.scipy.special import ndtr, ndtri
+from jax.scipy.special import erfc
 from scipy import special
 
 from imubayes.foundations.arrays import Array, Float, Scalar
@@ -54,6 +55,62 @@ Number = float | Float[Array, "..."]
 Refuse = Callable[[str, str], InputError]  # what is wrong, what is allowed → the error
 
 
+# Priors are part of nearly every compiled program, and their derivatives of most: few operations, and slopes in closed
+# form, which `jax.scipy.special.ndtri` and `ndtr` lack, make a program as much as twice as fast to compile.
+
+
+@jax.custom_jvp
+def _probability(z: Scalar) -> Scalar:
+    """Return Φ(z)."""
+    return 0.5 * erfc(-math.sqrt(0.5) * z)
+
+
+_probability.defjvps(lambda slope, _, z: slope * jnp.exp(-0.5 * z**2) / math.sqrt(2 * math.pi))
+
+
+@jax.custom_jvp
+def _half_normal(z: Scalar) -> Scalar:
+    """Return x with Φ(x) = ½ (1 + Φ(z)), to 1e-15 of itself."""
+    probability = _probability(jnp.minimum(z, 1.0))
+    square = 0.180625 - (0.5 * probability) ** 2
+    near = 0.5 * probability * _polynomial(_NEAR, square) / _polynomial(_UNDER_NEAR, square)
+    inverse = 1 / jnp.maximum(z, 1.0)
+    far = z + inverse * _polynomial(_FAR, inverse) / _polynomial(_UNDER_FAR, inverse)
+    return jnp.where(z > 1, far, near)
+
+
+@_half_normal.defjvp
+def _half_normal_slope(points: tuple[Scalar], slopes: tuple[Scalar]) -> tuple[Scalar, Scalar]:
+    (z,), (slope,) = points, slopes
+    x = _half_normal(z)
+    return x, 0.5 * jnp.exp(0.5 * (x - z) * (x + z)) * slope  # ½ φ(z)/φ(x)
+
+
+def _polynomial(coefficients: tuple[float, ...], x: Scalar) -> Scalar:
+    """Return Σ cₖ xᵏ, from the highest power."""
+    return reduce(lambda total, coefficient: total * x + coefficient, reversed(coefficients), jnp.zeros(()))
+
+
+# Φ⁻¹(½ + q) about q = 0: Wichura, algorithm AS 241 (PPND16), Applied Statistics 37 (1988), 477.
+_NEAR = (
+    3.3871328727963666080, 133.14166789178437745, 1971.5909503065514427, 13731.693765509461125,
+    45921.953931549871457, 67265.770927008700853, 33430.575583588128105, 2509.0809287301226727,
+)  # fmt: skip
+_UNDER_NEAR = (
+    1.0, 42.313330701600911252, 687.18700749205790830, 5394.1960214247511077,
+    21213.794301586595867, 39307.895800092710610, 28729.085735721942674, 5226.4952788528545610,
+)  # fmt: skip
+# z (x − z) in 1/z for z ≥ 1: fitted to 50 digits of x; its value at 0 is log 2.
+_FAR = (
+    0.6931471806330266429, 8.896548410273446999, 61.387779083201256975, 269.70238282173199071,
+    791.20572522015217178, 1529.0846859119659486, 1782.9208073118473365, 926.23582970776694183,
+)  # fmt: skip
+_UNDER_FAR = (
+    1.0, 12.835006294251321843, 89.910416283579335386, 406.38164857158737575, 1257.9108845720519933,
+    2693.8851399501306758, 3873.8851122709387706, 3401.3351267320960961, 1373.2392910040186523,
+)  # fmt: skip
+
+
 class Normal(Prior):
     """normal(mean, standard deviation)."""
 
@@ -80,7 +137,7 @@ class Uniform(Prior):
     high: Number
 
     def value(self, z: Scalar) -> Scalar:
-        return self.low + (self.high - self.low) * ndtr(z)
+        return self.low + (self.high - self.low) * _probability(z)
 
     def z(self, value: float) -> float:
         return float(special.ndtri((value - self.low) / (self.high - self.low)))
@@ -112,24 +169,17 @@ class LogNormal(Prior):
         return 0.0, math.inf
 
 
-_FAR = 20.0
-
-
 class HalfNormal(Prior):
     """halfnormal(scale): the absolute value of normal(0, scale)."""
 
     scale: Number
 
     def value(self, z: Scalar) -> Scalar:
-        # ½(1 + Φ(z)) written through its complement keeps the digits of the upper tail.  Far out Φ(−z) underflows, in
-        # derivatives first; there the root x of φ(x)/x = ½ φ(z)/z is written as a series in 1/z.
-        near, far = jnp.minimum(z, _FAR), jnp.maximum(z, _FAR)
-        beyond = far + math.log(2) / (far + 1 / far) - math.log(2) ** 2 / (2 * far**3)
-        return self.scale * jnp.where(z > _FAR, beyond, -ndtri(0.5 * ndtr(-near)))
+        return self.scale * _half_normal(z)
 
     def z(self, value: float) -> float:
         x = value / float(self.scale)
-        if x < _FAR:
+        if x < 20:
             return -float(special.ndtri(2 * float(normal_survival(x))))
         # The tail probability underflows: φ(x)/x = ½ φ(z)/z is solved for z.
         z = x
@@ -150,7 +200,7 @@ class HalfCauchy(Prior):
     scale: Number
 
     def value(self, z: Scalar) -> Scalar:
-        return self.scale / jnp.tan(0.5 * jnp.pi * ndtr(-z))
+        return self.scale / jnp.tan(0.5 * jnp.pi * _probability(-z))
 
     def z(self, value: float) -> float:
         return -float(special.ndtri(2 / math.pi * math.atan(self.scale / value)))
@@ -169,7 +219,7 @@ class LogUniform(Prior):
     high: Number
 
     def value(self, z: Scalar) -> Scalar:
-        return self.low * (self.high / self.low) ** ndtr(z)
+        return self.low * (self.high / self.low) ** _probability(z)
 
     def z(self, value: float) -> float:
         return float(special.ndtri(math.log(value / self.low) / math.log(self.high / self.low)))

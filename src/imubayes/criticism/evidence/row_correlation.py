@@ -23,7 +23,7 @@ from imubayes.model.nodes_and_entries import Timeline
 from imubayes.model.noise_covariance import Series, SlowSeries, whitener_of
 from imubayes.model.problem import Problem
 from imubayes.noise.components import SeriesNoise, SlowNoise
-from imubayes.parameters.declarations import Parameter
+from imubayes.parameters.declarations import Parameter, prior_values
 
 _FACTORS = tuple(2.0**k for k in range(1, -6, -1))
 """Sizes over that as fitted.  Derived: at a factor √2 off, the evidence of a hundred rows falls by some nats only."""
@@ -122,7 +122,7 @@ class _Size:
 
 def _sizes(model: Model, channel: int, h: np.ndarray) -> Iterator[tuple[int, _Size]]:
     """Yield the sizes of the members that correlate the rows of a channel, with their places in h."""
-    values = np.asarray(model.problem.hyper_priors.values(jnp.asarray(h)))
+    values = np.asarray(prior_values(model.problem.hyper_priors, h))
     for k, (parameter, member, place) in enumerate(noise_scales(model)):
         bounded = issubclass(member, SeriesNoise)
         if place == channel and (bounded or (issubclass(member, SlowNoise) and parameter.unit == "output")):
