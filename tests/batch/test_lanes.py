@@ -66,13 +66,8 @@ def units(tmp_path_factory) -> list[Path]:
     return make_units(tmp_path_factory.mktemp("units"), 6)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "polar-tumble",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("trihedral-imu", "redundant-imu", "accel-channel")),
-    ],
-)
+@pytest.mark.parametrize("name", ["polar-tumble", "trihedral-imu", "redundant-imu", "accel-channel"])
+@pytest.mark.slow  # the posteriors below are those of polar-tumble at every run
 def test_the_optimum_is_that_of_a_single_fit(name):
     assert distance(model_of(DATA / name, name)) < 0.01
 

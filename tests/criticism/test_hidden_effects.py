@@ -116,11 +116,9 @@ def test_chains_that_did_not_converge_do_not_keep_effects_from_being_ranked() ->
 
 @pytest.mark.parametrize(
     "share",
-    [
-        0.003,
-        pytest.param(0.1, marks=pytest.mark.slow),
-    ],
+    [0.003, 0.1],
 )
+@pytest.mark.slow  # test_dead_zone.py has the gyro's at every run
 def test_what_the_runs_do_not_distinguish_is_told_and_suggested_together(share: float) -> None:
     """A dead zone of the gyro or of its converter."""
     through = signal(positions())
