@@ -1,4 +1,4 @@
-"""A result folder is one thing: at every instant the old result, the new one, or a folder that is refused."""
+"""A result folder is one thing: at every instant the old result or the new one; what is neither is refused."""
 
 import errno
 import json
@@ -29,6 +29,7 @@ from imubayes.results.folder_files import (
     checked,
     replacing_result,
 )
+from imubayes.results.folder_state import claim
 from imubayes.results.result import read_result
 from kept_results import listed
 
@@ -63,29 +64,30 @@ def content(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in (SUMMARY, RESIDUALS, POSTERIOR) if (folder / name).is_file()}
 
 
-def test_a_kill_at_any_instant_leaves_the_old_result_or_the_new_or_a_refusal(place, tmp_path, command_environment):
+def which(folder: Path, place: Path) -> str:
+    """Return which of two results a folder is, after reading it as every command does."""
+    result, diagnosis = read_result(folder), read_diagnosis(folder)
+    found = "old" if result.summary.sampled else "new"
+    assert content(folder) == content(place / found)
+    assert (result.posterior_file is None, diagnosis is None) == (found == "new",) * 2
+    assert not [file.name for file in folder.iterdir() if file.name == ".committed"]
+    return found
+
+
+def test_a_kill_at_any_instant_leaves_the_old_result_or_the_new(place, tmp_path, command_environment):
     count = killed(command_environment, place / "old", place / "new", tmp_path)
-    found, refusals = [], []
-    for number in range(count + 1):
-        folder = tmp_path / str(number)
-        try:
-            result = read_result(folder)
-            diagnosis = read_diagnosis(folder)
-        except InputError as error:
-            found.append("refused")
-            refusals.extend(error.issues)
-            continue
-        which = "old" if result.summary.sampled else "new"
-        found.append(which)
-        assert content(folder) == content(place / which)
-        assert (result.posterior_file is None, diagnosis is None) == (which == "new",) * 2
-    assert all("interrupted" in issue.what for issue in refusals)
-    assert all(issue.remedy.startswith("run `imubayes fit` again") for issue in refusals)
-    assert found == sorted(found, key=["old", "refused", "new"].index)
-    assert found.count("refused") >= 3, "a folder between two results was met"
-    assert (found[0], found[-1]) == ("old", "new")
+    begun = [number for number in range(count + 1) if (tmp_path / str(number) / ".committed").is_dir()]
+    # A reader that completes what was begun may be killed as well.
+    for number in begun[:2]:
+        again = killed(command_environment, tmp_path / str(number), tmp_path / "read", tmp_path / "again")
+        assert {which(tmp_path / "again" / str(each), place) for each in range(again + 1)} == {"new"}
+        shutil.rmtree(tmp_path / "again")
+    middle = Path(shutil.copytree(tmp_path / str(begun[1]), tmp_path / "middle"))
+    found = [which(tmp_path / str(number), place) for number in range(count + 1)]
+    assert found == sorted(found, key=["old", "new"].index)
+    assert (found[0], found[-1], found[begun[0]]) == ("old", "new", "new")
+    assert len(begun) >= 4, "a folder between two results was met"
     # The next writer finishes: nothing of what was left behind stays.
-    middle = tmp_path / str(found.index("refused"))
     with replacing_result(middle, 0) as scratch:
         for name in (SUMMARY, RESIDUALS):
             shutil.copyfile(place / "new" / name, scratch / name)
@@ -93,22 +95,57 @@ def test_a_kill_at_any_instant_leaves_the_old_result_or_the_new_or_a_refusal(pla
     assert not [file.name for file in middle.iterdir() if file.name.startswith(".") or file.name == DIAGNOSIS]
 
 
-def test_a_kill_while_a_file_is_added_leaves_the_fit(place, tmp_path, command_environment):
+def test_a_first_result_that_was_committed_is_one(place, tmp_path, command_environment):
+    (tmp_path / "none").mkdir()
+    count = killed(command_environment, tmp_path / "none", place / "new", tmp_path / "copies")
+    seen = set()
+    for folder in (tmp_path / "copies" / str(number) for number in range(count + 1)):
+        committed = (folder / ".committed").is_dir() or (folder / MANIFEST).is_file()
+        seen.add(committed)
+        claim(folder) if not committed else which(folder, place)
+    assert seen == {False, True}
+
+
+def test_a_kill_while_a_file_is_added_leaves_the_fit_with_or_without_it(place, tmp_path, command_environment):
     (tmp_path / "text").write_text("{}\n")
     count = killed(command_environment, place / "old", tmp_path / "text", tmp_path)
-    refusals = []
+    found = []
     for number in range(count + 1):
         folder = tmp_path / str(number)
-        assert content(folder) == content(place / "old")
         assert checked(folder).identity == checked(place / "old").identity
-        try:
-            added(folder, BUDGETS)
-        except InputError as error:
-            refusals.append(str(error))
+        assert content(folder) == content(place / "old")
+        found.append(added(folder, BUDGETS) is not None)
         add_to(folder, BUDGETS, "{}\n")
         assert added(folder, BUDGETS) == folder / BUDGETS
-    assert refusals
-    assert all("budgets.json is not of this result" in each for each in refusals)
+        assert not [file.name for file in folder.iterdir() if file.name.startswith(".")]
+    assert found == sorted(found)
+    assert {*found} == {False, True}
+
+
+def test_a_change_that_cannot_be_completed_is_told_and_kept(place, result, monkeypatch):
+    shutil.copytree(place / "new", result / ".committed")
+    (result / ".committed" / ".removed").write_text("\0".join((POSTERIOR, DIAGNOSIS)))
+
+    def read_only(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system", str(result))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("imubayes.foundations.files.only_writer", read_only)
+        patched.setattr("imubayes.foundations.files.PATIENCE", 0.0)
+        with pytest.raises(InputError, match="interrupted and cannot be completed: Read-only"):
+            read_result(result)
+    assert which(result, place) == "new"
+
+
+def test_what_came_along_removes_nothing_elsewhere(result, tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    (result / ".committed").mkdir()
+    names = "\0".join(["../mine", str(tmp_path / "mine"), "figures/../../mine", "notes"])
+    (result / ".committed" / ".removed").write_text(names)
+    (result / "notes").write_text("notes")
+    assert read_result(result).summary.sampled
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert not (result / "notes").exists()
 
 
 def _first_half(folder: Path) -> None:

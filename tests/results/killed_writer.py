@@ -1,7 +1,7 @@
 """Write to copies of a result folder, each time in a process that ends, as if killed, after one operation more.
 
-Arguments: a result, what is written (another result, or a file of another command), and a folder for the copies; the
-copy `n` was left by a process that made n changes to the disk.
+Arguments: a result, what is written (another result, or a file of another command; where it does not exist, the result
+is read), and a folder for the copies; the copy `n` was left by a process that made n changes to the disk.
 """
 
 import os
@@ -9,7 +9,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from imubayes.results.folder_files import BUDGETS, MANIFEST, add_to, replacing_result
+from imubayes.results.folder_files import BUDGETS, MANIFEST, add_to, checked, replacing_result
 
 before, after, copies = map(Path, sys.argv[1:])
 KILLED = 9
@@ -28,11 +28,15 @@ def killed_after(count: int) -> None:
 
         return operation
 
-    os.replace, os.fsync, os.mkdir = map(mortal, (os.replace, os.fsync, os.mkdir))
+    os.replace, os.rename, os.fsync, os.mkdir = map(mortal, (os.replace, os.rename, os.fsync, os.mkdir))
+    os.unlink, os.rmdir = map(mortal, (os.unlink, os.rmdir))
     Path.unlink, Path.mkdir, shutil.rmtree = map(mortal, (Path.unlink, Path.mkdir, shutil.rmtree))
 
 
 def write(folder: Path) -> None:
+    if not after.exists():
+        checked(folder)
+        return
     if after.is_file():
         add_to(folder, BUDGETS, after.read_text())
         return

@@ -1,6 +1,7 @@
 """Files and folders that appear as a whole or not at all, and places that one process at a time writes to.
 
-What is written stands beside its place first and is then renamed.
+What is written stands beside its place first and is then renamed; files that belong together are committed by one
+renaming of them all.
 
 A place is locked through an open file: the lock ends with its process, however that ends, and what is left of the file
 means nothing.
@@ -15,13 +16,15 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
 from imubayes.foundations.errors import InputError, input_error
 
-_WRITING = ".writing-"
+_WRITING, _COMMITTED, _REMOVED = ".writing-", ".committed", ".removed"
+PATIENCE = 5.0
+"""Seconds to wait for a process that adds a file: it takes less, a fit longer."""
 
 
 @contextmanager
@@ -122,38 +125,83 @@ def new_folder(folder: Path, durable: bool = False) -> Iterator[Path]:
 def replacing_files(folder: Path, last: str, without: Callable[[], Iterable[str]] = tuple) -> Iterator[Path]:
     """Give a scratch folder whose files replace those of `folder` when the block ends; its other files stay.
 
-    The file named `last` commits the change: before it is put in place, all others are on the disk.
+    Once all of them are on the disk, the scratch folder gets the name of a change that is committed.  A process that
+    dies before that leaves the old files, one that dies after it the new ones: `complete_change` puts them in place.
+    The caller holds the folder.
 
     Parameters
     ----------
     last : name of the file that is put in place last.
-    without : gives the names of files that are removed before that, unless they are written.
+    without : gives the names of files that are removed, unless they are written.
     """
+    complete_change(folder, last)
     folder.mkdir(parents=True, exist_ok=True)
-    for left in folder.glob(f"{_WRITING}*"):  # by a process that died: the caller holds the folder
+    for left in folder.glob(f"{_WRITING}*"):  # by a process that died
         remove(left)
     scratch = folder / f"{_WRITING}{os.getpid()}"
     scratch.mkdir()
     try:
         yield scratch
-        written = sorted(scratch.iterdir())
-        for file in written:
-            _synchronise(file)
-        for file in written:
-            if file.name != last:
-                os.replace(file, folder / file.name)
-        for name in set(without()) - {file.name for file in written}:
-            (folder / name).unlink(missing_ok=True)
-        _synchronise(folder)
-        os.replace(scratch / last, folder / last)
-        _synchronise(folder)
+        removed = sorted(set(without()) - {file.name for file in scratch.iterdir()})
+        (scratch / _REMOVED).write_text("\0".join(removed), encoding="utf-8")
+        for place in (*scratch.iterdir(), scratch):
+            _synchronise(place)
+        os.rename(scratch, folder / _COMMITTED)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+    _synchronise(folder)
+    complete_change(folder, last)
 
 
-def interrupted(folder: Path) -> bool:
-    """Tell whether a process died, or is at work, while it wrote files of a folder."""
-    return any(folder.glob(f"{_WRITING}*"))
+def complete_change(folder: Path, last: str) -> None:
+    """Put in place the files of a change that a process has committed and not completed, by `last` after the others.
+
+    Without such a change nothing is done.  A process that is at work is waited for.
+
+    Raises
+    ------
+    InputError
+        where that process does not end, or this one may not write.
+    """
+    committed, until = folder / _COMMITTED, time.monotonic() + PATIENCE
+    while committed.is_dir():
+        try:
+            with only_writer(folder):
+                _put_in_place(committed, last)
+        except (InputError, OSError) as error:
+            if time.monotonic() < until:
+                time.sleep(_PAUSE)
+            elif isinstance(error, InputError):
+                raise
+            else:
+                raise _incomplete(folder, error) from error
+
+
+def _incomplete(folder: Path, error: OSError) -> InputError:
+    return input_error(
+        f"the last change of this folder was interrupted and cannot be completed: {error.strerror or error}",
+        str(error.filename2 or error.filename or folder),
+        "a folder that this process may write to",
+        "run the command as a user who may write there; the change is kept until then",
+    )
+
+
+def _put_in_place(committed: Path, last: str) -> None:
+    """Rename the files of a committed change; what a process that died has renamed already is passed over."""
+    folder, listed = committed.parent, committed / _REMOVED
+    written = sorted((file for file in committed.glob("*") if file != listed), key=lambda file: file.name == last)
+    for file in written:
+        if file.name == last:
+            _synchronise(folder)
+        os.replace(file, folder / file.name)
+    names = listed.read_text(encoding="utf-8", errors="replace").split("\0") if listed.is_file() else ()
+    for place in (folder / name for name in names if name):
+        # A folder may come from elsewhere: nothing outside of it is removed.
+        with suppress(OSError):  # it is no file, or lies in a folder of another user
+            if place.parent.resolve().is_relative_to(folder.resolve()):
+                place.unlink(missing_ok=True)
+    _synchronise(folder)
+    shutil.rmtree(committed)
 
 
 def refuse_existing(file: Path, but: Callable[[bytes], bool] = lambda content: False) -> None:

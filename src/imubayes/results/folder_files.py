@@ -2,10 +2,11 @@
 
 What is missing in a folder, or wrong with a file that cannot be read, is reported as such.
 
-The manifest says which files belong together, and is the one check that they still do.  Files are written beside their
-places and renamed one by one; the manifest, with size and SHA-256 of each, is renamed last and commits them.  A folder
-that was left in between holds files that its manifest does not list as they are, and is refused.  Commands that go on
-from a result add their files to the manifest in the same way: what is not listed is not of this result.
+The manifest says which files belong together, with size and SHA-256 of each, and is the one check that they still do.
+Files are written beside their places, committed together with their manifest by one renaming, and then put in place; a
+process that is killed leaves the old result or the new one, which the next process that reads or writes completes.
+Commands that go on from a result add their files to the manifest in the same way: what is not listed is not of this
+result.
 """
 
 import hashlib
@@ -18,7 +19,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationError
 
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
-from imubayes.foundations.files import interrupted, only_writer, replacing_files, write_text
+from imubayes.foundations.files import PATIENCE, complete_change, only_writer, replacing_files, write_text
 from imubayes.foundations.records import Record
 from imubayes.model.model_file import read_model, trust_files
 
@@ -72,6 +73,11 @@ BY_OTHER_COMMANDS = {DIAGNOSIS: "diagnose", BUDGETS: "report"}
 _NEEDED = (SUMMARY, RESIDUALS)
 
 
+def complete(folder: Path) -> None:
+    """Complete a change of a result folder that was committed and then interrupted; raises InputError where not."""
+    complete_change(folder, MANIFEST)
+
+
 def missing(folder: Path) -> list[Issue]:
     """Return what keeps a folder from being a result, before any of its files is read."""
     allowed = "a result folder with " + ", ".join(_NEEDED)
@@ -111,14 +117,12 @@ def trust(place: str | Path) -> tuple[Path, ...]:
         where they cannot be read.
     """
     place = Path(place)
+    if place.is_dir():
+        complete(place)
     model = place / MODEL if place.is_dir() else place
     files = (place,) if place.suffix == ".py" else tuple(map(Path, read_model(model).files))
     trust_files(files)
     return files
-
-
-# Seconds that a file waits to be added: another one is added in less, a fit takes longer.
-_PATIENCE = 5.0
 
 
 class KeptFile(Record):
@@ -157,13 +161,15 @@ class Manifest(Record):
 def checked(folder: Path) -> Manifest:
     """Return the manifest of a result folder whose fit is whole, every file as it was written.
 
-    Sizes are compared every time, digests once in a process for a file that has not changed.
+    A change that was committed and then interrupted is completed first.  Sizes are compared every time, digests once in
+    a process for a file that has not changed.
 
     Raises
     ------
     InputError
         where there is no result, or one that is truncated, altered, mixed, or older than manifests.
     """
+    complete(folder)
     issues = missing(folder)
     if issues:
         raise InputError(issues)
@@ -216,7 +222,7 @@ def add_to(folder: Path, name: str, text: str, identity: str = "") -> None:
     InputError
         where there is no whole result, or another one by now.
     """
-    with only_writer(folder, _PATIENCE):
+    with only_writer(folder, PATIENCE):
         manifest = same_fit(folder, identity)
         with replacing_files(folder, MANIFEST) as scratch:
             write_text(scratch / name, text)
@@ -226,7 +232,7 @@ def add_to(folder: Path, name: str, text: str, identity: str = "") -> None:
 
 def mark_selected(folder: Path, selection: int) -> None:
     """Keep the number of the selection that made this the selected model of its history."""
-    with only_writer(folder, _PATIENCE):
+    with only_writer(folder, PATIENCE):
         manifest = checked(folder)
         with replacing_files(folder, MANIFEST) as scratch:
             write_text(scratch / MANIFEST, manifest.model_copy(update={"selection": selection}).json_text())
@@ -248,12 +254,8 @@ def same_fit(folder: Path, identity: str) -> Manifest:
 def _read(folder: Path) -> Manifest:
     file = folder / MANIFEST
     if not file.is_file():
-        what = (
-            "its writing was interrupted" if interrupted(folder) else "an earlier version made it, or it is not whole"
-        )
-        raise input_error(
-            f"the result folder has no {MANIFEST}: {what}", str(file), "a folder as `imubayes fit` writes it", AGAIN
-        )
+        what = f"the result folder has no {MANIFEST}: an earlier version made it, or it is not whole"
+        raise input_error(what, str(file), "a folder as `imubayes fit` writes it", AGAIN)
     try:
         return Manifest.model_validate_json(file.read_bytes())
     except (OSError, ValidationError) as error:
@@ -274,8 +276,6 @@ def _fault(folder: Path, listed: KeptFile, remedy: str) -> Issue | None:
         what = f"{listed.name} is missing"
     if not what:
         return None
-    if interrupted(folder):
-        what = f"the writing of this result was interrupted, its files do not belong together: {what}"
     return Issue(what, str(file), f"the file that {folder / MANIFEST} lists", remedy)
 
 

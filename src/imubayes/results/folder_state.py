@@ -8,7 +8,7 @@ from pathlib import Path
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import only_writer
 from imubayes.inference.checkpoint import steps_in
-from imubayes.results.folder_files import CHECKPOINT, FIT, POSTERIOR, SUMMARY
+from imubayes.results.folder_files import CHECKPOINT, FIT, POSTERIOR, SUMMARY, complete
 
 
 @contextmanager
@@ -43,8 +43,9 @@ def claim(folder: Path, resume: bool = False, replace: bool = False) -> None:
     ------
     InputError
         where it holds files but no result, a sampling that was interrupted and is not to be resumed, or a sampled
-        result that is not to be replaced.
+        result that is not to be replaced; where an interrupted change cannot be completed.
     """
+    complete(folder)
     if folder.is_dir():
         held = [file.name for file in folder.iterdir() if not file.name.startswith(".")]
         if held and not any((folder / name).is_file() for name in (FIT, CHECKPOINT)):
@@ -84,6 +85,7 @@ def claimed_new(folder: Path | None, parent: Path | None) -> Iterator[None]:
 
 def refuse_taken(folder: Path, parent: Path | None) -> None:
     """Raise InputError where a folder holds a result."""
+    complete(folder)
     if (folder / FIT).exists() or (parent is not None and folder.resolve() == parent.resolve()):
         raise input_error(
             "the folder holds a result already",
