@@ -31,7 +31,7 @@ from .effects.base import (
 )
 from .foundations.arrays import Scalar, compose, cross, exponential, rotate, vector3
 from .foundations.campaign_data import Campaign
-from .foundations.errors import InputError
+from .foundations.errors import InputError, NotKept
 from .foundations.signal_path_state import Ambient, Experience, Motion, Sample
 from .foundations.units import dimension, to_si
 from .inference.ensemble_sampling import Settings
@@ -60,6 +60,7 @@ __all__ = [
     "Motion",
     "MotionEffect",
     "Noise",
+    "NotKept",
     "Order",
     "PlaceEffect",
     "Play",

@@ -85,6 +85,38 @@ def test_the_campaign_is_no_place_for_a_result(tmp_path, refused):
     assert sorted(campaign.rglob("*")) == there
 
 
+def test_what_cannot_be_kept_is_shown(result, tmp_path, capsys):
+    def said(folder: Path, *words: str) -> tuple[int, str, list[str]]:
+        status = run([words[0], str(folder), *words[1:]])
+        shown = capsys.readouterr()
+        lines = [line for line in shown.err.splitlines() if line.startswith("warning")]
+        return status, shown.out.replace(str(folder), "RESULT"), lines
+
+    closed = Path(shutil.copytree(result, tmp_path / "closed"))
+    (closed / ".lock").mkdir()  # nobody can hold this folder
+    (closed / "figures").write_text("no folder")
+    before = {file: file.read_bytes() for file in closed.iterdir() if file.is_file()}
+    for words in (("diagnose",), ("diagnose", "--json"), ("compare",)):
+        status, out, told = said(result, *words)
+        assert (status, told) == (0, [])
+        shown, others = said(closed, *words)[1:]
+        assert len(others) == 1
+        assert f"nothing of this is kept in {closed} (" in others[0]
+        written = ("picture:", " more figures", "figures in", "look at these")
+        assert shown.splitlines() == [line for line in out.splitlines() if not any(each in line for each in written)]
+    assert {file: file.read_bytes() for file in closed.iterdir() if file.is_file()} == before
+
+
+def test_an_answer_about_one_effect_leaves_the_pictures_alone(result):
+    (result / "figures").mkdir()
+    (result / "figures" / "diagnosis.png").write_text("drawn")
+    assert run(["diagnose", str(result), "--effect", "accel_quadratic"]) == 0
+    assert (result / "figures" / "diagnosis.png").read_text() == "drawn"
+    assert run(["diagnose", str(result)]) == 0
+    picture = result / "figures" / "diagnosis.png"
+    assert not picture.exists() or picture.read_bytes() != b"drawn", "of another diagnosis"
+
+
 @pytest.mark.parametrize("below", ["", "folder"])
 def test_a_file_is_no_place_for_a_result(tmp_path, refused, below):
     (tmp_path / "file").write_text("mine")

@@ -15,10 +15,10 @@ import xarray as xr
 from PIL import Image
 
 from imubayes.display.figure_selection import corner_choice, most_telling_first, pattern
-from imubayes.display.model_against_measurement import Comparison
+from imubayes.display.model_against_measurement import Comparison, print_comparison
 from imubayes.display.model_against_measurement import compare as compare_first
 from imubayes.display.numbers_and_labels import covariate
-from imubayes.foundations.errors import InputError
+from imubayes.foundations.errors import InputError, NotKept
 from imubayes.results.stored_tables import draws_of
 from kept_results import listed
 
@@ -295,7 +295,13 @@ def test_the_nearest_result_is_named(trihedral: Path):
     assert "trihedral" in caught.value.issues[0].allowed
 
 
-def test_figures_that_cannot_be_written(single: Path):
+def test_the_tables_are_shown_where_no_figure_can_be_written(single: Path, capsys):
     (single / "figures").write_text("in the way")
-    with pytest.raises(InputError, match="cannot be written"):
-        compare(single)
+    with pytest.warns(NotKept, match=re.escape(f"nothing of this is kept in {single} (File exists)")):
+        shown = compare(single)
+    assert not shown.pictures
+    assert not shown.page.exists()
+    print_comparison(shown)
+    out = capsys.readouterr().out
+    assert "gx" in out
+    assert "figures" not in out

@@ -237,12 +237,17 @@ def test_a_disk_that_is_full_leaves_the_old_result(place, result):
     assert not [file for file in result.iterdir() if file.name.startswith(".")]
 
 
-def test_no_page_of_the_result_before_stays(place, result):
+def test_no_picture_of_the_result_before_stays(place, result):
     compare(result)
+    figures = result / "figures"
+    assert len([*figures.glob("*.png")]) == 5
+    for name in ("diagnosis.png", "recorded_noise.png", "mine.png"):
+        (figures / name).write_text("drawn")
     with replacing_result(result, 0) as scratch:
         for name in (SUMMARY, RESIDUALS):
             shutil.copyfile(place / "new" / name, scratch / name)
     assert not (result / PAGE).exists()
+    assert [file.name for file in figures.iterdir()] == ["mine.png"]
 
 
 def test_digests_are_computed_once(result, monkeypatch):

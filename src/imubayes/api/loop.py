@@ -10,7 +10,7 @@ from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.errors import input_error
+from imubayes.foundations.errors import input_error, kept_if_possible
 from imubayes.foundations.files import refuse_existing
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
@@ -45,7 +45,8 @@ def diagnose(
 ) -> Diagnosis:
     """Return which physical effect is missing in a fit, or that none is, from one pass and without a refit.
 
-    What was found is kept in the result folder, where there is one: `add` starts from it.
+    What was found is kept in the result folder, where there is one: `add` starts from it.  A folder that cannot be
+    written to is left alone, with the warning `NotKept`.
 
     Parameters
     ----------
@@ -65,7 +66,8 @@ def diagnose(
         read = result if isinstance(result, Result) else read_result(result)
         found = judge(read.fit, str(read.folder or "RESULT"), effect, tell)
     if read.folder is not None and not effect:
-        write_diagnosis(read.folder, found, read.identity)
+        with kept_if_possible(read.folder):
+            write_diagnosis(read.folder, found, read.identity)
     return found
 
 

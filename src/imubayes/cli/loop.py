@@ -109,11 +109,15 @@ def diagnose(
         start_jax("diagnose")
         trusting(result, trust)
         from imubayes.api import diagnose as find_missing
+        from imubayes.api import load
         from imubayes.display.loop.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
 
-        found = find_missing(result, effect, progress=tell)
+        read = load(result)
+        found = find_missing(read, effect, progress=tell)
         tell("drawing")
-        pictures = _pictures(result, found)
+        pictures = (
+            [] if effect else _pictures(result, read.identity, found)
+        )  # an answer about one effect leaves the others' alone
     if python:
         print(effect_source(found))
     else:
@@ -121,17 +125,24 @@ def diagnose(
     return 1 if found.verdict == "not_converged" else 0
 
 
-def _pictures(result: Path, found: "Diagnosis") -> list[Path]:
+def _pictures(result: Path, identity: str, found: "Diagnosis") -> list[Path]:
     """Draw what the diagnosis rests on; Matplotlib is imported where there is something to draw."""
+    from imubayes.foundations.errors import kept_if_possible
+    from imubayes.results.folder_files import DIAGNOSIS_PICTURE, FIGURES, NOISE_PICTURE, same_fit
+
     pictures = []
-    if found.evidence is not None:
-        from imubayes.display.figures.residual_evidence import save_evidence
+    with kept_if_possible(result):
+        same_fit(result, identity)
+        for name in (DIAGNOSIS_PICTURE, NOISE_PICTURE):  # of an earlier diagnosis
+            (result / FIGURES / name).unlink(missing_ok=True)
+        if found.evidence is not None:
+            from imubayes.display.figures.residual_evidence import save_evidence
 
-        pictures.append(save_evidence(result, found.evidence))
-    if found.disagreeing_noise and found.scatter is not None:
-        from imubayes.display.figures.residual_evidence import save_recorded_noise
+            pictures.append(save_evidence(result, found.evidence))
+        if found.disagreeing_noise and found.scatter is not None:
+            from imubayes.display.figures.residual_evidence import save_recorded_noise
 
-        pictures.append(save_recorded_noise(result, found.scatter))
+            pictures.append(save_recorded_noise(result, found.scatter))
     return pictures
 
 

@@ -6,9 +6,11 @@ import gc
 import io
 import os
 import sys
-from collections.abc import Sequence
-from contextlib import suppress
-from typing import NoReturn
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NoReturn
 
 import cyclopts
 
@@ -18,7 +20,7 @@ from imubayes.cli.calibrated_unit import apply, carrier, export, report
 from imubayes.cli.campaign import check, effects, noise, schema, simulate
 from imubayes.cli.fit import classical, compare, fit
 from imubayes.cli.loop import add, diagnose, history, plant, remove
-from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import InputError, Issue, NotKept, closest_first
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -79,8 +81,9 @@ def _leave(status: int) -> NoReturn:
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status."""
     try:
-        status = app(arguments, exit_on_error=False, print_error=False)
-        sys.stdout.flush()
+        with _telling_what_is_not_kept():
+            status = app(arguments, exit_on_error=False, print_error=False)
+            sys.stdout.flush()
     except InputError as error:
         return _refuse(*error.issues)
     except cyclopts.CycloptsError as error:
@@ -95,6 +98,26 @@ def run(arguments: Sequence[str] | None = None) -> int:
             raise
         return _refuse(_issue_of(error))
     return status if isinstance(status, int) else DONE
+
+
+@contextmanager
+def _telling_what_is_not_kept() -> Iterator[None]:
+    """Print what could not be kept, one line for each folder, after what a command prints."""
+    lines: dict[Path, str] = {}
+    with warnings.catch_warnings():
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
+            if isinstance(message, NotKept):
+                lines.setdefault(message.folder, f"warning: {message}")
+            else:
+                others(message, category, *where)
+
+        warnings.simplefilter("always", NotKept)
+        warnings.showwarning = show
+        yield
+    for line in lines.values():
+        print(line.translate(_CONTROL), file=sys.stderr)
 
 
 def _refuse(*issues: Issue) -> int:

@@ -2,14 +2,13 @@
 
 Pictures go to `figures/` one by one, each written beside and then put in its place, so that no incomplete picture is
 ever seen.  `figures/captions.json` lists what was drawn; what an earlier comparison drew and this one does not is
-removed.
+removed.  Where the folder cannot be written to, the tables are all that is shown.
 
 The page shows the five figures that matter first, all others folded, and the tables.  It is one file beside the folder
 `figures`, without scripts or external styles; its pictures are the files of that folder.
 """
 
 import gc
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -35,13 +34,13 @@ from imubayes.display.fit_report import summary_html
 from imubayes.display.layout import SheetTable, render, terminal
 from imubayes.display.progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, kept_if_possible
 from imubayes.foundations.files import write_json, write_text
 from imubayes.foundations.progress import Tell, counted
 from imubayes.model.model_file import read_model
 from imubayes.procedures import classical
 from imubayes.qualification.temperature_range import ThermalModel, thermal_model
-from imubayes.results.folder_files import MODEL, PAGE, POSTERIOR, damaged
+from imubayes.results.folder_files import CAPTIONS, FIGURES, MODEL, PAGE, POSTERIOR, damaged, pictures_compared
 from imubayes.results.history_tree import campaign_of
 from imubayes.results.stored_tables import draws_of, read_summary_and_residuals
 from imubayes.results.summary import Summary
@@ -77,7 +76,6 @@ effects_behind: Any = lazy_loader.load("imubayes.display.loop.effects_behind", s
 fit_file: Any = lazy_loader.load("imubayes.results.fit_file", suppress_warning=True)
 
 _MOST_COLUMNS = 9
-_INDEX = "captions.json"
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class Comparison:
     Attributes
     ----------
     folder : the result folder.
-    pictures : files written, overview first.
+    pictures : files written, overview first; none where the folder cannot be written to.
     captions : file name → caption.
     summary : of the fit.
     notes : what was left out.
@@ -128,8 +126,9 @@ class Comparison:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Any]:
         yield self.runs
-        yield from self.notes
-        yield f"{len(self.pictures)} figures in {self.folder / 'figures'}; look at these first: {self.page}"
+        if self.pictures:
+            yield from self.notes
+            yield f"{len(self.pictures)} figures in {self.folder / FIGURES}; look at these first: {self.page}"
 
     def _repr_html_(self) -> str:
         return summary_html(self.summary)
@@ -169,9 +168,7 @@ def compare(
     ranked = most_telling_first(list(figures), summary, residuals, chosen)
     if not every:
         ranked = [*ranked[:FIRST], *(name for name in ranked[FIRST:] if _is_asked(name, parameters, runs))]
-    with progress_of(progress) as tell:
-        wanted = {name: draw for name, draw in figures.items() if name in ranked}
-        made, captions = _draw(wanted, folder / "figures", tell)
+    wanted = {name: draw for name, draw in figures.items() if name in ranked}
     classical_estimates = None
     if campaign is not None:
         predicted = of_prediction(campaign, residuals, summary)
@@ -180,9 +177,12 @@ def compare(
             behind = effects_behind.effects_behind(fit_file.read_fit(folder), residuals, summary)
             classical_estimates = classical_estimates.with_causes(behind)
     notes = tuple(_notes(residuals, draws, chosen) if every else _left_out(len(figures) - len(wanted)))
-    page = folder / PAGE
-    write_text(page, comparison_page(summary, [f"{name}.png" for name in ranked], captions, notes))
-    return Comparison(folder, tuple(made), captions, summary, notes, page, classical_estimates)
+    page, made, captions = folder / PAGE, (), {}
+    with kept_if_possible(folder), progress_of(progress) as tell:
+        drawn, captions = _draw(wanted, folder, tell)
+        write_text(page, comparison_page(summary, [f"{name}.png" for name in ranked], captions, notes))
+        made = tuple(drawn)
+    return Comparison(folder, made, captions, summary, notes, page, classical_estimates)
 
 
 def _thermal(folder: Path, summary: Summary, draws: Mapping[str, Any]) -> ThermalModel | None:
@@ -241,9 +241,10 @@ def _chosen_runs(residuals: pl.DataFrame, folder: Path, runs: Sequence[str]) -> 
     return [name for name in known if name in runs]
 
 
-def _draw(figures: Mapping[str, Callable[[], Picture]], target: Path, tell: Tell) -> tuple[list[Path], dict[str, str]]:
+def _draw(figures: Mapping[str, Callable[[], Picture]], folder: Path, tell: Tell) -> tuple[list[Path], dict[str, str]]:
     """Write figures one by one; return the files, and the caption of each by file name."""
-    _make_folder(target)
+    target = folder / FIGURES
+    target.mkdir(exist_ok=True)
     made: list[Path] = []
     captions: dict[str, str] = {}
     with _light_collection():
@@ -251,7 +252,10 @@ def _draw(figures: Mapping[str, Callable[[], Picture]], target: Path, tell: Tell
             figure = draw()
             made.append(figure.save(target / f"{name}.png"))
             captions[f"{name}.png"] = figure.caption
-    _replace_index(target, captions)
+    earlier = pictures_compared(folder)
+    write_json(target / CAPTIONS, captions)
+    for name in {*earlier} - {*captions}:
+        (target / name).unlink(missing_ok=True)
     return made, captions
 
 
@@ -314,13 +318,14 @@ def print_comparison(comparison: Comparison) -> None:
     console.print(comparison.runs)
     if comparison.classical is not None and (sheet := discrepancy_sheet(comparison.classical)).rows:
         console.print(terminal(sheet))
-    for note in comparison.notes:
+    for note in comparison.notes if comparison.pictures else ():
         console.print(note, highlight=False)
     for line in disagreement_lines(comparison.summary, str(comparison.folder)):
         console.print(line, highlight=False, soft_wrap=True)
-    count = len(comparison.pictures)
-    console.print(f"{count} figures in {comparison.folder / 'figures'}", highlight=False, soft_wrap=True)
-    console.print(f"look at these first: {comparison.page}", highlight=False, soft_wrap=True)
+    if comparison.pictures:
+        count = len(comparison.pictures)
+        console.print(f"{count} figures in {comparison.folder / FIGURES}", highlight=False, soft_wrap=True)
+        console.print(f"look at these first: {comparison.page}", highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -334,24 +339,3 @@ def _light_collection() -> Iterator[None]:
     finally:
         gc.set_threshold(*thresholds)
         gc.unfreeze()
-
-
-def _make_folder(target: Path) -> None:
-    try:
-        target.mkdir(exist_ok=True)
-    except OSError as error:
-        what = f"the pictures cannot be written: {error.strerror or error}"
-        remedy = "free the place or give yourself the right to write there"
-        raise input_error(what, str(target), "a folder that can be written", remedy) from error
-
-
-def _replace_index(target: Path, captions: Mapping[str, str]) -> None:
-    index = target / _INDEX
-    try:
-        earlier = json.loads(index.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        earlier = {}
-    write_json(index, dict(captions))
-    for name in earlier if isinstance(earlier, dict) else ():
-        if name not in captions and Path(name).name == name and name.endswith(".png"):
-            (target / name).unlink(missing_ok=True)

@@ -5,8 +5,11 @@ once.  Numerical failure is not an exception but a value with a message (see `im
 """
 
 import difflib
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,25 @@ class InputError(Exception):
 def input_error(what: str, where: str, allowed: str, remedy: str) -> InputError:
     """Return the error of a single issue; see `Issue` for the four parts."""
     return InputError(Issue(what, where, allowed, remedy))
+
+
+class NotKept(UserWarning):
+    """What a command found is shown, but could not be written beside the result that it was made of, in `folder`."""
+
+    def __init__(self, folder: Path, reason: str):
+        self.folder = folder
+        remedy = "to keep it, run the command where there is room and a right to write, such as on a copy of the folder"
+        super().__init__(f"nothing of this is kept in {folder} ({reason}); {remedy}")
+
+
+@contextmanager
+def kept_if_possible(folder: Path) -> Iterator[None]:
+    """Warn, and go on after the block, where it cannot write to a folder: what was to be kept there is not lost."""
+    try:
+        yield
+    except (OSError, InputError) as error:
+        reason = error.issues[0].what if isinstance(error, InputError) else error.strerror or str(error)
+        warnings.warn(NotKept(folder, reason), stacklevel=3)
 
 
 def closest_first(word: str, options: Iterable[str], most: int = 8) -> str:

@@ -10,6 +10,7 @@ result.
 """
 
 import hashlib
+import json
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -67,7 +68,10 @@ MANIFEST = "manifest.json"
 HISTORY = "history.json"
 CHANGE, ADDED_VARIABLE = "change.json", "added_variable.parquet"
 DIAGNOSIS, BUDGETS = "diagnosis.json", "budgets.json"
-PAGE = "compare.html"
+PAGE, FIGURES = "compare.html", "figures"
+CAPTIONS = "captions.json"
+"""In `FIGURES`: the captions of what a comparison drew, by file name."""
+DIAGNOSIS_PICTURE, NOISE_PICTURE = "diagnosis.png", "recorded_noise.png"
 BY_OTHER_COMMANDS = {DIAGNOSIS: "diagnose", BUDGETS: "report"}
 """File that is made of a finished fit → the command that makes it."""
 _NEEDED = (SUMMARY, RESIDUALS)
@@ -291,9 +295,21 @@ def _sha256(file: Path, state: tuple[int, int, int]) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def pictures_compared(folder: Path) -> tuple[str, ...]:
+    """Return the names of the files in `FIGURES` that the last comparison of a result drew."""
+    try:
+        captions = json.loads((folder / FIGURES / CAPTIONS).read_bytes())
+    except (OSError, ValueError):
+        return ()
+    names = captions if isinstance(captions, dict) else ()
+    return tuple(name for name in names if Path(name).name == name and name.endswith(".png"))
+
+
 def _names(folder: Path) -> Iterable[str]:
     """Return the names of all files that tell of an earlier result, whole or not."""
-    known = (SUMMARY, RESIDUALS, POSTERIOR, PAGE, *BY_OTHER_COMMANDS)
+    pictures = (CAPTIONS, DIAGNOSIS_PICTURE, NOISE_PICTURE, *pictures_compared(folder))
+    drawn = (f"{FIGURES}/{name}" for name in pictures)
+    known = (SUMMARY, RESIDUALS, POSTERIOR, PAGE, *BY_OTHER_COMMANDS, *drawn)
     try:
         manifest = _read(folder)
     except InputError:

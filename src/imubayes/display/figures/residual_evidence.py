@@ -23,7 +23,7 @@ from imubayes.display.figures.panels import draw_means, limit_of, set_range, thi
 from imubayes.display.numbers_and_labels import pretty, readable, shortened, significant, value_and_sd
 from imubayes.foundations.covariates import Covariate, shown
 from imubayes.responses.residual_covariates import INPUTS, ResidualCovariate
-from imubayes.results.folder_files import RESIDUALS
+from imubayes.results.folder_files import DIAGNOSIS_PICTURE, FIGURES, NOISE_PICTURE, RESIDUALS
 
 _LEGEND = 2.05
 _MOST_CHANNELS = 12
@@ -292,7 +292,7 @@ def save_evidence(folder: Path, evidence: ResidualEvidence) -> Path:
     """Draw the residual that shows a missing effect into the `figures` of its result folder; return the file."""
     covariate = evidence.covariate if evidence.over is None else evidence.over.covariate
     against = _label(covariate) if covariate is not None else _BY_ROW
-    return _saved(folder, evidence_figure(evidence, against, _signs_of(folder)), "diagnosis.png")
+    return _saved(folder, evidence_figure(evidence, against, _signs_of(folder)), DIAGNOSIS_PICTURE)
 
 
 def _label(covariate: Covariate | ResidualCovariate | CovariateLabel) -> str:
@@ -301,7 +301,7 @@ def _label(covariate: Covariate | ResidualCovariate | CovariateLabel) -> str:
 
 def save_recorded_noise(folder: Path, record: KnownNoise) -> Path:
     """Draw fitted against recorded noise into the `figures` of a result folder; return the file."""
-    return _saved(folder, recorded_noise_figure(record, _signs_of(folder)), "recorded_noise.png")
+    return _saved(folder, recorded_noise_figure(record, _signs_of(folder)), NOISE_PICTURE)
 
 
 def _signs_of(folder: Path) -> style.RunSigns | None:
@@ -311,7 +311,7 @@ def _signs_of(folder: Path) -> style.RunSigns | None:
 
 
 def _saved(folder: Path, drawn: style.Picture, name: str) -> Path:
-    target = folder / "figures"
+    target = folder / FIGURES
     target.mkdir(exist_ok=True)
     return drawn.save(target / name)
 
