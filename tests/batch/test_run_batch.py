@@ -1,9 +1,11 @@
 """A batch goes on after any interruption, keeps what is done, and names what cannot be fitted."""
 
+import errno
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +26,10 @@ from imubayes.batch.posterior_table import (
     read_units,
 )
 from imubayes.batch.run_batch import BatchProgress, ChunkTask, run_batch
-from imubayes.model.model_file import read_model
+from imubayes.foundations.errors import InputError
+from imubayes.model import model_file
+from imubayes.model.model_file import PriorCorrelation, read_carried_model, read_model
+from imubayes.results.folder_files import trust
 
 TOY = Path(__file__).parent / "toy_executor.py"
 
@@ -206,3 +211,95 @@ def test_ten_kinds_of_damage_each_with_its_reason_and_all_others_fitted(tmp_path
     assert estimates.filter(pl.col("kind") != "derived")["mean"].is_not_null().all()
     assert estimates.filter(pl.col("q2_5") > pl.col("q97_5")).is_empty()
     assert table["covariance"][-1].len() == len(table["names"][-1]) * (len(table["names"][-1]) + 1) // 2
+
+
+EFFECT = '''"""An effect of the user's own."""
+
+from imubayes import Order, Scalar, SignalEffect, Stage, parameter
+
+
+class Mine(SignalEffect):
+    """A quadratic of one's own."""
+
+    name = "mine"
+    stage, order, kinds = Stage.SENSOR, Order.SCALE, ("gyro",)
+    k: Scalar = parameter("ppm", "normal(0, 100 ppm)", (10, 300), "k")
+
+    def apply(self, signal, sample):
+        return signal * (1 + self.k * signal)
+'''
+NOISE = (
+    'format = 1\nname = "noise"\n\n[[effect]]\nname = "white_noise"\nprior = { sigma = "lognormal(1 noise, 0.5)" }\n'
+)
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch) -> Path:
+    """A model with an effect file below it and noise priors beside its folder, of a user who trusts nothing yet."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "configuration"))
+    monkeypatch.setattr(model_file, "_ran", set())
+    model = tmp_path / "models" / "model.toml"
+    (model.parent / "effects").mkdir(parents=True)
+    (model.parent / "effects" / "mine.py").write_text(EFFECT)
+    (tmp_path / "noise.toml").write_text(NOISE)
+    first, rest = MODEL.read_text().split("[[effect]]", 1)
+    own = 'files = ["effects/mine.py"]\nnoise_priors = "../noise.toml"\n'
+    model.write_text(f'{first}{own}\n[[effect]]\nname = "mine"\n\n[[effect]]{rest}')
+    return model
+
+
+def test_the_model_of_a_batch_is_kept_with_all_files_that_it_names(own, many, tmp_path):
+    given = read_model(own)
+    key = run_batch(many, own, tmp_path / "out", toy_executor).key
+    file = model_folder(tmp_path / "out", key) / "model.toml"
+    for source in (own, tmp_path / "noise.toml", own.parent / "effects" / "mine.py"):
+        source.unlink()
+    with pytest.raises(InputError, match=r"'mine\.py' is Python code that came along"):
+        read_carried_model(file)
+    trust(file)
+    kept = read_carried_model(file)
+    assert batch_key(kept, BatchSettings()) == key
+    assert kept.noise_priors is not None
+    assert given.noise_priors is not None
+    assert [each.prior for each in kept.noise_priors.effects] == [each.prior for each in given.noise_priors.effects]
+
+
+def test_noise_priors_and_correlations_are_of_the_model(own, tmp_path):
+    key = batch_key(read_model(own), BatchSettings())
+    (tmp_path / "noise.toml").write_text(NOISE.replace("0.5", "0.6"))
+    assert batch_key(other := read_model(own), BatchSettings()) != key
+    block = PriorCorrelation(("white_noise.sigma[g]", "run_scatter.tau[g]"), ((1.0, 0.5), (0.5, 1.0)))
+    assert batch_key(replace(other, correlations=(block,)), BatchSettings()) not in (
+        key, batch_key(other, BatchSettings())
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_questions_asked_of_a_batch_with_an_effect_of_the_users_own(own, tmp_path, capsys, monkeypatch):
+    from imubayes.cli.main import run
+
+    def said(*words: object) -> tuple[int, str]:
+        status = run(["batch", *map(str, words)])
+        return status, "".join(capsys.readouterr())
+
+    make_units(tmp_path / "units", 6)
+    out, following = tmp_path / "out", tmp_path / "next" / "model.toml"
+    assert said(tmp_path / "units", "--model", own, "--out", out)[0] == 0
+    monkeypatch.setattr(model_file, "_ran", set())  # as in another process
+    for words in (("diagnose", out), ("prior", out, "--out", following)):
+        status, text = said(*words)
+        assert (status, "'mine.py' is Python code that came along" in text) == (2, True)
+    assert not following.exists()
+    monkeypatch.setattr("imubayes.batch.unit_scores.replacing", _full)
+    status, text = said("diagnose", out, "--trust")
+    assert status == 0, text
+    assert "6 campaigns of 6 units" in text
+    assert "nothing of this is kept in" in text
+    assert said("prior", out, "--out", following)[0] == 0
+    spec = read_model(following)
+    assert [Path(file).read_text() for file in spec.files] == [EFFECT]
+    assert spec.noise_priors is not None
+
+
+def _full(*_, **__):
+    raise OSError(errno.ENOSPC, "No space left on device")

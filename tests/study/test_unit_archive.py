@@ -34,8 +34,9 @@ def batch(tmp_path_factory) -> tuple[Path, dict]:
 
 def test_the_fault_of_one_table_is_found_and_its_units_named(batch):
     results, truth = batch
-    assert complete_scores(results) == []
-    found = pooled_discovery(read_unit_scores(results), read_units(results))
+    scores = complete_scores(results)
+    assert scores.issues == ()
+    found = pooled_discovery(scores.table, read_units(results))
     assert "converter_gain_drift_quadratic" in found.findings[0].effects
     carriers = {unit for unit, each in truth.items() if each["hidden"]}
     named = set(found.findings[0].named)

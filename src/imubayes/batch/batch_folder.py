@@ -25,6 +25,7 @@ from typing import Literal
 from urllib.parse import unquote
 
 import polars as pl
+import tomlkit
 
 from imubayes.archive.campaign_file import date_of, read_campaign, unit_of
 from imubayes.archive.store import Archive, campaign_folders, folder_digest
@@ -47,7 +48,7 @@ from imubayes.model.model_file import ModelSpec
 
 Sampling = Literal["all", "flagged", "none"]
 """Which units are sampled by emcee: all, those whose Laplace approximation is in doubt, or none."""
-_DIGITS = 12
+_DIGITS, _NOISE_FILE = 12, "noise-priors.toml"
 # Packages that show results or read commands decide no number.
 _SHOWN = ("display", "cli", "qualification", "campaign/convert", "api/")
 
@@ -70,9 +71,15 @@ class BatchSettings:
 
 def batch_key(spec: ModelSpec, settings: BatchSettings) -> str:
     """Return the hash of model, settings and code, under which results are kept."""
-    effects = sorted(repr(replace(effect, where="")) for effect in spec.effects)
     sources = [Path(file).read_text(encoding="utf-8") for file in spec.files]
-    return _digest(spec.name, *effects, *sources, repr(spec.delta_k_threshold), repr(settings), code_version())
+    noise = () if spec.noise_priors is None else _stated(spec.noise_priors)
+    stated = (*_stated(spec), *sources, repr(spec.delta_k_threshold), *noise)
+    return _digest(spec.name, *stated, repr(settings), code_version())
+
+
+def _stated(spec: ModelSpec) -> list[str]:
+    """Return what a model says of effects and correlations, wherever it says so."""
+    return sorted(repr(replace(each, where="")) for each in (*spec.effects, *spec.correlations))
 
 
 @cache
@@ -208,12 +215,20 @@ class PartFiles:
                 shutil.rmtree(scratch)
             yield
 
-    def keep_model(self, text: bytes) -> None:
-        """Keep the model file beside the parts."""
-        file = model_folder(self.results, self.key) / MODEL_FILE
-        if not file.exists():
-            with replacing(file, durable=True) as scratch:
-                scratch.write_bytes(text)
+    def keep_model(self, model: Path, spec: ModelSpec) -> None:
+        """Keep the model file beside the parts, with the files that it names."""
+        folder = model_folder(self.results, self.key)
+        if (folder / MODEL_FILE).exists():
+            return
+        document = tomlkit.parse(model.read_text(encoding="utf-8"))
+        named = {folder / Path(file).relative_to(model.parent): Path(file) for file in spec.files}
+        if spec.noise_priors is not None:
+            document["noise_priors"] = _NOISE_FILE
+            named[folder / _NOISE_FILE] = Path(spec.noise_priors.where)
+        kept = {place: file.read_bytes() for place, file in named.items()}
+        for place, content in (*kept.items(), (folder / MODEL_FILE, tomlkit.dumps(document).encode())):
+            with replacing(place, durable=True) as scratch:
+                scratch.write_bytes(content)
 
     def done(self) -> list[DoneUnit]:
         """Return the units that the parts hold, in the order of the parts."""

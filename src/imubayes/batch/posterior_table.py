@@ -3,6 +3,7 @@
 Both are plain Parquet, written in parts: a results folder holds
 
     model-<hash>/model.toml                      the model; the hash is that of model, settings and code
+    model-<hash>/…                               the files that it names: effects of the user's own, noise priors
     model-<hash>/part-<key>/parameters.parquet   PARAMETERS: long form, one row per unit and parameter
     model-<hash>/part-<key>/units.parquet        UNITS: one row per unit, with the covariance of its parameters
     model-<hash>/scores-<key>.parquet            scores of candidate effects, once `imubayes batch diagnose` has run

@@ -118,7 +118,7 @@ def run_batch(
     settings, spec, sources = settings or BatchSettings(), read_model(model), sources_of(place)
     parts = PartFiles(Path(out), batch_key(spec, settings), code_version())
     with parts.writing():
-        parts.keep_model(Path(model).read_bytes())
+        parts.keep_model(Path(model), spec)
         missing = still_to_do(parts, sources, retry)
         clock, before, done, failed = time.perf_counter(), len(sources) - len(missing), 0, 0
         state = BatchProgress(parts.key, len(sources), before, 0, 0, 0.0)

@@ -34,7 +34,7 @@ from imubayes.criticism.evidence.effect_variants import EffectVariant
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis, scale_mode
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.errors import InputError, Issue, input_error
+from imubayes.foundations.errors import InputError, Issue, input_error, kept_if_possible
 from imubayes.foundations.files import replacing
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
@@ -215,32 +215,47 @@ def read_unit_scores(results: str | Path, model: str | None = None) -> pl.DataFr
     return pl.concat([SCORES.to_frame(), *tables.values()])
 
 
+@dataclass(frozen=True)
+class ScoresOfUnits:
+    """Scores of a batch, schema `SCORES`, and why some campaigns have none."""
+
+    table: pl.DataFrame
+    issues: tuple[Issue, ...]
+
+
 def complete_scores(
     results: str | Path, model: str | None = None, progress: Callable[[int, int], None] | None = None
-) -> list[Issue]:
-    """Compute the scores of every fitted campaign that has none; return why some cannot have any.
+) -> ScoresOfUnits:
+    """Return the scores of every fitted campaign; those that have none yet are computed, and kept where possible.
 
     Parameters
     ----------
     results, model : the batch.
     progress : called with the numbers of campaigns done and to do.
+
+    Raises
+    ------
+    InputError
+        for scores of another version, and effect files that are not trusted.
     """
     units = read_units(results, model).filter(pl.col("status") == "fitted")
     key = chosen_model(results, model)
     folder = model_folder(results, key)
-    spec, known = read_carried_model(folder / MODEL_FILE), set(read_unit_scores(results, key)["digest"])
+    spec, tables = read_carried_model(folder / MODEL_FILE), [read_unit_scores(results, key)]
+    known = set(tables[0]["digest"])
     missing = [row for row in units.iter_rows(named=True) if row["digest"] not in known]
     issues: list[Issue] = []
     for start in range(0, len(missing), _CHUNK):
         rows = missing[start : start + _CHUNK]
-        found = list(_scored(spec, rows, issues))
-        if found:
+        found = pl.concat([SCORES.to_frame(), *_scored(spec, rows, issues)])
+        tables.append(found)
+        if len(found):
             name = hashlib.sha256("\0".join(row["digest"] for row in rows).encode()).hexdigest()[:_DIGITS]
-            with replacing(folder / f"{_PREFIX}{name}.parquet", durable=True) as scratch:
-                pl.concat(found).write_parquet(scratch)
+            with kept_if_possible(folder), replacing(folder / f"{_PREFIX}{name}.parquet", durable=True) as scratch:
+                found.write_parquet(scratch)
         if progress is not None:
             progress(min(start + _CHUNK, len(missing)), len(missing))
-    return issues
+    return ScoresOfUnits(pl.concat(tables), tuple(issues))
 
 
 def _scored(spec: ModelSpec, rows: Sequence[dict], issues: list[Issue]) -> Iterator[pl.DataFrame]:

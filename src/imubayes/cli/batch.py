@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 import cyclopts
 
-from imubayes.cli.session import Flag, Json, progress, show, start_jax
+from imubayes.cli.session import Flag, Json, Trust, progress, show, start_jax, trusting
 from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
@@ -137,6 +137,12 @@ def _tables(results: Path, model_hash: str | None) -> tuple["pl.DataFrame", "pl.
     return read_parameters(results, model_hash), read_units(results, model_hash)
 
 
+def _kept_model(results: Path, model_hash: str | None) -> Path:
+    from imubayes.batch.posterior_table import MODEL_FILE, chosen_model, model_folder
+
+    return model_folder(results, chosen_model(results, model_hash)) / MODEL_FILE
+
+
 def _write(table: "pl.DataFrame", file: Path | None) -> None:
     from imubayes.foundations.files import replacing
 
@@ -184,7 +190,15 @@ def population(
 
 
 @batch.command
-def prior(results: Path, *, out: Path, name: str = "", model_hash: str | None = None, as_json: Json = False) -> None:
+def prior(
+    results: Path,
+    *,
+    out: Path,
+    name: str = "",
+    model_hash: str | None = None,
+    as_json: Json = False,
+    trust: Trust = False,
+) -> None:
     """Write a model for the next unit, whose priors are the population of the units so far.
 
     Example: imubayes batch prior results/batch --out models/next-unit.toml
@@ -201,29 +215,36 @@ def prior(results: Path, *, out: Path, name: str = "", model_hash: str | None = 
         Model, where the folder holds results of several.
     as_json
         Print one JSON object on standard output.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
     from dataclasses import asdict
 
     from imubayes.batch.next_prior import next_unit_model
     from imubayes.batch.parameter_population import populations
-    from imubayes.batch.posterior_table import MODEL_FILE, model_folder
     from imubayes.display.batch_report import prior_report
-    from imubayes.foundations.files import refuse_existing, write_text
+    from imubayes.foundations.files import refuse_existing
     from imubayes.model.model_file import read_carried_model
-    from imubayes.results.result_folder import model_text
+    from imubayes.results.result_folder import write_model
 
     found, _ = populations(*_tables(results, model_hash))
-    folder, _ = _of_one_model(results, model_hash)
-    spec, replaced = next_unit_model(read_carried_model(model_folder(folder, found.model) / MODEL_FILE), found, name)
+    kept = _kept_model(_of_one_model(results, model_hash)[0], found.model)
+    trusting(kept, trust)
+    spec, replaced = next_unit_model(read_carried_model(kept), found, name)
     refuse_existing(out)
-    write_text(out, model_text(spec))
+    write_model(spec, out)
     record = {"format": 1, "model": str(out), "priors": [asdict(each) for each in replaced]}
     show(lambda: record, lambda: prior_report(replaced, out), as_json)
 
 
 @batch.command
 def diagnose(
-    results: Path, *, picture: Path | None = None, model_hash: str | None = None, as_json: Json = False
+    results: Path,
+    *,
+    picture: Path | None = None,
+    model_hash: str | None = None,
+    as_json: Json = False,
+    trust: Trust = False,
 ) -> None:
     """Look for effects that the model lacks, with the evidence of all units added up.
 
@@ -241,24 +262,27 @@ def diagnose(
         Model, where the folder holds results of several.
     as_json
         Print one JSON object on standard output.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
     start_jax()
     from imubayes.batch.pooled_discovery import pooled_discovery
     from imubayes.batch.posterior_table import read_units
-    from imubayes.batch.unit_scores import complete_scores, read_unit_scores
+    from imubayes.batch.unit_scores import complete_scores
     from imubayes.display.batch_report import discovery_report
 
     results, model_hash = _of_one_model(results, model_hash)
     with progress() as tell:
-        issues = complete_scores(results, model_hash, lambda done, all_: tell(f"scores of {done} of {all_} campaigns"))
+        trusting(_kept_model(results, model_hash), trust)
+        scores = complete_scores(results, model_hash, lambda done, all_: tell(f"scores of {done} of {all_} campaigns"))
         tell("adding up the evidence")
         units = read_units(results, model_hash)
-        found = pooled_discovery(read_unit_scores(results, model_hash), units)
+        found = pooled_discovery(scores.table, units)
     if picture is not None:
         from imubayes.display.figures.batch import evidence_picture
 
         evidence_picture(found, units).save(picture)
-    show(lambda: found, lambda: discovery_report(found, issues), as_json)
+    show(lambda: found, lambda: discovery_report(found, scores.issues), as_json)
 
 
 @batch.command

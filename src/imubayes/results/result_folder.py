@@ -16,6 +16,7 @@ import h5py
 import polars as pl
 import tomlkit
 
+from imubayes.foundations.files import refuse_existing, write_text
 from imubayes.inference.posterior_groups import Group, Groups, Labelled, posterior_groups
 from imubayes.loop.model_history import Node
 from imubayes.model.model_file import ModelSpec
@@ -99,6 +100,27 @@ def write_result(
     return replace(result, identity=folder_files.checked(folder).identity)
 
 
+def write_model(spec: ModelSpec, file: Path) -> None:
+    """Write a model to a model file, and the files that it names beside it.
+
+    Raises
+    ------
+    InputError
+        where another file of such a name is there; nothing is written then.
+    """
+    named = {file.with_name(Path(source).name): Path(source) for source in spec.files}
+    if spec.noise_priors is not None:
+        source = Path(spec.noise_priors.where)
+        noise = file.with_name(f"{file.stem}-noise-priors{source.suffix}")
+        named[noise] = source
+        spec = replace(spec, noise_priors=replace(spec.noise_priors, where=noise.name))
+    for target, source in named.items():
+        refuse_existing(target, but=source.read_bytes().__eq__)
+    for target, source in named.items():
+        write_text(target, source.read_text(encoding="utf-8"))
+    write_text(file, model_text(spec))
+
+
 def model_text(spec: ModelSpec) -> str:
     """Return a model as the text of a model file."""
     document = tomlkit.document()
@@ -108,6 +130,8 @@ def model_text(spec: ModelSpec) -> str:
         document["files"] = [Path(file).name for file in spec.files]
     if spec.delta_k_threshold is not None:
         document["delta_k_threshold_percent"] = 100 * spec.delta_k_threshold
+    if spec.noise_priors is not None:
+        document["noise_priors"] = spec.noise_priors.where
     effects = tomlkit.aot()
     for effect in spec.effects:
         entry = tomlkit.table()
