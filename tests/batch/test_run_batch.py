@@ -228,9 +228,13 @@ class Mine(SignalEffect):
     def apply(self, signal, sample):
         return signal * (1 + self.k * signal)
 '''
-NOISE = (
-    'format = 1\nname = "noise"\n\n[[effect]]\nname = "white_noise"\nprior = { sigma = "lognormal(1 noise, 0.5)" }\n'
-)
+NOISE = """format = 1
+name = "noise"
+
+[[effect]]
+name = "white_noise"
+prior = { sigma = "lognormal(1 noise, 0.5)" }
+"""
 
 
 @pytest.fixture
