@@ -92,6 +92,30 @@ def test_a_weakly_typed_argument_is_another_program(folder):
     assert len(TRACED) == 1 + (jnp.asarray(2.0).weak_type is True)
 
 
+def scaled_by_number(values, number):
+    TRACED.append("scaled")
+    return values * number
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_a_program_bound_to_a_key_is_found_by_it_alone(folder, monkeypatch, is_kept):
+    if not is_kept:
+        monkeypatch.setattr(kept_programs._Folder, "place", None)
+
+    def run(number, values):
+        return kept_programs.run_bound((number,), scaled_by_number, [values], lambda: (values, number))
+
+    for _ in range(2):
+        for number in (2.0, 3.0):
+            for values in (VALUES, VALUES + 1):
+                np.testing.assert_array_equal(run(number, values), values * number)
+        assert len(TRACED) == 2, "once for a key"
+    kept_programs.forget_programs()
+    run(2.0, VALUES)
+    assert len(TRACED) == (2 if is_kept else 3)
+    assert len(list(folder.iterdir())) == (2 if is_kept else 0)
+
+
 @pytest.mark.parametrize("setting", [lambda: jax.enable_x64(False), lambda: jax.default_matmul_precision("highest")])
 def test_another_setting_of_jax_is_another_program(folder, setting):
     in_a_new_process(VALUES)

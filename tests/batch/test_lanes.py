@@ -1,5 +1,7 @@
 """Units fitted in lanes have the optimum and the posterior of `imubayes fit`, whatever stands beside them."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,6 +117,18 @@ def in_lanes(models: list[Model]) -> list[UnitPosterior]:
     fits = posteriors(structure, varying, find_modes(structure, varying), models)
     assert all(fit is not None for fit in fits)
     return [posterior_of(fit, BatchSettings(), UnitIdentity("", "", "", "")) for fit in fits if fit is not None]
+
+
+def test_programs_of_lanes_outlast_the_process(tmp_path, command_environment):
+    script = Path(__file__).parent / "kept_lanes.py"
+    environment = command_environment | {"IMUBAYES_KEEP_PROGRAMS": "1"}
+    said = subprocess.run(
+        [sys.executable, str(script), str(tmp_path)], env=environment, capture_output=True, text=True, check=True
+    )
+    first, again = said.stdout.splitlines()
+    assert len(first) > 1000
+    assert first == again
+    assert len(list(tmp_path.iterdir())) == 2, "of the units, and of the index of their readings"
 
 
 def test_the_slope_of_the_marginal_is_the_derivative_of_its_value():

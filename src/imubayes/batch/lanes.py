@@ -15,7 +15,7 @@ keeps its values: the result of a unit does not depend on those beside it.
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import equinox as eqx
@@ -34,6 +34,7 @@ from imubayes.batch.group_moments import (
     normal_equations,
     with_misfit,
 )
+from imubayes.compiled.kept_programs import run_bound
 from imubayes.foundations.arrays import Array, Bool, Float, Int, Scalar, on_device
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem
@@ -64,26 +65,6 @@ Stacked = tuple[Array, ...]
 
 
 @dataclass(frozen=True)
-class _Form:
-    """How the arrays of a problem are put together: its tree, and which of its leaves all units have in common."""
-
-    tree: Any
-    common: tuple[bool, ...]
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    @cached_property
-    def _hash(self) -> int:
-        return hash((self.tree, self.common))
-
-    def problem(self, common: Sequence[Array], own: Sequence[Array]) -> Problem:
-        """Return the problem with these arrays."""
-        shared, differing = iter(common), iter(own)
-        return jax.tree.unflatten(self.tree, [next(shared if same else differing) for same in self.common])
-
-
-@dataclass(frozen=True)
 class LaneStructure:
     """The compiled functions of a structure, by its first problem."""
 
@@ -97,20 +78,27 @@ class LaneStructure:
         return None if index is None else LaneStructure(problem, on_device(index))
 
     @cached_property
-    def _form(self) -> _Form:
-        leaves, tree = jax.tree_util.tree_flatten_with_path(self.problem)
-        return _Form(tree, tuple(_is_shared(path, leaf) for path, leaf in leaves))
+    def _shared(self) -> tuple[bool, ...]:
+        return tuple(_is_shared(path, leaf) for path, leaf in jax.tree_util.tree_flatten_with_path(self.problem)[0])
 
     @cached_property
     def _common(self) -> Stacked:
-        leaves = zip(jax.tree.leaves(self.problem), self._form.common, strict=True)
+        leaves = zip(jax.tree.leaves(self.problem), self._shared, strict=True)
         return tuple(on_device(leaf) for leaf, same in leaves if same)
+
+    @cached_property
+    def _places(self) -> tuple[Array, ...]:
+        return tuple(jax.tree.leaves(self.index))
+
+    @cached_property
+    def _token(self) -> object:
+        return object()
 
     def stacked(self, models: Sequence[Model]) -> Stacked:
         """Return the arrays that differ between units, stacked in lanes."""
         filled = [*models, *[models[-1]] * (LANES - len(models))]
         units = [jax.tree.leaves(model.problem) for model in filled]
-        own = [leaves for *leaves, same in zip(*units, self._form.common, strict=True) if not same]
+        own = [leaves for *leaves, same in zip(*units, self._shared, strict=True) if not same]
         return tuple(jax.device_put([np.stack([np.asarray(leaf) for leaf in leaves]) for leaves in own]))
 
     def run(self, function: Callable, varying: Stacked, *arguments: Any) -> Any:
@@ -118,19 +106,28 @@ class LaneStructure:
 
         Parameters
         ----------
-        function : of one unit; compiled once for a structure, so it must be the same object every time.
-        arguments : arrays with the lanes first.
+        function : of one unit, from a module; compiled once for a structure.
+        arguments : arrays with the lanes first; their tree is the same every time.
         """
-        return _mapped(function, self._form, varying, self._common, self.index, *arguments)
+        # Leaves are handed over, not problems: taking a problem apart costs more than a small function of it.
+        given = jax.tree.leaves(arguments)
+        key = (self._token, function, *((leaf.shape, leaf.dtype) for leaf in given))
+        arrays = [*self._common, *varying, *self._places, *given]
+        return run_bound(
+            key, _mapped, arrays,
+            lambda: (function, self._with(self._common, True), self._with(varying, False), self.index, *arguments),
+        )  # fmt: skip
+
+    def _with(self, arrays: Stacked, shared: bool) -> Problem:
+        """Return the problem with its arrays that are shared, or those that are not, and None for the others."""
+        left = iter(arrays)
+        leaves = [next(left) if same == shared else None for same in self._shared]
+        return jax.tree.unflatten(jax.tree.structure(self.problem), leaves)
 
 
-# Leaves are handed over, not problems: taking a problem apart costs more than a small function of it.
-@partial(jax.jit, static_argnums=(0, 1))
-def _mapped(
-    function: Callable, form: _Form, varying: Stacked, common: Stacked, index: GroupIndex, *arguments: Any
-) -> Any:
+def _mapped(function: Callable, common: Problem, varying: Problem, index: GroupIndex, *arguments: Any) -> Any:
     def of_unit(own, *given):
-        return function(form.problem(common, own), index, *given)
+        return function(eqx.combine(common, own), index, *given)
 
     return jax.vmap(of_unit)(varying, *arguments)
 

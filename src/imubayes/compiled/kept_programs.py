@@ -115,14 +115,39 @@ class _Kept:
         program = _programs[key]
         if program is None:
             return self.ordinary(*args, **kwargs)
-        try:
-            return program([leaf for leaf in leaves if eqx.is_array(leaf)])
-        except jax.errors.JaxRuntimeError:
-            if program.file is None:
-                raise
-            program.file.unlink(missing_ok=True)  # code that this processor or jaxlib does not run after all
-            del _programs[key]
-            return self(*args, **kwargs)
+        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+        return _result(key, program, arrays, lambda: self(*args, **kwargs))
+
+
+def run_bound(key: tuple, function: Callable, arrays: list[Any], arguments: Callable[[], tuple]) -> Any:
+    """Return what a function gives, by a program that was kept or that this process has compiled.
+
+    Parameters
+    ----------
+    key : by which the process finds the program, for less than it costs to take the arguments apart: it tells the
+        arguments from all others, but for the values of their arrays.
+    function : as for `kept`.
+    arrays : all arrays of the arguments, in the order of their leaves.
+    arguments : gives the arguments themselves, the first time.
+    """
+    if key not in _programs:
+        leaves, tree = jax.tree.flatten((arguments(), {}))
+        found = _found_or_made(function, leaves, tree) if _Folder.place is not None else None
+        _programs[key] = found or _compiled(function, _slotted(leaves, tree), arrays, to_be_kept=False)
+    program = _programs[key]
+    assert program is not None
+    return _result(key, program, arrays, lambda: run_bound(key, function, arrays, arguments))
+
+
+def _result(key: Any, program: _Program, arrays: list[Any], again: Callable[[], Any]) -> Any:
+    try:
+        return program(arrays)
+    except jax.errors.JaxRuntimeError:
+        if program.file is None:
+            raise
+        program.file.unlink(missing_ok=True)  # code that this processor or jaxlib does not run after all
+        del _programs[key]
+        return again()
 
 
 def _kind(leaf: Any) -> Any:
@@ -155,8 +180,11 @@ def _found_or_made(function: Callable, leaves: list[Any], tree: Any) -> _Program
     return program
 
 
-def _compiled(function: Callable, arguments: Any, arrays: list[Any]) -> _Program | None:
-    """Return a function compiled for arguments with `Slot`s in the place of arrays; None where it calls back."""
+def _compiled(function: Callable, arguments: Any, arrays: list[Any], to_be_kept: bool = True) -> _Program | None:
+    """Return a function compiled for arguments with `Slot`s in the place of arrays.
+
+    None where it calls back and is to be kept.
+    """
     returned: list[Any] = []
 
     def flat(*arrays):
@@ -166,7 +194,10 @@ def _compiled(function: Callable, arguments: Any, arrays: list[Any]) -> _Program
         return tuple(leaf for leaf in leaves if eqx.is_array(leaf))
 
     flat.__name__ = flat.__qualname__ = function.__name__
-    executable = _without_cache(jax.jit(flat).lower(*arrays))
+    lowered = jax.jit(flat).lower(*arrays)
+    if not to_be_kept:
+        return _Program(lowered.compile(), returned[-1])
+    executable = _without_cache(lowered)
     made = cast(Any, executable)._executable.unsafe_call
     if made.has_host_callbacks or made.ordered_effects or made.has_unordered_effects:
         return None
