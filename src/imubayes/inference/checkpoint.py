@@ -5,9 +5,8 @@ of the parameters and the settings of the sampler.  One that differs in any of t
 other data would look like an answer.
 """
 
-import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,11 +50,10 @@ class Checkpoint:
 
     def create(self) -> None:
         """Begin anew."""
-        with replacing(self.path, durable=True) as scratch:
+        with self._replaced() as file:
             for name in self._names():
-                emcee.backends.HDFBackend(str(scratch), name=name).reset(self.walkers, self.dimensions)
-            with h5py.File(scratch, "a") as file:
-                file.attrs.update(self.fingerprints)
+                self._backend(file, name).reset(self.walkers, self.dimensions)
+            file.attrs.update(self.fingerprints)
 
     def check(self) -> None:
         """Raise InputError unless the file belongs to this fit."""
@@ -83,9 +81,24 @@ class Checkpoint:
     @contextmanager
     def block(self) -> "Iterator[list[emcee.backends.HDFBackend]]":
         """Give backends to sample a block into; their content becomes the checkpoint when the block is complete."""
+        with self._replaced(self.path.read_bytes()) as file:
+            yield [self._backend(file, name) for name in self._names()]
+
+    @contextmanager
+    def _replaced(self, content: bytes | None = None) -> Iterator[h5py.File]:
+        """Give a file in memory that becomes the checkpoint: HDF5 crashes the process where the disk is full."""
+        with h5py.File.in_memory(content) as file:
+            yield file
+            file.flush()
+            made = file.id.get_file_image()
         with replacing(self.path, durable=True) as scratch:
-            shutil.copyfile(self.path, scratch)
-            yield [emcee.backends.HDFBackend(str(scratch), name=name) for name in self._names()]
+            scratch.write_bytes(made)
+
+    def _backend(self, file: h5py.File, name: str) -> "emcee.backends.HDFBackend":
+        """Return a backend on a file that is open, and stays so."""
+        found = emcee.backends.HDFBackend(str(self.path), name=name)
+        vars(found)["open"] = lambda mode="r": nullcontext(file)
+        return found
 
     def read(self) -> "list[emcee.backends.HDFBackend]":
         """Return read-only backends on what is there."""

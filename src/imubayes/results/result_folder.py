@@ -9,6 +9,7 @@ file, would write the same, but with pandas and Dask it takes longer to import t
 
 import shutil
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import h5netcdf
@@ -28,10 +29,13 @@ from imubayes.results.result import Result
 
 def write_posterior(groups: Groups, file: Path) -> None:
     """Write groups; a reader that follows the CF conventions finds each coordinate."""
-    with h5netcdf.File(file, "w") as root:
+    # HDF5 crashes the process where the disk is full.
+    made = BytesIO()
+    with h5netcdf.File(made, "w") as root:
         root.attrs.update(groups.attributes)
         for name, group in groups.named.items():
             _write(root.create_group(name), group)
+    file.write_bytes(made.getvalue())
 
 
 def _write(place: h5netcdf.Group, group: Group) -> None:
