@@ -1,6 +1,7 @@
 """One process at a time writes to a place, and a lock ends with its process."""
 
 import os
+import resource
 import subprocess
 import sys
 import threading
@@ -76,3 +77,14 @@ def test_who_holds_a_place_may_hold_it_again_and_another_thread_not(place):
     assert str(os.getpid()) in str(refused[0])
     other()
     assert len(refused) == 1
+
+
+def test_a_full_disk_does_not_keep_a_place_from_being_held(tmp_path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))  # no file of this process takes a byte
+    try:
+        with only_writer(tmp_path):
+            assert (tmp_path / ".lock").exists()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not any(tmp_path.iterdir())

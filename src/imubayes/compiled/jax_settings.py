@@ -10,6 +10,7 @@ fits, so the cache of compiled functions is cleared before.
 
 import os
 import time
+import warnings
 from contextlib import suppress
 from pathlib import Path
 
@@ -67,6 +68,7 @@ def _keep_compiled() -> None:
     if folder is None:
         return
     _without_empty(folder)
+    warnings.filterwarnings("ignore", "Error writing persistent compilation cache")  # the disk is full
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

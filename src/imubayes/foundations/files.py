@@ -263,9 +263,9 @@ def _locked(file: Path, place: Path, until: float) -> IO[str]:
             time.sleep(_PAUSE)
             continue
         if _still_there(file, stream):
-            stream.truncate(0)
-            stream.write(f"{os.getpid()}\n")
-            stream.flush()
+            with suppress(OSError):  # the disk is full: nobody is told who holds the place
+                stream.truncate(0)
+                os.write(stream.fileno(), f"{os.getpid()}\n".encode())
             return stream
         stream.close()  # its holder has removed it meanwhile
 
