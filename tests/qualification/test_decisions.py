@@ -7,10 +7,12 @@ import pytest
 from scipy import stats
 
 from imubayes.qualification.decision_rules import (
+    ACCEPTED,
     DecisionRule,
     MeasuredValue,
     Production,
     ToleranceInterval,
+    acceptance_interval,
     compared,
     conformance_probability,
     decide,
@@ -179,7 +181,7 @@ def test_few_draws_withhold_the_number():
 @pytest.mark.parametrize("guard", [0.0, 0.3, 0.825])
 @pytest.mark.parametrize("tolerance", [ToleranceInterval(-2, 2), ToleranceInterval(upper=1.5)])
 def test_global_risks_by_two_methods(guard, tolerance):
-    found = global_risks(Production(0.2, 1.0), 0.5, tolerance, guard)
+    found = global_risks(Production(0.2, 1.0), 0.5, tolerance, tolerance.guarded(guard))
     for risk in (found.consumer, found.producer):
         assert risk.withheld is None
         assert risk.from_quadrature == pytest.approx(risk.from_draws, abs=4 * risk.error)
@@ -198,6 +200,44 @@ def test_guard_band_for_a_global_risk():
     production, tolerance = Production(0.0, 1.0), ToleranceInterval(-2, 2)
     guard = guard_for_risk(production, 0.5, tolerance, 0.005)
     assert guard is not None
-    assert global_risks(production, 0.5, tolerance, guard).consumer.from_quadrature == pytest.approx(0.005, rel=1e-3)
+    accepted = tolerance.guarded(guard)
+    assert global_risks(production, 0.5, tolerance, accepted).consumer.from_quadrature == pytest.approx(0.005, rel=1e-3)
     assert guard_for_risk(production, 1e-6, tolerance, 0.01) == 0.0
     assert guard_for_risk(Production(9.0, 1.0), 3.0, ToleranceInterval(-2, 2), 1e-30) is None
+
+
+RULES = {
+    "conditional": DecisionRule("ilac_g8_non_binary"),
+    "conformance": DecisionRule("conformance_probability", probability=0.5),
+    "strict": DecisionRule("conformance_probability", probability=0.99),
+    "specific": DecisionRule("specific_risk", probability=0.05),
+    "factor": DecisionRule("guard_band", guard_factor=1.65),
+    "simple": DecisionRule("simple_acceptance"),
+}
+
+
+@pytest.mark.parametrize(
+    "tolerance", [ToleranceInterval(-160, 160), ToleranceInterval(upper=150), ToleranceInterval(-4, 4)]
+)
+@pytest.mark.parametrize("name", RULES)
+def test_global_risks_are_those_of_the_rule_as_it_is_applied(name, tolerance):
+    """By an integral over the estimates that the rule itself delivers a unit with, conditional passes among them."""
+    rule, u, production = RULES[name], 3.0, Production(0.0, 100.0)
+    width = 0.05
+    y = np.arange(-600, 600, width) + width / 2
+    inside = stats.norm(y, u).cdf(tolerance.upper) - stats.norm(y, u).cdf(tolerance.lower)
+    values = [
+        MeasuredValue(a, u, 1.96 * u, compared(p, p, 1e-9)) for a, p in zip(y.tolist(), inside.tolist(), strict=True)
+    ]
+    taken = np.array([decide(rule, value, tolerance).outcome in ACCEPTED for value in values])
+    # Given y the true value is normal about y·s²/(s² + u²).
+    share = production.sd**2 / (production.sd**2 + u**2)
+    true = stats.norm(y * share, u * math.sqrt(share))
+    conform = true.cdf(tolerance.upper) - true.cdf(tolerance.lower)
+    density = stats.norm(0.0, math.hypot(production.sd, u)).pdf(y) * width
+    accepted = acceptance_interval(rule, u, tolerance, decide(rule, values[0], tolerance))
+    assert (accepted is None) == (not taken.any())
+    found = global_risks(production, u, tolerance, accepted)
+    assert found.consumer.from_quadrature == pytest.approx(float(density @ (taken * (1 - conform))), rel=0.03, abs=1e-8)
+    assert found.producer.from_quadrature == pytest.approx(float(density @ (~taken * conform)), rel=0.03, abs=1e-7)
+    assert found.consumer.withheld is None

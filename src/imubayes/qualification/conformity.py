@@ -230,10 +230,16 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
         decision=decision,
         consumer=1 - p if p is not None and accepted else None,
         producer=p if p is not None and decision.outcome in rules.REJECTED else None,
-        overall=None
-        if production is None
-        else rules.global_risks(production, estimate.standard, limit.tolerance, decision.guard_band or 0.0),
+        overall=None if production is None else _overall(production, estimate.standard, limit, decision),
     )
+
+
+def _overall(
+    production: rules.Production, standard: float, limit: ResolvedLimit, decision: rules.Decision
+) -> rules.GlobalRisks:
+    """Return the global risks of the rule as it is applied."""
+    accepted = rules.acceptance_interval(limit.rule, standard, limit.tolerance, decision)
+    return rules.global_risks(production, standard, limit.tolerance, accepted)
 
 
 def _determined(quantity: Quantity, draws: np.ndarray) -> bool:

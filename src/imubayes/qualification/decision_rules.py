@@ -13,9 +13,10 @@ the reason instead.
 
 Global risks are shares of all units tested: those wrongly accepted and those wrongly rejected (JCGM 106, 9.5).  A unit
 drawn from the production has the value η ~ normal(μ, s), its measurement gives y ~ normal(η, u), and it is accepted
-where y is in the acceptance interval.  The consumer's risk is the probability that a unit is accepted and does not
-conform, the producer's that it is rejected and conforms.  Each is found twice: by quadrature over η, with the
-probability of acceptance in closed form, and by simulated units.
+where y is in the acceptance interval of the rule as it is applied: a conditional pass is delivered, and a bound on p_c
+is an interval of y.  The consumer's risk is the probability that a unit is accepted and does not conform, the
+producer's that it is rejected and conforms.  Each is found twice: by quadrature over η, with the probability of
+acceptance in closed form, and by simulated units.
 
 Tolerances of the qualification statistics are constants, each with its value, meaning, origin, and what moves when it
 is changed.
@@ -262,11 +263,9 @@ def decide(rule: DecisionRule, estimate: MeasuredValue, tolerance: ToleranceInte
 
 
 def _by_probability(rule: DecisionRule, conformance: float | None) -> Outcome:
-    assert rule.probability is not None, "a rule on probabilities has one"
     if conformance is None:
         return "withheld"
-    least = rule.probability if rule.name == "conformance_probability" else 1 - rule.probability
-    return "pass" if conformance >= least else "fail"
+    return "pass" if conformance >= _least_conformance(rule) else "fail"
 
 
 def _non_binary(value: float, tolerance: ToleranceInterval, guard: float) -> Outcome:
@@ -279,6 +278,46 @@ def _non_binary(value: float, tolerance: ToleranceInterval, guard: float) -> Out
 
 def _within(value: float, interval: ToleranceInterval) -> bool:
     return interval.lower <= value <= interval.upper
+
+
+def acceptance_interval(
+    rule: DecisionRule, standard: float, tolerance: ToleranceInterval, decision: Decision
+) -> ToleranceInterval | None:
+    """Return the estimates with which units are delivered, conditional passes among them; None where none is.
+
+    Parameters
+    ----------
+    rule, decision : as applied to a unit.
+    standard : standard uncertainty u, that of all units measured in this way.
+    tolerance : limits of the quantity.
+    """
+    if rule.name == "ilac_g8_non_binary":
+        return tolerance
+    if rule.name in ("conformance_probability", "specific_risk"):
+        width = _guard_of_probability(_least_conformance(rule), standard, tolerance)
+    else:
+        width = decision.guard_band
+    accepted = None if width is None else tolerance.guarded(width)
+    return None if accepted is None or accepted.lower > accepted.upper else accepted
+
+
+def _least_conformance(rule: DecisionRule) -> float:
+    assert rule.probability is not None, "a rule on probabilities has one"
+    return rule.probability if rule.name == "conformance_probability" else 1 - rule.probability
+
+
+def _guard_of_probability(least: float, standard: float, tolerance: ToleranceInterval) -> float | None:
+    """Return w such that p_c of a normal posterior is the least one at a distance w inside a limit; None for none."""
+
+    def lacking(width: float) -> float:
+        inside, across = width / standard, (tolerance.upper - tolerance.lower - width) / standard
+        outside = normal_survival(np.array([inside, across]))
+        return least - (1 - float(outside.sum()))
+
+    middle = min((tolerance.upper - tolerance.lower) / 2, _WIDEST * standard)
+    if lacking(middle) > 0:
+        return None
+    return float(np.asarray(scipy.optimize.brentq(lacking, -_WIDEST * standard, middle, xtol=1e-9 * standard)))
 
 
 _NODES, _FAR, _CLIMB, _UNITS = 100, 9.0, 8.0, 400_000
@@ -297,26 +336,30 @@ class Production:
 
 @dataclass(frozen=True)
 class GlobalRisks:
-    """Consumer's and producer's risk of a guard band, each by two methods."""
+    """Consumer's and producer's risk of a rule, each by two methods."""
 
     consumer: ProbabilityByTwoMethods
     producer: ProbabilityByTwoMethods
 
 
 def global_risks(
-    production: Production, standard: float, tolerance: ToleranceInterval, guard: float, seed: int = 0
+    production: Production,
+    standard: float,
+    tolerance: ToleranceInterval,
+    accepted: ToleranceInterval | None,
+    seed: int = 0,
 ) -> GlobalRisks:
-    """Return the global risks of an acceptance interval.
+    """Return the global risks of a rule.
 
     Parameters
     ----------
     production : of the units tested.
     standard : standard uncertainty u of a measurement.
     tolerance : limits of the quantity.
-    guard : width of the guard band inside them.
+    accepted : estimates with which units are delivered (`acceptance_interval`); None where none is.
     seed : of the simulated units.
     """
-    accepted = tolerance.guarded(guard)
+    accepted = accepted or ToleranceInterval(math.inf, math.inf)
     random = np.random.default_rng(seed)
     true = random.normal(production.mean, production.sd, _UNITS)
     taken = accepted.contains(true + random.normal(0.0, standard, _UNITS))
