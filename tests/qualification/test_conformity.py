@@ -134,6 +134,46 @@ def test_bias_over_a_temperature_range(tmp_path):
     assert found.conformance.value == pytest.approx(exact, abs=0.006)
 
 
+def with_memory(**parameters: tuple[str, float]) -> TestedUnit:
+    """The unit with further parameters of gx, each known exactly: unit and value."""
+    known = quantities()
+    entries, draws = dict(known.entries), dict(known.draws)
+    for family, (unit, value) in parameters.items():
+        name = f"{family.replace('__', '.')}[gx]"
+        entries[name], draws[name] = Quantity(name=name, unit=unit, mean=value, sd=0.0), np.full(SIZE, value)
+    units = {name: entry.unit for name, entry in entries.items()}
+    # 2 °C/min at the fastest, and 1000 pulse/s per deg/s.
+    thermal = ThermalModel({}, units, 25.0, fastest=2 / 60, scale={"gx": 1000 * 180 / math.pi})
+    known = PosteriorQuantities(entries, draws, dict.fromkeys(entries, float(SIZE)))
+    return replace(UNIT, quantities=known, thermal=thermal)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "width", "scatter"),
+    [
+        ({"gyro_thermal_hysteresis__half_width": ("deg/h", -3.0)}, 3.0, 0.0),
+        # 0.2 deg/h/°C behind by 10 min at 2 °C/min, and by no more than the range.
+        ({"gyro_thermal_lag__coefficient": ("deg/h/degC", 0.2), "gyro_thermal_lag__tau": ("min", 10.0)}, 4.0, 0.0),
+        ({"gyro_thermal_lag__coefficient": ("deg/h/degC", 0.2), "gyro_thermal_lag__tau": ("h", 10.0)}, 13.0, 0.0),
+        ({"gyro_bias_temperature_rate__slope": ("deg/h/(degC/min)", 1.5)}, 3.0, 0.0),
+        ({"gyro_run_bias__spread": ("deg/h", 2.0)}, 0.0, 2.0),
+        ({"run_scatter__tau": ("pulse/s", 1.0)}, 0.0, 3.6),
+    ],
+)
+def test_a_limit_over_temperature_holds_for_both_branches_and_for_the_next_run(tmp_path, parameters, width, scatter):
+    """5 deg/h + 0.1 deg/h/°C reaches 8 deg/h at 55 °C: hysteresis and lag go beyond on top, below 1.5 at −10 °C."""
+    unit = with_memory(**parameters)
+    span = 'unit = "deg/h"\ntemperature_degC = [-10, 55]'
+    above, below = (
+        outcome(tmp_path, limit("gyro_bias.bias[gx]", f"{ends}\n{span}"), unit)[0]
+        for ends in ("lower = -99\nupper = 8", "lower = 1.5\nupper = 99")
+    )
+    assert (above.temperature, below.temperature) == (55.0, -10.0)
+    assert above.estimate.value == pytest.approx(8.0 + width, abs=0.05)
+    assert below.estimate.value == pytest.approx(1.5 - width, abs=0.05)
+    assert above.estimate.standard == pytest.approx(math.hypot(0.5, 0.3, scatter), rel=0.03)
+
+
 def test_scale_factor_over_a_temperature_range(tmp_path):
     """2 ppm/°C over 35 °C below the reference: −70 ppm, for the relative scale factor and for the absolute one."""
     relative, absolute = outcome(

@@ -32,7 +32,12 @@ from imubayes.qualification.posterior_quantities import (
 )
 from imubayes.qualification.specification import LimitEntry, SpecificationFile, read_specification, rule_of
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
-from imubayes.qualification.temperature_range import ThermalModel, over_range, thermal_model
+from imubayes.qualification.temperature_range import (
+    TEMPERATURES_OF_RANGE,
+    ThermalModel,
+    branches_over_range,
+    thermal_model,
+)
 from imubayes.results.result import Result
 from imubayes.results.summary import CombinationSummary, Quantity, is_constant
 
@@ -207,7 +212,7 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
     quantities, name = unit.quantities, limit.quantity.name
     values = quantities.draws[name][:, None]
     if limit.span is not None:
-        values = over_range(name, limit.quantity.unit, quantities.draws, unit.thermal, limit.span)
+        values = branches_over_range(name, limit.quantity.unit, quantities.draws, unit.thermal, limit.span)
     values = values[np.isfinite(values).all(axis=1)]
     effective = quantities.effective[name]
     over = _conformance_over(values, limit.tolerance, effective)
@@ -249,7 +254,9 @@ def _determined(quantity: Quantity, draws: np.ndarray) -> bool:
 
 
 def _temperature(limit: ResolvedLimit, worst: int, count: int) -> float | None:
-    return None if limit.span is None or count == 1 else float(np.linspace(*limit.span, count)[worst])
+    if limit.span is None or count == 1:
+        return None
+    return float(np.linspace(*limit.span, TEMPERATURES_OF_RANGE)[worst % TEMPERATURES_OF_RANGE])
 
 
 def _rank(
@@ -357,8 +364,14 @@ def tested_unit(result: Result) -> TestedUnit:
     """
     quantities = with_combinations(posterior_quantities(result), result.summary.combinations)
     model = result.fit.model
-    thermal = thermal_model(model.spec, {name: entry.unit for name, entry in quantities.entries.items()})
     channels, gravity = model.campaign.channels, model.campaign.site.gravity
+    changes = np.asarray(model.assembly.nodes.ambient.values.get("temperature_rate", 0.0))
+    thermal = thermal_model(
+        model.spec,
+        {name: entry.unit for name, entry in quantities.entries.items()},
+        float(np.nanmax(np.abs(changes), initial=0.0)),
+        {channel.name: channel.scale_si for channel in channels},
+    )
     unit = TestedUnit(quantities, channels, _inputs(result), gravity, _temperatures(result), thermal)
     return replace(unit, quantities=with_standards(unit))
 

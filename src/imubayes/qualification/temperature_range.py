@@ -3,10 +3,16 @@
 A limit that holds from T₁ to T₂ is met by a draw where the quantity is within it at every temperature between.  Bias
 has polynomial terms in T − T_ref that add, scale factor such that multiply; other quantities do not depend on the
 temperature of the sensor in the model.
+
+A bias at a temperature is not one number, where the model has more than polynomials.  Hysteresis h puts it anywhere
+between the branches of warming and cooling, ± h; a lag of the time constant τ adds up to c·τ·|dT/dt|, no more than c
+times the range, and a term in dT/dt as much as that, at the fastest change of the runs.  Both branches have to be
+within a limit.  The next time that the unit is switched on it has another offset: normal with the scatter between runs,
+the same at all temperatures.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -15,8 +21,8 @@ from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.foundations.units import STANDARD_GRAVITY, to_si
 from imubayes.model.model_file import ModelSpec
 
-# Temperatures at which a range is looked at: a quadratic between them deviates by 1/400 of its sag.
-_NODES = 11
+TEMPERATURES_OF_RANGE = 11
+"""Temperatures at which a range is looked at: a quadratic between them deviates by 1/400 of its sag."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,8 @@ FAMILIES = {
     "scale_factor": ThermalTerms("scale", (*_terms("gyro", "scale"), *_terms("accel", "scale"))),
 }
 """Family of quantities → its dependence on temperature; a family that is not listed has none."""
+_NO_TERMS = ThermalTerms("scale", ())
+_SCATTER = "run_scatter"
 
 
 @dataclass(frozen=True)
@@ -56,19 +64,24 @@ class ThermalModel:
     reference : effect → T_ref, °C.
     units : parameter name → unit.
     default : temperature at which scale factors are stated, °C.
+    fastest : largest |dT/dt| of the runs, K/s.
+    scale : channel → nominal output units per rad/s or m/s², in which the scatter between runs is counted.
     """
 
     reference: Mapping[str, float]
     units: Mapping[str, str]
     default: float
+    fastest: float = 0.0
+    scale: Mapping[str, float] = field(default_factory=dict)
 
 
-def thermal_model(spec: ModelSpec, units: Mapping[str, str]) -> ThermalModel:
+def thermal_model(
+    spec: ModelSpec, units: Mapping[str, str], fastest: float = 0.0, scale: Mapping[str, float] | None = None
+) -> ThermalModel:
     """Return the reference temperatures of a model; `units` are those of its parameters, by name."""
     stated = [effect for effect in spec.effects if "reference_degC" in effect.options]
-    return ThermalModel(
-        {effect.name: float(effect.options["reference_degC"]) for effect in stated}, units, REFERENCE_TEMPERATURE
-    )
+    reference = {effect.name: float(effect.options["reference_degC"]) for effect in stated}
+    return ThermalModel(reference, units, REFERENCE_TEMPERATURE, fastest, scale or {})
 
 
 def depends_on_temperature(name: str, draws: Mapping[str, np.ndarray]) -> bool:
@@ -106,8 +119,12 @@ def over_range(
     terms = [(effect, term, power) for effect, term, power in terms if term in draws]
     if found is None or not terms:
         return own
-    temperature = np.linspace(*span, _NODES)
-    added, factor, at_default = np.zeros((1, _NODES)), np.ones((1, _NODES)), np.ones((1, 1))
+    temperature = np.linspace(*span, TEMPERATURES_OF_RANGE)
+    added, factor, at_default = (
+        np.zeros((1, TEMPERATURES_OF_RANGE)),
+        np.ones((1, TEMPERATURES_OF_RANGE)),
+        np.ones((1, 1)),
+    )
     for effect, term, power in terms:
         reference = model.reference.get(effect, model.default)
         coefficient = draws[term][:, None] * to_si(model.units[term], STANDARD_GRAVITY)
@@ -120,3 +137,58 @@ def over_range(
         return own * factor / at_default
     ratio = to_si(unit, STANDARD_GRAVITY)
     return ((1 + own * ratio) * factor - 1) / ratio
+
+
+def branches_over_range(
+    name: str, unit: str, draws: Mapping[str, np.ndarray], model: ThermalModel, span: tuple[float, float]
+) -> np.ndarray:
+    """Return what `over_range` does with all that moves a bias besides, shape (S, B·T): B branches of T temperatures.
+
+    There is one branch where nothing depends on what was before; else that of cooling follows that of warming.
+    """
+    values = over_range(name, unit, draws, model, span)
+    if FAMILIES.get(name.partition("[")[0], _NO_TERMS).kind != "bias":
+        return values
+    to_unit = 1 / to_si(unit, STANDARD_GRAVITY)
+    scatter = np.sqrt(sum((each**2 for each in _repeatability(name, draws, model)), np.zeros(len(values))))
+    # One offset for each draw: the same draws give the same report.
+    values = values + (to_unit * scatter * np.random.default_rng(20260401).standard_normal(len(values)))[:, None]
+    width = to_unit * sum(_half_widths(name, draws, model, span), np.zeros(len(values)))
+    return np.concatenate([values + width[:, None], values - width[:, None]], axis=1) if width.any() else values
+
+
+def _parameter(name: str, effect: str, parameter: str, draws: Mapping[str, np.ndarray]) -> str | None:
+    """Return the name of an effect's parameter of the sensor and channel of a quantity, where the model has it."""
+    family, _, label = name.partition("[")
+    sensor = family.partition("_")[0]
+    effect = effect if effect == _SCATTER else f"{sensor}_{effect}"
+    return next((each for end in (label, "all]") if (each := f"{effect}.{parameter}[{end}") in draws), None)
+
+
+def _half_widths(
+    name: str, draws: Mapping[str, np.ndarray], model: ThermalModel, span: tuple[float, float]
+) -> Iterator[np.ndarray]:
+    """Yield what each effect of the past of a temperature adds to a bias at most, SI, (S,)."""
+
+    def own(effect: str, parameter: str) -> np.ndarray | None:
+        found = _parameter(name, effect, parameter, draws)
+        return None if found is None else np.abs(draws[found]) * to_si(model.units[found], STANDARD_GRAVITY)
+
+    half_width, lag = own("thermal_hysteresis", "half_width"), own("thermal_lag", "coefficient")
+    tau, slope = own("thermal_lag", "tau"), own("bias_temperature_rate", "slope")
+    if half_width is not None:
+        yield half_width
+    if lag is not None and tau is not None:
+        yield lag * np.minimum(tau * model.fastest, span[1] - span[0])
+    if slope is not None:
+        yield slope * model.fastest
+
+
+def _repeatability(name: str, draws: Mapping[str, np.ndarray], model: ThermalModel) -> Iterator[np.ndarray]:
+    """Yield the standard deviation of the offset that a run has of its own, SI, (S,)."""
+    spread, scatter = _parameter(name, "run_bias", "spread", draws), _parameter(name, _SCATTER, "tau", draws)
+    if spread is not None:
+        yield draws[spread] * to_si(model.units[spread], STANDARD_GRAVITY)
+    scale = model.scale.get(name.partition("[")[2].removesuffix("]"))
+    if scatter is not None and scale is not None:
+        yield draws[scatter] / abs(scale)
