@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from imubayes.foundations.errors import InputError
-from imubayes.qualification.conformity import TestedUnit, conformity, overall_outcome, resolved_limits
+from imubayes.qualification.conformity import conformity, overall_outcome, resolved_limits
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.temperature_range import ThermalModel
+from imubayes.qualification.tested_unit import TestedUnit
 from imubayes.results.summary import CombinationSummary, Quantity
 
 SIZE = 20_000

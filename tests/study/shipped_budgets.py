@@ -24,7 +24,7 @@ from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.parameters.declarations import Layout, Priors
 from imubayes.parameters.priors import Normal
-from imubayes.qualification.conformity import tested_unit
+from imubayes.qualification.tested_unit import (tested_unit)
 from imubayes.qualification.report_budgets import functions_of_quantities
 from imubayes.qualification.uncertainty_budget import BudgetArrays, budget_of
 from imubayes.results.result import Result, result_of

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import polars as pl
 
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.criticism.diagnosis_record import Diagnosis
@@ -25,41 +24,15 @@ from imubayes.foundations.units import same_dimension, to_si
 from imubayes.inference.identifiability import WEAK_SHARE
 from imubayes.qualification import decision_rules as rules
 from imubayes.qualification.marginal import Marginal
-from imubayes.qualification.posterior_quantities import (
-    PosteriorQuantities,
-    posterior_quantities,
-    with_combinations,
-)
 from imubayes.qualification.specification import LimitEntry, SpecificationFile, read_specification, rule_of
-from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
-from imubayes.qualification.temperature_range import (
-    TEMPERATURES_OF_RANGE,
-    ThermalModel,
-    branches_over_range,
-    thermal_model,
-)
+from imubayes.qualification.temperature_range import TEMPERATURES_OF_RANGE, branches_over_range
+from imubayes.qualification.tested_unit import TestedUnit, tested_unit
 from imubayes.results.result import Result
 from imubayes.results.summary import CombinationSummary, Quantity, is_constant
 
 WORST_FIRST: tuple[rules.Outcome, ...] = ("fail", "withheld", "conditional_fail", "conditional_pass", "pass")
 # Temperatures of a chamber are not those of its plan: a range is covered where runs came this close to its ends, °C.
 _NEAR = 2.0
-
-
-@dataclass(frozen=True)
-class TestedUnit(UnitUnderTest):
-    """What a specification is held against.
-
-    Attributes
-    ----------
-    temperatures : lowest and highest sensor temperature of the runs, °C; None where none was recorded.
-    thermal : thermal terms of the model.
-    """
-
-    __test__ = False  # no test, whatever its name says to pytest
-
-    temperatures: tuple[float, float] | None
-    thermal: ThermalModel
 
 
 @dataclass(frozen=True)
@@ -352,69 +325,6 @@ def assess(
         unit = unit or tested_unit(result)
         limits = tuple(conformity(limit, unit) for limit in resolved_limits(file, ledger, unit))
     return Assessment(file.name, limits, _obstacles(result, diagnosis))
-
-
-def tested_unit(result: Result) -> TestedUnit:
-    """Return what a specification is held against: quantities of the result, their combinations, and the standards'.
-
-    Raises
-    ------
-    InputError
-        where the fit did not converge.
-    """
-    quantities = with_combinations(posterior_quantities(result), result.summary.combinations)
-    model = result.fit.model
-    channels, gravity = model.campaign.channels, model.campaign.site.gravity
-    changes = np.asarray(model.assembly.nodes.ambient.values.get("temperature_rate", 0.0))
-    thermal = thermal_model(
-        model.spec,
-        {name: entry.unit for name, entry in quantities.entries.items()},
-        float(np.nanmax(np.abs(changes), initial=0.0)),
-        {channel.name: channel.scale_si for channel in channels},
-    )
-    unit = TestedUnit(quantities, channels, _inputs(result), gravity, _temperatures(result), thermal)
-    return replace(unit, quantities=with_standards(unit))
-
-
-def with_standards(unit: UnitUnderTest) -> PosteriorQuantities:
-    """Return the quantities of a result with those of the standards that are none of its parameters.
-
-    A limit may name them: ``nonlinearity[gx]``, ``gyro_misalignment_total``.
-    """
-    known = unit.quantities
-    entries, draws, effective = dict(known.entries), dict(known.draws), dict(known.effective)
-    for quantity in STANDARD_QUANTITIES:
-        for found in draws_of_standard(quantity, unit):
-            if len(found.members) == 1 and np.array_equal(found.draws, known.draws[found.members[0]], equal_nan=True):
-                continue
-            name = f"{quantity.key}[{found.label}]"
-            share = known.entries[found.members[0]].from_data if len(found.members) == 1 else None
-            entries[name] = Quantity(name=name, unit=found.unit, from_data=share)
-            draws[name] = found.draws
-            effective[name] = min(known.effective[member] for member in found.members)
-    return PosteriorQuantities(entries, draws, effective)
-
-
-def _inputs(result: Result) -> dict[str, tuple[float, float]]:
-    """Return the lowest and the highest input of each channel over all runs, deg/s or g; injected currents are none."""
-    table = result.residuals.table
-    sensed = table.filter(
-        (pl.col("procedure") != "current_injection") & pl.col("kind").is_in(["gyro", "accelerometer"])
-    )
-    ends = sensed.group_by("channel").agg(
-        pl.col("input_observed").min().alias("low"), pl.col("input_observed").max().alias("high")
-    )
-    return {line["channel"]: (line["low"], line["high"]) for line in ends.iter_rows(named=True)}
-
-
-def _temperatures(result: Result) -> tuple[float, float] | None:
-    """Return the lowest and the highest sensor temperature of all rows, °C; None where none was recorded."""
-    table = result.residuals.table
-    if "temperature_degC" not in table.columns:
-        return None
-    values = table["temperature_degC"].cast(pl.Float64).drop_nulls().to_numpy()
-    values = values[np.isfinite(values)]
-    return (float(values.min()), float(values.max())) if len(values) else None
 
 
 def _obstacles(result: Result, diagnosis: Diagnosis | None) -> tuple[Obstacle, ...]:

@@ -15,10 +15,10 @@ from imubayes.inference.experiment_design import expected_deviations
 from imubayes.parameters.declarations import Parameter
 from imubayes.qualification import budget_parts
 from imubayes.qualification import uncertainty_budget as budget
-from imubayes.qualification.conformity import TestedUnit, tested_unit
 from imubayes.qualification.decision_rules import LEAST_SHARE, USEFUL_RUN
 from imubayes.qualification.posterior_quantities import posterior_quantities, slopes
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, draws_of_standard
+from imubayes.qualification.tested_unit import TestedUnit, tested_unit
 from imubayes.results.folder_files import BUDGETS, add_to, added
 from imubayes.results.result import Result
 from imubayes.results.summary import is_constant

@@ -19,13 +19,7 @@ from imubayes.loop.model_history import Tree
 from imubayes.qualification import report_estimates as estimates
 from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
-from imubayes.qualification.conformity import (
-    Assessment,
-    ConformityOfQuantity,
-    TestedUnit,
-    assess,
-    tested_unit,
-)
+from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, assess
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
 from imubayes.qualification.report_budgets import budgets_of
 from imubayes.qualification.report_pictures import (
@@ -36,6 +30,7 @@ from imubayes.qualification.report_pictures import (
     worst_residual,
 )
 from imubayes.qualification.standard_quantities import digital_unit
+from imubayes.qualification.tested_unit import TestedUnit, tested_unit
 from imubayes.results.change_records import read_diagnosis
 from imubayes.results.fit_file import software
 from imubayes.results.folder_files import HISTORY, checked

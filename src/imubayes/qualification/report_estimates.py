@@ -7,7 +7,6 @@ import numpy as np
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.parameters.priors import Normal
 from imubayes.qualification import report_record as record
-from imubayes.qualification.conformity import TestedUnit
 from imubayes.qualification.decision_rules import (
     ProbabilityByTwoMethods,
     ToleranceInterval,
@@ -21,6 +20,7 @@ from imubayes.qualification.standard_quantities import (
     digital_unit,
     draws_of_standard,
 )
+from imubayes.qualification.tested_unit import TestedUnit
 from imubayes.results.result import Result
 from imubayes.results.summary import (
     CombinationSummary,

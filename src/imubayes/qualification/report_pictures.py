@@ -10,9 +10,10 @@ import scipy  # loads its parts when they are first used
 from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import to_si
-from imubayes.qualification.conformity import ConformityOfQuantity, TestedUnit
+from imubayes.qualification.conformity import ConformityOfQuantity
 from imubayes.qualification.standard_quantities import SensorKind
 from imubayes.qualification.temperature_range import course_over_range
+from imubayes.qualification.tested_unit import TestedUnit
 from imubayes.results.stored_tables import thinned
 
 _CURVE, _DENSITY, _BINS = 33, 49, 16
@@ -158,7 +159,7 @@ def _against_rate(
         return None
     per_hour, curves, bounds = 3600.0, [], []
     for channel in channels:
-        low, high = unit.inputs.get(channel.name, (0.0, 0.0))
+        low, high = unit.input_range(channel.name)
         rate = np.linspace(low, high, _CURVE)
         error = _error(unit, channel, rate)
         if error is not None and high > low:

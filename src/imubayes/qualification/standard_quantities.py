@@ -117,8 +117,6 @@ def _power(name: str, power: int) -> str:
 Standard = Literal["IEEE Std 952", "IEEE Std 517", "IEEE Std 1293"]
 SensorKind = Literal["gyro", "accelerometer"]
 _ARCSEC_PER_DEGREE = 3600.0
-# Points of the straight line that nonlinearity and asymmetry are measured from.
-_NODES = 41
 
 
 @dataclass(frozen=True)
@@ -129,14 +127,19 @@ class UnitUnderTest:
     ----------
     quantities : parameters and derived quantities, with draws.
     channels : of the unit.
-    inputs : channel → lowest and highest input of the runs, deg/s or g.
+    inputs : channel → inputs of the runs that were made over its range, deg/s or g, shape (n,), in order.
     gravity : of the site, m/s².
     """
 
     quantities: PosteriorQuantities
     channels: tuple[Channel, ...]
-    inputs: dict[str, tuple[float, float]]
+    inputs: dict[str, np.ndarray]
     gravity: float
+
+    def input_range(self, channel: str) -> tuple[float, float]:
+        """Return the lowest and the highest input of a channel, deg/s or g; zeros where it had none."""
+        tested = self.inputs.get(channel, np.zeros(1))
+        return float(tested[0]), float(tested[-1])
 
 
 @dataclass(frozen=True)
@@ -266,12 +269,11 @@ def _least_squares_line(values: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def _nonlinearity(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
-    """Return the largest deviation from the least-squares line over the tested rates, in ppm of the largest rate."""
-    low, high = unit.inputs.get(channel.name, (0.0, 0.0))
-    rates = np.linspace(low, high, _NODES)
+    """Return the largest deviation from the least-squares line over the rates that were run, in ppm of the largest."""
+    rates = unit.inputs.get(channel.name, np.zeros(1))
     error, members = _response_error(unit, channel, rates)
-    full_scale = max(abs(low), abs(high))
-    if not members or not full_scale > 0:
+    full_scale = float(np.abs(rates).max())
+    if not members or len(rates) < 3:  # two points are on a line
         return []
     slope, intercept = _least_squares_line(error, rates)
     deviation = np.abs(error - slope[:, None] * rates - intercept[:, None]).max(axis=1)
@@ -280,10 +282,13 @@ def _nonlinearity(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
 
 def _asymmetry(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
     """Return the difference between the slopes of the least-squares lines for positive and negative rates, in ppm."""
-    low, high = unit.inputs.get(channel.name, (0.0, 0.0))
-    if not low < 0 < high:
+    rates = unit.inputs.get(channel.name, np.zeros(1))
+    low, high = unit.input_range(channel.name)
+    # Without a row at rest, what drifts by less than a hundredth of the range is one.
+    rest = 0.01 * max(-low, high)
+    forward, reverse = rates[rates >= -rest], rates[rates <= rest]
+    if not low < -rest < rest < high or min(len(forward), len(reverse)) < 2:
         return []
-    forward, reverse = np.linspace(0, high, _NODES), np.linspace(low, 0, _NODES)
     (above, members), (below, _) = (_response_error(unit, channel, rates) for rates in (forward, reverse))
     if not members:
         return []
@@ -315,10 +320,11 @@ STANDARD_QUANTITIES: tuple[StandardQuantity, ...] = (
              effects=("gyro_scale_factor",)),
     _scalar("gyro_scale_factor_error", "ε_K", "scale factor error", "S/S_nominal − 1", "gyro_scale_factor.scale"),
     _derived("nonlinearity", "f(I)", "scale factor nonlinearity", "gyro",
-             "largest deviation from the least-squares line over the tested rates, of full scale", _nonlinearity,
+             "largest deviation from the least-squares line at the rates that were run, of full scale", _nonlinearity,
              effects=_NONLINEAR),
     _derived("asymmetry", "S₊ − S₋", "scale factor asymmetry", "gyro",
-             "difference of the least-squares slopes for positive and negative rates", _asymmetry, effects=_NONLINEAR),
+             "difference of the least-squares slopes at the positive and the negative rates that were run", _asymmetry,
+             effects=_NONLINEAR),
     _derived("scale_factor_repeatability", "s_S", "scale factor repeatability", "gyro", "standard deviation over runs",
              _spread_over_runs("gyro_scale_factor.scale"), effects=("gyro_scale_factor",)),
     _scalar("gyro_scale_temperature", "ε_T", "scale factor temperature sensitivity", "ε_T·(T − T_ref)·Ω",
