@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 
 from imubayes.api import correct, fit, onboard_constants
+from imubayes.campaign import load_campaign
 from imubayes.campaign.run_tables import RowBatch
 from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
@@ -275,6 +276,9 @@ def test_the_constants_give_the_truth_within_their_joint_covariance(result, tmp_
             sd = np.sqrt(np.einsum("rn,nm,rm->r", gradient, covariance, gradient))
             assert np.abs((found[:, k] - true[:, k]) / sd).max() < 4
             np.testing.assert_allclose(sd, solved[f"{name}_{axis}_systematic_sd_{unit}"], rtol=0.05)
+    # One hash of the data stands in every file that is made of the fit: that of the campaign's files.
+    assert constants.data_sha256 == load_campaign(DESK).digest
+    assert result.summary.provenance is None or result.summary.provenance.data_sha256 == constants.data_sha256
     # The angles that define the body axes are held by their priors, and known to be.
     assert not constants.unexpressed
     sample = constants.worked_sample

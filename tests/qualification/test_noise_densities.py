@@ -1,6 +1,7 @@
 """Noise of a triad in the units of kalibr, from a static record and from a fit; conversions are written down here."""
 
 import math
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from imubayes.foundations.errors import InputError
 from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, TermRecord
-from imubayes.qualification.onboard.losses import of_record, of_triad, read_noise
+from imubayes.qualification.onboard.losses import of_record, of_triad, read_noise, refuse_other_unit
 from imubayes.qualification.onboard.record import ThermalPolynomial, TriadConstants
 from small_campaign import ACCEL_SCALE, GRAVITY, GYRO_SCALE, campaign
 
@@ -102,3 +103,28 @@ def test_a_file_that_is_no_noise_record_is_refused_in_four_parts(tmp_path):
         assert issue.remedy
     file.write_text(static(gyro("gx", 0.05, 2.0, True)).model_dump_json())
     assert read_noise(tmp_path) == read_noise(file)
+
+
+@pytest.mark.parametrize(
+    ("of_record", "of_fit", "refused"),
+    [
+        (("still", "U7"), ("small", "U7"), False),
+        (("still", "U7"), ("small", "U8"), True),
+        (("still", "U7"), ("still", ""), True),
+        (("still", ""), ("small", ""), True),
+        (("small", ""), ("small", ""), False),
+    ],
+)
+def test_the_noise_of_another_unit_is_refused(of_record, of_fit, refused):
+    record = static(gyro("gx", 0.05, 2.0, True)).model_copy(
+        update=dict(zip(("campaign", "serial"), of_record, strict=True))
+    )
+    unit = replace(campaign(), name=of_fit[0], serial=of_fit[1])
+    if not refused:
+        refuse_other_unit(record, unit, "noise.json")
+        return
+    with pytest.raises(InputError) as caught:
+        refuse_other_unit(record, unit, "noise.json")
+    (issue,) = caught.value.issues
+    assert "noise record is of" in issue.what
+    assert "--noise-of-another-unit" in issue.remedy

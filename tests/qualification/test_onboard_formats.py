@@ -211,6 +211,11 @@ def test_autopilots_correct_by_their_own_formulas(tmp_path, target):
         rows = [line.split(",") for line in text.splitlines() if not line.startswith("#")]
         parameters, corrected = {name: float(value) for name, value in rows}, ardupilot_corrected
     assert all(len(name) <= 16 for name in parameters)
+    # The program's own calibration would overwrite the offsets at the next start.
+    own = {"px4": ("IMU_GYRO_CAL_EN", "SENS_IMU_AUTOCAL"), "ardupilot": ("INS_GYR_CAL",)}[target]
+    assert [parameters[name] for name in own] == [0.0] * len(own)
+    ids = {"px4": ("CAL_ACC0_ID", "CAL_GYRO0_ID"), "ardupilot": ("INS_ACC_ID", "INS_GYR_ID")}[target]
+    assert all(name in text for name in ids)
     for force, rate, warm, converter in samples():
         for one, true in zip(PLAIN.triads, (force, rate), strict=True):
             r = readings(one, true, force, warm, converter)

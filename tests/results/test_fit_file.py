@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -96,6 +97,8 @@ def test_the_summary_says_what_the_fit_comes_from(place, result):
         datetime.fromisoformat(starts[0]), datetime.fromisoformat(starts[-1])
     ]  # fmt: skip
     assert (written["data_sha256"], written["model_sha256"]) == (record["data_hash"], record["model_hash"])
+    with h5py.File(place / "result" / "posterior.nc") as posterior:
+        assert posterior["posterior"].attrs["data_sha256"] == record["data_hash"]
     assert written["seed"] == 3
     assert {"package": "numpy", "version": np.__version__} in written["software"]
     shown = result._repr_html_()

@@ -17,7 +17,7 @@ from imubayes.qualification.onboard.inputs_along_axes import (
     inputs_along_axes,
     read_readings,
 )
-from imubayes.qualification.onboard.losses import Loss, of_fit, of_record, read_noise
+from imubayes.qualification.onboard.losses import Loss, of_fit, of_record, read_noise, refuse_other_unit
 from imubayes.qualification.onboard.record import OnboardConstants
 from imubayes.qualification.onboard.recording_files import (
     CorrectedRecording,
@@ -114,6 +114,7 @@ def export_constants(
     format: Format = "json",
     *,
     noise: str | Path | None = None,
+    noise_of_another_unit: bool = False,
     rate: float | None = None,
     topic: str = "/imu0",
     accept_loss: bool = False,
@@ -126,6 +127,7 @@ def export_constants(
     out : the file to write.
     format : json, c, kalibr, px4, ardupilot or ros.
     noise : record of `imubayes noise`, for kalibr.
+    noise_of_another_unit : whether that record may be of another unit.
     rate : of the samples on board, Hz, for kalibr.
     topic : ROS topic, for kalibr.
     accept_loss : whether to leave out what is larger than its uncertainty.
@@ -133,13 +135,16 @@ def export_constants(
     Raises
     ------
     InputError
-        where the format cannot hold the constants, or needs what is not known.
+        where the format cannot hold the constants or needs what is not known, and for the noise of another unit.
     """
     found = result if isinstance(result, Result) else read_result(result)
     constants = constants_of(found)
     known = of_fit(found, constants, rate)
     if noise is not None:
-        known |= of_record(read_noise(Path(noise)), found.fit.model.campaign)
+        record, campaign = read_noise(Path(noise)), found.fit.model.campaign
+        if not noise_of_another_unit:
+            refuse_other_unit(record, campaign, str(noise))
+        known |= of_record(record, campaign)
     return write_constants(constants, format, Path(out), ExportOptions(rate, topic, known, accept_loss))
 
 

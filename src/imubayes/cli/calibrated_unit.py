@@ -144,6 +144,7 @@ def export(
     out: Path,
     format: Literal["json", "c", "kalibr", "px4", "ardupilot", "ros"] = "json",
     noise: Path | None = None,
+    noise_of_another_unit: Flag = False,
     rate_hz: float | None = None,
     topic: str = "/imu0",
     accept_loss: Flag = False,
@@ -167,6 +168,8 @@ def export(
         json, c, kalibr, px4, ardupilot or ros.
     noise
         noise.json of `imubayes noise` on a static record of the unit, for kalibr.
+    noise_of_another_unit
+        Take the noise although the record is of another unit, or does not say of which.
     rate_hz
         Rate of the samples on board in Hz, for kalibr.
     topic
@@ -184,8 +187,9 @@ def export(
     if rate_hz is not None and not 0 < rate_hz < float("inf"):
         raise input_error(f"a rate of {rate_hz:g} Hz", "--rate-hz", "a number above 0", "correct it")
     for loss in api.export_constants(
-        result, out, format, noise=noise, rate=rate_hz, topic=topic, accept_loss=accept_loss
-    ):
+        result, out, format, noise=noise, noise_of_another_unit=noise_of_another_unit, rate=rate_hz, topic=topic,
+        accept_loss=accept_loss,
+    ):  # fmt: skip
         print(f"left out: {in_words(loss)}")
     print(f"wrote {out}")
 

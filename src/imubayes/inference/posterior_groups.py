@@ -24,7 +24,7 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.units import to_si
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.fitted_model import Fit, Posterior, evenly_spaced
-from imubayes.inference.run_fit import data_hash, model_hash
+from imubayes.inference.run_fit import campaign_hash, model_hash
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import entry_log_likelihood
 from imubayes.model.noise_covariance import heavy_tailed, noise_distribution
@@ -395,7 +395,7 @@ def _attributes(fit: Fit) -> dict[str, str | int]:
         "inference_library": "emcee" if sampled else "imubayes, Laplace approximation",
         "campaign": fit.model.campaign.name,
         "model": fit.model.spec.name,
-        "data_sha256": data_hash(fit.model),
+        "data_sha256": campaign_hash(fit.model),
         "model_sha256": model_hash(fit.model),
         "converged": int(fit.converged),
         "interval": "95 % equal-tailed where an interval is given",

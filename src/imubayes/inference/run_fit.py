@@ -167,6 +167,14 @@ def data_hash(model: Model) -> str:
     return _digest(*(np.ascontiguousarray(array).tobytes() for array in arrays))
 
 
+def campaign_hash(model: Model) -> str:
+    """Return what identifies the data: the hash of the files, or of the arrays where there are no files.
+
+    It stands in every file that is made of a fit, so that constants, record and certificate can be held together.
+    """
+    return model.campaign.digest or data_hash(model)
+
+
 def model_hash(model: Model) -> str:
     """Return the SHA-256 of the model: its effects with channels, priors and settings, in order."""
     listed = sorted(repr(replace(effect, where="")) for effect in model.spec.effects)

@@ -154,10 +154,12 @@ class StaticNoise(Record):
     """The noise of all static records of a campaign.
 
     Intervals: profile likelihood for the terms (of the ramp a posterior interval), chi-square for the Allan deviations.
+    `serial` is the unit's; empty where the campaign states none.
     """
 
     format: int = 1
     campaign: str
+    serial: str = ""
     probability: float = PROBABILITY
     channels: list[ChannelNoise]
     left_out: list[SilentChannel] = []
@@ -216,7 +218,7 @@ def static_noise(
             "no channel varies", f"campaign '{campaign.name}', {', '.join(sorted({each.run for each in left_out}))}",
             "samples with noise, at the resolution of the sensor", "correct the log",
         )  # fmt: skip
-    return StaticNoise(campaign=campaign.name, channels=found, left_out=left_out)
+    return StaticNoise(campaign=campaign.name, serial=campaign.serial, channels=found, left_out=left_out)
 
 
 def _chosen(campaign: Campaign, names: Sequence[str]) -> list[Run]:

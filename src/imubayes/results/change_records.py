@@ -22,12 +22,11 @@ from imubayes.criticism.explanations import CoefficientEstimate, EffectChoice, R
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.records import Presented, Record, finite
 from imubayes.inference.identifiability import PriorConflict
-from imubayes.inference.run_fit import model_hash
+from imubayes.inference.run_fit import campaign_hash, model_hash
 from imubayes.loop.model_history import ChiSquareDrop, CrossValidation, Node, Tree, node_id, removal_log_odds
 from imubayes.loop.refit import NotDistinguished, Prediction, Refit, not_distinguished
 from imubayes.loop.warm_start import ChangedModel
 from imubayes.model.bind import Model
-from imubayes.results.fit_file import campaign_hash
 from imubayes.results.folder_files import ADDED_VARIABLE, CHANGE, DIAGNOSIS, RESIDUALS, add_to, added, checked
 from imubayes.results.history_tree import read_node, read_tree
 from imubayes.results.result import Result

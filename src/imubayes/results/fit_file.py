@@ -21,8 +21,8 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import finite
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.run_fit import data_hash, model_hash
-from imubayes.model.bind import Model, bind
+from imubayes.inference.run_fit import campaign_hash, model_hash
+from imubayes.model.bind import bind
 from imubayes.model.model_file import read_carried_model
 from imubayes.parameters.declarations import Layout
 from imubayes.procedures.ambient import instant
@@ -46,11 +46,6 @@ def fit_record(fit: Fit, folder: Path, seed: int) -> FitRecord:
         seed=seed,
         campaign_notes=model.campaign.notes,
     )
-
-
-def campaign_hash(model: Model) -> str:
-    """Return what identifies the data: the hash of the files, or of the arrays where there are no files."""
-    return model.campaign.digest or data_hash(model)
 
 
 def _places(campaign: Campaign, folder: Path) -> CampaignPlaces:

@@ -323,10 +323,13 @@ def px4_parameters(constants: OnboardConstants, found: Sequence[Loss]) -> str:
         if triad.kind == "accelerometer":
             values += [(f"CAL_ACC0_{axis}SCALE", scale) for axis, scale in zip("XYZ", _scales(triad), strict=True)]
         values += _px4_thermal(constants, biases, f"TC_{letter}")
+    values += [("IMU_GYRO_CAL_EN", 0), ("SENS_IMU_AUTOCAL", 0)]
     lines = [f"# {line}" for line in heading(constants, found)]
     lines += [
         "# Offsets and scales of the sensor's axes x, y, z, as the driver publishes them in SI units, before rotation.",
         "# Set CAL_ACC0_ID, CAL_GYRO0_ID, TC_A0_ID and TC_G0_ID to the device ids of the sensors on the vehicle.",
+        "# IMU_GYRO_CAL_EN and SENS_IMU_AUTOCAL are off: PX4 would overwrite the offsets with its own, at rest and in",
+        "# flight. A calibration in QGroundControl overwrites them too.",
         "# vehicle\tcomponent\tname\tvalue\ttype",
     ]
     lines += [
@@ -360,9 +363,16 @@ def ardupilot_parameters(constants: OnboardConstants, found: Sequence[Loss]) -> 
             thermal += _ardupilot_thermal(constants, biases, sensor)
     if thermal:
         values += [("INS_TCAL1_ENABLE", 1), ("INS_TCAL1_TMIN", low), ("INS_TCAL1_TMAX", high), *thermal]
+    values.append(("INS_GYR_CAL", 0))
     lines = [f"# {line}" for line in heading(constants, found)]
-    lines.append("# Offsets and scales of the axes x, y, z after the sensor's orientation, before that of the board.")
-    lines += [f"{name},{_number(value)}" for name, value in values]
+    lines += [
+        "# Offsets and scales of the axes x, y, z after the sensor's orientation, before that of the board.",
+        "# Set INS_ACC_ID and INS_GYR_ID to the device ids of the sensors on the vehicle: under another id ArduPilot",
+        "# takes a sensor as not calibrated.",
+        "# INS_GYR_CAL is 0: ArduPilot would overwrite the offsets of the gyros with its own at every start. An",
+        "# accelerometer or gyro calibration by the ground station overwrites them too.",
+        *(f"{name},{_number(value)}" for name, value in values),
+    ]
     return "\n".join([*lines, ""])
 
 

@@ -14,7 +14,7 @@ from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import finite
 from imubayes.inference.identifiability import WEAK_SHARE, from_data
-from imubayes.inference.run_fit import data_hash, model_hash
+from imubayes.inference.run_fit import campaign_hash, model_hash
 from imubayes.qualification.onboard import record as onboard
 from imubayes.qualification.onboard import unexpressed_effects as unexpressed
 from imubayes.qualification.onboard.correct_recording import ReadingNoise, reading_noise
@@ -99,7 +99,7 @@ def onboard_constants(result: Result) -> onboard.OnboardConstants:
         campaign=summary.campaign,
         model=summary.model,
         version=version("imubayes"),
-        data_sha256=data_hash(model),
+        data_sha256=campaign_hash(model),
         model_sha256=model_hash(model),
         gravity_m_s2=posterior.campaign.site.gravity,
         reference_degC=REFERENCE_TEMPERATURE,

@@ -105,6 +105,18 @@ def read_noise(file: Path) -> StaticNoise:
         raise input_error(fault, str(file), allowed, "give its path") from error
 
 
+def refuse_other_unit(noise: StaticNoise, campaign: Campaign, where: str) -> None:
+    """Raise InputError where a noise record is of another unit, or where nothing tells whether it is of this one."""
+    if noise.serial == campaign.serial and (noise.serial or noise.campaign == campaign.name):
+        return
+    of = f"unit {noise.serial}" if noise.serial else f"campaign {noise.campaign}, which states no serial number"
+    mine = f"unit {campaign.serial}" if campaign.serial else f"campaign {campaign.name}, which states no serial number"
+    raise input_error(
+        f"the noise record is of {of}, the constants are of {mine}", where, "a static record of the same unit",
+        "record this unit and run `imubayes noise` on it, or take the other's with --noise-of-another-unit",
+    )  # fmt: skip
+
+
 def of_record(noise: StaticNoise, campaign: Campaign) -> dict[str, NoiseDensity]:
     """Return the noise of a static record, kind → density."""
     found = {}
