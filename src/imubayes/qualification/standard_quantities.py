@@ -127,7 +127,7 @@ class UnitUnderTest:
     ----------
     quantities : parameters and derived quantities, with draws.
     channels : of the unit.
-    inputs : channel → inputs of the runs that were made over its range, deg/s or g, shape (n,), in order.
+    inputs : channel → inputs of the rows of the runs that were made over its range, deg/s or g, shape (n,), in order.
     gravity : of the site, m/s².
     """
 

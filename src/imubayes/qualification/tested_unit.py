@@ -75,12 +75,12 @@ def with_standards(unit: UnitUnderTest) -> PosteriorQuantities:
     return PosteriorQuantities(entries, draws, effective)
 
 
-# Inputs closer than this share of the range are one; a run was made over the range where it came this near to an end.
-_SAME_INPUT, _OVER_RANGE = 1e-3, 0.9
+# A run was made over the range where it came this near to an end; of longer records so many rows stand for all.
+_OVER_RANGE, _MOST_ROWS = 0.9, 500
 
 
 def inputs_over_range(table: pl.DataFrame) -> dict[str, np.ndarray]:
-    """Return the inputs of each channel, deg/s or g, in order: of the runs that reach an end of its range.
+    """Return the inputs of each channel, deg/s or g, in order: of all rows of the runs that reach an end of its range.
 
     A run in which the axis is inclined has a part of the range at other rates, and is no test of its linearity.
     Injected currents are no inputs.
@@ -96,7 +96,7 @@ def inputs_over_range(table: pl.DataFrame) -> dict[str, np.ndarray]:
 
 
 def _tested(own: pl.DataFrame) -> np.ndarray:
-    """Return the distinct inputs of the rows of a channel, of the runs over its range."""
+    """Return the inputs of the rows of a channel, of the runs over its range."""
     values = own.select("run", pl.col("input_observed").alias("input")).filter(pl.col("input").is_finite())
     if not values.height:
         return np.zeros(1)
@@ -105,8 +105,8 @@ def _tested(own: pl.DataFrame) -> np.ndarray:
     at_an_end = (pl.col("low") <= _OVER_RANGE * low) & (low < 0) | (pl.col("high") >= _OVER_RANGE * high) & (high > 0)
     whole = ends.filter(at_an_end)["run"].to_list()
     chosen = values.filter(pl.col("run").is_in(whole)) if whole else values
-    levels = (pl.col("input") / (_SAME_INPUT * max(abs(low), abs(high)))).round()
-    return chosen.group_by(levels.alias("level")).agg(pl.col("input").mean())["input"].sort().to_numpy()
+    ordered = np.sort(chosen["input"].to_numpy())
+    return ordered[np.linspace(0, len(ordered) - 1, min(len(ordered), _MOST_ROWS)).round().astype(int)]
 
 
 def _temperatures(result: Result) -> tuple[float, float] | None:
