@@ -37,7 +37,7 @@ def test_the_record_has_those_of_the_fit(fitted, report):
     assert {each.name: each.unit for each in report.combinations if each.standard} == SYMBOLS
     for each in report.combinations:
         assert each.estimate == pytest.approx(known[each.name].mean, rel=1e-9)
-        assert each.standard_uncertainty == pytest.approx(known[each.name].sd, rel=1e-3)
+        assert each.standard_uncertainty == pytest.approx(known[each.name].sd, rel=0.02)
         assert each.quantities == known[each.name].quantities
         assert each.d_si is not None
         assert each.procedures == ("polar_tumble",)

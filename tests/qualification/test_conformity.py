@@ -12,7 +12,7 @@ from imubayes.qualification.conformity import conformity, overall_outcome, resol
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.temperature_range import ThermalModel
-from imubayes.qualification.tested_unit import TestedUnit
+from imubayes.qualification.unit_under_test import TestedUnit
 from imubayes.results.summary import CombinationSummary, Quantity
 
 SIZE = 20_000
@@ -110,6 +110,20 @@ def test_there_is_no_decision_on_what_the_data_do_not_determine(tmp_path, ends):
     assert found.decision.withheld == "not_determined"
     (found,) = outcome(tmp_path, text, with_sum(0.8))
     assert found.decision.outcome in ("pass", "fail")
+
+
+@pytest.mark.parametrize(("size", "outcome_with_it"), [(0.1, "pass"), (3.0, "withheld")])
+def test_no_unit_passes_that_equipment_taken_as_exact_could_put_beyond_a_limit(tmp_path, size, outcome_with_it):
+    """5 ± 0.5 deg/h is well inside ± 7.5; with 3 deg/h of the equipment it is not, and nobody knows."""
+    text = limit("gyro_bias.bias[gx]", 'lower = -7.5\nupper = 7.5\nunit = "deg/h"')
+    unit = replace(UNIT, unstated={"gyro_bias.bias[gx]": size})
+    (found,) = outcome(tmp_path, text, unit)
+    assert found.decision.outcome == outcome_with_it
+    assert found.decision.withheld == ("taken_as_exact" if outcome_with_it == "withheld" else None)
+    assert outcome(tmp_path, text)[0].decision.outcome == "pass"
+    # What fails without it fails.
+    (failed,) = outcome(tmp_path, limit("gyro_bias.bias[gx]", 'upper = 4\nunit = "deg/h"'), unit)
+    assert failed.decision.outcome == "fail"
 
 
 def test_limits_in_another_unit_and_relative_to_nominal(tmp_path):

@@ -67,9 +67,13 @@ def test_numerical_tolerance_of_jcgm_101(u, digits, power, tolerance):
     assert numerical_tolerance(u, digits) == pytest.approx(tolerance)
 
 
+def digits_of(marginal: Marginal) -> int:
+    return digits_deserved(marginal.errors, marginal.sd).digits
+
+
 def test_digits_follow_the_number_of_draws():
     by_size = {
-        size: digits_deserved(Marginal(np.random.default_rng(1).normal(5.0, 0.3, size), size)).digits
+        size: digits_of(Marginal(np.random.default_rng(1).normal(5.0, 0.3, size), size))
         for size in (200, 4000, 400_000)
     }
     assert by_size == {200: 0, 4000: 1, 400_000: 2}
@@ -77,7 +81,7 @@ def test_digits_follow_the_number_of_draws():
 
 def test_dependent_draws_deserve_fewer_digits():
     draws = np.random.default_rng(1).normal(5.0, 0.3, 400_000)
-    assert digits_deserved(Marginal(draws, 4000.0)).digits == 1
+    assert digits_of(Marginal(draws, 4000.0)) == 1
 
 
 def test_monte_carlo_errors_are_those_of_repetition():

@@ -6,7 +6,7 @@ import pytest
 
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
-from imubayes.qualification.tested_unit import inputs_over_range
+from imubayes.qualification.unit_under_test import inputs_over_range
 from imubayes.results.summary import Quantity
 from small_campaign import channels
 

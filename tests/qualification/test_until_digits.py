@@ -17,11 +17,13 @@ ROOT = Path(__file__).parents[2]
 CAMPAIGN, MODEL = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"
 
 
+def digits_of(marginal: Marginal) -> int:
+    return digits_deserved(marginal.errors, marginal.sd).digits
+
+
 def fewest_digits(result: Result) -> int:
     known = posterior_quantities(result)
-    return min(
-        digits_deserved(known.marginal(name)).digits for name in known.draws if not is_constant(known.draws[name])
-    )
+    return min(digits_of(known.marginal(name)) for name in known.draws if not is_constant(known.draws[name]))
 
 
 def test_the_draws_of_a_normal_posterior_leave_a_digit_whatever_it_is():
@@ -34,7 +36,7 @@ def test_the_draws_of_a_normal_posterior_leave_a_digit_whatever_it_is():
     # Fault planted: 4000 draws withhold nearly half of them.
     assert np.mean(2 * error / np.sqrt(4000) > allowed) > 0.3
     draws = 5.5 * np.random.default_rng(9).normal(size=LAPLACE_DRAWS)
-    assert digits_deserved(Marginal(draws, float(LAPLACE_DRAWS))).digits == 1
+    assert digits_of(Marginal(draws, float(LAPLACE_DRAWS))) == 1
 
 
 def test_draws_are_made_until_every_quantity_deserves_a_digit(monkeypatch):
@@ -46,7 +48,7 @@ def test_draws_are_made_until_every_quantity_deserves_a_digit(monkeypatch):
     assert fewest_digits(result) == 1
     lacking, name = draws_lacking(result.fit, 2)
     assert lacking > 1
-    assert digits_deserved(posterior_quantities(result).marginal(name)).digits == 1
+    assert digits_of(posterior_quantities(result).marginal(name)) == 1
 
 
 @pytest.mark.slow

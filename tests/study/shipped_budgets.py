@@ -24,9 +24,9 @@ from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.parameters.declarations import Layout, Priors
 from imubayes.parameters.priors import Normal
-from imubayes.qualification.tested_unit import (tested_unit)
 from imubayes.qualification.report_budgets import functions_of_quantities
 from imubayes.qualification.uncertainty_budget import BudgetArrays, budget_of
+from imubayes.qualification.unit_under_test import unit_under_test
 from imubayes.results.result import Result, result_of
 from imubayes.results.stored_tables import draws_of
 from imubayes.results.summary import is_constant
@@ -73,7 +73,7 @@ def fitted(campaign: str) -> Result:
 
 def budget(result: Result) -> BudgetArrays:
     """Return the budgets of all quantities, as the report has them."""
-    unit = tested_unit(result)
+    unit = unit_under_test(result)
     draws = unit.quantities.draws
     names = [line.name for line in (*result.summary.parameters, *result.summary.derived)]
     known = [name for name in names if name in draws and not is_constant(draws[name])]

@@ -123,13 +123,7 @@ def degrees_of_freedom(variances: np.ndarray) -> np.ndarray:
         return np.where(np.isfinite(spread) & (spread > 0), 2 * precision.mean(axis=0) ** 2 / spread, np.inf)
 
 
-def effective_degrees(contributions: np.ndarray, degrees: np.ndarray) -> float:
-    """Return ν of a sum of variances by Welch–Satterthwaite (GUM G.4.1); infinite where all are."""
-    sum_of_squares = float(np.sum(contributions**2 / degrees))
-    return float(np.sum(contributions) ** 2 / sum_of_squares) if sum_of_squares > 0 else float("inf")
-
-
-InputKind = Literal["run", "prior", "priors", "noise_scales", "second_order", "small"]
+InputKind = Literal["run", "prior", "priors", "exact", "noise_scales", "second_order", "small"]
 Source = Literal["fixture", "table", "site", "reference", "unit"]
 
 
@@ -138,8 +132,9 @@ class BudgetLine(Record):
 
     Attributes
     ----------
-    kind : the noise of a run; a prior; priors of one effect taken together; the noise scales, which are not known
-        exactly; the second-order part; all contributions too small for a line of their own.
+    kind : the noise of a run; a prior; priors of one effect taken together; a parameter that the model takes as
+        ``exact`` and the report does not; the noise scales, which are not known exactly; the second-order part; all
+        contributions too small for a line of their own.
     input : run, parameter or effect; empty where `kind` says all.
     type : A from the data, B from a prior; None for the second-order part and for small contributions of both types.
     source : what a prior is about.
@@ -172,7 +167,7 @@ class BudgetLine(Record):
 class HalvedInput(Record):
     """Standard uncertainty of a quantity if one contribution were halved: noise of a run, or width of priors."""
 
-    kind: Literal["run", "prior", "priors"]
+    kind: Literal["run", "prior", "priors", "exact"]
     input: str
     source: Source | None
     standard_uncertainty: float
@@ -204,7 +199,8 @@ class QuantityBudget(Record):
     remainder : share of the posterior variance beyond them: higher orders and Monte Carlo error.
     components : whether inputs contribute through the components of a vector, as to an angle near zero.
     degrees_of_freedom : effective, by Welch–Satterthwaite; None where they are infinite.
-    coverage_factor, expanded_uncertainty : U, half the length of the 95 % coverage interval, and k = U/u.
+    coverage_factor, expanded_uncertainty : U, half the length of the 95 % coverage interval, and k = U/u, from ν where
+        the posterior is symmetric.
     halved : what u would be if one contribution were halved, the most useful first.
     next_run : the run that would narrow the quantity most; None where none narrows it by a hundredth.
     """

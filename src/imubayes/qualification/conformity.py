@@ -21,14 +21,14 @@ from imubayes.campaign.toml_documents import Ledger
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.errors import InputError, closest_first
 from imubayes.foundations.units import same_dimension, to_si
-from imubayes.inference.identifiability import WEAK_SHARE
 from imubayes.qualification import decision_rules as rules
+from imubayes.qualification.coverage import Coverage, coverage_of
 from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.specification import LimitEntry, SpecificationFile, read_specification, rule_of
 from imubayes.qualification.temperature_range import TEMPERATURES_OF_RANGE, branches_over_range
-from imubayes.qualification.tested_unit import TestedUnit, tested_unit
+from imubayes.qualification.unit_under_test import TestedUnit, is_measured, unit_under_test
 from imubayes.results.result import Result
-from imubayes.results.summary import CombinationSummary, Quantity, is_constant
+from imubayes.results.summary import CombinationSummary, Quantity
 
 WORST_FIRST: tuple[rules.Outcome, ...] = ("fail", "withheld", "conditional_fail", "conditional_pass", "pass")
 # Temperatures of a chamber are not those of its plan: a range is covered where runs came this close to its ends, °C.
@@ -54,7 +54,7 @@ class ConformityOfQuantity:
     Attributes
     ----------
     limit : in the unit of the quantity.
-    estimate, marginal : at the worst temperature of the range.
+    estimate, stated, marginal : at the worst temperature of the range.
     temperature : that temperature, °C; None without a range or without dependence on it.
     conformance : p_c over the whole range.
     decision : outcome with the guard band.
@@ -65,6 +65,7 @@ class ConformityOfQuantity:
 
     limit: ResolvedLimit
     estimate: rules.MeasuredValue
+    stated: Coverage
     marginal: Marginal
     temperature: float | None
     conformance: rules.ProbabilityByTwoMethods
@@ -182,34 +183,50 @@ def _conversion(entry: LimitEntry, quantity: Quantity, where: str, gravity: floa
 
 def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
     """Return the outcome for one limit."""
-    quantities, name = unit.quantities, limit.quantity.name
-    values = quantities.draws[name][:, None]
-    if limit.span is not None:
-        values = branches_over_range(name, limit.quantity.unit, quantities.draws, unit.thermal, limit.span)
-    values = values[np.isfinite(values).all(axis=1)]
-    effective = quantities.effective[name]
+    name, effective = limit.quantity.name, unit.quantities.effective[limit.quantity.name]
+    values = _values(limit, unit)
     over = _conformance_over(values, limit.tolerance, effective)
     marginals = [Marginal(column, effective) for column in values.T]
-    estimates = [_estimate(marginal, over) for marginal in marginals]
-    rule, production = limit.rule, limit.production
-    decisions = [_decision(rule, estimate, limit.tolerance, production) for estimate in estimates]
-    if not _determined(limit.quantity, quantities.draws[name]):
-        decisions = [replace(decision, outcome="withheld", withheld="not_determined") for decision in decisions]
+    stated = [unit.coverage(name)] if limit.span is None else [coverage_of(marginal) for marginal in marginals]
+    estimates = [_estimate(each, over) for each in stated]
+    decisions = _decisions(limit, unit, values, estimates)
     worst = min(range(len(estimates)), key=lambda place: _rank(decisions[place], estimates[place], limit.tolerance))
-    estimate, decision = estimates[worst], decisions[worst]
-    p = over.value
-    accepted = decision.outcome in ("pass", "conditional_pass")
+    estimate, decision, p = estimates[worst], decisions[worst], over.value
+    production = limit.production
     return ConformityOfQuantity(
         limit=limit,
         estimate=estimate,
+        stated=stated[worst],
         marginal=marginals[worst],
         temperature=_temperature(limit, worst, len(estimates)),
         conformance=over,
         decision=decision,
-        consumer=1 - p if p is not None and accepted else None,
+        consumer=1 - p if p is not None and decision.outcome in rules.ACCEPTED else None,
         producer=p if p is not None and decision.outcome in rules.REJECTED else None,
         overall=None if production is None else _overall(production, estimate.standard, limit, decision),
     )
+
+
+def _values(limit: ResolvedLimit, unit: TestedUnit) -> np.ndarray:
+    """Return the draws of the quantity of a limit, (S, T), at the temperatures of its range or at one."""
+    name, draws = limit.quantity.name, unit.quantities.draws
+    values = draws[name][:, None]
+    if limit.span is not None:
+        values = branches_over_range(name, limit.quantity.unit, draws, unit.thermal, limit.span)
+    return values[np.isfinite(values).all(axis=1)]
+
+
+def _decisions(
+    limit: ResolvedLimit, unit: TestedUnit, values: np.ndarray, estimates: Sequence[rules.MeasuredValue]
+) -> list[rules.Decision]:
+    """Return the decision at each temperature; none on what was not measured, or could fail by equipment."""
+    name = limit.quantity.name
+    decisions = [rules.applied(limit.rule, each, limit.tolerance, limit.production) for each in estimates]
+    if not is_measured(limit.quantity, unit.quantities.draws[name]):
+        return [replace(decision, outcome="withheld", withheld="not_determined") for decision in decisions]
+    if _passes_with_exact(limit, values, unit.unstated.get(name, 0.0), unit.quantities.effective[name]):
+        return decisions
+    return [_without_pass(each) for each in decisions]
 
 
 def _overall(
@@ -220,10 +237,21 @@ def _overall(
     return rules.global_risks(production, standard, limit.tolerance, accepted)
 
 
-def _determined(quantity: Quantity, draws: np.ndarray) -> bool:
-    """Tell whether the data determine a quantity: an exact one was never measured."""
-    share = quantity.from_data
-    return not is_constant(draws[np.isfinite(draws)]) and (share is None or share >= WEAK_SHARE)
+def _without_pass(decision: rules.Decision) -> rules.Decision:
+    """Return a decision that is none where it would pass on what is taken as exact."""
+    accepted = decision.outcome in rules.ACCEPTED
+    return replace(decision, outcome="withheld", withheld="taken_as_exact") if accepted else decision
+
+
+def _passes_with_exact(limit: ResolvedLimit, values: np.ndarray, sd: float, effective: float) -> bool:
+    """Tell whether draws (S, T) would be accepted if what is taken as exact had its plausible size, sd in all."""
+    if not sd:
+        return True
+    moved = values + sd * np.random.default_rng(20260502).standard_normal((len(values), 1))
+    over = _conformance_over(moved, limit.tolerance, effective)
+    estimates = [_estimate(coverage_of(Marginal(column, effective)), over) for column in moved.T]
+    decisions = [rules.applied(limit.rule, each, limit.tolerance, limit.production) for each in estimates]
+    return all(each.outcome in rules.ACCEPTED for each in decisions)
 
 
 def _temperature(limit: ResolvedLimit, worst: int, count: int) -> float | None:
@@ -249,25 +277,8 @@ def _conformance_over(
     return rules.conformance_probability(Marginal(margin, effective), rules.ToleranceInterval(lower=0.0))
 
 
-def _estimate(marginal: Marginal, conformance: rules.ProbabilityByTwoMethods) -> rules.MeasuredValue:
-    low, high = marginal.interval
-    return rules.MeasuredValue(marginal.mean, marginal.sd, (high - low) / 2, conformance)
-
-
-def _decision(
-    rule: rules.DecisionRule,
-    estimate: rules.MeasuredValue,
-    tolerance: rules.ToleranceInterval,
-    production: rules.Production | None,
-) -> rules.Decision:
-    if rule.name != "global_risk":
-        return rules.decide(rule, estimate, tolerance)
-    assert production is not None, "the specification was checked for it"
-    assert rule.probability is not None, "a rule on a risk has its target"
-    guard = rules.guard_for_risk(production, estimate.standard, tolerance, rule.probability)
-    if guard is None:
-        return rules.Decision("fail", None)
-    return rules.decide(rules.DecisionRule("guard_band", guard_width=guard), estimate, tolerance)
+def _estimate(stated: Coverage, conformance: rules.ProbabilityByTwoMethods) -> rules.MeasuredValue:
+    return rules.MeasuredValue(stated.estimate, stated.standard, stated.expanded, conformance)
 
 
 def overall_outcome(found: Sequence[ConformityOfQuantity]) -> rules.Outcome:
@@ -322,7 +333,7 @@ def assess(
     file, ledger = read_specification(specification)
     limits: tuple[ConformityOfQuantity, ...] = ()
     if result.summary.converged:
-        unit = unit or tested_unit(result)
+        unit = unit or unit_under_test(result)
         limits = tuple(conformity(limit, unit) for limit in resolved_limits(file, ledger, unit))
     return Assessment(file.name, limits, _obstacles(result, diagnosis))
 

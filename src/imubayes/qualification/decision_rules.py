@@ -193,8 +193,10 @@ ACCEPTED: tuple[Outcome, ...] = ("pass", "conditional_pass")
 """Outcomes with which a unit is delivered."""
 REJECTED: tuple[Outcome, ...] = ("conditional_fail", "fail")
 """Outcomes with which it is not; `withheld` is no decision."""
-NoDecision = Literal["probability", "not_determined"]
-"""Why there is none: a probability that the rule needs is withheld, or the data do not determine the quantity."""
+NoDecision = Literal["probability", "not_determined", "taken_as_exact"]
+"""Why there is none: a probability that the rule needs is withheld; the data do not determine the quantity; or what the
+model takes as exact of the equipment could plausibly put it beyond the limit.
+"""
 
 
 @dataclass(frozen=True)
@@ -418,3 +420,17 @@ def guard_for_risk(
     if excess(widest) > 0:
         return None
     return standard * float(np.asarray(scipy.optimize.brentq(excess, 0.0, widest, xtol=1e-6)))
+
+
+def applied(
+    rule: DecisionRule, estimate: MeasuredValue, tolerance: ToleranceInterval, production: Production | None
+) -> Decision:
+    """Return the outcome of any rule; a target for the global risk sets its guard band by the production."""
+    if rule.name != "global_risk":
+        return decide(rule, estimate, tolerance)
+    assert production is not None, "a global risk is that of a production"
+    assert rule.probability is not None, "a rule on a risk has its target"
+    guard = guard_for_risk(production, estimate.standard, tolerance, rule.probability)
+    if guard is None:
+        return Decision("fail", None)
+    return decide(DecisionRule("guard_band", guard_width=guard), estimate, tolerance)

@@ -247,25 +247,20 @@ def numerical_tolerance(uncertainty: float, digits: int) -> float:
     return 0.5 * 10.0 ** last_digit(uncertainty, digits)
 
 
-def draws_needed(marginal: Marginal, digits: Digits) -> float:
+def draws_needed(errors: MonteCarloErrors, uncertainty: float, digits: Digits) -> float:
     """Return how many times the draws so many digits need: twice the largest Monte Carlo error is then δ."""
-    return (2 * marginal.errors.largest / numerical_tolerance(marginal.sd, digits)) ** 2
+    return (2 * errors.largest / numerical_tolerance(uncertainty, digits)) ** 2
 
 
-def digits_deserved(marginal: Marginal) -> DeservedDigits:
-    """Return the digits that the draws of a quantity deserve.  A quantity that does not vary is exact: two digits."""
-    errors: dict[Statistic, float] = {
-        "mean": marginal.errors.mean,
-        "sd": marginal.errors.sd,
-        "low": marginal.errors.low,
-        "high": marginal.errors.high,
-    }
-    worst = max(errors, key=lambda statistic: errors[statistic])
-    error = 2 * errors[worst]
-    if not marginal.sd > 0:
+def digits_deserved(errors: MonteCarloErrors, uncertainty: float) -> DeservedDigits:
+    """Return the digits that numbers deserve.  A quantity that does not vary is exact: two digits."""
+    listed: dict[Statistic, float] = {"mean": errors.mean, "sd": errors.sd, "low": errors.low, "high": errors.high}
+    worst = max(listed, key=lambda statistic: listed[statistic])
+    error = 2 * listed[worst]
+    if not uncertainty > 0:
         return DeservedDigits(2, 0.0, 0.0, worst)
     for digits in (2, 1):
-        tolerance = numerical_tolerance(marginal.sd, digits)
+        tolerance = numerical_tolerance(uncertainty, digits)
         if error <= tolerance:
             return DeservedDigits(digits, tolerance, error, worst)
-    return DeservedDigits(0, numerical_tolerance(marginal.sd, 1), error, worst)
+    return DeservedDigits(0, numerical_tolerance(uncertainty, 1), error, worst)

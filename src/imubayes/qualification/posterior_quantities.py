@@ -168,7 +168,8 @@ def draws_lacking(fit: Fit, digits: Digits) -> tuple[float, str]:
     for name, draws in quantities.draws.items():
         if is_constant(draws):
             continue
-        factor = draws_needed(quantities.marginal(name), digits)
+        marginal = quantities.marginal(name)
+        factor = draws_needed(marginal.errors, marginal.sd, digits)
         if factor > worst:
             worst, worst_name = factor, name
     return worst, worst_name

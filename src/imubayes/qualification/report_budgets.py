@@ -1,8 +1,9 @@
 """From the budgets of a result to the records of the report; they are kept in its folder, as they take seconds."""
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,16 +16,19 @@ from imubayes.inference.experiment_design import expected_deviations
 from imubayes.parameters.declarations import Parameter
 from imubayes.qualification import budget_parts
 from imubayes.qualification import uncertainty_budget as budget
+from imubayes.qualification.coverage import KnownUncertainty, effective_degrees
 from imubayes.qualification.decision_rules import LEAST_SHARE, USEFUL_RUN
 from imubayes.qualification.posterior_quantities import posterior_quantities, slopes
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, draws_of_standard
-from imubayes.qualification.tested_unit import TestedUnit, tested_unit
+from imubayes.qualification.taken_as_exact import ExactInput, TakenAsExact, exact_equipment
+from imubayes.qualification.unit_under_test import TestedUnit, unit_under_test
 from imubayes.results.folder_files import BUDGETS, add_to, added
 from imubayes.results.result import Result
+from imubayes.results.stored_tables import complete
 from imubayes.results.summary import is_constant
 
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
-_METHOD = 7
+_METHOD = 9
 _MOST_HALVED = 3
 # Decimals of a correlation.
 _DECIMALS = 4
@@ -32,27 +36,40 @@ _NORMAL = "normal"
 
 
 class KeptBudgets(Record):
-    """Budgets in a result folder, with the method that they were computed by."""
+    """Budgets in a result folder, with what the model takes as exact, and the method that they were computed by."""
 
     method: int
+    exact: TakenAsExact
     budgets: budget_parts.UncertaintyBudgets
 
 
-def budgets_of(result: Result, unit: TestedUnit | None) -> budget_parts.UncertaintyBudgets | None:
-    """Return the budgets of all quantities of a result; None where the fit did not converge.
+@dataclass(frozen=True)
+class UnitWithBudgets:
+    """A unit as its report states it: draws with all that is included, budgets, and what the model takes as exact."""
+
+    unit: TestedUnit
+    budgets: budget_parts.UncertaintyBudgets
+    exact: TakenAsExact
+
+
+def unit_with_budgets(result: Result) -> UnitWithBudgets:
+    """Return the unit of a result that converged, with the budgets of all its quantities.
 
     Those that the result folder keeps are taken where they are of this result; others are kept there.
     """
-    if unit is None or result.folder is None:
-        return None
-    kept = _kept(result.folder)
-    if kept is not None and kept.method == _METHOD:
-        return kept.budgets
-    budgets = _computed(result, unit)
-    text = KeptBudgets(method=_METHOD, budgets=budgets).model_dump_json() + "\n"
-    with suppress(OSError, InputError):  # a result that cannot be written to has its budgets computed every time
-        add_to(result.folder, BUDGETS, text, result.identity)
-    return budgets
+    kept = None if result.folder is None else _kept(result.folder)
+    if kept is None or kept.method != _METHOD:
+        kept = _computed(result)
+        if result.folder is not None:
+            with suppress(OSError, InputError):  # of a result that cannot be written to they are computed every time
+                add_to(result.folder, BUDGETS, kept.model_dump_json() + "\n", result.identity)
+    known = {
+        each.name: KnownUncertainty(
+            each.standard_uncertainty, each.monte_carlo_error, each.degrees_of_freedom or math.inf
+        )
+        for each in kept.budgets.quantities
+    }
+    return UnitWithBudgets(replace(unit_under_test(result, kept.exact), known=known), kept.budgets, kept.exact)
 
 
 def keep_budgets(result: Result) -> None:
@@ -61,7 +78,7 @@ def keep_budgets(result: Result) -> None:
     What a report needs of the model is compiled and linearised then; a later process would trace the model anew.
     """
     if result.converged and result.folder is not None:
-        budgets_of(result, tested_unit(result))
+        unit_with_budgets(result)
 
 
 def _kept(folder: Path) -> KeptBudgets | None:
@@ -73,23 +90,28 @@ def _kept(folder: Path) -> KeptBudgets | None:
         return None
 
 
-def _computed(result: Result, unit: TestedUnit) -> budget_parts.UncertaintyBudgets:
-    draws = unit.quantities.draws
+def _computed(result: Result) -> KeptBudgets:
+    plain = unit_under_test(result)
+    draws = plain.quantities.draws
     # The component along a nominal axis has no gradient there; the budgets of the misalignments say it all.
     entries = posterior_quantities(result).entries.values()
     names = [line.name for line in entries if not line.repeats_misalignments and not is_constant(draws[line.name])]
-    arrays = budget.budget_of(result, names, functions_of_quantities(result, unit))
+    arrays = budget.budget_of(result, names, functions_of_quantities(result, plain))
+    gradients = {name: each.gradient for name, each in zip(arrays.names, arrays.components, strict=True)}
+    exact = exact_equipment(result.fit).found(gradients)
+    unit = unit_under_test(result, exact)
+    correlation = budget.correlation_of(complete({name: unit.quantities.draws[name] for name in arrays.names}))
     widths = tuple(finite(parameter.prior_sd) for parameter in arrays.priors)
-    parts = _Parts(result, unit, arrays, widths)
-    runs = _next_runs(result, arrays)
+    parts = _Parts(result, unit, arrays, widths, exact.included)
+    runs = _next_runs(parts)
     quantities = tuple(_budget(parts, place, runs[place]) for place in range(len(arrays.names)))
     rows = tuple(
         tuple(round(float(value), _DECIMALS) + 0.0 for value in row[: place + 1])
-        for place, row in enumerate(arrays.correlation)
+        for place, row in enumerate(correlation)
     )
-    return budget_parts.UncertaintyBudgets(
-        quantities=quantities, correlation=budget_parts.CorrelationMatrix(names=arrays.names, rows=rows)
-    )
+    matrix = budget_parts.CorrelationMatrix(names=arrays.names, rows=rows)
+    budgets = budget_parts.UncertaintyBudgets(quantities=quantities, correlation=matrix)
+    return KeptBudgets(method=_METHOD, exact=exact, budgets=budgets)
 
 
 def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, budget.FunctionOfQuantities]:
@@ -112,46 +134,58 @@ def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, budge
 
 @dataclass(frozen=True)
 class _Parts:
-    """What budgets are made of; `widths` are those of the priors in their units, None where infinite."""
+    """What budgets are made of.
+
+    Attributes
+    ----------
+    widths : of the priors in their units, None where infinite.
+    exact : what is included of the parameters that the model takes as exact.
+    """
 
     result: Result
     unit: TestedUnit
     arrays: budget.BudgetArrays
     widths: tuple[float | None, ...]
+    exact: tuple[ExactInput, ...]
+
+    def variance_of_exact(self, name: str) -> float:
+        """Return the variance of a quantity by what is included of these."""
+        return sum(each.shift(name) ** 2 for each in self.exact)
 
 
 def _budget(parts: _Parts, place: int, next_run: budget_parts.NarrowingRun | None) -> budget_parts.QuantityBudget:
     arrays, name = parts.arrays, parts.arrays.names[place]
-    posterior = float(arrays.posterior[place])
-    lines = _lines(parts, place)
+    by_exact = parts.variance_of_exact(name)
+    posterior = float(arrays.posterior[place]) + by_exact
+    lines = _lines(parts, place, posterior)
     u = float(np.sqrt(posterior))
-    low, high = parts.unit.quantities.marginal(name).interval
+    error = float(arrays.posterior_error[place]) / (2 * u)
     type_a = arrays.averaged.type_a[place]
     rest = posterior - float(type_a.sum())
-    degrees = budget_parts.effective_degrees(
-        np.append(type_a, max(rest, 0.0)), np.append(arrays.degrees[place], np.inf)
-    )
+    degrees = effective_degrees(np.append(type_a, max(rest, 0.0)), np.append(arrays.degrees[place], np.inf))
+    known = {name: KnownUncertainty(u, error, degrees)}
+    stated = replace(parts.unit, known=known).coverage(name)
     return budget_parts.QuantityBudget(
         name=name,
         unit=parts.unit.quantities.entries[name].unit,
         standard_uncertainty=u,
-        monte_carlo_error=float(arrays.posterior_error[place]) / (2 * u),
+        monte_carlo_error=error,
         lines=tuple(lines),
-        contributed=float(np.sqrt(arrays.contributions[place])),
+        contributed=float(np.sqrt(arrays.contributions[place] + by_exact)),
         scaled=float(arrays.widened[place]) ** 2,
         remainder=float(arrays.remainder[place]) / posterior,
         components=name in arrays.at_zero,
         degrees_of_freedom=finite(degrees),
-        coverage_factor=(high - low) / 2 / u,
-        expanded_uncertainty=(high - low) / 2,
+        coverage_factor=stated.factor,
+        expanded_uncertainty=stated.expanded,
         halved=_halved(parts, place),
         next_run=next_run,
     )
 
 
-def _lines(parts: _Parts, place: int) -> list[budget_parts.BudgetLine]:
-    """Return the contributions to a quantity, the largest first, and last those too small for a line of their own."""
-    posterior, contributions = float(parts.arrays.posterior[place]), list(_contributions(parts, place))
+def _lines(parts: _Parts, place: int, posterior: float) -> list[budget_parts.BudgetLine]:
+    """Return the contributions to a posterior variance, the largest first, and last those too small for a line."""
+    contributions = [*_contributions(parts, place), *_by_exact(parts, parts.arrays.names[place])]
     least = LEAST_SHARE * posterior
     shown = sorted((each for each in contributions if each.variance >= least), key=lambda each: -each.variance)
     small = [each for each in contributions if 0 < each.variance < least]
@@ -205,6 +239,18 @@ def _contributions(parts: _Parts, place: int) -> Iterator[_Contribution]:
     yield _Contribution(float(arrays.second_order[place]), None, named={"kind": "second_order", "input": ""})
 
 
+def _by_exact(parts: _Parts, name: str) -> Iterator[_Contribution]:
+    """Yield what is included of the parameters that the model takes as exact."""
+    for each in parts.exact:
+        shift = each.shift(name)
+        if shift:
+            named = {
+                "kind": "exact", "input": each.parameter, "source": each.source, "distribution": _NORMAL,
+                "unit": each.unit, "input_uncertainty": each.left, "sensitivity": shift / each.left,
+            }  # fmt: skip
+            yield _Contribution(shift**2, "B", named=named)
+
+
 def _of_prior(parameter: Parameter, width: float | None, variance: float, slope: float) -> dict[str, Any]:
     """Return what the line of a prior says."""
     return {
@@ -223,16 +269,26 @@ def _halved(parts: _Parts, place: int) -> tuple[budget_parts.HalvedInput, ...]:
     if not improved.at_mode[place] > 0:
         return ()
     scale = float(np.sqrt(arrays.posterior[place]) / improved.at_mode[place])
-    best = sorted(_better_inputs(arrays, place), key=lambda each: each[0])[:_MOST_HALVED]
+    quantity = arrays.names[place]
+    by_exact, own = parts.variance_of_exact(quantity), float(arrays.posterior[place])
+    found: list[_Halved] = [
+        (float(np.hypot(scale * after, np.sqrt(by_exact))), kind, name, source)
+        for after, kind, name, source in _better_inputs(arrays, place)
+    ]
+    for each in parts.exact:
+        shift = each.shift(quantity)
+        if shift:
+            found.append((float(np.sqrt(own + by_exact - 0.75 * shift**2)), "exact", each.parameter, each.source))
     return tuple(
-        budget_parts.HalvedInput(kind=kind, input=name, source=source, standard_uncertainty=scale * after)
-        for after, kind, name, source in best
+        budget_parts.HalvedInput(kind=kind, input=name, source=source, standard_uncertainty=after)
+        for after, kind, name, source in sorted(found, key=lambda each: each[0])[:_MOST_HALVED]
     )
 
 
-def _better_inputs(
-    arrays: budget.BudgetArrays, place: int
-) -> Iterator[tuple[float, Literal["run", "prior", "priors"], str, budget_parts.Source | None]]:
+_Halved = tuple[float, Literal["run", "prior", "priors", "exact"], str, budget_parts.Source | None]
+
+
+def _better_inputs(arrays: budget.BudgetArrays, place: int) -> Iterator[_Halved]:
     """Yield the standard deviation with each input halved, and what the input is."""
     improved = arrays.improved
     for run, after in zip(arrays.runs, improved.halved_noise[place].tolist(), strict=True):
@@ -244,8 +300,9 @@ def _better_inputs(
         yield after, "priors", effect, budget.SOURCES.get(effect, "unit")
 
 
-def _next_runs(result: Result, arrays: budget.BudgetArrays) -> list[budget_parts.NarrowingRun | None]:
+def _next_runs(parts: _Parts) -> list[budget_parts.NarrowingRun | None]:
     """Return, for each quantity, the run that would narrow it most; None where no run would."""
+    result, arrays = parts.result, parts.arrays
     count, runs = len(arrays.names), result.fit.model.campaign.runs
     before = np.maximum(arrays.improved.at_mode, np.finfo(float).tiny)
     # Share of the standard deviation that each run leaves, predicted from the mode: (C, Q).
@@ -257,12 +314,12 @@ def _next_runs(result: Result, arrays: budget.BudgetArrays) -> list[budget_parts
         left = np.concatenate([left, expected.after / np.maximum(expected.before, np.finfo(float).tiny)])
     found: list[budget_parts.NarrowingRun | None] = []
     for place in range(count):
-        best, u = int(left[:, place].argmin()), float(np.sqrt(arrays.posterior[place]))
-        useful = 0 < left[best, place] < USEFUL_RUN
+        best, by_exact = int(left[:, place].argmin()), parts.variance_of_exact(arrays.names[place])
+        own = float(arrays.posterior[place])
+        after = float(np.sqrt(own * left[best, place] ** 2 + by_exact))
+        useful = left[best, place] > 0 and after < USEFUL_RUN * float(np.sqrt(own + by_exact))
         run = designs[best - len(runs)] if best >= len(runs) else None
         repeats = runs[best].name if best < len(runs) else None
-        narrowing = budget_parts.NarrowingRun(
-            run=run, repeats=repeats, standard_uncertainty=u * float(left[best, place])
-        )
+        narrowing = budget_parts.NarrowingRun(run=run, repeats=repeats, standard_uncertainty=after)
         found.append(narrowing if useful else None)
     return found

@@ -21,7 +21,7 @@ from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
 from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, assess
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
-from imubayes.qualification.report_budgets import budgets_of
+from imubayes.qualification.report_budgets import unit_with_budgets
 from imubayes.qualification.report_pictures import (
     PictureData,
     angle_density,
@@ -29,8 +29,9 @@ from imubayes.qualification.report_pictures import (
     mounting_pictures,
     worst_residual,
 )
-from imubayes.qualification.standard_quantities import digital_unit
-from imubayes.qualification.tested_unit import TestedUnit, tested_unit
+from imubayes.qualification.standard_quantities import digital_unit, standard_symbol
+from imubayes.qualification.taken_as_exact import TakenAsExact
+from imubayes.qualification.unit_under_test import TestedUnit
 from imubayes.results.change_records import read_diagnosis
 from imubayes.results.fit_file import software
 from imubayes.results.folder_files import HISTORY, checked
@@ -159,9 +160,10 @@ def report_of(result: Result | str | Path, specification: str | Path | None = No
     assert found.folder is not None, "a report is made of a result folder"
     diagnosis, tree = read_diagnosis(found.folder), _tree(found.folder)
     campaign = found.fit.model.campaign
-    unit = tested_unit(found) if found.converged else None
+    evaluated = unit_with_budgets(found) if found.converged else None
+    unit = None if evaluated is None else evaluated.unit
     assessment = assess(found, specification, diagnosis, unit) if specification is not None else None
-    angles = estimates.mounting_angles(found, unit)
+    angles, standards = estimates.mounting_angles(found, unit), estimates.standard_estimates(unit)
     return record.QualificationReport(
         subject=subject_of(campaign, found),
         provenance=provenance_of(found),
@@ -171,10 +173,11 @@ def report_of(result: Result | str | Path, specification: str | Path | None = No
         results=estimates.result_lines(found, unit),
         mounting_angles=angles,
         combinations=estimates.determined_combinations(found, unit),
-        standards=estimates.standard_estimates(found, unit),
-        not_estimated=estimates.not_estimated(found, unit, diagnosis),
+        standards=tuple(each for each in standards if each.measured),
+        not_estimated=estimates.not_estimated(found, unit, standards, diagnosis),
         thermal_linearity=estimates.thermal_linearity(found, unit),
-        budgets=budgets_of(found, unit),
+        exact=TakenAsExact() if evaluated is None else evaluated.exact,
+        budgets=None if evaluated is None else evaluated.budgets,
         left_out=left_out_of(campaign, found, diagnosis),
         scope=scope_of(campaign, found, diagnosis),
         pictures=pictures_of(found, unit, assessment, angles),
@@ -277,6 +280,7 @@ def conformity_of(
 
 def _outcome(found: ConformityOfQuantity, gravity: float) -> record.LimitOutcome:
     limit, estimate, rule = found.limit, found.estimate, found.limit.rule
+    symbol, label = standard_symbol(limit.quantity.name)
     consumer, producer = (found.overall.consumer, found.overall.producer) if found.overall is not None else (None, None)
     return record.LimitOutcome(
         name=limit.quantity.name,
@@ -290,6 +294,12 @@ def _outcome(found: ConformityOfQuantity, gravity: float) -> record.LimitOutcome
         estimate=estimate.value,
         standard_uncertainty=estimate.standard,
         expanded_uncertainty=estimate.expanded,
+        low=found.stated.low,
+        high=found.stated.high,
+        interval=found.stated.shape,
+        coverage_factor=found.stated.factor,
+        symbol=symbol,
+        label=label,
         conformance=estimates.probability_of(found.conformance),
         rule=rule.name,
         guard_factor=rule.guard_factor,
@@ -298,12 +308,19 @@ def _outcome(found: ConformityOfQuantity, gravity: float) -> record.LimitOutcome
         guard_band=found.decision.guard_band,
         outcome=found.decision.outcome,
         withheld=found.decision.withheld,
-        monte_carlo=None if is_constant(found.marginal.draws) else estimates.monte_carlo_error(found.marginal),
+        monte_carlo=_errors_of(found),
         consumer_risk=found.consumer,
         producer_risk=found.producer,
         global_consumer_risk=_optional(consumer),
         global_producer_risk=_optional(producer),
     )
+
+
+def _errors_of(found: ConformityOfQuantity) -> record.MonteCarloError | None:
+    """Return the Monte Carlo errors of what is stated; None of a constant."""
+    if is_constant(found.marginal.draws):
+        return None
+    return estimates.monte_carlo_error(found.stated, found.marginal.effective)
 
 
 def _optional(found: ProbabilityByTwoMethods | None):

@@ -1,5 +1,6 @@
 """The tables of estimates of a report: results, mounting angles, quantities of the standards, Δk."""
 
+from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -7,12 +8,13 @@ import numpy as np
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.parameters.priors import Normal
 from imubayes.qualification import report_record as record
+from imubayes.qualification.coverage import Coverage
 from imubayes.qualification.decision_rules import (
     ProbabilityByTwoMethods,
     ToleranceInterval,
     conformance_probability,
 )
-from imubayes.qualification.marginal import Marginal, digits_deserved, draws_needed
+from imubayes.qualification.marginal import digits_deserved, draws_needed
 from imubayes.qualification.standard_quantities import (
     STANDARD_QUANTITIES,
     StandardDraws,
@@ -20,7 +22,7 @@ from imubayes.qualification.standard_quantities import (
     digital_unit,
     draws_of_standard,
 )
-from imubayes.qualification.tested_unit import TestedUnit
+from imubayes.qualification.unit_under_test import TestedUnit, is_measured
 from imubayes.results.result import Result
 from imubayes.results.summary import (
     CombinationSummary,
@@ -45,36 +47,43 @@ def probability_of(found: ProbabilityByTwoMethods) -> record.Probability:
     )
 
 
-def _numbers(marginal: Marginal) -> dict[str, Any]:
-    """Return estimate, uncertainty, interval and Monte Carlo errors of draws, as the fields of an estimate."""
+def _numbers(unit: TestedUnit, name: str) -> dict[str, Any]:
+    """Return estimate, uncertainty, interval and Monte Carlo errors of a quantity, as the fields of an estimate."""
+    marginal = unit.quantities.marginal(name)
     if is_constant(marginal.draws):
         value = float(marginal.draws[0])
-        return {"estimate": value, "standard_uncertainty": 0.0, "low": value, "high": value, "exact": True}
-    low, high = marginal.interval
-    error = monte_carlo_error(marginal)
+        constant = {"estimate": value, "standard_uncertainty": 0.0, "low": value, "high": value}
+        return constant | {"exact": True, "measured": False}
+    stated = unit.coverage(name)
+    error = monte_carlo_error(stated, marginal.effective)
     return {
-        "estimate": marginal.mean,
-        "standard_uncertainty": marginal.sd,
-        "low": low,
-        "high": high,
+        "estimate": stated.estimate,
+        "standard_uncertainty": stated.standard,
+        "low": stated.low,
+        "high": stated.high,
+        "interval": stated.shape,
+        "coverage_factor": stated.factor,
+        "expanded_uncertainty": stated.expanded,
+        "measured": is_measured(unit.quantities.entries[name], marginal.draws),
         "monte_carlo": error,
         "withheld": None if error.digits else "monte_carlo_error",
     }
 
 
-def monte_carlo_error(marginal: Marginal) -> record.MonteCarloError:
-    """Return the Monte Carlo errors of draws that vary, and the digits that they leave."""
-    deserved, errors = digits_deserved(marginal), marginal.errors
+def monte_carlo_error(stated: Coverage, effective: float) -> record.MonteCarloError:
+    """Return the Monte Carlo errors of what is stated of a quantity that varies, and the digits that they leave."""
+    deserved, errors = digits_deserved(stated.errors, stated.standard), stated.errors
     return record.MonteCarloError(
         estimate=errors.mean,
         standard_uncertainty=errors.sd,
         low=errors.low,
         high=errors.high,
-        effective=marginal.effective,
+        effective=effective,
         digits=deserved.digits,
+        expanded_digits=digits_deserved(errors, stated.expanded).digits if deserved.digits else 0,
         tolerance=deserved.tolerance,
         worst=deserved.worst,
-        draws_needed=draws_needed(marginal, 1),
+        draws_needed=draws_needed(errors, stated.standard, 1),
     )
 
 
@@ -89,7 +98,8 @@ def _estimate(result: Result, unit: TestedUnit | None, line: Quantity, shown: st
     if unit is None:
         numbers: dict[str, Any] = {"withheld": "not_converged"}
     elif line.name in unit.quantities.draws:
-        numbers = _numbers(unit.quantities.marginal(line.name))
+        # The share of the information is that of the draws with all that is included.
+        line, numbers = unit.quantities.entries[line.name], _numbers(unit, line.name)
     else:
         numbers = {"withheld": "no_draws"}
     return numbers | {
@@ -170,8 +180,8 @@ def determined_combinations(result: Result, unit: TestedUnit | None) -> tuple[re
     )
 
 
-def standard_estimates(result: Result, unit: TestedUnit | None) -> tuple[record.StandardEstimate, ...]:
-    """Return the quantities of the standards that the result has; none where the fit did not converge."""
+def standard_estimates(unit: TestedUnit | None) -> tuple[record.StandardEstimate, ...]:
+    """Return the quantities of the standards that the result has, measured or not; none without convergence."""
     if unit is None:
         return ()
     return tuple(
@@ -182,14 +192,13 @@ def standard_estimates(result: Result, unit: TestedUnit | None) -> tuple[record.
 
 
 def _of_standard(quantity: StandardQuantity, found: StandardDraws, unit: TestedUnit) -> record.StandardEstimate:
-    effective = min(unit.quantities.effective[name] for name in found.members)
-    entries = [unit.quantities.entries[name] for name in found.members]
-    share = entries[0].from_data if len(entries) == 1 else None
+    own = f"{quantity.key}[{found.label}]"
+    known = own if own in unit.quantities.draws else found.members[0]
     return record.StandardEstimate(
-        name=f"{quantity.key}[{found.label}]",
+        name=own,
         unit=found.unit,
         d_si=digital_unit(found.unit, unit.gravity),
-        from_data=share,
+        from_data=unit.quantities.entries[known].from_data,
         key=quantity.key,
         symbol=quantity.symbol,
         quantity=quantity.name,
@@ -197,14 +206,36 @@ def _of_standard(quantity: StandardQuantity, found: StandardDraws, unit: TestedU
         term=quantity.term,
         label=found.label,
         members=found.members,
-        **_numbers(Marginal(found.draws[np.isfinite(found.draws)], effective)),
+        vector=found.length,
+        **_numbers(unit, known),
     )
 
 
+def _not_measured(standards: Sequence[record.StandardEstimate]) -> Iterator[record.NotEstimated]:
+    """Yield the quantities of the standards that the data do not determine, each with its channels."""
+    for quantity in STANDARD_QUANTITIES:
+        own = [each for each in standards if each.key == quantity.key and not each.measured]
+        if own:
+            shares = [each.from_data for each in own if each.from_data is not None and not each.exact]
+            yield record.NotEstimated(
+                key=quantity.key,
+                symbol=quantity.symbol,
+                quantity=quantity.name,
+                standard=quantity.standard,
+                effects=quantity.effects,
+                labels=tuple(each.label for each in own),
+                reason="not_measured",
+                from_data=max(shares, default=None),
+            )
+
+
 def not_estimated(
-    result: Result, unit: TestedUnit | None, diagnosis: Diagnosis | None
+    result: Result,
+    unit: TestedUnit | None,
+    standards: Sequence[record.StandardEstimate],
+    diagnosis: Diagnosis | None,
 ) -> tuple[record.NotEstimated, ...]:
-    """Return the quantities of the standards that the result lacks, and what the diagnosis says of each.
+    """Return the quantities of the standards that the result does not measure, and what the diagnosis says of each.
 
     None where the fit did not converge, which lacks all of them.
     """
@@ -213,7 +244,7 @@ def not_estimated(
     campaign = result.fit.model.campaign
     kinds = {channel.kind for channel in campaign.channels}
     in_model = {effect.name for effect in result.fit.model.spec.effects}
-    found = []
+    found = list(_not_measured(standards))
     for quantity in STANDARD_QUANTITIES:
         if quantity.kind not in kinds or draws_of_standard(quantity, unit):
             continue

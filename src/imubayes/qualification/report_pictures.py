@@ -13,7 +13,7 @@ from imubayes.foundations.units import to_si
 from imubayes.qualification.conformity import ConformityOfQuantity
 from imubayes.qualification.standard_quantities import SensorKind
 from imubayes.qualification.temperature_range import course_over_range
-from imubayes.qualification.tested_unit import TestedUnit
+from imubayes.qualification.unit_under_test import TestedUnit
 from imubayes.results.stored_tables import thinned
 
 _CURVE, _DENSITY, _BINS = 33, 49, 16

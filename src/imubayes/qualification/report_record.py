@@ -14,11 +14,13 @@ from imubayes.foundations.records import Record
 from imubayes.inference.identifiability import PriorConflict, ProcedureShare, WeakDirection
 from imubayes.qualification.budget_parts import UncertaintyBudgets
 from imubayes.qualification.conformity import Obstacle
+from imubayes.qualification.coverage import IntervalShape
 from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
 from imubayes.qualification.marginal import Statistic
 from imubayes.qualification.report_pictures import PictureData
 from imubayes.qualification.report_subject import Provenance, Subject
 from imubayes.qualification.standard_quantities import DigitalUnit, Standard
+from imubayes.qualification.taken_as_exact import TakenAsExact
 from imubayes.results.summary import NoiseViolation, RunSummary
 
 IntervalKind = Literal["95 % equal-tailed credible interval"]
@@ -35,6 +37,7 @@ class MonteCarloError(Record):
     ----------
     effective : number of independent draws that carry as much information.
     digits : significant digits of the standard uncertainty that these errors leave (JCGM 101, 7.9); 0: withheld.
+    expanded_digits : those of the expanded uncertainty.
     tolerance : numerical tolerance δ of so many digits; of one digit where the number is withheld.
     worst : what has the largest error.
     draws_needed : how many times the draws would leave one digit, about.
@@ -46,6 +49,7 @@ class MonteCarloError(Record):
     high: float
     effective: float
     digits: Literal[0, 1, 2]
+    expanded_digits: Literal[0, 1, 2] = 0
     tolerance: float
     worst: Statistic
     draws_needed: float
@@ -61,7 +65,11 @@ class ReportedEstimate(Record):
     low, high : ends of the coverage interval.
     prior_sd : prior standard deviation, None where it is infinite or unknown.
     from_data : 1 − posterior variance / prior variance; None where it is unknown.
+    interval : kind of the coverage interval: y ± U, of equal tails, or the shortest.
+    coverage_factor, expanded_uncertainty : k and U = k u, half the length of the interval.
     exact : whether nothing in the model changes it.
+    measured : whether the data determine it: at least half of the information is theirs, and it is not exact.  What is
+        not measured is not zero, whatever its estimate, and has no place among results.
     withheld : why the number is not stated; None where it is.
     """
 
@@ -72,10 +80,14 @@ class ReportedEstimate(Record):
     standard_uncertainty: float | None = None
     low: float | None = None
     high: float | None = None
+    interval: IntervalShape | None = None
+    coverage_factor: float | None = None
+    expanded_uncertainty: float | None = None
     monte_carlo: MonteCarloError | None = None
     prior_sd: float | None = None
     from_data: float | None = None
     exact: bool = False
+    measured: bool = True
     withheld: NumberWithheld | None = None
 
 
@@ -97,6 +109,7 @@ class StandardEstimate(ReportedEstimate):
     key, symbol, quantity, standard, term : as in the table of the standards.
     label : the channel, or pair of channels.
     members : the parameters or derived quantities that it was computed from.
+    vector : whether it is the length of the vector of these: its estimate is then that of the mean vector.
     """
 
     key: str
@@ -106,6 +119,7 @@ class StandardEstimate(ReportedEstimate):
     term: str
     label: str
     members: tuple[str, ...]
+    vector: bool = False
 
 
 class ScreenedCoefficient(Record):
@@ -118,13 +132,16 @@ class ScreenedCoefficient(Record):
 
 
 class NotEstimated(Record):
-    """A quantity of the standards that the result lacks.
+    """A quantity of the standards that the result does not measure.
 
     Attributes
     ----------
     effects : that the model would need.
-    reason : the model lacks the effects; the runs cannot show them; or the runs lack what the definition needs.
+    labels : channels that lack it; all of its kind where empty.
+    reason : the model lacks the effects; the runs cannot show them; the runs lack what the definition needs; or the
+        data do not determine it, so that only its prior is known.
     needs : covariates or conditions that the runs do not all supply.
+    from_data : share of the information that came from the data; None where there is none.
     screened : what the diagnosis estimated of them without adding them, the most significant first.
     """
 
@@ -133,8 +150,10 @@ class NotEstimated(Record):
     quantity: str
     standard: Standard
     effects: tuple[str, ...]
-    reason: Literal["not_in_model", "undetectable", "not_defined"]
+    labels: tuple[str, ...] = ()
+    reason: Literal["not_in_model", "undetectable", "not_defined", "not_measured"]
     needs: tuple[str, ...] = ()
+    from_data: float | None = None
     screened: tuple[ScreenedCoefficient, ...] = ()
 
 
@@ -209,9 +228,10 @@ class LimitOutcome(Record):
 
     Attributes
     ----------
-    estimate, standard_uncertainty, expanded_uncertainty : at the worst temperature of the range; U is half the length
-        of the 95 % coverage interval.
+    estimate, standard_uncertainty, expanded_uncertainty, low, high, interval : at the worst temperature of the range; U
+        is half the length of the 95 % coverage interval.
     temperature_range, temperature : of the limit, and where the quantity is worst, °C.
+    symbol, label : of the standards where they have one, else the name of the quantity; and the channel.
     rule, guard_factor, guard_width, rule_probability : as applied.
     guard_band : width w; None for rules on probabilities.
     consumer_risk, producer_risk : specific risks.
@@ -240,6 +260,12 @@ class LimitOutcome(Record):
     outcome: Outcome
     withheld: NoDecision | None = None
     monte_carlo: MonteCarloError | None = None
+    low: float | None = None
+    high: float | None = None
+    interval: IntervalShape = "symmetric"
+    coverage_factor: float | None = None
+    symbol: str = ""
+    label: str = ""
     consumer_risk: float | None
     producer_risk: float | None
     global_consumer_risk: Probability | None
@@ -406,6 +432,7 @@ class QualificationReport(Record):
     ----------
     interval : kind of all coverage intervals.
     conformity : None where no specification was given.
+    exact : what the model takes as exact of site and equipment; what is included is in every uncertainty.
     budgets : None where the fit did not converge.
     pictures : what the pictures show, as numbers.
     supplied : what the author of the report added; the package computed none of it.
@@ -424,6 +451,7 @@ class QualificationReport(Record):
     standards: tuple[StandardEstimate, ...]
     not_estimated: tuple[NotEstimated, ...]
     thermal_linearity: tuple[ThermalLinearity, ...]
+    exact: TakenAsExact = TakenAsExact()
     budgets: UncertaintyBudgets | None = None
     left_out: Omissions
     scope: StatisticalScope

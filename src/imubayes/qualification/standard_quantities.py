@@ -16,6 +16,7 @@ and has a D-SI form only where it is a count, a volt or an ampere.
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -172,6 +173,7 @@ class StandardQuantity:
     term : what it multiplies in the model equation, or its definition.
     sources : ways to compute it; the first that a result allows is taken.
     effects : which a model needs for it.
+    family : of the parameters that it is, channel by channel; empty where it is computed of them.
     """
 
     key: str
@@ -182,6 +184,7 @@ class StandardQuantity:
     term: str
     sources: tuple[Source, ...]
     effects: tuple[str, ...]
+    family: str = ""
 
 
 def of_family(family: str, factor: float = 1.0) -> Source:
@@ -305,7 +308,8 @@ def _scalar(
     """Return a quantity that is one parameter of each channel; of the standard of its sensors if no other is named."""
     kind: SensorKind = "accelerometer" if family.startswith("accel") else "gyro"
     sources, effects = (of_family(family, factor),), (family.partition(".")[0],)
-    return StandardQuantity(key, symbol, name, standard or _STANDARDS[kind], kind, term, sources, effects)
+    same = family if factor == 1 else ""
+    return StandardQuantity(key, symbol, name, standard or _STANDARDS[kind], kind, term, sources, effects, same)
 
 
 def _derived(
@@ -400,6 +404,20 @@ STANDARD_QUANTITIES: tuple[StandardQuantity, ...] = (
     _scalar("accel_threshold", "a_th", "threshold", "half-width of the dead zone", "accel_dead_zone.half_width"),
 )  # fmt: skip
 """Every quantity of the standards that the report knows, in its order."""
+
+
+def standard_symbol(name: str) -> tuple[str, str]:
+    """Return symbol and label of a quantity: those of the standards where they know it, else its family."""
+    family, _, label = name.partition("[")
+    known = _symbols().get(family, family)
+    return known, label.removesuffix("]")
+
+
+@cache
+def _symbols() -> dict[str, str]:
+    """Return key, or family of the parameter, of every quantity of the standards → its symbol."""
+    found = {each.key: each.symbol for each in STANDARD_QUANTITIES}
+    return found | {each.family: each.symbol for each in STANDARD_QUANTITIES if each.family}
 
 
 def draws_of_standard(quantity: StandardQuantity, unit: UnitUnderTest) -> list[StandardDraws]:

@@ -36,7 +36,6 @@ from imubayes.qualification.linear_part import (
 )
 from imubayes.qualification.posterior_quantities import posterior_quantities
 from imubayes.results.result import Result
-from imubayes.results.stored_tables import complete
 
 SOURCES: dict[str, parts.Source] = {
     "mounting_error": "fixture", "pose_attitude": "fixture", "lever_arm": "fixture", "servo_start": "fixture",
@@ -98,7 +97,6 @@ class BudgetArrays:
     widened : shape (Q,), what standard deviations are above those of the approximation, see `PosteriorVariances`.
     posterior_error : shape (Q,), its Monte Carlo standard error.
     improved : standard deviations if one input were better.
-    correlation : shape (Q, Q), of the posterior draws.
     at_zero : angles too close to 0° or 180° to have a gradient: inputs contribute through the two components of the
         direction, and contributions are scaled to the posterior variance of the angle.
     components : of each quantity: itself, or those of which it is the length where that is near zero.
@@ -115,7 +113,6 @@ class BudgetArrays:
     widened: np.ndarray
     posterior_error: np.ndarray
     improved: Improvements
-    correlation: np.ndarray
     at_zero: tuple[str, ...]
     components: tuple[Components, ...]
 
@@ -230,7 +227,6 @@ def budget_of(
         widened=variances.widened,
         posterior_error=variances.error,
         improved=_improvements(fit, rows, whitened, widths, factor, moments),
-        correlation=_correlation(complete(draws.values)),
         at_zero=tuple(components),
         components=tuple(replace(each, gradient=rows.gradient[rows.owner == q]) for q, each in enumerate(own)),
     )
@@ -394,7 +390,7 @@ def _z(parameter: Parameter, values: np.ndarray) -> np.ndarray:
     return np.array([prior.z(value) for value in si.tolist()])
 
 
-def _correlation(draws: Mapping[str, np.ndarray]) -> np.ndarray:
+def correlation_of(draws: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the correlation matrix of Q quantities, (Q, Q); 0 for a quantity that does not vary."""
     if not draws:
         return np.zeros((0, 0))

@@ -74,7 +74,7 @@ def heading(constants: OnboardConstants, found: Sequence[Loss]) -> list[str]:
     if not constants.intervals_valid:
         lines.append("CAUTION: the noise is not what the model assumes; the uncertainties are not valid.")
     if constants.not_determined:
-        lines.append(f"Mostly from the prior, not from the data: {', '.join(constants.not_determined)}.")
+        lines.append(f"Not measured, but fixed by the model or its priors: {', '.join(constants.not_determined)}.")
     lines += [f"Left out: {in_words(loss)}." for loss in found]
     return lines
 
@@ -114,7 +114,11 @@ def c_header(constants: OnboardConstants, found: Sequence[Loss]) -> str:
     lines += [f" * {each.symbol}{f' [{each.unit}]' if each.unit else ''}: {each.meaning}." for each in
               constants.conventions]  # fmt: skip
     lines += [" *", " * Constants"]
-    lines += [f" *   {each.name} = {each.value:.9g} +/- {each.sd:.3g} {each.unit}" for each in constants.constants]
+    lines += [
+        f" *   {each.name} = {each.value:.9g} +/- {each.sd:.3g} {each.unit}"
+        + ("" if each.measured else ", not measured")
+        for each in constants.constants
+    ]
     lines += [" */", "#ifndef IMUBAYES_CONSTANTS_H", "#define IMUBAYES_CONSTANTS_H", ""]
     lines += ["#ifndef IMU_REAL", "#define IMU_REAL double", "#endif", "typedef IMU_REAL imu_real;", ""]
     lines += [f"#define IMU_REFERENCE_DEGC {constants.reference_degC!r}", "", _POLYNOMIAL]

@@ -122,7 +122,7 @@ def input_text(line: parts.BudgetLine | parts.HalvedInput) -> str:
         case "priors":
             count = f" ({line.inputs} inputs)" if isinstance(line, parts.BudgetLine) else ""
             return line.input.replace("_", " ") + count
-        case "prior":
+        case "prior" | "exact":
             return line.input
         case "noise_scales":
             return "noise scales"

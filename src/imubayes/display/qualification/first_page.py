@@ -1,16 +1,18 @@
 """The first page: outcome, what stands against it, the facts of the test, and the limits at a glance."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from imubayes.display.numbers_and_labels import pretty, significant
 from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Banner, ReportTable, Text, texts
+from imubayes.qualification.budget_parts import QuantityBudget
 from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,
     QualificationReport,
     ReportedConvergence,
 )
+from imubayes.qualification.taken_as_exact import ExactInput
 
 
 def banner(report: QualificationReport) -> Banner:
@@ -87,31 +89,109 @@ def _day(start: str) -> str:
     return start.partition("T")[0].partition(" ")[0]
 
 
-def limits_table(limits: Sequence[LimitOutcome]) -> ReportTable:
-    """Return every limit with estimate, conformance probability and decision."""
+def limits_table(limits: Sequence[LimitOutcome], components: Mapping[str, str] | None = None) -> ReportTable:
+    """Return every limit with y ± U, conformance probability and decision.
+
+    Parameters
+    ----------
+    components : quantity that is the length of a vector → its components as text.
+    """
     rows = []
     for limit in limits:
         word, mood = words.OUTCOMES[limit.outcome]
-        values = limit.estimate, limit.standard_uncertainty
-        estimate, u = words.with_digits(values, limit.standard_uncertainty, limit.monte_carlo)
+        along = (components or {}).get(limit.name)
         rows.append(
             texts(
-                limit.name,
-                f"{words.limits_text(limit)} {pretty(limit.unit)}",
+                Text(limit.symbol or limit.name, formula=limit.symbol not in ("", limit.name.partition("[")[0])),
+                limit.label,
+                words.limits_text(limit),
                 _where(limit),
-                words.beside(estimate, u),
+                words.value_text(limit) + (f" ({along})" if along else ""),
+                words.factor_text(limit),
+                pretty(limit.unit),
                 words.probability_text(limit.conformance),
                 Text(word if limit.withheld is None else f"{word}: {words.NO_DECISION[limit.withheld]}", mood),
             )
         )
     return ReportTable(
         "Limits of the specification",
-        ("quantity", "limits", "temperature", "estimate ± u", "conformance probability", "decision"),
+        ("quantity", "channel", "limits", "temperature / °C", "y ± U", "k", "unit", "p_c", "decision"),
         rows,
-        (0, 1, 2, 5),
-        "Estimate with standard uncertainty u at the temperature of the range at which the quantity is worst. "
-        "Conformance probability: the posterior probability that the quantity is within its limits over the whole "
-        "range (JCGM 106), with its Monte Carlo error.",
+        (0, 1, 2, 3, 6, 8),
+        "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage, at the temperature of the range at which "
+        "the quantity is worst; where the posterior is not symmetric, estimate and 95 % interval. Of a direction error "
+        "Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a range y "
+        "contains hysteresis and lag, U the scatter between runs. p_c: conformance probability over the whole range "
+        "(JCGM 106).",
+    )
+
+
+def components_of(report: QualificationReport) -> dict[str, str]:
+    """Return the components of the quantities of the standards that are lengths of vectors, as text."""
+    own = {each.members[0]: each for each in report.standards if len(each.members) == 1}
+    return {
+        each.name: ", ".join(
+            f"{own[member].symbol} {words.value_text(own[member])}" if member in own else f"{member} not measured"
+            for member in each.members
+        )
+        for each in report.standards
+        if each.vector
+    }
+
+
+# Inputs that the model takes as exact, so many at most on the first page, and the ratio of uncertainties from which on.
+_MOST_EXACT, _MATTERS = 6, 1.1
+
+
+_Exact = tuple[float, ExactInput, str]
+
+
+def _worst_exact(inputs: Sequence[ExactInput], budgets: Mapping[str, QuantityBudget]) -> list[_Exact]:
+    """Return for each effect its worst parameter: ratio of uncertainties, parameter, and the quantity that it moves."""
+    effects: dict[str, _Exact] = {}
+    for each in inputs:
+        for shift in each.shifts:
+            u = budgets[shift.name].standard_uncertainty if shift.name in budgets else 0.0
+            alone = u**2 - (shift.value**2 if each.included else 0.0)
+            ratio = (1 + shift.value**2 / alone) ** 0.5 if alone > 0 else 1.0
+            if ratio > (effects[each.effect][0] if each.effect in effects else _MATTERS):
+                effects[each.effect] = ratio, each, shift.name
+    return sorted(effects.values(), key=lambda found: -found[0])[:_MOST_EXACT]
+
+
+def _exact_row(each: ExactInput, symbol: str, budget: QuantityBudget, ratio: float) -> tuple[Text, ...]:
+    whole = budget.standard_uncertainty * (1 if each.included else ratio)
+    return texts(
+        each.effect.replace("_", " "),
+        f"{significant(each.size, 2)} {pretty(each.unit)}",
+        "stated" if each.stated else "plausible",
+        Text("yes" if each.included else "no", "" if each.included else "weak"),
+        Text(symbol, formula=True),
+        f"{significant(whole / ratio, 2)} → {significant(whole, 2)}",
+        pretty(budget.unit),
+    )
+
+
+def exact_table(report: QualificationReport) -> ReportTable | None:
+    """Return what the model takes as exact of site and equipment, with what it does; None where nothing matters."""
+    budgets = {} if report.budgets is None else {each.name: each for each in report.budgets.quantities}
+    symbols = {each.members[0]: each.symbol for each in report.standards if len(each.members) == 1}
+    symbols |= {each.name: each.symbol for each in report.standards}
+    rows = [
+        _exact_row(each, symbols[name] + "[" + name.partition("[")[2], budgets[name], ratio)
+        for ratio, each, name in _worst_exact(report.exact.inputs, {n: b for n, b in budgets.items() if n in symbols})
+    ]
+    if not rows:
+        return None
+    head = ("taken as exact", "standard uncertainty", "", "in U", "moves most", "u without → with", "unit")
+    return ReportTable(
+        "Site and equipment that the model takes as exact",
+        head,
+        rows,
+        (0, 1, 2, 3, 4, 6),
+        "Uncertainties that the campaign states, and that of normal gravity, are in every U of this document; the "
+        "others are in none. State them in the campaign (0 where exact), or take the effect into the model. No limit "
+        "passes that all of them together could cross.",
     )
 
 
@@ -119,8 +199,8 @@ def _where(limit: LimitOutcome) -> str:
     if limit.temperature_range is None:
         return "reference"
     low, high = limit.temperature_range
-    worst = "" if limit.temperature is None else f", worst at {limit.temperature:g}"
-    return f"{low:g} … {high:g} °C{worst}"
+    worst = "" if limit.temperature is None else f", worst {limit.temperature:g}"
+    return f"{low:g} … {high:g}{worst}"
 
 
 def risk_table(limits: Sequence[LimitOutcome]) -> ReportTable:

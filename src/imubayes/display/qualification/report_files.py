@@ -32,7 +32,15 @@ from imubayes.display.qualification.document import (
     ReportDocument,
     ReportTable,
 )
-from imubayes.display.qualification.first_page import alarms, banner, facts, limits_table, risk_table
+from imubayes.display.qualification.first_page import (
+    alarms,
+    banner,
+    components_of,
+    exact_table,
+    facts,
+    limits_table,
+    risk_table,
+)
 from imubayes.display.qualification.quantity_drawings import forest_drawings
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.files import only_writer, refuse_existing, replacing
@@ -185,7 +193,8 @@ def _blocks(report: QualificationReport) -> Iterator[Block | None]:
     """Yield the blocks in order; None for a drawing that has nothing to show."""
     conformity, pictures = report.conformity, report.pictures
     if conformity is not None and conformity.limits:
-        yield limits_table(conformity.limits)
+        yield limits_table(conformity.limits, components_of(report))
+    yield exact_table(report)
     yield Heading("Errors of the unit")
     nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
     yield unit_drawings.error_drawings(pictures) or nothing

@@ -10,13 +10,14 @@ from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.inference.identifiability import ProcedureShare
 from imubayes.qualification import report_record as record
 
-_UNDETERMINED = 0.1
 _CONVERTER = "converter_"
+_UNMEASURED = "Not measured: known from priors, or fixed by the model"
 _TOGETHER = "Determined combinations"
 _REASONS = {
     "not_in_model": "not in the model",
     "undetectable": "these runs cannot show it",
     "not_defined": "no run or no channel to define it by",
+    "not_measured": "the data do not determine it",
 }
 
 
@@ -53,26 +54,28 @@ def _standard_table(standard: str, own: Sequence[record.StandardEstimate]) -> Re
     for each in own:
         new = each.key != before
         before = each.key
-        estimate, u, _, _ = words.stated(each)
+        _, u, _, _ = words.stated(each)
         rows.append(
             texts(
                 Text(each.symbol if new else "", formula=True),
                 Text(each.quantity if new else "", "" if new else "dim"),
                 each.label,
-                estimate,
+                words.value_text(each),
+                words.factor_text(each),
                 u,
-                words.interval_text(each),
                 pretty(each.unit),
                 Text(each.term if new else "", formula=True),
             )
         )
-    head = ("symbol", "quantity", "channel", "estimate", "u", "95 % interval", "unit", "term")
+    head = ("symbol", "quantity", "channel", "y ± U", "k", "u", "unit", "term")
     return ReportTable(
         standard,
         head,
         rows,
         (0, 1, 2, 6, 7),
-        f"u: standard uncertainty. Term: where it stands in the model equation. {words.WITHHELD_NUMBER}",
+        "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage; estimate and 95 % interval where the "
+        "posterior is not symmetric. u: standard uncertainty. Term: where it stands in the model equation. "
+        f"{words.WITHHELD_NUMBER}",
     )
 
 
@@ -84,19 +87,23 @@ def _not_estimated(lines: Sequence[record.NotEstimated]) -> ReportTable:
             for c in each.screened[:1]
         )
         reason = _REASONS[each.reason] + (f" (needs {', '.join(each.needs)})" if each.needs else "")
+        if each.reason == "not_measured":
+            share = "fixed by the model" if each.from_data is None else f"{percent(each.from_data)} from data"
+            reason += f" ({share})"
         rows.append(
             texts(
-                Text(each.symbol, formula=True), each.quantity, each.standard,
+                Text(each.symbol, formula=True), each.quantity, ", ".join(each.labels) or "all", each.standard,
                 reason, ", ".join(each.effects), screened or "–"
             )
         )  # fmt: skip
-    head = ("symbol", "quantity", "standard", "why", "effect", "one-step estimate of the diagnosis")
+    head = ("symbol", "quantity", "channel", "standard", "why", "effect", "one-step estimate of the diagnosis")
     return ReportTable(
-        "Not estimated",
+        "Not measured",
         head,
         rows,
-        (0, 1, 2, 3, 4, 5),
-        "A quantity that is not estimated is not zero. The one-step estimate is that of the linearised fit with the "
+        (0, 1, 2, 3, 4, 5, 6),
+        "A quantity that is not measured is not zero: one of which less than half of the information came from the "
+        "data rests on its prior. The one-step estimate is that of the linearised fit with the "
         "effect added; an effect that is probably missing is reported as such.",
     )
 
@@ -112,7 +119,7 @@ def mounting_section(angles: Sequence[record.MountingAngle]) -> Iterator[Block]:
         rows.append(
             texts(
                 each.mounting, each.channel, f"{each.nominal:.4f}", estimate, u,
-                shift, percent(each.from_data),
+                shift, percent(each.from_data) + ("" if each.measured else ", not measured"),
                 _determined_by(each.evidence, each.standard_uncertainty, 3600.0, "arcsec")
             )
         )  # fmt: skip
@@ -228,18 +235,21 @@ def _delta_k_table(lines: Sequence[record.ThermalLinearity]) -> ReportTable:
 
 def result_section(report: record.QualificationReport) -> Iterator[Block]:
     """Return the full result table."""
-    parameters = [line for line in report.results if line.kind == "parameter"]
     axes = [line for line in report.results if channel_of_component(line.name) is not None]
-    derived = [line for line in report.results if line.kind == "derived" and line not in axes]
     note = (
         "u: standard uncertainty, the standard deviation of the joint posterior (GUM, type A and B combined). Digits "
         "are those that the Monte Carlo error leaves (JCGM 101, 7.9). From data: 1 − posterior variance / prior "
-        "variance on the scale on which the prior is normal; a quantity below 10 % was not determined, and its "
-        f"estimate is that of its prior. {words.WITHHELD_NUMBER}"
+        "variance on the scale on which the prior is normal; a quantity below 50 % was not measured. "
+        f"{words.WITHHELD_NUMBER}"
     )
     yield Heading("Result table")
-    for caption, lines in (("Derived quantities", derived), ("Parameters", parameters)):
-        if lines:
+    tables: dict[str, list[record.ResultLine]] = {}
+    for line in report.results:
+        if line not in axes:
+            measured = "Derived quantities" if line.kind == "derived" else "Parameters"
+            tables.setdefault(measured if line.measured else _UNMEASURED, []).append(line)
+    for caption in ("Derived quantities", "Parameters", _UNMEASURED):
+        if lines := tables.get(caption):
             rows = [_result_row(line) for line in lines]
             head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
             yield ReportTable(caption, head, rows, (0, 4), note)
@@ -273,9 +283,9 @@ def axis_table(lines: Sequence[record.ResultLine]) -> ReportTable:
 
 def _result_row(line: record.ReportedEstimate) -> tuple[Text, ...]:
     estimate, u, _, _ = words.stated(line)
-    weak = line.from_data is not None and line.from_data < _UNDETERMINED
-    mood = "weak" if weak else ""
-    share = "fixed by the model" if line.exact else percent(line.from_data) + (", not determined" if weak else "")
+    mood = "" if line.measured else "weak"
+    share = "fixed by the model" if line.exact else percent(line.from_data)
+    share += "" if line.measured or line.exact else ", not measured"
     return texts(
         line.name, Text(estimate, mood), Text(u, mood), Text(words.interval_text(line), mood), pretty(line.unit),
         Text(share, mood)

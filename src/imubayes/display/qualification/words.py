@@ -38,6 +38,7 @@ VERDICTS: dict[Verdict, str] = {
 NO_DECISION: dict[NoDecision, str] = {
     "probability": "a probability that the rule needs is withheld",
     "not_determined": "less than half of the information came from the data",
+    "taken_as_exact": "what the model takes as exact of the equipment could put it beyond the limit",
 }
 WITHHELD: dict[Withheld, str] = {
     "disagreement": "withheld: the two methods disagree",
@@ -84,6 +85,34 @@ def stated(found: record.ReportedEstimate) -> tuple[str, str, str, str]:
     values = (found.estimate, found.standard_uncertainty, found.low, found.high)
     estimate, u, low, high = with_digits(values, found.standard_uncertainty, found.monte_carlo)
     return estimate, u, low, high
+
+
+Stated = record.ReportedEstimate | record.LimitOutcome
+
+
+def value_text(found: Stated) -> str:
+    """Return what is stated of a quantity: y ± U; y with both ends of its interval where this is not symmetric."""
+    error, u = found.monte_carlo, found.standard_uncertainty
+    if found.estimate is None or u is None:
+        why = found.withheld if isinstance(found, record.ReportedEstimate) else None
+        return _NO_POSTERIOR[why or "no_draws"]
+    if error is None:
+        return rounded((found.estimate,), None)[0]
+    if error.digits == 0:
+        return " ".join(with_digits((), u, error))
+    expanded = found.expanded_uncertainty or 1.96 * u
+    step = expanded * (1 if error.expanded_digits == 2 else 10)
+    y, whole, low, high = rounded((found.estimate, expanded, found.low, found.high), step)
+    return f"{y} ± {whole}" if found.interval == "symmetric" else f"{y}, {low} … {high}"
+
+
+def factor_text(found: Stated) -> str:
+    """Return the coverage factor of y ± U; what the interval is where there is none."""
+    if found.monte_carlo is None or found.monte_carlo.digits == 0:
+        return NO_NUMBER
+    if found.interval == "symmetric":
+        return f"{found.coverage_factor or 1.96:.2f}"
+    return found.interval or NO_NUMBER
 
 
 def beside(estimate: str, u: str) -> str:

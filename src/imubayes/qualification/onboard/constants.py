@@ -128,7 +128,7 @@ def _needs(result: Result) -> tuple[str, ...]:
 
 
 def _not_determined(constants: tuple[onboard.Constant, ...]) -> tuple[str, ...]:
-    return tuple(c.name for c in constants if c.from_data is not None and c.from_data < WEAK_SHARE)
+    return tuple(constant.name for constant in constants if not constant.measured)
 
 
 def _covariance(triads: dict[str, _Triad]) -> tuple[tuple[float, ...], ...]:
@@ -241,6 +241,7 @@ def _constants(triads: dict[str, _Triad], prior: dict[str, _Triad] | None) -> tu
                         name=name, unit=block.unit, value=float(draws.mean()), sd=float(draws.std(ddof=1)),
                         q025=float(low), q975=float(high),
                         from_data=None if share is None or fixed else finite(float(share)),
+                        measured=not fixed and (share is None or float(share) >= WEAK_SHARE),
                     )
                 )  # fmt: skip
     return tuple(found)

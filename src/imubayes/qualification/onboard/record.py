@@ -107,7 +107,13 @@ class TriadConstants(Record):
 
 
 class Constant(Record):
-    """One constant with its marginal posterior; `from_data` is the share of information that came from the data."""
+    """One constant with its marginal posterior.
+
+    Attributes
+    ----------
+    from_data : share of information that came from the data.
+    measured : whether it is at least a half; a constant that nothing in the model changes was never measured.
+    """
 
     name: str
     unit: str
@@ -116,6 +122,7 @@ class Constant(Record):
     q025: float
     q975: float
     from_data: float | None
+    measured: bool = True
 
 
 class Convention(Record):
@@ -159,7 +166,7 @@ class OnboardConstants(Record):
     intervals_valid : whether the noise is what the model assumes.
     constants : all constants of the triads with their uncertainties.
     covariance : of the constants, in their order and units.
-    not_determined : constants of which less than half of the information came from the data.
+    not_determined : constants that were not measured.
     weak_directions : of the parameters, as in `summary.json`.
     """
 

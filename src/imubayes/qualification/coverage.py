@@ -1,0 +1,119 @@
+"""What is stated of a quantity: estimate y, standard uncertainty u, coverage interval, expanded uncertainty U = k u.
+
+The draws of a posterior give its quantiles with a Monte Carlo error, which U should not have where the posterior is
+known.  Where both ends of the interval of the draws agree, within their errors, with those of a normal posterior, or of
+Student's t with the effective degrees of freedom ν of its budget, the interval is y ± k u with k from ν (GUM G.6.4).  A
+posterior t with ν degrees of freedom has the standard deviation u = s √(ν/(ν − 2)), so that k = t_p(ν) √((ν − 2)/ν).
+
+The length of a vector, as the angle between true and nominal axis, is not normal near zero: the mean of its draws is
+about u where the vector is zero.  Its estimate is the length of the mean vector, its interval the shortest (JCGM 101,
+5.3.4), and its components are stated beside it.  Where the mean vector is shorter than all of that interval, it is from
+zero to the length that is not exceeded with the probability.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import special
+
+from imubayes.qualification.marginal import Marginal, MonteCarloErrors
+
+IntervalShape = Literal["symmetric", "equal-tailed", "shortest"]
+COVERAGE_PROBABILITY = 0.95
+# Monte Carlo errors by which an end of the interval may differ from that of the distribution with a known k; degrees of
+# freedom below which the standard deviation of t is no measure of its width.
+_AGREES, _LEAST_DEGREES = 3.0, 4.0
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What is stated of a quantity.
+
+    Attributes
+    ----------
+    estimate, standard : y and u.
+    low, high : ends of the 95 % coverage interval.
+    shape : kind of interval.
+    errors : Monte Carlo errors of these numbers.
+    """
+
+    estimate: float
+    standard: float
+    low: float
+    high: float
+    shape: IntervalShape
+    errors: MonteCarloErrors
+
+    @property
+    def expanded(self) -> float:
+        """U: half the length of the interval."""
+        return (self.high - self.low) / 2
+
+    @property
+    def factor(self) -> float:
+        """K = U/u; 0 for a quantity that does not vary."""
+        return self.expanded / self.standard if self.standard > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class KnownUncertainty:
+    """A standard uncertainty that is known better than from draws: u, its Monte Carlo error, and ν."""
+
+    standard: float
+    error: float
+    degrees: float = math.inf
+
+
+def coverage_factor(degrees: float) -> float:
+    """Return k of 95 % for a posterior of Student's t with ν > 2 degrees of freedom and known standard deviation."""
+    one_sided = (1 + COVERAGE_PROBABILITY) / 2
+    if math.isinf(degrees):
+        return float(special.ndtri(one_sided))
+    return float(special.stdtrit(degrees, one_sided)) * math.sqrt((degrees - 2) / degrees)
+
+
+def effective_degrees(contributions: np.ndarray, degrees: np.ndarray) -> float:
+    """Return ν of a sum of variances by Welch–Satterthwaite (GUM G.4.1); infinite where all are."""
+    sum_of_squares = float(np.sum(contributions**2 / degrees))
+    return float(np.sum(contributions) ** 2 / sum_of_squares) if sum_of_squares > 0 else float("inf")
+
+
+def coverage_of(marginal: Marginal, known: KnownUncertainty | None = None) -> Coverage:
+    """Return what is stated of a quantity with these draws.
+
+    Parameters
+    ----------
+    marginal : of the quantity.
+    known : its uncertainty where a budget gives it; that of the draws where None.
+    """
+    errors, (low, high) = marginal.errors, marginal.interval
+    known = known or KnownUncertainty(marginal.sd, errors.sd)
+    if known.degrees > _LEAST_DEGREES and marginal.sd > 0:
+        mean, k = marginal.mean, coverage_factor(known.degrees)
+        # The shape is that of the draws alone: their standard deviation has an error of its own.
+        of_draws = abs(mean - k * marginal.sd - low), abs(mean + k * marginal.sd - high)
+        if of_draws[0] <= _AGREES * errors.low and of_draws[1] <= _AGREES * errors.high:
+            half, of_end = k * known.standard, math.hypot(errors.mean, k * known.error)
+            own = MonteCarloErrors(errors.mean, known.error, of_end, of_end)
+            return Coverage(mean, known.standard, mean - half, mean + half, "symmetric", own)
+    return Coverage(marginal.mean, known.standard, low, high, "equal-tailed", errors)
+
+
+def coverage_of_length(marginal: Marginal, length: float, known: KnownUncertainty | None = None) -> Coverage:
+    """Return what is stated of the length of a vector, whose mean has this length."""
+    ordered = np.sort(marginal.draws)
+    low, high = shortest_interval(ordered)
+    if length < low:  # the vector may be zero, and its draws never are: what is known is how long it is at most
+        low, high = 0.0, float(np.quantile(ordered, COVERAGE_PROBABILITY))
+    standard = marginal.sd if known is None else known.standard
+    return Coverage(length, standard, low, high, "shortest", marginal.errors)
+
+
+def shortest_interval(ordered: np.ndarray, probability: float = COVERAGE_PROBABILITY) -> tuple[float, float]:
+    """Return the shortest interval that holds a share of draws in increasing order, (S,) (JCGM 101, 7.7.4)."""
+    inside = min(max(round(probability * len(ordered)), 1), len(ordered) - 1)
+    widths = ordered[inside:] - ordered[:-inside]
+    first = int(np.argmin(widths))
+    return float(ordered[first]), float(ordered[first + inside])

@@ -1,0 +1,51 @@
+"""What the data do not determine is not zero: it stands among what was not measured, in the record and on the page."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imubayes.qualification.posterior_quantities import PosteriorQuantities
+from imubayes.qualification.report_estimates import _not_measured, standard_estimates
+from imubayes.qualification.temperature_range import ThermalModel
+from imubayes.qualification.unit_under_test import TestedUnit, with_standards
+from imubayes.results.summary import Quantity
+from small_campaign import channels
+
+SIZE = 4000
+QUANTITIES = {
+    # name: unit, mean, sd, share of the information from the data
+    "scale_factor[gx]": ("pulse/s per deg/s", 1000.0, 0.0, None),
+    "gyro_bias.bias[gx]": ("deg/h", 5.0, 0.1, 0.99),
+    "gyro_g2_sensitivity.d_io[gx]": ("deg/h/g^2", 0.0, 0.1, 0.02),
+    "gyro_g_sensitivity.d_i[gx]": ("deg/h/g", 0.3, 0.1, 0.49),
+    "gyro_g_sensitivity.d_o[gx]": ("deg/h/g", 0.3, 0.1, 0.51),
+    "gyro_misalignment.toward_o[gx]": ("arcsec", 10.0, 1.0, 0.9),
+    "gyro_misalignment.toward_s[gx]": ("arcsec", 10.0, 9.0, 0.1),
+}
+
+
+def unit() -> TestedUnit:
+    random = np.random.default_rng(8)
+    entries = {
+        name: Quantity(name=name, unit=given, mean=mean, sd=sd, from_data=share)
+        for name, (given, mean, sd, share) in QUANTITIES.items()
+    }
+    draws = {name: mean + sd * random.standard_normal(SIZE) for name, (_, mean, sd, _) in QUANTITIES.items()}
+    known = PosteriorQuantities(entries, draws, dict.fromkeys(entries, float(SIZE)))
+    made = TestedUnit(known, channels()[:1], {}, 9.8, None, ThermalModel({}, {}, 25.0))
+    quantities, lengths = with_standards(made)
+    return replace(made, quantities=quantities, lengths=lengths)
+
+
+def test_priors_and_nominal_values_are_not_measured():
+    lines = {each.symbol: each for each in standard_estimates(unit())}
+    measured = {symbol for symbol, each in lines.items() if each.measured}
+    assert measured == {"D_F", "D_O", "Θ_O"}
+    # A length is measured where both of its components are.
+    assert not lines["Θ"].measured
+    listed = {each.symbol: each for each in _not_measured(list(lines.values()))}
+    assert set(listed) == {"S", "D_IO", "D_I", "Θ_S", "Θ"}
+    assert all(each.reason == "not_measured" and each.labels == ("gx",) for each in listed.values())
+    assert listed["S"].from_data is None
+    assert listed["D_IO"].from_data == pytest.approx(0.02)
