@@ -10,16 +10,31 @@ from .calibrated_unit import (
 )
 from .fitting import Result, Settings, fit, load, read_result
 from .loop import ModelChange, add, diagnose, export, history, plant, remove
+from .own_equation import (
+    ConformityStatement,
+    GumBudget,
+    InputQuantity,
+    Propagated,
+    budget,
+    conformity,
+    propagate,
+)
 
 __all__ = [
     "CalibratedInputs",
+    "ConformityStatement",
     "CorrectedRecording",
+    "GumBudget",
+    "InputQuantity",
     "ModelChange",
+    "Propagated",
     "ReportSection",
     "Result",
     "Settings",
     "add",
     "apply",
+    "budget",
+    "conformity",
     "correct",
     "diagnose",
     "export",
@@ -29,6 +44,7 @@ __all__ = [
     "load",
     "onboard_constants",
     "plant",
+    "propagate",
     "read_result",
     "remove",
     "report",

@@ -8,14 +8,25 @@ from functools import partial
 
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.display.fit_report import summary_html, summary_report
-from imubayes.display.layout import report_html, report_text
+from imubayes.display.layout import Report, report_html, report_text
 from imubayes.display.loop.change_report import change_report, injection_report
 from imubayes.display.loop.diagnosis_report import diagnosis_report
 from imubayes.display.loop.history import history_report
 from imubayes.display.numbers_and_labels import significant
+from imubayes.display.own_equation import (
+    budget_headline,
+    budget_sheet,
+    conformity_headline,
+    conformity_report,
+    propagated_headline,
+    propagated_report,
+)
 from imubayes.foundations.records import headline_of, html_of, text_of
 from imubayes.loop.injection_recovery import Trials
 from imubayes.loop.model_history import Tree
+from imubayes.qualification.law_of_propagation import GumBudget
+from imubayes.qualification.propagation import Propagated
+from imubayes.qualification.value_conformity import ConformityStatement
 from imubayes.results.change_records import ModelChange
 from imubayes.results.history_tree import shown_place
 from imubayes.results.result import Result
@@ -64,6 +75,9 @@ _REPORTS = {
     Diagnosis: partial(diagnosis_report, verbose=True),
     Tree: history_report,
     Trials: injection_report,
+    Propagated: propagated_report,
+    GumBudget: lambda found: Report((), [budget_sheet(found)]),
+    ConformityStatement: conformity_report,
 }
 for _record, _report in _REPORTS.items():
     text_of.register(_record, lambda record, report=_report: report_text(report(record)))
@@ -74,6 +88,9 @@ headline_of.register(Diagnosis, diagnosis_headline)
 headline_of.register(Tree, tree_headline)
 headline_of.register(Trials, trials_headline)
 headline_of.register(Result, result_headline)
+headline_of.register(Propagated, propagated_headline)
+headline_of.register(GumBudget, budget_headline)
+headline_of.register(ConformityStatement, conformity_headline)
 
 
 @text_of.register

@@ -1,0 +1,22 @@
+"""Uncertainty of an equation of one's own: propagation, budget, conformity.
+
+mass = imubayes.propagate(lambda m, rho: m / rho, [
+imubayes.InputQuantity.normal("m", 0.1, 2e-5), imubayes.InputQuantity.between("rho", 7900, 8100),
+])
+print(mass, mass.gum, imubayes.conformity(mass, upper=1.3e-5))
+"""
+
+from imubayes.qualification.input_quantities import InputQuantity
+from imubayes.qualification.law_of_propagation import GumBudget, budget
+from imubayes.qualification.propagation import Propagated, propagate
+from imubayes.qualification.value_conformity import ConformityStatement, conformity
+
+__all__ = [
+    "ConformityStatement",
+    "GumBudget",
+    "InputQuantity",
+    "Propagated",
+    "budget",
+    "conformity",
+    "propagate",
+]

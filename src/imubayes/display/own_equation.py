@@ -1,0 +1,100 @@
+"""What `propagate`, `budget` and `conformity` found, as tables."""
+
+import math
+from collections.abc import Sequence
+
+from imubayes.display.layout import Report, Sheet, cells
+from imubayes.display.numbers_and_labels import percent, rounded, significant
+from imubayes.qualification.law_of_propagation import GumBudget
+from imubayes.qualification.propagation import OutputQuantity, Propagated
+from imubayes.qualification.value_conformity import ConformityStatement
+
+
+def propagated_report(found: Propagated) -> Report:
+    """Return the outputs by both methods, with the budget of each."""
+    rows = []
+    for each in found.outputs:
+        rows += [cells(*_by_draws(each)), cells(*_by_law(each.gum))]
+    p = f"{100 * found.probability:g} %"
+    head = ("output", "method", "y", "u", f"{p} interval", f"shortest {p} interval")
+    agrees = [each.name for each in found.outputs if each.gum_agrees]
+    note = f"{len(found.draws)} draws" + ("" if found.stable else ", TOO FEW for these digits")
+    note += f". The law of propagation is valid for {', '.join(agrees) or 'no output'} (JCGM 101, 8)."
+    sheets = [Sheet("Propagation of uncertainty", head, rows, (0, 1), note=note)]
+    return Report((), [*sheets, *(budget_sheet(each.gum) for each in found.outputs)])
+
+
+def _by_draws(found: OutputQuantity) -> Sequence[str]:
+    low, high = found.interval
+    y, u, *ends = rounded((found.value, found.uncertainty, low, high, *found.shortest), found.uncertainty)
+    return found.name, "Monte Carlo", y, u, f"{ends[0]} … {ends[1]}", f"{ends[2]} … {ends[3]}"
+
+
+def _by_law(gum: GumBudget) -> Sequence[str]:
+    u, half = gum.uncertainty, gum.expanded_uncertainty
+    y, sd, low, high = rounded((gum.value, u, gum.value - half, gum.value + half), u)
+    return "", "GUM", y, sd, f"{low} … {high}", ""
+
+
+def budget_sheet(found: GumBudget) -> Sheet:
+    """Return the uncertainty budget of an output."""
+    rows = [
+        cells(
+            each.input, *rounded((each.value, each.uncertainty), each.uncertainty or None), each.distribution,
+            each.type, _degrees(each.degrees_of_freedom), significant(each.sensitivity),
+            significant(each.contribution, 2), percent(each.share)
+        )
+        for each in found.lines
+    ]  # fmt: skip
+    head = ("input", "x", "u(x)", "distribution", "type", "ν", "∂f/∂x", "|∂f/∂x| u(x)", "share")
+    y, u, half = rounded((found.value, found.uncertainty, found.expanded_uncertainty), found.uncertainty)
+    second = rounded((found.second_order_value, found.second_order_uncertainty), found.second_order_uncertainty)
+    note = (
+        f"{found.name} = {y}, u = {u}, ν = {_degrees(found.degrees_of_freedom)}, k = {found.coverage_factor:.3g}, "
+        f"U = {half} ({100 * found.probability:g} %); with the terms of second order {found.name} = {second[0]}, "
+        f"u = {second[1]}."
+    )
+    return Sheet(f"Budget of {found.name}", head, rows, (0, 3, 4), note=note)
+
+
+def _degrees(value: float) -> str:
+    return "∞" if math.isinf(value) else f"{value:.3g}"
+
+
+def conformity_report(found: ConformityStatement) -> Report:
+    """Return the decision, with what it rests on."""
+    low, high = (None if math.isinf(end) else end for end in found.limits)
+    listed = [
+        ("y ± U", " ± ".join(rounded((found.value, found.expanded), found.expanded))),
+        ("limits", f"{significant(low, 6)} … {significant(high, 6)}"),
+        ("rule", found.rule.name.replace("_", " ")),
+        ("guard band w", significant(found.guard_band)),
+        ("conformance probability", significant(found.conformance, 4)),
+        ("consumer's risk", significant(found.consumer_risk, 2)),
+        ("producer's risk", significant(found.producer_risk, 2)),
+        ("global consumer's risk", significant(found.global_consumer_risk, 2)),
+        ("global producer's risk", significant(found.global_producer_risk, 2)),
+    ]
+    sheet = Sheet(found.outcome.replace("_", " ").upper(), ("", ""), [cells(*line) for line in listed], (0,))
+    return Report((), [sheet])
+
+
+def propagated_headline(found: Propagated) -> str:
+    """Return the outputs in one line."""
+    listed = [
+        " ± ".join((f"{each.name} = {y}", u))
+        for each in found.outputs
+        for y, u in (rounded((each.value, each.uncertainty), each.uncertainty),)
+    ]
+    return f"<Propagated {', '.join(listed)}>"
+
+
+def budget_headline(found: GumBudget) -> str:
+    """Return the output with its expanded uncertainty."""
+    y, half = rounded((found.value, found.expanded_uncertainty), found.expanded_uncertainty)
+    return f"<GumBudget {found.name} = {y} ± {half}, k = {found.coverage_factor:.3g}>"
+
+
+def conformity_headline(found: ConformityStatement) -> str:
+    """Return the decision in one line."""
+    return f"<ConformityStatement {found.outcome.replace('_', ' ')}, p_c {significant(found.conformance, 3)}>"

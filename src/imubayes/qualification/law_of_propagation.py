@@ -1,0 +1,264 @@
+"""The equation of a measurement of the user's own, and its uncertainty budget by the law of propagation of uncertainty.
+
+Of first order it has the sensitivities ∂f/∂xᵢ (GUM 5.1.2, and 5.2.2 for correlated inputs); of second order the terms
+
+    Σᵢⱼ (½ fᵢⱼ² + fᵢ fᵢⱼⱼ) u²(xᵢ) u²(xⱼ),    y₂ = f(x) + ½ Σᵢ fᵢᵢ u²(xᵢ),
+
+which hold for independent normal inputs (GUM 5.1.2, note).  Effective degrees of freedom are those of
+Welch–Satterthwaite (G.4.1); with correlated inputs, for which that is not defined, they are those of the independent
+part alone.  Derivatives are central differences over a part of each standard uncertainty, of fourth order.
+"""
+
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from imubayes.foundations.errors import InputError, Issue, input_error
+from imubayes.foundations.records import Presented
+from imubayes.qualification.coverage import effective_degrees
+from imubayes.qualification.input_quantities import DistributionName, EvaluationType, InputQuantity
+
+Equation = Callable[..., object]
+Correlations = Mapping[tuple[str, str], float]
+# Step of the differences in standard uncertainties, at which errors of rounding and of the order are both below 1e-8.
+_STEP = 0.1
+
+
+@dataclass(frozen=True)
+class GumLine:
+    """What one input contributes to the standard uncertainty of an output.
+
+    Attributes
+    ----------
+    input, value, uncertainty, distribution, type, degrees_of_freedom : of the input.
+    sensitivity : ∂f/∂x at the estimates.
+    contribution : |∂f/∂x| u(x).
+    share : of the variance of first order; of correlated inputs the sum of shares is not 1.
+    """
+
+    input: str
+    value: float
+    uncertainty: float
+    distribution: DistributionName
+    type: EvaluationType
+    degrees_of_freedom: float
+    sensitivity: float
+    contribution: float
+    share: float
+
+
+@dataclass(frozen=True, repr=False)
+class GumBudget(Presented):
+    """An output by the law of propagation of uncertainty.
+
+    Attributes
+    ----------
+    name : of the output.
+    value, uncertainty : estimate f(x), and standard uncertainty of first order, correlations included.
+    second_order_value, second_order_uncertainty : with the terms of second order.
+    degrees_of_freedom : ν_eff.
+    probability, coverage_factor, expanded_uncertainty : p, k from ν_eff, and U = k u of first order.
+    lines : contributions, in the order of the inputs.
+    """
+
+    name: str
+    value: float
+    uncertainty: float
+    second_order_value: float
+    second_order_uncertainty: float
+    degrees_of_freedom: float
+    probability: float
+    coverage_factor: float
+    expanded_uncertainty: float
+    lines: tuple[GumLine, ...]
+
+
+def budget(
+    function: Equation,
+    inputs: Sequence[InputQuantity],
+    *,
+    names: Sequence[str] = ("y",),
+    correlation: Correlations | None = None,
+    probability: float = 0.95,
+) -> tuple[GumBudget, ...]:
+    """Return the uncertainty budget of each output of an equation, by the law of propagation alone.
+
+    Parameters
+    ----------
+    function, inputs, names, correlation, probability : as of `propagate`.
+
+    Raises
+    ------
+    InputError
+        as `propagate` does.
+    """
+    return budgets_of_outputs(bound_equation(function, inputs, names, correlation, probability), probability)
+
+
+def bound_equation(
+    function: Equation,
+    inputs: Sequence[InputQuantity],
+    names: Sequence[str],
+    correlation: Correlations | None,
+    probability: float,
+) -> "BoundEquation":
+    """Return an equation with its inputs; parameters and errors as of `propagate`."""
+    equation = BoundEquation(function, tuple(inputs), tuple(names), _correlation_matrix(inputs, correlation or {}))
+    _check(equation, probability)
+    return equation
+
+
+@dataclass(frozen=True)
+class BoundEquation:
+    """An equation with its inputs, names of outputs, and correlation of the inputs, (N, N)."""
+
+    function: Equation
+    inputs: tuple[InputQuantity, ...]
+    names: tuple[str, ...]
+    correlation: np.ndarray
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Return the outputs (n, K) for values of the inputs (n, N)."""
+        found = self.function(**{each.name: values[:, k] for k, each in enumerate(self.inputs)})
+        outputs = found if isinstance(found, list | tuple) else (found,)
+        count = len(values)
+        if len(outputs) != len(self.names):
+            raise _wrong(f"returns {len(outputs)} outputs", f"{len(self.names)}: {', '.join(self.names)}")
+        try:
+            return np.stack([np.broadcast_to(np.asarray(one, dtype=float), (count,)) for one in outputs], axis=1)
+        except (TypeError, ValueError) as error:
+            raise _wrong("returns no array of numbers of the shape of its inputs", f"({count},) for each") from error
+
+    def sampled(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Return draws of the outputs, (count, K)."""
+        scores = random.standard_normal((count, len(self.inputs)))
+        if not np.array_equal(self.correlation, np.eye(len(self.inputs))):
+            values, vectors = np.linalg.eigh(self.correlation)
+            scores = scores @ (vectors * np.sqrt(np.clip(values, 0, None))).T
+        chosen: dict[int, np.ndarray] = {}
+        columns = []
+        for k, each in enumerate(self.inputs):
+            if each.draws is None:
+                columns.append(each.sampled(scores[:, k], random))
+                continue
+            size = len(each.draws)
+            chosen.setdefault(size, random.integers(size, size=count))
+            columns.append(each.draws[chosen[size]])
+        found = self(np.stack(columns, axis=1))
+        if not np.isfinite(found).all():
+            raise _wrong("is not finite for some values of its inputs", "a number for all that the inputs may be")
+        return found
+
+
+def _wrong(what: str, allowed: str) -> InputError:
+    return input_error(f"the equation {what}", "function", allowed, "correct the function")
+
+
+def _correlation_matrix(inputs: Sequence[InputQuantity], correlation: Correlations) -> np.ndarray:
+    """Return the correlation of the scores of the inputs, shape (N, N)."""
+    places = {each.name: k for k, each in enumerate(inputs)}
+    found, issues = np.eye(len(inputs)), []
+    for (first, second), value in correlation.items():
+        where = f"correlation ('{first}', '{second}')"
+        if not {first, second} <= places.keys() or first == second:
+            issues.append(Issue("it is not of two inputs", where, ", ".join(places), "name two inputs"))
+        elif not -1 <= value <= 1:
+            issues.append(Issue(f"it is {value:g}", where, "-1 … 1", "correct it"))
+        elif any(inputs[places[name]].distribution != "normal" for name in (first, second)):
+            issues.append(
+                Issue(
+                    "one of the two is not normal", where, "two normal inputs of infinite degrees of freedom",
+                    "give the joint draws of both with InputQuantity.from_draws",
+                )
+            )  # fmt: skip
+        else:
+            found[places[first], places[second]] = found[places[second], places[first]] = value
+    if not issues and len(found) and np.linalg.eigvalsh(found).min() < -1e-12:
+        issues.append(Issue("no quantities are so correlated", "correlation", "a positive matrix", "correct it"))
+    if issues:
+        raise InputError(issues)
+    return found
+
+
+def _check(equation: BoundEquation, probability: float) -> None:
+    names = [each.name for each in equation.inputs]
+    if not 0 < probability < 1:
+        raise input_error(f"the probability {probability:g}", "probability", "between 0 and 1", "correct it")
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated or not names:
+        what = f"the name '{repeated[0]}' is repeated" if repeated else "there are no inputs"
+        raise input_error(what, "inputs", "one or more, each with its own name", "correct them")
+    try:
+        inspect.signature(equation.function).bind(**dict.fromkeys(names))
+    except TypeError as error:
+        raise _wrong(f"does not take the inputs {', '.join(names)}: {error}", "a parameter for each input") from error
+    except ValueError:  # a function of C, which has no signature
+        pass
+
+
+def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[GumBudget, ...]:
+    """Return the budget of each output."""
+    inputs = equation.inputs
+    x, u = (np.array([getattr(each, part) for each in inputs]) for part in ("value", "uncertainty"))
+    jacobian, second, third = _derivatives(equation, x, u)
+    covariance = equation.correlation * np.outer(u, u)
+    for j, one in enumerate(inputs):
+        for k, other in enumerate(inputs[:j]):
+            if one.draws is not None and other.draws is not None and len(one.draws) == len(other.draws):
+                covariance[j, k] = covariance[k, j] = float(np.cov(one.draws, other.draws, ddof=0)[0, 1])
+    degrees = np.array([each.degrees_of_freedom for each in inputs])
+    values = equation(x[None])[0]
+    found = []
+    for k, name in enumerate(equation.names):
+        c = jacobian[:, k]
+        first = float(c @ covariance @ c)
+        beyond = float(np.sum((0.5 * second[:, :, k] ** 2 + c[:, None] * third[:, :, k]) * np.outer(u**2, u**2)))
+        curved = 0.5 * float(np.diag(second[:, :, k]) @ u**2)
+        nu = effective_degrees((c * u) ** 2, degrees)
+        # GUM G.4.1, note: k of the next lower whole number.
+        whole = nu if math.isinf(nu) else max(math.floor(nu + 1e-9), 1.0)
+        factor = float(special.ndtri((1 + probability) / 2) if math.isinf(nu) else special.stdtrit(
+            whole, (1 + probability) / 2))  # fmt: skip
+        uncertainty = math.sqrt(max(first, 0.0))
+        lines = tuple(
+            GumLine(
+                each.name, each.value, each.uncertainty, each.distribution, each.type, each.degrees_of_freedom,
+                float(slope), float(abs(slope) * each.uncertainty),
+                float((slope * each.uncertainty) ** 2 / first) if first > 0 else 0.0,
+            )
+            for each, slope in zip(inputs, c, strict=True)
+        )  # fmt: skip
+        found.append(
+            GumBudget(
+                name, float(values[k]), uncertainty, float(values[k]) + curved, math.sqrt(max(first + beyond, 0.0)),
+                nu, probability, factor, factor * uncertainty, lines,
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def _derivatives(equation: BoundEquation, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return fᵢ (N, K), fᵢⱼ (N, N, K) and fᵢⱼⱼ (N, N, K) at x; 0 for inputs without uncertainty."""
+    count, size = len(x), len(equation.names)
+    steps = _STEP * u
+    rows = np.eye(count) * steps
+    stencil = np.array([[1, -8, 8, -1], [-2, -1, 1, 2]])
+
+    def slope(about: np.ndarray, i: int) -> np.ndarray:
+        """Return the derivative by input i at points (n, N), shape (n, K)."""
+        points = about[:, None] + stencil[1][None, :, None] * rows[i]
+        values = equation(points.reshape(-1, count)).reshape(len(about), 4, size)
+        return np.einsum("s,nsk->nk", stencil[0] / (12 * steps[i]), values)
+
+    first, second, third = np.zeros((count, size)), *np.zeros((2, count, count, size))
+    for i in np.flatnonzero(u):
+        first[i] = slope(x[None], int(i))[0]
+        for j in np.flatnonzero(u):
+            near = slope(x + np.outer([-2, -1, 0, 1, 2], rows[j]), int(i))
+            second[i, j] = np.array([1, -8, 0, 8, -1]) @ near / (12 * steps[j])
+            third[i, j] = np.array([-1, 16, -30, 16, -1]) @ near / (12 * steps[j] ** 2)
+    return first, second, third

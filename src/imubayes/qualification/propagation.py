@@ -1,0 +1,203 @@
+"""Propagation of uncertainty through an equation of the user's own, by Monte Carlo and by the GUM's formulas.
+
+The Monte Carlo method of JCGM 101 draws blocks of M = max(10⁴, 100/(1 − p)) values of the inputs and applies the
+equation, until twice the standard deviation of the averages over the blocks of estimate, standard uncertainty and both
+ends of the interval is below the numerical tolerance of the digits asked for (7.9.4).  Several outputs are drawn
+together (JCGM 102, 7); their covariance is that of the draws, and a region of probability p is the ellipsoid of the
+factor k_p about the mean, or the box of the half-widths k_q u (7.7).
+
+Beside it stands the law of propagation (`imubayes.qualification.law_of_propagation`).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from imubayes.foundations.records import Presented
+from imubayes.qualification.coverage import shortest_interval
+from imubayes.qualification.input_quantities import InputQuantity
+from imubayes.qualification.law_of_propagation import (
+    Correlations,
+    Equation,
+    GumBudget,
+    bound_equation,
+    budgets_of_outputs,
+)
+from imubayes.qualification.marginal import Digits, numerical_tolerance
+
+Interval = tuple[float, float]
+_BLOCK, _FEWEST_BLOCKS = 10_000, 10
+
+
+@dataclass(frozen=True)
+class OutputQuantity:
+    """An output by the Monte Carlo method, with its budget beside it.
+
+    Attributes
+    ----------
+    name : of the output.
+    value, uncertainty : mean and standard deviation of the draws.
+    interval, shortest : coverage intervals of the probability: of equal tails, and the shortest.
+    tolerance : numerical tolerance δ of the digits asked for.
+    gum : by the law of propagation.
+    gum_agrees : whether both ends of its interval y ± U agree with those of the draws within δ (JCGM 101, 8).
+    """
+
+    name: str
+    value: float
+    uncertainty: float
+    interval: Interval
+    shortest: Interval
+    tolerance: float
+    gum: GumBudget
+    gum_agrees: bool
+
+
+@dataclass(frozen=True, repr=False)
+class Propagated(Presented):
+    """What `propagate` found.
+
+    Attributes
+    ----------
+    outputs : of the equation, in its order.
+    draws : shape (S, K), of the K outputs.
+    probability : of the coverage intervals.
+    stable : whether the draws are as many as the digits ask for; False where the most draws were reached.
+    """
+
+    outputs: tuple[OutputQuantity, ...]
+    draws: np.ndarray
+    probability: float
+    stable: bool
+
+    def __getitem__(self, name: str) -> OutputQuantity:
+        """Return an output by name."""
+        return next(each for each in self.outputs if each.name == name)
+
+    @property
+    def value(self) -> float:
+        """Estimate of the first output."""
+        return self.outputs[0].value
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty of the first output."""
+        return self.outputs[0].uncertainty
+
+    @property
+    def interval(self) -> Interval:
+        """Coverage interval of the first output, of equal tails."""
+        return self.outputs[0].interval
+
+    @property
+    def shortest(self) -> Interval:
+        """Shortest coverage interval of the first output."""
+        return self.outputs[0].shortest
+
+    @property
+    def gum(self) -> GumBudget:
+        """The first output by the law of propagation."""
+        return self.outputs[0].gum
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the outputs, shape (K, K)."""
+        return np.atleast_2d(np.cov(self.draws, rowvar=False))
+
+    @cached_property
+    def correlation(self) -> np.ndarray:
+        """Correlation of the outputs, shape (K, K)."""
+        return np.atleast_2d(np.corrcoef(self.draws, rowvar=False))
+
+    @cached_property
+    def ellipsoid_factor(self) -> float:
+        """k_p: the ellipsoid (y − ȳ)ᵀ V⁻¹ (y − ȳ) ≤ k_p² holds the probability (JCGM 102, 7.7.2)."""
+        about = self.draws - self.draws.mean(axis=0)
+        lengths = np.sum(np.linalg.solve(np.linalg.cholesky(self.covariance), about.T) ** 2, axis=0)
+        return float(np.sqrt(np.quantile(lengths, self.probability)))
+
+    @cached_property
+    def box_factor(self) -> float:
+        """k_q: the box ȳ ± k_q u holds the probability (JCGM 102, 7.7.3)."""
+        about = np.abs(self.draws - self.draws.mean(axis=0)) / self.draws.std(axis=0, ddof=1)
+        return float(np.quantile(about.max(axis=1), self.probability))
+
+
+def propagate(
+    function: Equation,
+    inputs: Sequence[InputQuantity],
+    *,
+    names: Sequence[str] = ("y",),
+    correlation: Correlations | None = None,
+    probability: float = 0.95,
+    digits: Digits = 2,
+    most_draws: int = 4_000_000,
+    seed: int = 0,
+) -> Propagated:
+    """Return the outputs of an equation from its input quantities, by Monte Carlo and by the law of propagation.
+
+    Parameters
+    ----------
+    function : the equation: takes the inputs by name, as arrays of one shape, and returns an array of that shape, or a
+        sequence of such arrays, one for each output.
+    inputs : independent, but for `correlation` and for inputs of as many draws as each other.
+    names : of the outputs.
+    correlation : pair of names → correlation of two normal inputs.
+    probability : of the coverage intervals.
+    digits : significant digits of the standard uncertainty that are to be stable, 1 or 2.
+    most_draws : after which it ends at the latest.
+    seed : of the draws.
+
+    Raises
+    ------
+    InputError
+        for inputs that the equation does not take, repeated names, correlations that are none, and an equation that
+        returns something else.
+    """
+    equation = bound_equation(function, inputs, names, correlation, probability)
+    random = np.random.default_rng(seed)
+    size = max(_BLOCK, math.ceil(100 / (1 - probability)))
+    blocks: list[np.ndarray] = []
+    sums: list[np.ndarray] = []
+    stable, tails = False, np.array([(1 - probability) / 2, (1 + probability) / 2])
+    while not stable and (len(blocks) < _FEWEST_BLOCKS or (len(blocks) + 1) * size <= most_draws):
+        blocks.append(equation.sampled(size, random))
+        sums.append(_statistics(blocks[-1], tails))
+        stable = len(blocks) >= _FEWEST_BLOCKS and _is_stable(np.array(sums), digits)
+    draws = np.concatenate(blocks)
+    budgets = budgets_of_outputs(equation, probability)
+    found = tuple(
+        _output(name, own, gum, probability, digits) for name, own, gum in zip(names, draws.T, budgets, strict=True)
+    )
+    return Propagated(found, draws, probability, stable)
+
+
+def _statistics(draws: np.ndarray, tails: np.ndarray) -> np.ndarray:
+    """Return mean, standard deviation and both ends of the interval of draws (M, K), shape (4, K)."""
+    return np.concatenate(
+        [draws.mean(axis=0)[None], draws.std(axis=0, ddof=1)[None], np.quantile(draws, tails, axis=0)]
+    )
+
+
+def _is_stable(blocks: np.ndarray, digits: Digits) -> bool:
+    """Tell whether twice the errors of the averages over blocks, (h, 4, K), are below the tolerance of each output."""
+    error = 2 * blocks.std(axis=0, ddof=1) / math.sqrt(len(blocks))
+    return all(
+        not u > 0 or bool((own <= numerical_tolerance(float(u), digits)).all())
+        for u, own in zip(blocks[:, 1].mean(axis=0), error.T, strict=True)
+    )
+
+
+def _output(name: str, draws: np.ndarray, gum: GumBudget, probability: float, digits: Digits) -> OutputQuantity:
+    ordered = np.sort(draws)
+    low, high = (float(end) for end in np.quantile(ordered, [(1 - probability) / 2, (1 + probability) / 2]))
+    u = float(draws.std(ddof=1))
+    tolerance = numerical_tolerance(u, digits) if u > 0 else 0.0
+    apart = max(abs(gum.value - gum.expanded_uncertainty - low), abs(gum.value + gum.expanded_uncertainty - high))
+    return OutputQuantity(
+        name, float(draws.mean()), u, (low, high), shortest_interval(ordered, probability), tolerance, gum,
+        apart <= tolerance,
+    )  # fmt: skip

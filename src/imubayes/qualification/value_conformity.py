@@ -1,0 +1,163 @@
+"""Conformity of one measured value to its limits, for equations and certificates of the user's own.
+
+The rules, probabilities and risks are those of the report (`imubayes.qualification.decision_rules`).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+
+from imubayes.foundations.errors import closest_first, input_error
+from imubayes.foundations.records import Presented
+from imubayes.qualification import decision_rules as rules
+from imubayes.qualification.coverage import coverage_factor, coverage_of
+from imubayes.qualification.marginal import Marginal
+from imubayes.qualification.propagation import Propagated
+
+Measured = Propagated | tuple[float, float] | np.ndarray
+
+
+@dataclass(frozen=True, repr=False)
+class ConformityStatement(Presented):
+    """A measured value against its limits.
+
+    Attributes
+    ----------
+    value, uncertainty, expanded : estimate, u, and U of 95 % coverage.
+    limits : lower and upper; infinite for none.
+    rule : as applied.
+    outcome : pass, conditional pass, conditional fail or fail; withheld where a probability that it needs is.
+    guard_band : w inside each limit; None for rules on probabilities.
+    acceptance : estimates with which a unit is delivered; None where none is.
+    conformance : p_c, the probability that the quantity is within the limits; None where it is withheld.
+    consumer_risk, producer_risk : specific risks, of the decision that was taken.
+    global_consumer_risk, global_producer_risk : shares of all units tested, where the production is known.
+    """
+
+    value: float
+    uncertainty: float
+    expanded: float
+    limits: tuple[float, float]
+    rule: rules.DecisionRule
+    outcome: rules.Outcome
+    guard_band: float | None
+    acceptance: tuple[float, float] | None
+    conformance: float | None
+    consumer_risk: float | None
+    producer_risk: float | None
+    global_consumer_risk: float | None = None
+    global_producer_risk: float | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the unit is delivered."""
+        return self.outcome in rules.ACCEPTED
+
+
+def conformity(
+    measured: Measured,
+    *,
+    lower: float = -math.inf,
+    upper: float = math.inf,
+    rule: rules.RuleName = "guard_band",
+    factor: float | None = None,
+    width: float | None = None,
+    probability: float | None = None,
+    production: tuple[float, float] | None = None,
+    output: str = "",
+) -> ConformityStatement:
+    """Return whether a measured value conforms to its limits, with the risks of the decision (JCGM 106).
+
+    Parameters
+    ----------
+    measured : what `propagate` found; or estimate and standard uncertainty of a normal quantity; or draws of it.
+    lower, upper : limits.
+    rule : of the decision: simple_acceptance, guard_band (w = 1.65 u), ilac_g8_non_binary (w = U),
+        conformance_probability, specific_risk, or global_risk, which needs a production.
+    factor, width : of the guard band, in u or in the unit of the quantity.
+    probability : least conformance probability, or largest risk; 0.95 and 0.05.
+    production : mean and standard deviation of the true values of all units tested.
+    output : of the equation, where it has several.
+
+    Raises
+    ------
+    InputError
+        for limits that are crossed or none, a rule that there is not, and a global risk without a production.
+    """
+    _check(lower, upper, rule, production)
+    tolerance = rules.ToleranceInterval(lower, upper)
+    estimate = _estimate(measured, tolerance, output)
+    chosen = _rule(rule, factor, width, probability)
+    made = None if production is None else rules.Production(*production)
+    decision = rules.applied(chosen, estimate, tolerance, made)
+    accepted = rules.acceptance_interval(chosen, estimate.standard, tolerance, decision)
+    overall = None if made is None else rules.global_risks(made, estimate.standard, tolerance, accepted)
+    p = estimate.conformance.value
+    return ConformityStatement(
+        value=estimate.value,
+        uncertainty=estimate.standard,
+        expanded=estimate.expanded,
+        limits=(lower, upper),
+        rule=chosen,
+        outcome=decision.outcome,
+        guard_band=decision.guard_band,
+        acceptance=None if accepted is None else (accepted.lower, accepted.upper),
+        conformance=p,
+        consumer_risk=1 - p if p is not None and decision.outcome in rules.ACCEPTED else None,
+        producer_risk=p if p is not None and decision.outcome in rules.REJECTED else None,
+        global_consumer_risk=None if overall is None else overall.consumer.from_quadrature,
+        global_producer_risk=None if overall is None else overall.producer.from_quadrature,
+    )
+
+
+def _rule(
+    name: rules.RuleName, factor: float | None, width: float | None, probability: float | None
+) -> rules.DecisionRule:
+    """Return the rule with the defaults of a specification."""
+    default = rules.COVERAGE if name == "conformance_probability" else 1 - rules.COVERAGE
+    if name == "guard_band" and factor is None and width is None:
+        factor = rules.GUARD_FACTOR
+    return rules.DecisionRule(name, factor, width, default if probability is None else probability)
+
+
+def _estimate(measured: Measured, tolerance: rules.ToleranceInterval, output: str) -> rules.MeasuredValue:
+    if isinstance(measured, tuple):
+        value, u = (float(each) for each in measured)
+        if not (math.isfinite(value) and math.isfinite(u) and u > 0):
+            allowed = "a finite estimate, and a standard uncertainty above 0"
+            raise input_error(f"{value:g} with u = {u:g}", "measured", allowed, "correct it")
+        ends = np.array([(tolerance.lower - value) / u, (tolerance.upper - value) / u])
+        below = rules.normal_survival(-ends)
+        p = float(below[1] - below[0])
+        return rules.MeasuredValue(value, u, coverage_factor(math.inf) * u, rules.compared(p, p, 0.0))
+    draws = _draws(measured, output) if isinstance(measured, Propagated) else np.asarray(measured, dtype=float).ravel()
+    if len(draws) < 2 or not np.isfinite(draws).all() or not draws.std() > 0:
+        raise input_error("the draws are too few, not finite or all the same", "measured", "finite draws", "correct it")
+    marginal = Marginal(draws, float(len(draws)))
+    stated = coverage_of(marginal)
+    p_c = rules.conformance_probability(marginal, tolerance)
+    return rules.MeasuredValue(stated.estimate, stated.standard, stated.expanded, p_c)
+
+
+def _draws(found: Propagated, output: str) -> np.ndarray:
+    names = [each.name for each in found.outputs]
+    if (output and output not in names) or (not output and len(names) > 1):
+        what = f"there is no output '{output}'" if output else "the equation has several outputs"
+        raise input_error(what, "output", closest_first(output, names), "name one of them")
+    return found.draws[:, names.index(output) if output else 0]
+
+
+def _check(lower: float, upper: float, rule: str, production: tuple[float, float] | None) -> None:
+    if rule not in get_args(rules.RuleName):
+        allowed = closest_first(rule, get_args(rules.RuleName))
+        raise input_error(f"there is no rule '{rule}'", "rule", allowed, "name a rule")
+    if (math.isinf(lower) and math.isinf(upper)) or not lower < upper:
+        what = "there are no limits" if math.isinf(upper - lower) else f"the limits {lower:g} … {upper:g} are crossed"
+        raise input_error(what, "lower, upper", "one of them, or lower < upper", "correct them")
+    if rule == "global_risk" and production is None:
+        allowed = "(mean, standard deviation) of the units tested"
+        raise input_error("a global risk depends on the units that are tested", "production", allowed, "state it")
+    if production is not None and not production[1] > 0:
+        raise input_error("the production does not vary", "production", "a standard deviation above 0", "correct it")
