@@ -32,7 +32,7 @@ def in_counts(columns: dict) -> tuple[dict, np.ndarray, np.ndarray]:
 def test_six_column(tmp_path: Path) -> None:
     columns, _ = tumble_log()
     log = write_log(tmp_path / "unit.log", columns)
-    folder = convert("six-column", [log], tmp_path / "campaign", sample_rate_hz=100, gravity_m_s2=9.8, latitude_deg=50)
+    folder = convert([log], tmp_path / "campaign", sample_rate_hz=100, gravity_m_s2=9.8, latitude_deg=50)
     campaign = load_campaign(folder)
     assert campaign.name == "campaign"
     assert campaign.site.gravity == 9.8
@@ -48,8 +48,7 @@ def test_header_columns_and_units(tmp_path: Path) -> None:
     header = "stamp\timu.gx\timu.gy\timu.gz\timu.ax\timu.ay\timu.az"
     log = write_log(tmp_path / "unit.tsv", columns, ("t", *NAMES[3:], *NAMES[:3]), header, "\t")
     names = {name: f"imu.{name}" for name in NAMES} | {"time_s": "stamp"}
-    folder = convert(
-        "six-column", [log], tmp_path / "out", columns=names, time_unit="ms", gyro_unit="deg/s", temperature_degC=21.0
+    folder = convert([log], tmp_path / "out", columns=names, time_unit="ms", gyro_unit="deg/s", temperature_degC=21.0
     )
     campaign = load_campaign(folder)
     assert campaign.runs[0].rows == 16
@@ -63,7 +62,7 @@ def test_imu_tk_with_given_scale(tmp_path: Path) -> None:
     files = [write_log(tmp_path / "acc.txt", columns, ("time_s", *NAMES[:3]))]
     files.append(write_log(tmp_path / "gyro.txt", columns, ("time_s", *NAMES[3:])))
     given = {"accel_scale": scale[:3], "accel_offset": offset[:3], "gyro_scale": scale[3:], "gyro_offset": offset[3:]}
-    folder = convert("imu-tk", files, tmp_path / "c", accel_unit="count", gyro_unit="count", gravity_m_s2=9.8, **given)
+    folder = convert(files, tmp_path / "c", accel_unit="count", gyro_unit="count", gravity_m_s2=9.8, **given)
     campaign = load_campaign(folder)
     assert campaign.runs[0].rows == 16
     assert campaign.channels[0].scale_si == 415
@@ -73,8 +72,7 @@ def test_imu_tk_with_given_scale(tmp_path: Path) -> None:
 def test_scale_of_counts_is_estimated(tmp_path: Path) -> None:
     columns, scale, offset = in_counts(tumble_log(poses=24)[0])
     log = write_log(tmp_path / "unit.log", columns)
-    folder = convert(
-        "six-column", [log], tmp_path / "c", sample_rate_hz=100, accel_unit="count", gyro_unit="count", gravity_m_s2=9.8
+    folder = convert([log], tmp_path / "c", sample_rate_hz=100, accel_unit="count", gyro_unit="count", gravity_m_s2=9.8
     )
     campaign = load_campaign(folder)
     np.testing.assert_allclose([channel.scale_si for channel in campaign.channels], scale, rtol=3e-3)
@@ -88,7 +86,7 @@ def test_two_clocks(tmp_path: Path) -> None:
     other = {name: values[3:-3] for name, values in columns.items()}
     files = [write_log(tmp_path / "acc.txt", columns, ("time_s", *NAMES[:3]))]
     files.append(write_log(tmp_path / "gyro.txt", other, ("time_s", *NAMES[3:])))
-    assert load_campaign(convert("imu-tk", files, tmp_path / "c")).runs[0].rows == 16
+    assert load_campaign(convert(files, tmp_path / "c")).runs[0].rows == 16
 
 
 def test_static_log_for_a_thermal_ramp(tmp_path: Path) -> None:
@@ -96,8 +94,7 @@ def test_static_log_for_a_thermal_ramp(tmp_path: Path) -> None:
     columns = {"a": 9.8 + 0 * time, "t": 20 + time / 100} | {n: np.sin(time) for n in NAMES[3:]}
     columns |= {"ax": np.sin(time) / 10, "ay": np.cos(time) / 10, "az": columns["a"] + np.sin(time) / 10}
     log = write_log(tmp_path / "ramp.csv", columns, (*NAMES, "t"), ",".join((*NAMES, "temp")), ",")
-    folder = convert(
-        "six-column", [log], tmp_path / "c", sample_rate_hz=10, procedure="thermal_ramp",
+    folder = convert([log], tmp_path / "c", sample_rate_hz=10, procedure="thermal_ramp",
         columns={name: name for name in NAMES} | {"temperature_degC": "temp"},
     )  # fmt: skip
     assert load_campaign(folder).runs[0].rows > 10
@@ -106,19 +103,20 @@ def test_static_log_for_a_thermal_ramp(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"kind": "six-columns"}, "not a kind of recording"),
         ({"accel_unit": "m/s2"}, "accel_unit"),
         ({"acel_unit": "g"}, "not an option"),
         ({"gyro_scale": [1.0, 2.0]}, "gyro_scale has 2 numbers"),
         ({"sample_rate_hz": -1.0}, "not positive"),
         ({"sample_rate_hz": None}, "no sampling rate was given"),
+        ({"clock": "evn"}, "clock = 'evn'"),
+        ({"topic": ["imu"]}, "there is no topic 'imu'"),
+        ({"mapping": "bad.log"}, "the mapping cannot be read"),
         ({"columns": {"ax": 9}}, "there is no column '9'"),
         ({"columns": {"acc_x": 1}}, "not a column of a run table"),
         ({"files": ["nothing.log"]}, "there is no file"),
         ({"files": ["bad.log"]}, r"bad\.log:2"),
         ({"files": ["empty.log"]}, "is empty"),
-        ({"files": ["unit.log", "unit.log"]}, "2 files were given"),
-        ({"kind": "imu-tk"}, "two: accelerometers first"),
+        ({"files": []}, "no file was given"),
         ({"out": "unit.log"}, "not an empty folder"),
         ({"out": "occupied"}, "not an empty folder"),
         ({"accel_unit": "g"}, "acceleration_unit"),
@@ -133,10 +131,11 @@ def test_refusals_leave_nothing_behind(tmp_path: Path, change: dict, text: str) 
     (tmp_path / "occupied").mkdir()
     (tmp_path / "occupied" / "precious").write_text("")
     before = sorted(tmp_path.rglob("*"))
-    call = {"kind": "six-column", "files": ["unit.log"], "out": "campaign", "sample_rate_hz": 100.0} | change
-    kind, files, out = call.pop("kind"), [tmp_path / f for f in call.pop("files")], tmp_path / call.pop("out")
+    call = {"files": ["unit.log"], "out": "campaign", "sample_rate_hz": 100.0} | change
+    files, out = [tmp_path / f for f in call.pop("files")], tmp_path / call.pop("out")
+    call |= {key: tmp_path / call[key] for key in ("mapping",) if key in call}
     with pytest.raises(InputError, match=text) as caught:
-        convert(kind, files, out, **call)
+        convert(files, out, **call)
     assert all(problem.where and problem.remedy for problem in caught.value.issues)
     assert sorted(tmp_path.rglob("*")) == before
 
@@ -146,13 +145,13 @@ def test_problems_are_placed_in_the_recording_and_its_options(tmp_path: Path) ->
     columns["ax"][40] = np.nan
     log = write_log(tmp_path / "unit.log", columns)
     with pytest.raises(InputError) as caught:
-        convert("six-column", [log], tmp_path / "c", sample_rate_hz=100, latitude_deg=200.0, temperature_degC=1000.0)
+        convert([log], tmp_path / "c", sample_rate_hz=100, latitude_deg=200.0, temperature_degC=1000.0)
     places = [problem.where for problem in caught.value.issues]
     assert {"option latitude_deg", "option temperature_degC"} <= set(places)
     columns["ax"][40] = 0.0
     columns["gy"][41] = np.inf
     with pytest.raises(InputError) as caught:
-        convert("six-column", [write_log(log, columns)], tmp_path / "c", sample_rate_hz=100)
+        convert([write_log(log, columns)], tmp_path / "c", sample_rate_hz=100)
     assert [problem.where for problem in caught.value.issues] == [f"{log}, sample 42, column 'gy'"]
     assert not (tmp_path / "c").exists()
 
@@ -161,7 +160,7 @@ def test_lines_that_cannot_be_read_are_counted_from_one(tmp_path: Path) -> None:
     for third in ("1 2 x 4 5 6", "1 2"):
         (tmp_path / "bad.log").write_text(f"1 2 3 4 5 6\n1 2 3 4 5 6\n{third}\n1 2 3 4 5 6\n")
         with pytest.raises(InputError, match=r"bad\.log:3"):
-            convert("six-column", [tmp_path / "bad.log"], tmp_path / "c", sample_rate_hz=100)
+            convert([tmp_path / "bad.log"], tmp_path / "c", sample_rate_hz=100)
 
 
 def test_writing_into_an_empty_folder(tmp_path: Path) -> None:
@@ -174,7 +173,7 @@ def test_writing_into_an_empty_folder(tmp_path: Path) -> None:
 @real
 def test_xsens(tmp_path: Path) -> None:
     files = [RECORDINGS / "xsens/xsens_acc.mat", RECORDINGS / "xsens/xsens_gyro.mat"]
-    folder = convert("imu-tk", files, tmp_path / "c", accel_unit="count", gyro_unit="count", gravity_m_s2=9.81744)
+    folder = convert(files, tmp_path / "c", accel_unit="count", gyro_unit="count", gravity_m_s2=9.81744)
     campaign = load_campaign(folder)
     np.testing.assert_allclose([c.scale_si for c in campaign.channels[:3]], [415, 413, 415], rtol=5e-3)
     np.testing.assert_allclose([c.scale_si for c in campaign.channels[3:]], [4778, 4758, 4766], rtol=3e-2)
@@ -187,7 +186,7 @@ def test_xsens(tmp_path: Path) -> None:
 @pytest.mark.parametrize("unit", [0, 1])
 def test_mpu9150(tmp_path: Path, unit: int) -> None:
     log = RECORDINGS / f"mpu9150/imu{unit}.log"
-    campaign = load_campaign(convert("six-column", [log], tmp_path / "c", sample_rate_hz=100, gravity_m_s2=9.81))
+    campaign = load_campaign(convert([log], tmp_path / "c", sample_rate_hz=100, gravity_m_s2=9.81))
     tumble = campaign.runs[0].tumble
     assert len(tumble.flagged) == 22
     assert list(np.flatnonzero(tumble.flagged)) == [3]

@@ -8,15 +8,17 @@ import pytest
 from tumble_files import NAMES, tumble_log
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.convert import KINDS
-from imubayes.campaign.convert.recording_formats import ConvertOptions
+from imubayes.campaign.convert.column_choice import choose_tables
+from imubayes.campaign.convert.formats import open_recording
+from imubayes.campaign.convert.options import read_options
+from imubayes.campaign.convert.recorded_runs import recorded_runs
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError
 
 SIGNS = ("", "# ", "#", "% ", "%%", "// ", "; ", "\ufeff", "\ufeff# ")
 DELIMITERS = (",", ";", "\t", " ", ", ")
+TIMES = 0.01 * np.arange(5.0)
 VALUES = np.random.default_rng(3).normal(size=(5, 9))
-HOURLY = ConvertOptions(sample_rate_hz=10.0)
 
 
 def table(file: Path, heading: str, values: np.ndarray, delimiter: str = " ") -> Path:
@@ -25,9 +27,10 @@ def table(file: Path, heading: str, values: np.ndarray, delimiter: str = " ") ->
     return file
 
 
-def read(file: Path, **options) -> tuple[dict[str, np.ndarray], str]:
-    found = KINDS["six-column"]([file], ConvertOptions(**({"sample_rate_hz": 10.0} | options)))
-    return found.columns, "\n".join(found.notes)
+def read(*files: Path, **options) -> tuple[dict[str, np.ndarray], str]:
+    chosen = read_options({"sample_rate_hz": 10.0} | options)
+    [run] = recorded_runs(choose_tables([open_recording(file) for file in files], chosen), chosen)
+    return run.columns, "\n".join(run.notes)
 
 
 @pytest.mark.parametrize(("sign", "delimiter", "quote"), list(itertools.product(SIGNS, DELIMITERS, ("", '"', "'"))))
@@ -37,7 +40,7 @@ def test_each_channel_has_the_column_of_its_name(tmp_path: Path, sign: str, deli
     columns, note = read(file)
     for name in (*NAMES, "temperature_degC"):
         np.testing.assert_allclose(columns[name], VALUES[:, names.index(name)], atol=1e-6)
-        assert f"{name} ← column {names.index(name) + 1} '{name}' ({columns[name][0]:.6g} …)" in note
+        assert f"{name} ← column {names.index(name) + 1} '{name}' ({columns[name][0]:.6g}, " in note
     assert "not read" in note
 
 
@@ -47,7 +50,7 @@ def test_names_that_do_not_fit_the_fields_are_refused(tmp_path: Path, sign: str,
     names = [*NAMES, "temp"]
     heading = sign + delimiter.join(names[: 6 if lost == "name" else 7])
     if lost == "channel":
-        heading = heading.replace("az", "acc_z")
+        heading = heading.replace("az", "foo_z")
     file = table(tmp_path / "log", heading, VALUES[:, : 6 if lost == "field" else 7], delimiter)
     with pytest.raises(InputError) as refused:
         read(file)
@@ -70,7 +73,7 @@ def test_names_among_other_lines_and_with_another_delimiter(tmp_path: Path) -> N
     file.write_text("\n".join(f"{line}," if n else line for n, line in enumerate(file.read_text().splitlines())))
     np.testing.assert_allclose(read(file)[0]["gz"], VALUES[:, 5], atol=1e-6)
     stated = {name: f"{place}" for place, name in enumerate(NAMES, 2)}
-    file = table(tmp_path / "d", "time,1,2,3,4,5,6", VALUES[:, :7], ",")
+    file = table(tmp_path / "d", "time,1,2,3,4,5,6", np.c_[TIMES, VALUES[:, 1:7]], ",")
     assert len(read(file, columns=stated | {"time_s": "time"}, sample_rate_hz=None)[0]["ax"]) == len(VALUES)
 
 
@@ -92,11 +95,11 @@ def test_a_stated_time_hides_no_named_channel(tmp_path: Path) -> None:
     columns, _ = read(file, columns={"time_s": "ustime"}, time_unit="us", sample_rate_hz=None)
     assert set(columns) == {"time_s", *NAMES}
     np.testing.assert_allclose(columns["time_s"], 1e-6 * np.arange(5))
-    renamed = table(tmp_path / "other", " ".join(("acc", *NAMES[1:])), VALUES[:, :6])
-    assert set(read(renamed, columns={"ax": "acc"})[0]) == {"time_s", *NAMES}
+    renamed = table(tmp_path / "other", " ".join(("first", *NAMES[1:])), VALUES[:, :6])
+    assert set(read(renamed, columns={"ax": "first"})[0]) == {"time_s", *NAMES}
     # Channels that are stated and no others: a unit with fewer.
     alone = table(tmp_path / "alone", "rate temp", VALUES[:, :2])
-    assert set(read(alone, columns={"gx": "rate"})[0]) == {"time_s", "gx"}
+    assert set(read(alone, columns={"gx": "rate"})[0]) == {"time_s", "gx", "temperature_degC"}
 
 
 def test_two_columns_of_one_name_are_refused(tmp_path: Path) -> None:
@@ -105,15 +108,16 @@ def test_two_columns_of_one_name_are_refused(tmp_path: Path) -> None:
         read(file)
 
 
-def test_imu_tk_columns_are_named_or_four(tmp_path: Path) -> None:
-    values = VALUES[:, [0, 1, 2, 3]]
+def test_accelerometers_and_gyros_in_two_files(tmp_path: Path) -> None:
+    values = np.c_[TIMES, VALUES[:, 1:4]]
     gyro = table(tmp_path / "gyro", "", values)
-    found = KINDS["imu-tk"]([table(tmp_path / "acc", "# x y z time", values[:, [1, 2, 3, 0]]), gyro], HOURLY)
-    np.testing.assert_allclose(found.columns["ax"], values[:, 1], atol=1e-6)
-    assert len(found.notes) == 2
+    columns, note = read(table(tmp_path / "acc", "# x y z time", values[:, [1, 2, 3, 0]]), gyro)
+    np.testing.assert_allclose(columns["ax"], values[:, 1], atol=1e-6)
+    np.testing.assert_allclose(columns["gz"], values[:, 3], atol=1e-6)
+    assert len(note.splitlines()) == 2
     for heading, width in (("# a b c d", 4), ("# time x y", 4), ("", 5)):
         with pytest.raises(InputError):
-            KINDS["imu-tk"]([table(tmp_path / "bad", heading, VALUES[:, :width]), gyro], HOURLY)
+            read(table(tmp_path / "bad", heading, VALUES[:, :width]), gyro)
 
 
 @pytest.mark.parametrize("delimiter", [" ", ","])
@@ -121,7 +125,7 @@ def test_savetxt_is_converted_and_told(tmp_path: Path, capsys: pytest.CaptureFix
     columns, _ = tumble_log(poses=6)
     values = np.stack([*(columns[name] for name in NAMES), 0 * columns["ax"] + 30], axis=1)
     np.savetxt(tmp_path / "log", values, fmt="%.7g", delimiter=delimiter, header=delimiter.join((*NAMES, "temp")))
-    command = ["convert", "six-column", tmp_path / "log", "--sample-rate-hz", 100, "--gravity-m-s2", 9.8]
+    command = ["convert", tmp_path / "log", "--sample-rate-hz", 100, "--gravity-m-s2", 9.8]
     assert run([*map(str, command), "--latitude-deg", "48", "--out", str(tmp_path / "c")]) == 0
     assert "gz ← column 6 'gz'" in capsys.readouterr().out
     read_back = load_campaign(tmp_path / "c").runs[0]

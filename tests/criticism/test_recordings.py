@@ -66,7 +66,7 @@ def errors(result: Result) -> dict[str, float]:
 
 def test_a_hand_turned_unit_shows_its_g_sensitivity(tmp_path):
     files = [RECORDINGS / "xsens" / f"xsens_{kind}.mat" for kind in ("acc", "gyro")]
-    campaign = convert("imu-tk", files, tmp_path / "xsens", accel_unit="count", gyro_unit="count", gravity_m_s2=9.81744)
+    campaign = convert(files, tmp_path / "xsens", accel_unit="count", gyro_unit="count", gravity_m_s2=9.81744)
     whole = read_model(MODELS / "free-tumble.toml")
     lacking = replace(whole, effects=tuple(one for one in whole.effects if one.name != "gyro_g_sensitivity"))
     first = fit(campaign, lacking, tmp_path / "first", sample=False)
@@ -86,7 +86,7 @@ def test_a_hand_turned_unit_shows_its_g_sensitivity(tmp_path):
 @pytest.mark.xfail(reason="lag and hysteresis are named, the drift of the gyros beside them is not")
 def test_a_temperature_cycle_shows_lag_hysteresis_and_drift(tmp_path):
     campaign = convert(
-        "six-column", [RECORDINGS / "thermal" / "imu_raw_data.csv"], tmp_path / "thermal", sample_rate_hz=10,
+        [RECORDINGS / "thermal" / "imu_raw_data.csv"], tmp_path / "thermal", sample_rate_hz=10,
         procedure="thermal_ramp", delimiter="tab", columns={**THERMAL, "temperature_degC": "imu.temperature"},
     )  # fmt: skip
     (tmp_path / "cubic.py").write_text(CUBIC)

@@ -24,6 +24,7 @@ from imubayes.campaign.reduction import (
     reduce_log,
 )
 from imubayes.campaign.reduction.free_tumble import reduce_tumble
+from imubayes.campaign.reduction.pose_table import reduce_means
 from imubayes.campaign.run_tables import (
     TEXT_COLUMNS,
     ColumnLayout,
@@ -35,7 +36,7 @@ from imubayes.campaign.run_tables import (
 from imubayes.campaign.stream_checks import UNIT_FINDINGS, Finding, Monitor
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table, Tumble
 from imubayes.foundations.covariates import recorded
-from imubayes.foundations.errors import InputError, Issue, input_error
+from imubayes.foundations.errors import InputError, Issue
 from imubayes.procedures import PROCEDURES, Procedure, Reduction, procedure_named
 
 TURN = 2 * np.pi
@@ -333,18 +334,12 @@ def _segment_tracker(source: TableSource) -> SegmentTracker | None:
 def _load_tumble(
     source: TableSource, entry: RunEntry, equipment: Equipment, limits: Limits
 ) -> tuple[Run, list[Finding]]:
-    layout = source.layout
-    if layout.reduced:
-        raise input_error(
-            "a free tumble is given as means, without the rotations between its poses",
-            f"{source.file}, column 'samples'",
-            "a raw log: time_s and one column per channel",
-            "give the raw log of the whole recording",
-        )
-    reduced = reduce_tumble(
-        source.whole(), equipment.channels, equipment.site.gravity, entry.initial_rest_s, source.file, limits
-    )
-    run = build_run(entry, reduced.numbers, equipment.channels, equipment.site.gravity, reduced.notes, reduced.tumble)
+    where, gravity, channels = source.file, equipment.site.gravity, equipment.channels
+    if source.layout.reduced:
+        reduced = reduce_means(source.whole(), channels, gravity, where)
+    else:
+        reduced = reduce_tumble(source.whole(), channels, gravity, entry.initial_rest_s, where, limits)
+    run = build_run(entry, reduced.numbers, channels, gravity, reduced.notes, reduced.tumble)
     findings = [replace(finding, run=entry.name) for finding in reduced.findings]
     return run, findings
 

@@ -23,7 +23,7 @@ import pyarrow.parquet as pq
 from imubayes.campaign.file_schemas import ABSURD
 from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
-from imubayes.procedures import Procedure
+from imubayes.procedures import Procedure, Reduction
 
 TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
 
@@ -127,7 +127,7 @@ def _missing(layout: ColumnLayout, channels: Sequence[str], procedure: Procedure
             ", or ".join(group),
             "add the column, or correct 'procedure' of the run",
         )
-        for group in procedure.columns
+        for group in (() if procedure.reduction is Reduction.POSES and layout.reduced else procedure.columns)
         if not any(layout.has(column) for column in group)
     ]
     return issues

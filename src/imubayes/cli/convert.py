@@ -1,17 +1,14 @@
 """`imubayes convert`: recordings of other tools into a campaign."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
-from imubayes.campaign.convert import ConvertOptions
-from imubayes.campaign.convert import convert as convert_recording
-from imubayes.campaign.file_schemas import CampaignFile
-from imubayes.campaign.toml_documents import read_document
+from imubayes.campaign.convert import ConvertOptions, read_recordings
+from imubayes.campaign.convert.mapping_file import MAPPING_FILE
 from imubayes.foundations.errors import input_error
 
 
@@ -23,6 +20,7 @@ class _Options(ConvertOptions):
 
 
 _NO_OPTIONS = _Options()
+_FORMER_KINDS = ("six-column", "imu-tk")
 
 
 def _option_name(name: str) -> str:
@@ -30,32 +28,41 @@ def _option_name(name: str) -> str:
 
 
 def convert(
-    kind: str,
     *files: Path,
-    out: Path,
+    out: Path | None = None,
+    mapping: Path | None = None,
     column: Annotated[list[str] | None, Parameter(negative="")] = None,
     options: Annotated[_Options, Parameter(name="*", negative="", name_transform=_option_name)] = _NO_OPTIONS,
 ) -> None:
-    """Convert a recording of another tool into a campaign folder.
+    """Convert a recording of any format into a campaign folder; its kind and its columns are found in its content.
 
     Parameters
     ----------
-    kind
-        imu-tk (two text files, accelerometers and gyros, each time x y z) or six-column (columns named ax ay az gx gy
-        gz, or these six without names).
     files
-        The recording.
+        The recording: one file, accelerometers and gyros apart, the parts of a record, or one file for each face.
     out
-        Campaign folder to write.
+        Campaign folder to write. Without it, only what was understood is shown.
+    mapping
+        mapping.toml of an earlier conversion, for a recording of the same kind.
     column
-        COLUMN=SOURCE, once for each column whose name is another; SOURCE is a name or a number from 1.
+        COLUMN=SOURCE, once for each column whose name is another; SOURCE is a name or a number from 1, with a minus
+        sign before it for an axis that points the other way.
     """
-    chosen = replace(options, columns=dict(_column_source(word) for word in column or []))
-    folder = convert_recording(kind, files, out, **vars(chosen))
-    entry = read_document(folder / CAMPAIGN_FILE, CampaignFile).entry
-    for note in entry.notes if entry else ():
+    given = {option.name: getattr(options, option.name) for option in fields(ConvertOptions)}
+    given = {name: value for name, value in given.items() if value != getattr(_NO_OPTIONS, name)}
+    if column:
+        given["columns"] = dict(_column_source(word) for word in column)
+    if files and str(files[0]) in _FORMER_KINDS and not files[0].exists():
+        print(f"note: '{files[0]}' is not needed: the kind is found in the content")
+        files = files[1:]
+    read = read_recordings(files, out.name if out else "", mapping, **given)
+    for note in read.campaign.document["notes"]:
         print(f"note: {note}")
-    print(f"campaign in {folder}; next: imubayes check {folder}")
+    if out is None:
+        print("nothing was written; add --out FOLDER to write the campaign")
+        return
+    read.write(out)
+    print(f"campaign in {out}, with {MAPPING_FILE} for others of its kind; next: imubayes check {out}")
 
 
 def _column_source(word: str) -> tuple[str, str | int]:

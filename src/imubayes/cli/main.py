@@ -47,8 +47,8 @@ for _command in _COMMANDS:
 app.command(
     "imubayes.cli.convert:convert",
     name="convert",
-    help="Convert a recording of another tool into a campaign folder.\n\n"
-    "Example: imubayes convert imu-tk acc.mat gyro.mat --out campaigns/xsens --accel-unit count --gyro-unit count "
+    help="Convert a recording of any format into a campaign folder.\n\n"
+    "Example: imubayes convert acc.mat gyro.mat --out campaigns/xsens --accel-unit count --gyro-unit count "
     "--gravity-m-s2 9.81744",
 )
 

@@ -228,7 +228,7 @@ def _short(error: BaseException) -> str:
 
 
 # Unknowns of the procedures themselves, added whether or not the model file lists them.
-_IMPLIED_BY_TUMBLE = ("pose_attitude", "tumble_heading", "rotation_closure")
+_IMPLIED_BY_POSES, _IMPLIED_BY_TURNS = ("pose_attitude",), ("tumble_heading", "rotation_closure")
 _IMPLIED_BY_SERVO = ("servo_start",)
 
 
@@ -411,7 +411,9 @@ def _refuse_unknown_procedures(campaign: Campaign) -> None:
 
 def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> ModelSpec:
     """Return the model with the unknowns of the procedures themselves, and of temperatures that are stated as such."""
-    names = [*(_IMPLIED_BY_TUMBLE if any(run.tumble for run in campaign.runs) else ())]
+    tumbles = [run.tumble for run in campaign.runs if run.tumble is not None]
+    names = list(_IMPLIED_BY_POSES) if tumbles else []
+    names += _IMPLIED_BY_TURNS if any(len(tumble.start) for tumble in tumbles) else ()
     names += _IMPLIED_BY_SERVO if servo_runs(campaign) else ()
     listed = {effect.name for effect in spec.effects}
     names += _temperature_errors(listed, campaign, registry)

@@ -74,7 +74,11 @@ def nominal_inverse(axes: Array) -> np.ndarray:
 def bind_transitions(assembly: Assembly) -> Transitions | None:
     """Return the transitions of all free tumbles, padded to the longest; None where there are none."""
     campaign, nodes = assembly.grouping.campaign, assembly.grouping.nodes
-    tumbles = [(index, run.tumble) for index, run in enumerate(campaign.runs) if run.tumble is not None]
+    tumbles = [
+        (index, run.tumble)
+        for index, run in enumerate(campaign.runs)
+        if run.tumble is not None and len(run.tumble.start)
+    ]
     if not tumbles:
         return None
     steps = max(tumble.step.shape[1] for _, tumble in tumbles)

@@ -21,6 +21,7 @@ from imubayes.campaign.reduction.static_poses import (
     Recording,
     angle_between,
     body_vectors,
+    broken_turn,
     divide_rests,
     find_rests,
     initial_mean,
@@ -52,6 +53,8 @@ def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[C
 
     A reversed accelerometer is invisible in |f| = g, and a fit would absorb it in other parameters.
     """
+    if not recording.turns:
+        return []
     angle = propagation_error(recording, poses)
     if not angle > _INCONSISTENT:
         return []
@@ -79,6 +82,8 @@ def propagation_error(recording: Recording, poses: Sequence[Pose]) -> float:
     means = pose_means(recording.force, poses)
     angles = []
     for (before, f), (after, h) in pairwise(zip(poses, means, strict=True)):
+        if broken_turn(recording, before.stop - 1, after.start):
+            continue
         edges = step_edges(recording.time, recording.rate, before.stop - 1, after.start)
         angles.append(angle_between(rotation_between(recording, edges)[0].T @ f, h))
     return float(np.mean(angles)) if angles else 0.0
@@ -94,6 +99,7 @@ def _with_reversed(recording: Recording, channels: Sequence[Channel], indices: S
 MULTIPLES = (2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0)  # candidate thresholds, in variances at rest
 ROTATION_SECONDS = 5.0  # for longer, the drift of a bias may be a rotation
 LEAST_POSES = 4
+_MOST_NAMED = 5  # turns that are left out, one by one
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -129,7 +135,7 @@ def reduce_tumble(
     Parameters
     ----------
     numbers : column → shape (N,), in the units of the file.
-    channels : all channels of the campaign, with at least three accelerometers and three gyros.
+    channels : all channels of the campaign, with at least three accelerometers; turns need three gyros.
     gravity : local gravity, m/s².
     initial_seconds : length of the initial rest, where stated.
     file : named in errors.
@@ -153,9 +159,9 @@ def reduce_tumble(
     flagged = (rotated > MOST_ROTATION) | detection.fit.outliers
     good = [pose for pose, bad in zip(detection.poses, flagged, strict=True) if not bad]
     clipped = _clipped(recording, channels, limits or {})
-    whole = _tumble(recording, detection, flagged)
+    whole, untold = _tumble(recording, detection, flagged)
     tumble, lost = _without_clipped(whole, recording, detection.poses, channels, clipped, limits or {}, file)
-    notes = (*_notes(recording, detection, flagged, rotated, whole), *lost)
+    notes = (*_notes(recording, detection, flagged, rotated, whole), *untold, *lost)
     findings = _findings(recording, detection, gravity, file) or check_axes(recording, good, channels, file)
     rows = _rows(numbers, channels, good)
     for index, channel in enumerate(channels):
@@ -238,15 +244,22 @@ def rotation_within(recording: Recording, pose: Pose) -> float:
     return worst
 
 
-def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> Tumble:
+def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> tuple[Tumble, tuple[str, ...]]:
+    """Return the poses and the turns between them, and notes on turns that are left out."""
     good = np.flatnonzero(~flagged)
     level = detection.fit.apply(pose_means(recording.force, detection.poses))
-    attitude = np.array([_levelling(force) for force in level])
+    tumble = unturned(good, level, flagged, recording.readings.shape[1])
+    if not recording.turns:
+        return tumble, ("no gyros about three axes: the poses are related by |f| = g alone",)
+    attitude, kept, broken = tumble.attitude, [], []
     lengths, readings, corrections = [], [], []
     for before, after in pairwise(good):
-        edges = step_edges(
-            recording.time, recording.rate, detection.poses[before].stop - 1, detection.poses[after].start
-        )
+        begin, end = detection.poses[before].stop - 1, detection.poses[after].start
+        if why := broken_turn(recording, begin, end):
+            broken.append((before, after, why))
+            continue
+        kept.append((before, after))
+        edges = step_edges(recording.time, recording.rate, begin, end)
         length, mean = step_means(recording.time, recording.readings, edges)
         rotation, correction = rotation_between(recording, edges)
         propagated = attitude[before] @ rotation
@@ -254,7 +267,32 @@ def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> 
         lengths.append(length)
         readings.append(mean)
         corrections.append(correction)
-    return Tumble(good, attitude, good[:-1], good[1:], padded(lengths), padded(readings), padded(corrections), flagged)
+    notes = tuple(
+        f"the turn from pose {before} to pose {after} is left out: {why}" for before, after, why in broken[:_MOST_NAMED]
+    )
+    if len(broken) > _MOST_NAMED:
+        notes += (f"{len(broken)} of {len(broken) + len(kept)} turns are left out in all",)
+    if not kept:
+        return tumble, notes
+    start, stop = np.array(kept).T
+    return replace(
+        tumble, start=start, stop=stop, step=padded(lengths), readings=padded(readings), coning=padded(corrections)
+    ), notes
+
+
+def unturned(good: np.ndarray, level: np.ndarray, flagged: np.ndarray, channels: int) -> Tumble:
+    """Return poses without turns between them, each levelled by its force.
+
+    Parameters
+    ----------
+    good : shape (R,), the poses that are rows.
+    level : calibrated force of every pose, shape (poses, 3).
+    """
+    attitude = np.array([_levelling(force) for force in level])
+    none = np.zeros(0, dtype=int)
+    return Tumble(
+        good, attitude, none, none, np.zeros((0, 1)), np.zeros((0, 1, channels)), np.zeros((0, 1, 3)), flagged
+    )
 
 
 def _levelling(force: np.ndarray) -> np.ndarray:
@@ -316,7 +354,7 @@ def _findings(recording: Recording, detection: Detection, gravity: float, file: 
     shares = []
     for (before, f), (after, h) in pairwise(zip(detection.poses, means, strict=True)):
         angle = angle_between(f, h)
-        if angle > 0.3:
+        if recording.turns and angle > 0.3 and not broken_turn(recording, before.stop - 1, after.start):
             shares.append(_path(recording, before, after) / angle)
     share = float(np.median(shares)) if shares else 1.0
     if not 0.3 < share < 20.0:

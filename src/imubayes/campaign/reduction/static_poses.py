@@ -297,6 +297,7 @@ class Recording:
     force, rate : in body axes, shape (N, 3), m/s² and rad/s; the rate less its initial mean.
     initial : the initial rest.
     interval : sampling interval, s.
+    turns : whether there are gyros about three axes, whose rates integrate to the turns between poses; else rate is 0.
     """
 
     time: np.ndarray
@@ -305,6 +306,7 @@ class Recording:
     rate: np.ndarray
     initial: Rest
     interval: float
+    turns: bool = True
 
 
 def record(
@@ -321,7 +323,7 @@ def record(
     Raises
     ------
     InputError
-        if the log is too short, or accelerometers or gyros do not span three dimensions.
+        if the log is too short, or the accelerometers do not span three dimensions.
     """
     time = numbers["time_s"]
     readings = np.stack([numbers.get(c.name, np.full(len(time), np.nan)) for c in channels], axis=1)
@@ -330,13 +332,14 @@ def record(
         raise input_error(what, str(file), "a raw log", "record for longer")
     time, readings = time[used], readings[used]
     force, rate = body_vectors(readings, channels, file)
+    turns = spans_space(channels, "gyro")
     interval = float(np.median(np.diff(time)))
     initial = initial_rest(force, interval, initial_seconds)
-    if initial_seconds is None:
+    if initial_seconds is None and turns:
         # The accelerometers do not see a first turn about the vertical.
         first = rate[initial.start : initial.start + round(LEAST_POSE_SECONDS / interval)].mean(0)
         initial = next(iter(divide_rests([initial], turning(rate - first, interval), interval)), initial)
-    return Recording(time, readings, force, rate - initial_mean(rate, initial), initial, interval)
+    return Recording(time, readings, force, rate - initial_mean(rate, initial), initial, interval, turns)
 
 
 def pose_means(values: np.ndarray, poses: Sequence[Pose]) -> np.ndarray:
@@ -371,6 +374,36 @@ def rotation_between(recording: Recording, edges: np.ndarray) -> tuple[np.ndarra
     return rotation_over(rate, length, correction), correction
 
 
+GAP_SECONDS = 0.05  # of a smooth turn of two seconds, what interpolation over so much loses is below 0.1 mrad
+_GAP_INTERVALS = 3.0
+_SIDE = 5  # samples on either side of a cut
+_JUMP = np.deg2rad(10.0)  # of the direction of f over a cut
+_STEADY = 0.2  # of the jump: scatter of a side; a turn through the same angle would have 0.4
+_SEEN = 0.1  # share of a jump that the gyros see at least, if the unit turned
+
+
+def broken_turn(recording: Recording, start: int, stop: int) -> str:
+    """Return why the gyros do not show the turn from one sample to another in full; empty where they do.
+
+    Samples may be missing in it, or the turn itself may have been cut out of the recording: the direction of f jumps
+    between two samples, and the gyros see nothing of it.
+    """
+    step = np.diff(recording.time[start : stop + 1])
+    if step.max(initial=0.0) > max(GAP_SECONDS, _GAP_INTERVALS * recording.interval):
+        return f"{step.max():.3g} s are missing in it"
+    part = slice(max(0, start - _SIDE), stop + _SIDE)
+    sides = np.lib.stride_tricks.sliding_window_view(recording.force[part], _SIDE, axis=0)
+    mean = sides.mean(axis=2)
+    scatter = np.linalg.norm(sides - mean[:, :, None], axis=1).max(axis=1)
+    first, second = mean[:-_SIDE], mean[_SIDE:]
+    sudden = np.maximum(scatter[:-_SIDE], scatter[_SIDE:]) < _STEADY * np.linalg.norm(second - first, axis=1)
+    jump = angle_between(first, second)
+    path = np.cumsum(np.linalg.norm(recording.rate[part], axis=1)) * recording.interval
+    seen = path[2 * _SIDE - 1 :] - path[: len(path) - 2 * _SIDE + 1]
+    cut = sudden & (jump > _JUMP) & (seen < _SEEN * jump)
+    return "the attitude jumps from one sample to the next" if cut.any() else ""
+
+
 def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the angle between vectors, shape (…, 3) → (…), rad."""
     cosine = np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
@@ -380,20 +413,29 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def body_vectors(
     readings: np.ndarray, channels: Sequence[Channel], file: Path, sign: np.ndarray | float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return nominal force and rate in body axes, (N, 3) each; `sign`, shape (C,), is −1 for a reversed channel."""
+    """Return nominal force and rate in body axes, (N, 3) each; `sign`, shape (C,), is −1 for a reversed channel.
+
+    The rate is 0 where the gyros do not span three dimensions.
+    """
     signal = sign * (readings - [c.offset for c in channels]) / [c.scale_si for c in channels]
-    return _body(signal, channels, "accelerometer", file), _body(signal, channels, "gyro", file)
-
-
-def _body(signal: np.ndarray, channels: Sequence[Channel], kind: str, file: Path) -> np.ndarray:
-    """Return the least-squares body vector of the channels of one kind, shape (N, 3)."""
-    index = [i for i, channel in enumerate(channels) if channel.kind == kind]
-    axes = np.array([channels[i].axes[0] for i in index]).reshape(len(index), 3)
-    if np.linalg.matrix_rank(axes, tol=1e-3) < 3:
+    if not spans_space(channels, "accelerometer"):
         raise input_error(
-            f"a free tumble needs three {kind}s in different directions",
+            "a free tumble needs three accelerometers in different directions",
             f"{file}, [[channel]] of campaign.toml",
-            f"three or more {kind} channels whose input axes are not coplanar",
+            "three or more accelerometer channels whose input axes are not coplanar",
             "add the missing channels, or choose another procedure",
         )
-    return signal[:, index] @ np.linalg.pinv(axes).T
+    force = _body(signal, channels, "accelerometer")
+    return force, _body(signal, channels, "gyro") if spans_space(channels, "gyro") else np.zeros_like(force)
+
+
+def spans_space(channels: Sequence[Channel], kind: str) -> bool:
+    """Return whether the input axes of the channels of one kind are not coplanar."""
+    axes = [channel.axes[0] for channel in channels if channel.kind == kind]
+    return len(axes) > 2 and int(np.linalg.matrix_rank(np.array(axes), tol=1e-3)) == 3
+
+
+def _body(signal: np.ndarray, channels: Sequence[Channel], kind: str) -> np.ndarray:
+    """Return the least-squares body vector of the channels of one kind, shape (N, 3)."""
+    index = [i for i, channel in enumerate(channels) if channel.kind == kind]
+    return signal[:, index] @ np.linalg.pinv(np.array([channels[i].axes[0] for i in index])).T

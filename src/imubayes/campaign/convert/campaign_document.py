@@ -1,0 +1,179 @@
+"""`campaign.toml` of a recording: site, channels with their nominal scales, and one entry for each run."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from imubayes.campaign.convert.column_names import (
+    ACCEL_UNITS,
+    GYRO_UNITS,
+    GYROS,
+    SIX,
+    TEMPERATURE,
+    TIME,
+)
+from imubayes.campaign.convert.options import ConvertOptions
+from imubayes.campaign.convert.raw_counts import nominal_of_counts
+from imubayes.campaign.convert.recorded_runs import Columns, RecordedRun, still_seconds
+from imubayes.campaign.convert.unit_evidence import Units, find_units
+from imubayes.foundations.earth import normal_gravity
+from imubayes.foundations.errors import input_error
+from imubayes.procedures import procedure_named
+
+DEFAULT_LATITUDE = 45.0
+# Without a site: the rounded value assumed by bench calibration tools and their published results.
+DEFAULT_GRAVITY = 9.81  # m/s²
+_WARMED = 10.0  # degC over which a rest is a temperature test
+
+
+@dataclass(frozen=True)
+class ConvertedCampaign:
+    """What is written: `campaign.toml`, its run tables, and which values were guessed and why.
+
+    Attributes
+    ----------
+    tables : path of a run table within the folder → its columns.
+    options : the options with which the recording was read, guesses filled in.
+    guesses : option → its evidence.
+    """
+
+    document: dict[str, Any]
+    tables: dict[str, Columns]
+    options: ConvertOptions
+    guesses: dict[str, str]
+
+
+def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: str, source: str) -> ConvertedCampaign:
+    """Return the campaign of some runs.
+
+    Raises
+    ------
+    InputError
+        where a unit or the nominal scale of counts is neither stated nor told by the numbers.
+    """
+    site_notes: list[str] = []
+    site = _site(options, site_notes)
+    gravity = site.get("gravity_m_s2") or normal_gravity(math.radians(site["latitude_deg"]), options.height_m)
+    longest = max(runs, key=lambda run: len(next(iter(run.columns.values()))))
+    units = find_units(longest.columns, longest.units, options, source)
+    runs = [_in_rates(_temperatures(run, source), units, source) for run in runs]
+    stated = replace(options, accel_unit=units.accel or "m/s^2", gyro_unit=units.gyro or "rad/s")
+    longest = max(runs, key=lambda run: len(next(iter(run.columns.values()))))
+    notes = [f"converted from {source}", *(note for run in runs for note in run.notes)]
+    channels = _channels(longest.columns, stated, gravity, notes, source)
+    procedure, why = _procedure(longest, options)
+    guesses = longest.guesses | units.guesses | ({"procedure": why} if why else {})
+    stated = replace(stated, procedure=procedure, time_unit=longest.time_unit or options.time_unit)
+    for key, evidence in guesses.items():
+        value = f" = {getattr(stated, key)}" if key != "columns" else ""
+        notes.append(f"guessed, {key}{value}: {evidence}")
+    document: dict[str, Any] = {"format": 1, "name": options.name or name, "notes": [*notes, *site_notes], "site": site}
+    if options.serial:
+        document["unit"] = {"serial": options.serial}
+    document["channel"] = channels
+    if procedure_named(procedure).needs_table:
+        document["table"] = [{"name": "bench", "elevation_deg": 90.0}]
+        document["mounting"] = [{"name": "aligned", "preset": "aligned"}]
+    labels = ["recording"] if len(runs) == 1 else [f"recording-{place}" for place in range(1, len(runs) + 1)]
+    files = [f"runs/{label}.csv" for label in labels]
+    document["run"] = [_run(label, file, procedure, options) for label, file in zip(labels, files, strict=True)]
+    tables = {file: _table(run.columns) for file, run in zip(files, runs, strict=True)}
+    return ConvertedCampaign(document, tables, stated, guesses)
+
+
+def _table(columns: Columns) -> Columns:
+    return {TIME: columns[TIME], **columns} if TIME in columns else columns
+
+
+def _run(label: str, file: str, procedure: str, options: ConvertOptions) -> dict[str, Any]:
+    run: dict[str, Any] = {"name": label, "procedure": procedure, "file": file}
+    for key in ("temperature_degC", "initial_rest_s"):
+        if getattr(options, key) is not None:
+            run[key] = float(getattr(options, key))
+    return run | ({"table": "bench", "mounting": "aligned"} if procedure_named(procedure).needs_table else {})
+
+
+def _procedure(run: RecordedRun, options: ConvertOptions) -> tuple[str, str]:
+    """Return the procedure, and why it was taken where it was not stated."""
+    if options.procedure:
+        return options.procedure, ""
+    seconds = still_seconds(run)
+    if not seconds:
+        return "free_tumble", ""
+    warmed = float(np.ptp(run.columns[TEMPERATURE])) if TEMPERATURE in run.columns else 0.0
+    if warmed > _WARMED:
+        return "thermal_ramp", f"{seconds:.4g} s in one attitude, over {warmed:.3g} degC"
+    return "static_record", f"{seconds:.4g} s in one attitude"
+
+
+def _site(options: ConvertOptions, notes: list[str]) -> dict[str, float]:
+    latitude, gravity = options.latitude_deg, options.gravity_m_s2
+    if latitude is None:
+        latitude = DEFAULT_LATITUDE
+        notes.append(f"the latitude was not given: {latitude:g} deg is assumed for the Earth rate")
+        if gravity is None:
+            gravity = DEFAULT_GRAVITY
+            notes.append(
+                f"neither gravity nor latitude was given: {gravity:g} m/s² is assumed; on Earth it is 9.78 to 9.83, "
+                "and the relative error carries over to the accelerometer scale factors"
+            )
+    site = {"latitude_deg": float(latitude), "height_m": float(options.height_m)}
+    return site if gravity is None else site | {"gravity_m_s2": float(gravity)}
+
+
+def _temperatures(run: RecordedRun, where: str) -> RecordedRun:
+    """Return the run with temperatures in °C."""
+    unit = run.units.get(TEMPERATURE, "degC")
+    if TEMPERATURE not in run.columns or unit == "degC":
+        return run
+    values = run.columns[TEMPERATURE]
+    turned = {"K": lambda v: v - 273.15, "degF": lambda v: (v - 32.0) / 1.8}.get(unit)
+    if turned is None:
+        allowed = "degC, K or degF"
+        raise input_error(f"temperatures are in {unit}", where, allowed, "state another column of temperature_degC")
+    return replace(run, columns=run.columns | {TEMPERATURE: turned(values)})
+
+
+def _in_rates(run: RecordedRun, units: Units, where: str) -> RecordedRun:
+    """Return the run with increments over one sample turned into mean rates over it."""
+    columns = dict(run.columns)
+    for name in SIX:
+        unit = (GYRO_UNITS if name in GYROS else ACCEL_UNITS).get(units.gyro if name in GYROS else units.accel)
+        if name not in columns or unit is None or not unit.increment:
+            continue
+        if TIME not in columns:
+            raise input_error("increments need times", where, "a time, or --sample-rate-hz", "give the sampling rate")
+        step = np.diff(columns[TIME])
+        columns[name] = columns[name] / np.concatenate([step[:1], step])
+    return replace(run, columns=columns)
+
+
+def _channels(
+    columns: Columns, options: ConvertOptions, gravity: float, notes: list[str], source: str
+) -> list[dict[str, Any]]:
+    nominal: Mapping[str, tuple[float, float]] = {}
+    if "count" in (options.accel_unit, options.gyro_unit):
+        nominal = nominal_of_counts(columns, options, gravity, notes, source)
+    channels = []
+    for index, name in enumerate(SIX):
+        if name not in columns:
+            continue
+        gyro = name in GYROS
+        word = options.gyro_unit if gyro else options.accel_unit
+        unit = (GYRO_UNITS if gyro else ACCEL_UNITS)[word]
+        scale, offset = nominal.get(name, (unit.scale, 0.0))
+        channels.append(
+            {
+                "name": name,
+                "kind": "gyro" if gyro else "accelerometer",
+                "input_axis": [float(index % 3 == axis) for axis in range(3)],
+                "output_unit": unit.per if unit.increment else word,
+                "scale": scale,
+                "per": unit.per,
+                "offset": offset,
+            }
+        )
+    return channels

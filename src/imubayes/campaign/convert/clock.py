@@ -1,0 +1,230 @@
+"""The times of the samples: their unit, and what is wrong with the clock.
+
+Clocks of recordings stand still, go back, wrap round, jitter and leave gaps; loggers write the time at which a packet
+arrived, not that of its samples.  What can be mended without doubt is mended and said: a counter that wraps, rows
+that are repeated or out of order, packets.  Gaps and jitter are said, with the option that takes samples as even.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from imubayes.campaign.convert.column_choice import ChosenTable
+from imubayes.campaign.convert.column_names import CLOCK, COUNTER, DATE, SIX, TIME, TIME_UNITS
+from imubayes.campaign.convert.options import ConvertOptions
+from imubayes.foundations.errors import input_error
+
+_RATES = {unit: factor for unit, factor in TIME_UNITS.items() if unit in ("s", "ms", "us", "ns")}
+_USUAL_HZ = (3.0, 5000.0)  # sampling rates of inertial units
+_EPOCH = (1e9, 3e9)  # s since 1970 of recordings from 2001 to 2065
+_WRAPS = (2.0**8, 2.0**16, 2.0**24, 2.0**32, 2.0**32 / 1000)  # the last is that of microseconds in ms
+_OUT_OF_ORDER = 1e-3  # share of the rows that may be late
+_GAP = 1.6  # sampling intervals
+_JITTER = 0.1  # of the sampling interval
+_PACKED = 0.3  # of the mean step, below which a step is within a packet
+_DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Times of the rows of a table.
+
+    Attributes
+    ----------
+    time : s, increasing, shape (rows kept,).
+    keep : which rows are kept, shape (N,).
+    unit : in which the time is recorded; empty where it is made from a rate, or words.
+    guess : why the unit was taken; empty where it is stated.
+    notes : what was found, in words.
+    """
+
+    time: np.ndarray
+    keep: np.ndarray
+    unit: str
+    guess: str
+    notes: tuple[str, ...]
+
+
+def read_clock(table: ChosenTable, values: Mapping[str, np.ndarray], options: ConvertOptions) -> Clock | None:
+    """Return the clock of a table; None where it has none.
+
+    Raises
+    ------
+    InputError
+        where the unit of the time is not known, or the time goes back.
+    """
+    rows = len(next(iter(values.values())))
+    rate = options.sample_rate_hz or (table.topic.rate_hz if TIME not in values else None)
+    channels = [values[name] for name in SIX if name in values]
+    filled = np.any([np.isfinite(column) for column in channels], axis=0)
+    lost = _dropped(values.get(COUNTER), filled)
+    if rate is not None:
+        return Clock(np.arange(rows)[filled] / rate, filled, "", "", lost)
+    if TIME in values:
+        unit, guess = _unit(table, values[TIME], options)
+        raw, factor = np.asarray(values[TIME]), TIME_UNITS[unit]
+    elif CLOCK in values:
+        unit, guess, factor = "", "", 1.0
+        raw = np.asarray(values[CLOCK]) + (np.asarray(values[DATE]) if DATE in values else 0.0)
+        raw = raw + (0.0 if DATE in values else _DAY) * np.cumsum(np.diff(raw, prepend=raw[:1]) < -_DAY / 2)
+    else:
+        return None
+    keep = filled & np.isfinite(raw)
+    time, wrapped = _unwrapped(raw[keep], factor)
+    late = time < np.maximum.accumulate(time)
+    if late.mean() > _OUT_OF_ORDER:
+        raise _goes_back(table, time, int(late.sum()))
+    repeated = _repeated(time, [column[keep] for column in channels]) | late
+    keep[np.flatnonzero(keep)[repeated]] = False
+    time, notes = time[~repeated], list(wrapped)
+    if late.any():
+        notes.append(f"{int(late.sum())} samples out of order are left out")
+    if (repeated & ~late).any():
+        notes.append(f"{int((repeated & ~late).sum())} repeated samples are left out")
+    time, found = _mended(time, options)
+    return Clock(time, keep, unit, guess, (*notes, *found, *lost))
+
+
+def _unit(table: ChosenTable, time: np.ndarray, options: ConvertOptions) -> tuple[str, str]:
+    """Return the unit of a time column, and why it was taken where neither name nor option states it."""
+    stated = options.time_unit or table.columns[TIME].unit
+    if stated in TIME_UNITS:
+        return stated, ""
+    steps = np.diff(time[np.isfinite(time)])
+    step = float(np.mean(np.abs(steps))) if len(steps) else 0.0
+    start = abs(float(time[np.isfinite(time)][:1].sum()))
+    since = [unit for unit, factor in _RATES.items() if _EPOCH[0] < start * factor < _EPOCH[1]]
+    if since:
+        return since[0], f"{start:.10g} is a time since 1970 in {since[0]}"
+    usual = [unit for unit, f in _RATES.items() if step and _USUAL_HZ[0] <= 1 / (step * f) <= _USUAL_HZ[1]]
+    whole = bool(np.all(time[:1000][np.isfinite(time[:1000])] % 1 == 0))
+    if len(usual) > 1 and whole:  # seconds have a fraction at such rates
+        usual = [unit for unit in usual if unit != "s"]
+    if len(usual) == 1:
+        unit = usual[0]
+        rates = f"mean step {step:.5g}: {1 / (step * _RATES[unit]):.5g} Hz in {unit}, no usual rate in another unit"
+        return unit, rates
+    rates = ", ".join(f"{unit} ({1 / (step * f):.4g} Hz)" for unit, f in _RATES.items()) if step else "s, ms, us, ns"
+    raise input_error(
+        f"the unit of the time is not known: its mean step is {step:.5g}",
+        f"{table.topic.where}, column of the time",
+        rates,
+        f"state it, such as --time-unit {usual[0] if usual else 's'}",
+    )
+
+
+def _unwrapped(time: np.ndarray, factor: float) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return times in seconds, a counter that wraps round continued."""
+    step = np.diff(time, prepend=time[:1])
+    usual = float(np.median(np.abs(step)))
+    back = np.flatnonzero(step < 0)
+    # The step over the wrap is a usual one once the range of the counter is added.
+    for width in _WRAPS:
+        over = step[back] + width
+        if len(back) and ((over >= 0) & (over < 50 * usual + 1e-300)).all() and np.ptp(time) > 0.5 * width:
+            turns = np.zeros(len(time))
+            turns[back] = width
+            return (time + np.cumsum(turns)) * factor, (f"the time wraps round {len(back)} times at {width:.10g}",)
+    return time * factor, ()
+
+
+def _repeated(time: np.ndarray, channels: list[np.ndarray]) -> np.ndarray:
+    """Return which rows repeat the one before, time and values."""
+    same = np.diff(time, prepend=np.nan) == 0
+    for column in channels:
+        same &= np.diff(column, prepend=np.nan) == 0
+    return same
+
+
+def _goes_back(table: ChosenTable, time: np.ndarray, late: int) -> Exception:
+    step = np.diff(time)
+    first, usual = int(np.argmin(step)), float(np.median(step[step > 0])) if (step > 0).any() else 1.0
+    times = int((step < 0).sum())
+    return input_error(
+        f"the time goes back {times} times, at sample {first + 2} by {-step[first]:.4g} s: a reset, or several "
+        f"recordings in one; {late} samples are earlier than one before them",
+        f"{table.topic.where}, column of the time",
+        "times that increase",
+        f"--sample-rate-hz {1 / usual:.4g} takes the samples as even; or split the file at the resets",
+    )
+
+
+def _mended(time: np.ndarray, options: ConvertOptions) -> tuple[np.ndarray, list[str]]:
+    """Return increasing times, even where they were asked for or arrive in packets, and what was found."""
+    step = np.diff(time)
+    if len(step) < 20:
+        return time, []
+    mean, median = float(np.mean(step)), float(np.median(step))
+    packed = step < _PACKED * mean
+    if packed.mean() > 0.4 and (~packed).any():
+        between = float(np.median(step[~packed]))
+        size = round(1 + packed.sum() / max(1, (~packed).sum()))
+        even = _even(time, step > _GAP * between)
+        rate = 1 / float(np.median(np.diff(even)))
+        note = (
+            f"samples arrive in packets of {size} (steps of {1e3 * float(np.median(step[packed])):.3g} ms within and "
+            f"{1e3 * between:.3g} ms between)"
+        )
+        if options.clock == "recorded":
+            return _increasing(time), [f"{note}: --clock even takes them as even at {rate:.5g} Hz"]
+        return even, [f"{note}: taken as even at {rate:.5g} Hz; --clock recorded keeps their times"]
+    gaps = step > _GAP * median
+    notes = []
+    if gaps.any():
+        missing = int(np.sum(np.round(step[gaps] / median) - 1))
+        notes.append(f"{int(gaps.sum())} gaps, the longest of {step.max():.3g} s: {missing} samples are missing")
+    jitter = float(np.std(step[~gaps])) / median
+    if options.clock == "even":
+        even = _even(time, gaps)
+        return even, [*notes, f"samples are taken as even at {1 / float(np.median(np.diff(even))):.6g} Hz, as asked"]
+    if jitter > _JITTER:
+        notes.append(
+            f"the time jitters by {1e3 * jitter * median:.3g} ms, {100 * jitter:.3g} % of the sampling interval: "
+            "--clock even takes the samples as even"
+        )
+    return _increasing(time), notes
+
+
+def _even(time: np.ndarray, gaps: np.ndarray) -> np.ndarray:
+    """Return evenly spaced times of the stretches between gaps, at the mean rate of all.
+
+    Parameters
+    ----------
+    time : shape (n,), s.
+    gaps : which steps are gaps, shape (n − 1,).
+    """
+    bounds = [0, *(np.flatnonzero(gaps) + 1), len(time)]
+    stretches = list(pairwise(bounds))
+    # A line through each stretch, of one slope: what arrives late or early averages out.
+    index = np.arange(len(time), dtype=float)
+    covariance = variance = 0.0
+    for start, stop in stretches:
+        own = index[start:stop] - index[start:stop].mean()
+        covariance += float(own @ (time[start:stop] - time[start:stop].mean()))
+        variance += float(own @ own)
+    interval, even = covariance / variance, np.empty(len(time))
+    for start, stop in stretches:
+        even[start:stop] = time[start:stop].mean() + interval * (index[start:stop] - index[start:stop].mean())
+    return np.asarray(_increasing(even))
+
+
+def _increasing(time: np.ndarray) -> np.ndarray:
+    """Return times that increase: one that repeats is a millionth of the mean step later."""
+    step = np.diff(time)
+    if (step > 0).all():
+        return time
+    least = 1e-6 * float(np.mean(np.abs(step)))
+    return time[0] + np.concatenate([[0.0], np.cumsum(np.maximum(step, least))])
+
+
+def _dropped(counter: np.ndarray | None, filled: np.ndarray) -> tuple[str, ...]:
+    """Return what a counter says of lost samples; a column that does not mostly count by one is none."""
+    if counter is None:
+        return ()
+    step = np.diff(counter[filled & np.isfinite(counter)])
+    jumps = step[step > 1] - 1
+    if not len(step) or not len(jumps) or np.mean(step == 1) < 0.9:
+        return ()
+    return (f"the counter misses {int(jumps.sum())} samples in {len(jumps)} places",)

@@ -1,0 +1,239 @@
+"""What a column of a recording is, by its name and unit: a channel, its scatter, a time, a temperature, a counter.
+
+The names of programs and loggers differ in spelling only: `AccX`, `imu.acc.x`, `accelerometer_m_s2[0]`,
+`a_RS_S_x [m s^-2]` and `X-Axis Acceleration` all say the same.  A name is taken apart into words; one says the
+quantity, one the axis, one perhaps a statistic or a unit.  What is left over tells sensors of one recording apart.
+"""
+
+import re
+from dataclasses import dataclass
+
+from imubayes.foundations.covariates import recorded_columns
+
+ACCELEROMETERS, GYROS = ("ax", "ay", "az"), ("gx", "gy", "gz")
+SIX = (*ACCELEROMETERS, *GYROS)
+TIME, TEMPERATURE, SAMPLES, COUNTER = "time_s", "temperature_degC", "samples", "counter"
+DATE, CLOCK = "date", "clock"
+UNKNOWN_AXES = ("?x", "?y", "?z")
+"""Axes of a quantity that neither the name nor the unit of the column says."""
+
+
+@dataclass(frozen=True)
+class InputUnit:
+    """A unit of specific force or rate: `scale` of it are one `per`; an increment is the integral over one sample."""
+
+    per: str
+    scale: float = 1.0
+    increment: bool = False
+
+
+ACCEL_UNITS = {
+    "m/s^2": InputUnit("m/s^2"),
+    "g": InputUnit("g"),
+    "mg": InputUnit("g", 1e3),
+    "ug": InputUnit("g", 1e6),
+    "cm/s^2": InputUnit("m/s^2", 1e2),
+    "m/s": InputUnit("m/s^2", 1.0, True),
+    "count": InputUnit("m/s^2"),
+}
+GYRO_UNITS = {
+    "rad/s": InputUnit("rad/s"),
+    "deg/s": InputUnit("deg/s"),
+    "mrad/s": InputUnit("rad/s", 1e3),
+    "mdeg/s": InputUnit("deg/s", 1e3),
+    "deg/h": InputUnit("deg/s", 3600.0),
+    "rad": InputUnit("rad/s", 1.0, True),
+    "deg": InputUnit("deg/s", 1.0, True),
+    "count": InputUnit("rad/s"),
+}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+TEMPERATURE_UNITS = ("degC", "K", "degF")
+_WORDS_OF_TIME = (DATE, CLOCK, "stamp")  # what a text table holds in words is read as seconds
+
+_SPELLED = {
+    "m/s^2": "m/s2 m/s/s m/sec2 ms-2 mps2 m/sec/sec mss ms2",
+    "g": "g gn g0 gee gees gs",
+    "mg": "mg mgee milli-g",
+    "ug": "ug µg μg",
+    "cm/s^2": "cm/s2 gal",
+    "rad/s": "rad/s rad/sec rads-1 radps radians/s radian/s rad/second rads",
+    "deg/s": "deg/s deg/sec degs-1 dps degree/s degrees/s degrees/sec °/s º/s °/sec degps degs °s-1",
+    "mdeg/s": "mdeg/s mdps m°/s",
+    "mrad/s": "mrad/s mrad/sec",
+    "deg/h": "deg/h deg/hr deg/hour dph °/h °/hr",
+    "count": "count counts lsb digit digits adu",
+    "m/s": "m/s",
+    "rad": "rad",
+    "deg": "deg",
+    "s": "s sec secs second seconds",
+    "ms": "ms msec msecs millis millisecond milliseconds",
+    "us": "us usec usecs µs μs micros microsecond microseconds",
+    "ns": "ns nsec nsecs nanos nanosecond nanoseconds",
+    "min": "min",
+    "h": "h hr hour hours",
+    "degC": "c degc °c ºc celsius deg.c",
+    "K": "k kelvin",
+    "degF": "degf °f fahrenheit",
+}
+_UNITS = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
+# Units as the last words of a name: accel_x_m_s2, gyro_rad_s, temp_degC.
+_ENDINGS = (
+    ("m", "s2", "m/s^2"), ("m", "s", "s", "m/s^2"), ("m", "s", "2", "m/s^2"), ("ms", "2", "m/s^2"),
+    ("mps", "2", "m/s^2"), ("m", "s", "m/s"), ("s", "2", "m/s^2"),
+    ("rad", "s", "rad/s"), ("rad", "sec", "rad/s"), ("rad", "per", "s", "rad/s"), ("deg", "s", "deg/s"),
+    ("deg", "sec", "deg/s"), ("deg", "per", "s", "deg/s"), ("deg", "h", "deg/h"), ("deg", "c", "degC"),
+    ("mdeg", "s", "mdeg/s"), ("mrad", "s", "mrad/s"),
+)  # fmt: skip
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+_ACCEL = _words("a f acc accel accels accelerometer accelerometers acceleration accelerations accelero xl sf")
+_GYRO = _words("g gyr gyro gyros gyroscope gyroscopes w omega ω angvel angrate turnrate rotationrate rate rates")
+_NEITHER = _words(
+    "mag magn magnetometer magnetic compass baro barometer gps gnss quat quaternion euler roll pitch yaw cov covariance"
+    " var variance position pos gravity grav bias true ref reference nominal target ideal set max min error err user"
+    " altitude lat lon latitude longitude integral delta setpoint clipping clip status free orientation linearacc"
+)
+_MEAN, _SCATTER = _words("mean avg average median means"), _words("std sd stdev stddev sigma")
+_TIMES = _words("t time times timestamp timestamps ts stamp elapsed ustime mstime utc unixtime epoch loggingtime")
+_TEMPERATURES = {"temp", "temperature", "tmp", "temps", "temperatures"}
+_COUNTERS = _words("counter count cnt seq sequence packet packetcounter sample index idx frame")
+_JOINED = re.compile(r"(a|f|acc|accel|g|gyr|gyro|w|omega|rate)([xyz])")
+_INDEX, _BRACKETED = re.compile(r"\[(\d)\]$"), re.compile(r"[\[({]([^\])}]*)[\])}]")
+_PARTS = re.compile(r"[A-Z]+(?![a-zµ])|[A-Z]?[a-zµ°ωº]+|\d+|[A-Zω]")
+
+
+@dataclass(frozen=True)
+class ColumnRole:
+    """What a column is.
+
+    Attributes
+    ----------
+    target : column of a run table, `?x` for an axis of an unknown quantity, or what a clock is made of.
+    unit : key of the units of its quantity; empty where neither name nor recording states it.
+    group : the words of the name that say nothing known; columns of one sensor share them.
+    exact : whether the name is the target itself.
+    """
+
+    target: str
+    unit: str = ""
+    group: tuple[str, ...] = ()
+    exact: bool = False
+
+
+def unit_named(word: str) -> str:
+    """Return the unit that is written in any usual spelling; empty where it is none that a recording has."""
+    plain = word.strip().strip("[](){}").replace("²", "2").replace("⁻", "-").replace("¹", "1")
+    for sign in ("^", "**", " ", "_", "·", "*"):
+        plain = plain.replace(sign, "")
+    if plain in ("K", "C", "F"):
+        return {"K": "K", "C": "degC", "F": "degF"}[plain]
+    return _UNITS.get(plain.lower(), "")
+
+
+def is_unit(cell: str) -> bool:
+    """Tell whether a cell of a text table is a unit and not a name: `g` is both."""
+    return bool(unit_named(cell)) or cell.strip() in ("-", "1", "[]", "[-]")
+
+
+def words_of(name: str) -> list[str]:
+    """Return the words that a name is made of, in small letters."""
+    return [part.lower() for part in _PARTS.findall(name)]
+
+
+def role_of(name: str, stated_unit: str = "") -> ColumnRole | None:
+    """Return what a column is; None where its name says nothing that a campaign knows.
+
+    Parameters
+    ----------
+    name : as the recording writes it.
+    stated_unit : as the recording states it beside the name.
+    """
+    if stated_unit in _WORDS_OF_TIME:
+        return ColumnRole(TIME if stated_unit == "stamp" else stated_unit, "s")
+    if name in SIX or name in recorded_columns() or name == SAMPLES:
+        return ColumnRole(name, unit_named(stated_unit) or _own_unit(name), (), True)
+    if name.endswith("_sd") and name[:-3] in SIX:
+        return ColumnRole(name, unit_named(stated_unit), (), True)
+    bare, index = name, _INDEX.search(name)
+    bare = bare[: index.start()] if index else bare
+    bracketed = [unit for found in _BRACKETED.findall(bare) if (unit := unit_named(found))]
+    words = words_of(_BRACKETED.sub(" ", bare))
+    unit = unit_named(stated_unit) or (bracketed[0] if bracketed else "")
+    if not unit:
+        words, unit = _without_ending(words)
+    if re.fullmatch("gF[xyz]", name):  # Physics Toolbox
+        return ColumnRole(f"a{name[-1]}", "g")
+    axis = int(index[1]) if index else None
+    return _time_or_temperature(words, unit, axis) or _channel(words, unit, axis)
+
+
+def quantity_of(words: set[str], unit: str) -> str:
+    """Return ``a`` or ``g`` for words that name an accelerometer or a gyro, or by the unit; else empty."""
+    angular = bool(words & {"angular", "rotation", "gyro", "gyr"})
+    if words & _NEITHER:
+        return ""
+    if angular or (words & _GYRO - {"g"}):
+        return "g"
+    if words & _ACCEL:
+        return "a"
+    if unit in ACCEL_UNITS and unit not in GYRO_UNITS:
+        return "a"
+    return "g" if unit in GYRO_UNITS and unit not in ACCEL_UNITS else ""
+
+
+def _own_unit(name: str) -> str:
+    return {TIME: "s", TEMPERATURE: "degC", "converter_temperature_degC": "degC"}.get(name, "")
+
+
+def _without_ending(words: list[str]) -> tuple[list[str], str]:
+    """Return the words without those at the end, or the first, that are a unit; the axis may come last."""
+    axis = words[-1:] if words[-1:] and words[-1] in "xyz" and len(words) > 2 else []
+    core = words[: len(words) - len(axis)]
+    for *ending, unit in sorted(_ENDINGS, key=len, reverse=True):
+        if len(core) > len(ending) and core[-len(ending) :] == ending:
+            return core[: -len(ending)] + axis, unit
+    if len(core) > 1 and (unit := unit_named(core[-1])) and core[-1] not in ("f", "h", "k"):
+        per_second = {"rad": "rad/s", "deg": "deg/s"} if set(core) & _GYRO else {}  # PX4 writes gyro_rad for rad/s
+        return core[:-1] + axis, per_second.get(unit, unit)
+    return words, ""
+
+
+def _time_or_temperature(words: list[str], unit: str, axis: int | None) -> ColumnRole | None:
+    known = set(words)
+    if axis is not None or known & _NEITHER:
+        return None
+    group = tuple(word for word in words if word not in _TIMES | _TEMPERATURES)
+    if known & _TEMPERATURES or (words in (["t"], ["tc"]) and unit in TEMPERATURE_UNITS):
+        return ColumnRole(TEMPERATURE, unit, group)
+    if unit in TIME_UNITS | {"": 1.0} and (known & _TIMES or (len(words) == 1 and _UNITS.get(words[0]) in TIME_UNITS)):
+        written = {"ustime": "us", "mstime": "ms"}.get(words[0]) or _UNITS.get(words[0], "") if words else ""
+        return ColumnRole(TIME, unit or (written if written in TIME_UNITS else ""), group)
+    if words and (known <= _COUNTERS | {"imu", "packet", "no"} or words == ["n"]):
+        return ColumnRole(COUNTER, "", group)
+    return None
+
+
+def _channel(words: list[str], unit: str, axis: int | None) -> ColumnRole | None:
+    joined = next((found for word in words if (found := _JOINED.fullmatch(word))), None)
+    if joined:
+        words = [part for word in words for part in (joined.groups() if word == joined[0] else (word,))]
+    known = set(words)
+    letters = [word for word in words if word in ("x", "y", "z")]
+    if known & _NEITHER or (axis is None and len(letters) != 1) or (axis is not None and axis > 2):
+        return None
+    letter = letters[0] if axis is None else "xyz"[axis]
+    quantity = quantity_of(known, unit)
+    if "g" in known and not quantity and unit not in ACCEL_UNITS:
+        quantity = "g"
+    if "linear" in known and "velocity" in known and quantity != "g":
+        return None
+    scatter = bool(known & _SCATTER)
+    dull = _ACCEL | _GYRO | _MEAN | _SCATTER | {letter, "axis", "angular", "velocity", "linear", "specific", "force"}
+    group = tuple(word for word in words if word not in dull)
+    if not quantity and group:
+        return None
+    return ColumnRole(f"{quantity or '?'}{letter}{'_sd' if scatter else ''}", unit, group)

@@ -1,0 +1,75 @@
+"""The formats of recordings, one module each; the content of a file decides, never its name."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from imubayes.campaign.convert.formats import arrays, dataflash, matlab_and_hdf5, novatel, parquet, ros_bag, tdms, ulog
+from imubayes.campaign.convert.formats.text import TextRecording
+from imubayes.campaign.convert.recording import Recording
+from imubayes.foundations.errors import closest_first, input_error
+
+_HEAD = 4096
+_BLACKBOX = b"H Product:Blackbox"
+
+_BY_CONTENT: tuple[tuple[str, Callable[[bytes], bool], Callable[[Path], Recording]], ...] = (
+    ("Parquet", lambda head: head.startswith(parquet.MAGIC), parquet.ParquetRecording),
+    ("NumPy .npy", lambda head: head.startswith(arrays.MAGIC), arrays.read_npy),
+    ("NumPy .npz", lambda head: head.startswith(b"PK\x03\x04") and b".npy" in head, arrays.read_npz),
+    ("HDF5", lambda head: matlab_and_hdf5.HDF_MAGIC in (head[:8], head[512:520]), matlab_and_hdf5.read_hdf5),
+    ("PX4 ULog", lambda head: head.startswith(ulog.MAGIC), ulog.ULogRecording),
+    ("ROS bag", lambda head: head.startswith(ros_bag.MAGICS), ros_bag.RosBag),
+    ("ArduPilot DataFlash", lambda head: head.startswith(dataflash.MAGICS), dataflash.DataFlashLog),
+    ("TDMS", lambda head: head.startswith(tdms.MAGIC), tdms.TdmsRecording),
+    ("NovAtel RAWIMU", novatel.is_rawimu, novatel.RawImuLog),
+    ("MATLAB", lambda head: head.startswith(matlab_and_hdf5.MATLAB_MAGIC), matlab_and_hdf5.read_matlab),
+)
+
+
+def open_recording(file: Path, delimiter: str | None = None) -> Recording:
+    """Return the recording that a file holds.
+
+    Parameters
+    ----------
+    delimiter : of a text table, where it is stated.
+
+    Raises
+    ------
+    InputError
+        if the file does not exist, or is of no known kind.
+    """
+    if not file.exists():
+        near = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
+        allowed = closest_first(file.name, near)
+        raise input_error(f"there is no file '{file}'", str(file), allowed, "give the path of the recording")
+    if file.is_dir():
+        return _of_folder(file, delimiter)
+    with file.open("rb") as stream:
+        head = stream.read(_HEAD)
+    for _, fits, reader in _BY_CONTENT:
+        if fits(head):
+            return reader(file)
+    if head.startswith(_BLACKBOX):
+        raise input_error(
+            "the file is a Betaflight blackbox log, which is not decoded here", str(file),
+            "its CSV, with columns time (us), gyroADC[0], accSmooth[0]",
+            "decode it: blackbox_decode --unit-rotation deg/s --unit-acceleration m/s2 LOG, and convert the CSV",
+        )  # fmt: skip
+    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff", b"\x1f\x8b", b"BZh", b"\xfd7zXZ")):
+        kinds = ", ".join(name for name, _, _ in _BY_CONTENT)
+        raise input_error(
+            "the file is of no known kind", str(file), f"text tables, {kinds}", "export the recording as one of these"
+        )
+    return TextRecording(file, delimiter)
+
+
+def _of_folder(folder: Path, delimiter: str | None) -> Recording:
+    """Return the recording of a folder: a ROS 2 bag, or the only file that an EuRoC folder has."""
+    if (folder / ros_bag.FOLDER_FILE).is_file():
+        return ros_bag.RosBag(folder)
+    for inside in ("data.csv", "imu0/data.csv", "mav0/imu0/data.csv"):
+        if (folder / inside).is_file():
+            return TextRecording(folder / inside, delimiter)
+    files = ", ".join(sorted(path.name for path in folder.iterdir())[:12])
+    raise input_error(
+        f"'{folder}' is a folder", str(folder), f"a ROS 2 bag, an EuRoC folder, or a file: {files}", "name the file"
+    )

@@ -1,0 +1,119 @@
+"""NumPy arrays, `.npy` and `.npz`; and how arrays of any container are taken as tables."""
+
+import re
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imubayes.campaign.convert.recording import BLOCK_ROWS, Recording, SourceColumn, Topic, damaged
+from imubayes.foundations.errors import input_error
+
+MAGIC = b"\x93NUMPY"
+_MOST_CHANNELS = 32  # a matrix of so many rows and more columns has one channel a row
+
+
+class _Part:
+    """One column of an array that supports slices: of a matrix along either axis, or a field of a structured one."""
+
+    def __init__(self, data: Any, place: int | str) -> None:
+        self.data, self.place = data, place
+        self.across = data.ndim == 2 and data.shape[0] <= _MOST_CHANNELS and data.shape[1] > data.shape[0]
+        self.rows = data.shape[1] if self.across else data.shape[0]
+
+    def read(self, block: slice) -> np.ndarray:
+        if isinstance(self.place, str):
+            return np.asarray(self.data[block][self.place], dtype=np.float64).ravel()
+        if self.data.ndim == 1:
+            return np.asarray(self.data[block], dtype=np.float64)
+        part = self.data[self.place, block] if self.across else self.data[block, self.place]
+        return np.asarray(part, dtype=np.float64)
+
+
+class ArrayRecording(Recording):
+    """The named arrays of a file, as topics.
+
+    Vectors of one group and length are the columns of one topic, and a matrix of that length beside them adds its own:
+    a time beside three channels.  Any other matrix is a topic of columns without names, and a structured array one with
+    names.  Groups are the parts of a name before its last point or slash.
+
+    Parameters
+    ----------
+    arrays : name → array, or what has its shape and slices, such as an HDF5 dataset.
+    units : name → unit that the file states.
+    """
+
+    def __init__(self, file: Path, arrays: Mapping[str, Any], units: Mapping[str, str] | None = None) -> None:
+        self.file, self._units = file, units or {}
+        self._tables: dict[str, list[tuple[SourceColumn, _Part]]] = {}
+        usable = {name: value for name, value in arrays.items() if _numeric(value)}
+        vectors: dict[tuple[str, int], list[str]] = {}
+        for name, value in usable.items():
+            if not value.dtype.names and 1 in (value.ndim, *value.shape[1:], *value.shape[:-1]):
+                vectors.setdefault((_group(name), int(np.prod(value.shape))), []).append(name)
+        alone = set(usable) - {name for names in vectors.values() for name in names}
+        for (group, rows), names in vectors.items():
+            beside = [name for name in alone if _group(name) == group and rows in usable[name].shape and names]
+            several = sum(own == group for own, _ in vectors) > 1
+            columns = [pair for name in (*names, *sorted(beside)) for pair in self._columns(name, usable[name])]
+            self._tables[f"{group} of {rows} rows".strip() if several else group] = columns
+            alone -= set(beside)
+        for name in sorted(alone):
+            named = bool(usable[name].dtype.names)
+            pairs = self._columns(name, usable[name])
+            self._tables[name] = pairs if named else [(SourceColumn(""), part) for _, part in pairs]
+        if not self._tables:
+            raise input_error("the file holds no array of numbers", str(file), "vectors or matrices", "export them")
+
+    def _columns(self, name: str, value: Any) -> list[tuple[SourceColumn, _Part]]:
+        unit, short = self._units.get(name, ""), re.split(r"[./]", name)[-1]
+        if value.dtype.names:
+            return [(SourceColumn(field), _Part(value, field)) for field in value.dtype.names]
+        width = 1 if value.ndim == 1 else min(value.shape)
+        label = (short,) if width == 1 else tuple(f"{short}[{place}]" for place in range(width))
+        return [(SourceColumn(label[place], unit), _Part(value, place)) for place in range(width)]
+
+    def topics(self) -> tuple[Topic, ...]:
+        """Return the topics."""
+        return tuple(
+            Topic(name, tuple(column for column, _ in pairs), f"{self.file}{f', {name}' if name else ''}")
+            for name, pairs in self._tables.items()
+        )
+
+    def blocks(self, topic: Topic, positions: Sequence[int]) -> Iterator[np.ndarray]:
+        """Yield rows of a topic."""
+        parts = [self._tables[topic.name][place][1] for place in positions]
+        for first in range(0, parts[0].rows, BLOCK_ROWS):
+            try:
+                yield np.stack([part.read(slice(first, first + BLOCK_ROWS)) for part in parts], axis=1)
+            except OSError as error:
+                raise damaged(self.file, "array", error) from None
+
+
+def _group(name: str) -> str:
+    return re.split(r"[./][^./]*$", name)[0] if re.search(r"[./]", name) else ""
+
+
+def _numeric(value: Any) -> bool:
+    if value.dtype.names:
+        return value.ndim == 1 and all(value.dtype[name].kind in "iufb" for name in value.dtype.names)
+    return value.dtype.kind in "iufb" and 1 <= value.ndim <= 2 and value.size > 1
+
+
+def read_npy(file: Path) -> ArrayRecording:
+    """Return the recording of a `.npy` file, mapped and not loaded."""
+    try:
+        return ArrayRecording(file, {"": np.load(file, mmap_mode="r", allow_pickle=False)})
+    except (OSError, ValueError) as error:
+        raise damaged(file, "NumPy", error) from None
+
+
+def read_npz(file: Path) -> ArrayRecording:
+    """Return the recording of a `.npz` file."""
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            return ArrayRecording(file, {name: archive[name] for name in archive.files})
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise damaged(file, "NumPy", error) from None

@@ -1,0 +1,103 @@
+"""What one cell of a text table holds: a number, nothing, a date, a time of day, or both."""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from datetime import UTC, date, datetime
+from enum import StrEnum
+
+_EMPTY = {"", "nan", "na", "n/a", "null", "none", "-"}
+_DATE = re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4})")
+_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)")
+_STAMP = re.compile(r"\d{4}-?\d{2}-?\d{2}[T_ ]\d{2}.*")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+
+
+class CellKind(StrEnum):
+    """What a column of a text table holds; times in words are read as seconds."""
+
+    NUMBER = "number"
+    DATE = "date"
+    CLOCK = "clock"
+    STAMP = "stamp"
+    TEXT = "text"
+
+
+def number(cell: str) -> float:
+    """Return a number, NaN for an empty cell.
+
+    Raises
+    ------
+    ValueError
+        for anything else.
+    """
+    try:
+        return float(cell)
+    except ValueError:
+        if cell.strip().lower() in _EMPTY:
+            return math.nan
+        raise
+
+
+def is_number(cell: str) -> bool:
+    """Tell whether a cell is a number; `nan` and `inf` are, an empty cell is not."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def has_decimal_comma(cell: str) -> bool:
+    """Tell whether a cell is a number with a decimal comma."""
+    return _DECIMAL_COMMA.fullmatch(cell.strip()) is not None
+
+
+def seconds_of_date(cell: str) -> float:
+    """Return the seconds from 1970 to midnight of a date: year first, or day and month before the year."""
+    found = _DATE.fullmatch(cell.strip())
+    if not found:
+        raise ValueError(f"'{cell}' is no date")
+    year, month, day, first, separator, second, last = found.groups()
+    if year is None:
+        month, day = (first, second) if separator == "/" and int(first) <= 12 else (second, first)
+        year = last
+    return datetime.combine(date(int(year), int(month), int(day)), datetime.min.time(), UTC).timestamp()
+
+
+def seconds_of_clock(cell: str) -> float:
+    """Return the seconds of a time of day, h:m:s or m:s."""
+    found = _CLOCK.fullmatch(cell.strip())
+    if not found:
+        raise ValueError(f"'{cell}' is no time of day")
+    return 3600.0 * int(found[1] or 0) + 60.0 * int(found[2]) + float(found[3].replace(",", "."))
+
+
+def seconds_of_stamp(cell: str) -> float:
+    """Return the seconds from 1970 of a date and time in ISO 8601; without a zone it is taken as UTC."""
+    stamp = datetime.fromisoformat(cell.strip().replace("_", "T").replace(",", "."))
+    return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
+
+
+VALUE: dict[CellKind, Callable[[str], float]] = {
+    CellKind.NUMBER: number,
+    CellKind.DATE: seconds_of_date,
+    CellKind.CLOCK: seconds_of_clock,
+    CellKind.STAMP: seconds_of_stamp,
+}
+"""Kind → its value; a text has none."""
+
+
+def kind_of(cells: Sequence[str]) -> CellKind:
+    """Return what a column holds, by its first cells."""
+    filled = [cell for cell in cells if cell.strip().lower() not in _EMPTY]
+    for kind, fits in (
+        (CellKind.NUMBER, is_number),
+        (CellKind.DATE, lambda cell: _DATE.fullmatch(cell.strip()) is not None),
+        (CellKind.CLOCK, lambda cell: _CLOCK.fullmatch(cell.strip()) is not None),
+        (CellKind.STAMP, lambda cell: _STAMP.fullmatch(cell.strip()) is not None),
+    ):
+        # Damaged lines among the first do not change what the column is.
+        if sum(map(fits, filled)) >= max(1, 0.5 * len(filled)):
+            return kind
+    return CellKind.TEXT if filled else CellKind.NUMBER

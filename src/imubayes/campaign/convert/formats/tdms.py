@@ -1,0 +1,66 @@
+"""LabVIEW TDMS files, by npTDMS."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import lazy_loader
+import numpy as np
+
+from imubayes.campaign.convert.recording import BLOCK_ROWS, Recording, SourceColumn, Topic, damaged, needs_package
+
+MAGIC = b"TDSm"
+
+nptdms: Any = lazy_loader.load("nptdms")
+
+
+class TdmsRecording(Recording):
+    """A file: one topic for each group and length of its channels."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        try:
+            self._content = nptdms.TdmsFile.open(str(file))
+        except ModuleNotFoundError:
+            raise needs_package(file, "TDMS", "npTDMS") from None
+        except Exception as error:  # npTDMS raises whatever a damaged byte leads to
+            raise damaged(file, "TDMS", error) from None
+        self._tables: dict[str, list[Any]] = {}
+        for group in self._content.groups():
+            own = [each for each in group.channels() if len(each) > 1 and np.dtype(each.dtype).kind in "iufM"]
+            lengths = sorted({len(channel) for channel in own})
+            for length in lengths:
+                name = group.name if len(lengths) == 1 else f"{group.name} of {length} rows"
+                self._tables[name] = [channel for channel in own if len(channel) == length]
+
+    def topics(self) -> tuple[Topic, ...]:
+        """Return the groups, with the sampling rate of their waveforms."""
+        return tuple(
+            Topic(name, tuple(SourceColumn(each.name, _unit(each)) for each in channels), f"{self.file}, {name}",
+                  rate_hz=_rate(channels))
+            for name, channels in self._tables.items()
+        )  # fmt: skip
+
+    def blocks(self, topic: Topic, positions: Sequence[int]) -> Iterator[np.ndarray]:
+        """Yield rows; times count in seconds from the epoch."""
+        channels = [self._tables[topic.name][place] for place in positions]
+        for first in range(0, len(channels[0]), BLOCK_ROWS):
+            yield np.stack([_numbers(channel[first : first + BLOCK_ROWS]) for channel in channels], axis=1)
+
+
+def _unit(channel: Any) -> str:
+    if np.dtype(channel.dtype).kind == "M":
+        return "s"
+    return str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "")
+
+
+def _rate(channels: Sequence[Any]) -> float | None:
+    """Return the sampling rate that all waveforms share; a TDMS waveform has its interval in seconds."""
+    steps = {float(channel.properties.get("wf_increment", 0.0)) for channel in channels}
+    return 1.0 / steps.pop() if len(steps) == 1 and min(steps) > 0 else None
+
+
+def _numbers(values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind == "M":
+        return values.astype("datetime64[ns]").astype(np.int64) * 1e-9
+    return values.astype(np.float64)

@@ -1,0 +1,231 @@
+"""From the chosen tables to the runs of a campaign: clocks merged, parts joined, pose means told from logs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from imubayes.campaign.convert.clock import Clock, read_clock
+from imubayes.campaign.convert.column_choice import ChosenTable, values_of
+from imubayes.campaign.convert.column_names import ACCELEROMETERS, CLOCK, COUNTER, DATE, GYROS, SAMPLES, SIX, TIME
+from imubayes.campaign.convert.options import ConvertOptions
+from imubayes.campaign.convert.recording import described
+from imubayes.foundations.errors import input_error
+
+Columns = dict[str, np.ndarray]
+_SHOWN = 3  # first values of each column
+_MOST_MEANS = 20_000  # rows of a table of pose means
+_TURN = np.deg2rad(4.0)  # between the directions of most rows and the next, in a table of pose means
+_STILL = 0.05  # scatter of a face relative to g
+_LEAST_FACES = 4
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """One run as recorded.
+
+    Attributes
+    ----------
+    columns : target → shape (N,), times in s from the start and everything else in recorded units.
+    units : channel → unit that name or recording state.
+    notes : how the recording was understood, and what was left out.
+    guesses : option → why its value was taken.
+    time_unit : in which times were recorded; empty where they were made from a rate or words.
+    means : whether each row is the mean of a pose.
+    """
+
+    columns: Columns
+    units: dict[str, str]
+    notes: tuple[str, ...]
+    guesses: dict[str, str]
+    time_unit: str = ""
+    means: bool = False
+
+
+def recorded_runs(tables: Sequence[ChosenTable], options: ConvertOptions) -> tuple[RecordedRun, ...]:
+    """Return the runs that the tables hold.
+
+    Raises
+    ------
+    InputError
+        where a raw log has no times, or two clocks do not overlap.
+    """
+    parts = [_part(table, options) for table in tables]
+    kinds = [table.kinds for table in tables]
+    if sorted(kinds) == ["a", "g"]:
+        parts = [_merged(parts[kinds.index("a")], parts[kinds.index("g")], tables)]
+    elif len(parts) > 1 and options.rows != "samples" and (faces := _faces(parts)) is not None:
+        return (faces,)
+    elif len(parts) > 1 and (joined := _joined(parts)) is not None:
+        parts = [joined]
+    return tuple(_from_zero(_told_rows(part, options, tables), options) for part in parts)
+
+
+def _part(table: ChosenTable, options: ConvertOptions) -> RecordedRun:
+    values = values_of(table)
+    clock = read_clock(table, values, options)
+    units = {name: column.unit for name, column in table.columns.items() if column.unit}
+    note = _understood(table, values)
+    others = {name: column for name, column in values.items() if name not in (TIME, DATE, CLOCK, COUNTER)}
+    guesses = {"columns": table.evidence} if table.evidence else {}
+    left = (*table.left, *table.recording.notes())
+    if clock is None:
+        filled = np.any([np.isfinite(values[name]) for name in SIX if name in values], axis=0)
+        kept = others if filled.all() else {name: column[filled] for name, column in others.items()}
+        return RecordedRun(kept, units, (note, *left), guesses)
+    kept = others if clock.keep.all() else {name: column[clock.keep] for name, column in others.items()}
+    return RecordedRun(
+        {TIME: clock.time, **kept}, units, (note, *left, *clock.notes), guesses | _time_guess(clock), clock.unit
+    )
+
+
+def _time_guess(clock: Clock) -> dict[str, str]:
+    return {"time_unit": clock.guess} if clock.guess else {}
+
+
+def _understood(table: ChosenTable, values: Columns) -> str:
+    """Return a note on what the columns were taken for: target ← column, with the first values."""
+    topic, sources = table.topic, []
+    for name, column in sorted(table.columns.items(), key=lambda item: item[0] not in (TIME, DATE, CLOCK)):
+        own = topic.columns[column.position]
+        first = ", ".join(f"{value:.6g}" for value in values[name][:_SHOWN])
+        label = f" '{own.name}'" if own.name else ""
+        unit = f" in {column.unit}" if column.unit and column.unit not in own.name else ""
+        sign = " turned round" if column.sign < 0 else ""
+        sources.append(f"{name} ← column {column.position + 1}{label}{unit}{sign} ({first} …)")
+    used = {column.position for column in table.columns.values()}
+    unread = [own.name or str(place + 1) for place, own in enumerate(topic.columns) if place not in used]
+    listed = ", ".join(unread[:20]) + (", …" if len(unread) > 20 else "")
+    left = f"; not read: {listed}" if unread else ""
+    within = f", topic '{topic.name}'" if topic.name else ""
+    how = f", {topic.note}" if topic.note else ""
+    return f"{table.recording.file.name}{within}{how}: {', '.join(sources)}{left}"
+
+
+def _merged(force: RecordedRun, rate: RecordedRun, tables: Sequence[ChosenTable]) -> RecordedRun:
+    """Return accelerometers and gyros in one table; with two clocks the rates are interpolated to the forces' times."""
+    where = " and ".join(table.topic.where for table in tables)
+    forces, rates, notes = dict(force.columns), dict(rate.columns), [*force.notes, *rate.notes]
+    rows, others = (len(next(iter(columns.values()))) for columns in (forces, rates))
+    times = (forces.pop(TIME, None), rates.pop(TIME, None))
+    time, clock = times
+    if time is None and clock is None and rows == others:
+        columns = forces | rates
+    elif time is None or clock is None:
+        what = f"accelerometers and gyros have {rows} and {others} rows, and not both have times"
+        raise input_error(what, where, "times in both, or none and --sample-rate-hz", "give the recordings with times")
+    else:
+        inside = (time >= clock[0]) & (time <= clock[-1])
+        if inside.sum() < 2:
+            what = (
+                f"the clocks do not overlap: {time[0]:.6g} to {time[-1]:.6g} s and {clock[0]:.6g} to {clock[-1]:.6g} s"
+            )
+            raise input_error(what, where, "two parts of one recording", "check the files, or --time-unit")
+        if len(clock) != len(time) or np.max(np.abs(clock - time)) > 0:
+            notes.append(
+                f"two clocks: the rates are interpolated to the {int(inside.sum())} times of the accelerometers"
+            )
+            rates = {name: np.interp(time[inside], clock, values) for name, values in rates.items()}
+            forces = {name: values[inside] for name, values in forces.items()}
+            time = time[inside]
+        columns = {TIME: time} | rates | forces
+    guesses = force.guesses | {key: why for key, why in rate.guesses.items() if key not in force.guesses}
+    return RecordedRun(columns, rate.units | force.units, tuple(notes), guesses, force.time_unit or rate.time_unit)
+
+
+def _faces(parts: Sequence[RecordedRun]) -> RecordedRun | None:
+    """Return the table of pose means of several recordings that each rest on one face; None where any moves."""
+    names = [name for name in SIX if all(name in part.columns for part in parts)]
+    if len(parts) < _LEAST_FACES or not set(ACCELEROMETERS) <= set(names):
+        return None
+    means = np.array([[np.nanmean(part.columns[name]) for name in names] for part in parts])
+    scatter = np.array([[np.nanstd(part.columns[name], ddof=1) for name in names] for part in parts])
+    size = float(np.median(np.linalg.norm(means[:, :3], axis=1)))
+    apart = np.ptp(means[:, :3], axis=0).max() > 0.5 * size
+    if not apart or np.linalg.norm(scatter[:, :3], axis=1).max() > _STILL * size:
+        return None
+    beside = [name for name in parts[0].columns if name not in (*names, TIME) and not name.endswith("_sd")]
+    columns: Columns = {SAMPLES: np.array([float(np.isfinite(part.columns[names[0]]).sum()) for part in parts])}
+    columns |= {
+        name: np.array([np.nanmean(part.columns[name]) for part in parts])
+        for name in beside
+        if name != SAMPLES and all(name in part.columns for part in parts)
+    }
+    for place, name in enumerate(names):
+        columns |= {name: means[:, place], f"{name}_sd": scatter[:, place]}
+    notes = [note for part in parts for note in part.notes]
+    notes.append(f"{len(parts)} files, each at rest on one face: one mean each")
+    return RecordedRun(columns, parts[0].units, tuple(notes), parts[0].guesses, parts[0].time_unit, True)
+
+
+def _joined(parts: Sequence[RecordedRun]) -> RecordedRun | None:
+    """Return parts that follow each other in time as one record; None where they do not."""
+    ordered = sorted(parts, key=lambda part: float(part.columns[TIME][0]) if TIME in part.columns else 0.0)
+    follow = all(
+        TIME in first.columns and TIME in second.columns and second.columns[TIME][0] > first.columns[TIME][-1]
+        for first, second in pairwise(ordered)
+    )
+    if not follow or any(set(part.columns) != set(ordered[0].columns) for part in ordered):
+        return None
+    columns = {name: np.concatenate([part.columns[name] for part in ordered]) for name in ordered[0].columns}
+    notes = [*(note for part in ordered for note in part.notes), f"{len(parts)} files, one after the other"]
+    return replace(ordered[0], columns=columns, notes=tuple(notes))
+
+
+def _told_rows(part: RecordedRun, options: ConvertOptions, tables: Sequence[ChosenTable]) -> RecordedRun:
+    """Return the run with what its rows are: as stated, by its columns, or by the numbers."""
+    if options.rows == "means" or (options.rows != "samples" and not options.procedure and _pose_means(part.columns)):
+        why = "as stated" if options.rows else "|f| stays the same while its direction changes from row to row"
+        return replace(part, means=True, notes=(*part.notes, f"each row is the mean of one pose: {why}"))
+    if TIME in part.columns:
+        return part
+    table = tables[0]
+    raise input_error(
+        f"{described(table.topic)} has no time, and no sampling rate was given",
+        table.topic.where,
+        "--sample-rate-hz 100, a column of times (--column time_s=NAME), or --rows means where each row is one pose",
+        "give the sampling rate",
+    )
+
+
+def _pose_means(columns: Columns) -> bool:
+    """Tell whether the rows are means of poses: the direction of f changes from row to row, and |f| does not."""
+    if not all(name in columns for name in ACCELEROMETERS):
+        return False
+    force = np.stack([columns[name] for name in ACCELEROMETERS], axis=1)
+    if not 4 <= len(force) <= _MOST_MEANS or not np.isfinite(force).all():
+        return False
+    norm = np.linalg.norm(force, axis=1)
+    if not norm.all() or np.quantile(np.abs(norm / np.median(norm) - 1), 0.95) > 0.15:
+        return False
+    cosine = np.sum(force[1:] * force[:-1], axis=1) / norm[1:] / norm[:-1]
+    return bool(np.median(np.arccos(np.clip(cosine, -1, 1))) > _TURN)
+
+
+def _from_zero(run: RecordedRun, options: ConvertOptions) -> RecordedRun:
+    columns = dict(run.columns)
+    if run.means and SAMPLES not in columns:
+        columns[SAMPLES] = np.full(len(next(iter(columns.values()))), options.samples or 1.0)
+        if options.samples is None and any(name.endswith("_sd") for name in columns):
+            note = "the number of samples in a mean is not recorded: 1 is assumed; --samples N states it"
+            run = replace(run, notes=(*run.notes, note))
+    if TIME in columns:
+        columns = {TIME: columns.pop(TIME) - run.columns[TIME][0], **columns}
+    return replace(run, columns=columns)
+
+
+def still_seconds(run: RecordedRun) -> float:
+    """Return how long a run lasts that rests in one attitude all the time; 0 where it moves, or is no log."""
+    names = [name for name in ACCELEROMETERS if name in run.columns] or [n for n in GYROS if n in run.columns]
+    if run.means or TIME not in run.columns or not names:
+        return 0.0
+    values = np.stack([run.columns[name] for name in names], axis=1)
+    count = min(200, len(values) // 50)
+    if count < 4:
+        return 0.0
+    means = np.array([part.mean(axis=0) for part in np.array_split(values, count)])
+    size = float(np.linalg.norm(np.median(means, axis=0)))
+    moved = float(np.abs(means - np.median(means, axis=0)).max())
+    still = moved < _STILL * size if names[0] in ACCELEROMETERS else moved < 20 * float(np.median(values.std(axis=0)))
+    return float(run.columns[TIME][-1] - run.columns[TIME][0]) if still else 0.0

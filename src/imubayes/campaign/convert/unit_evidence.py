@@ -1,0 +1,154 @@
+"""Units of the channels: as stated, or as the numbers say, with the evidence; asked for where two fit.
+
+Accelerometers at rest read g in some unit.  Gyros at rest say little; the turns between poses do: the angle between the
+directions of gravity before and after a turn is what the gyros integrate to, in rad, deg or counts.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.campaign.convert.column_names import ACCEL_UNITS, ACCELEROMETERS, GYRO_UNITS, GYROS
+from imubayes.campaign.convert.options import ConvertOptions
+from imubayes.campaign.convert.raw_counts import LEAST_TURNS, estimate_gyros, find_poses
+from imubayes.campaign.convert.unnamed_columns import gravity_unit, rest_means
+from imubayes.foundations.errors import InputError, input_error
+
+_PER_RADIAN = {"rad/s": 1.0, "deg/s": 57.29578, "mrad/s": 1000.0, "mdeg/s": 57295.78}
+_NEAR = 0.25  # of a unit; the next is a factor of 17 away
+_MOST_SAMPLES = 300_000
+_FEW_COUNTS = 20
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of a recording.
+
+    Attributes
+    ----------
+    accel, gyro : keys of `ACCEL_UNITS` and `GYRO_UNITS`; empty where there are no such channels.
+    guesses : option → why its value was taken, where numbers said it.
+    """
+
+    accel: str
+    gyro: str
+    guesses: dict[str, str]
+
+
+def find_units(
+    columns: Mapping[str, np.ndarray],
+    stated: Mapping[str, str],
+    options: ConvertOptions,
+    where: str,
+) -> Units:
+    """Return the units of the channels.
+
+    Parameters
+    ----------
+    columns : target → values, shape (N,), with `time_s` in s where the rows have times.
+    stated : channel → unit that its name or the recording states.
+    where : for errors.
+
+    Raises
+    ------
+    InputError
+        where the unit is not known and the numbers fit none or several.
+    """
+    guesses: dict[str, str] = {}
+    accel = _stated("accel_unit", options.accel_unit, ACCELEROMETERS, columns, stated, where)
+    force = [columns[name] for name in ACCELEROMETERS if name in columns]
+    if not accel and force:
+        accel, guesses["accel_unit"] = _of_accelerometers(np.stack(force, axis=1), where)
+    gyro = _stated("gyro_unit", options.gyro_unit, GYROS, columns, stated, where)
+    if not gyro and any(name in columns for name in GYROS):
+        gyro, guesses["gyro_unit"] = _of_gyros(columns, accel, where)
+    return Units(accel, gyro, guesses)
+
+
+def _stated(
+    option: str, given: str, names: tuple[str, ...], columns: Mapping[str, np.ndarray], stated: Mapping[str, str],
+    where: str,
+) -> str:  # fmt: skip
+    own = {stated[name] for name in names if name in columns and stated.get(name)}
+    allowed = ACCEL_UNITS if option == "accel_unit" else GYRO_UNITS
+    if given or not own:
+        return given
+    if len(own) > 1 or not own <= set(allowed):
+        what = f"the columns {' '.join(names)} are in {' and '.join(sorted(own))}"
+        remedy = f"state the unit with --{option.replace('_', '-')}"
+        raise input_error(what, where, "one unit for the three: " + ", ".join(allowed), remedy)
+    return own.pop()
+
+
+def _of_accelerometers(force: np.ndarray, where: str) -> tuple[str, str]:
+    rest = rest_means(force)
+    unit, size = gravity_unit(rest) if force.shape[1] == 3 else ("", float(np.median(np.abs(rest))))
+    if unit:
+        return unit, f"|f| = {size:.5g} at rest is g in {unit}"
+    if _whole(force):
+        return "count", f"whole numbers, and |f| = {size:.5g} at rest is g in no usual unit"
+    raise input_error(
+        f"the unit of the accelerometers is not known: |f| = {size:.5g} at rest",
+        where,
+        "g is 9.81 m/s^2, 1 g or 1000 mg; counts have any scale: " + ", ".join(ACCEL_UNITS),
+        "state it, such as --accel-unit g; or --accel-unit count with --accel-scale and --accel-offset",
+    )
+
+
+def _whole(values: np.ndarray) -> bool:
+    """Tell whether readings are whole numbers, and not few of them, as those of a converter."""
+    part = values[:1000][np.isfinite(values[:1000]).all(axis=1)]
+    return bool((part % 1 == 0).all()) and np.ptp(values, axis=0).max() > _FEW_COUNTS
+
+
+def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, where: str) -> tuple[str, str]:
+    """Return the unit of the gyros by the turns between poses; without turns, that of the other SI unit."""
+    names = [*ACCELEROMETERS, *GYROS]
+    turned = ""
+    if all(name in columns for name in names) and "time_s" in columns:
+        per_radian, turned = _per_radian({name: columns[name] for name in [*names, "time_s"]}, where)
+        near = [unit for unit, size in _PER_RADIAN.items() if per_radian and abs(per_radian / size - 1) < _NEAR]
+        if near:
+            return near[0], f"turns between poses integrate to {per_radian:.4g} {near[0].split('/')[0]} per radian"
+    rate = np.stack([columns[name] for name in GYROS if name in columns], axis=1)
+    if _whole(rate):
+        return "count", f"whole numbers{turned}"
+    if accel == "m/s^2" and not turned:
+        size = float(np.median(np.linalg.norm(rest_means(rate), axis=1)))
+        if size < 1.0:
+            return "rad/s", (
+                f"{size:.3g} at rest, and the accelerometers are in m/s^2: rad/s goes with it; no turns tell, if it is "
+                "deg/s state --gyro-unit deg/s"
+            )
+    raise input_error(
+        f"the unit of the gyros is not known{turned}: "
+        + ("the accelerometers do not tell" if accel else "there are no accelerometers and no turns to tell it by"),
+        where,
+        ", ".join(GYRO_UNITS),
+        "state it, such as --gyro-unit deg/s",
+    )
+
+
+def _per_radian(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:
+    """Return how much the gyros read for one radian, from the turns between poses; 0 where there are too few."""
+    part = {name: np.asarray(values[:_MOST_SAMPLES]) for name, values in columns.items()}
+    used = np.isfinite(np.stack(list(part.values()))).all(axis=0)
+    part = {name: values[used] for name, values in part.items()}
+    force, rate = (np.stack([part[name] for name in names], axis=1) for names in (ACCELEROMETERS, GYROS))
+    time = part["time_s"]
+    if len(time) < 200:
+        return 0.0, ""
+    rests, initial = find_poses(force, float(np.median(np.diff(time))), None)
+    if len(rests) <= LEAST_TURNS:
+        return 0.0, ""
+    down = np.array([force[rest.start : rest.stop].mean(0) for rest in rests])
+    down /= np.linalg.norm(down, axis=1, keepdims=True)
+    try:
+        found = estimate_gyros(rate, down, time, rests, initial, where)
+    except (InputError, np.linalg.LinAlgError):
+        return 0.0, ""
+    sizes = np.abs(found.scale)
+    if sizes.max() > 1.5 * sizes.min():
+        return 0.0, ""
+    return float(np.median(sizes)), f" (turns between poses integrate to {float(np.median(sizes)):.4g} per radian)"

@@ -1,0 +1,162 @@
+"""Columns without names: what their numbers say, and what they do not.
+
+A time increases.  Three accelerometers at rest read |f| = g in one of the usual units, three gyros little.  Only where
+one reading of the columns fits is it taken, and it is said with its evidence; anything else is refused with what each
+column looks like.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.campaign.convert.column_names import ACCELEROMETERS, GYROS, TIME
+from imubayes.foundations.errors import InputError, Issue
+
+GRAVITY = {"m/s^2": 9.81, "g": 1.0, "mg": 1000.0}
+"""|f| at rest in the usual units."""
+_NEAR_GRAVITY = 0.12  # largest bias and scale factor error together, relative to g
+_WINDOW = 50  # samples, of which the mean is at rest where their scatter is small
+_QUIET = 0.3  # share of the windows that rest, at least
+_STILL = 10.0  # deg/s is more than the bias of a gyro; in rad/s it is any rate by hand
+_READ = 400_000  # samples that are looked at
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Target → position of the column, from 0, and why they were taken so; increments are integrals over a sample."""
+
+    columns: dict[str, int]
+    evidence: str
+    increments: bool = False
+
+
+def rest_means(values: np.ndarray) -> np.ndarray:
+    """Return means of windows at rest, shape (windows, columns); the rows themselves where there are few.
+
+    Parameters
+    ----------
+    values : shape (N, columns), any units; NaN where empty.
+    """
+    values = values[:_READ]
+    values = values[np.isfinite(values).all(axis=1)]
+    count = len(values) // _WINDOW
+    if count < 4:
+        return values
+    parts = values[: count * _WINDOW].reshape(count, _WINDOW, -1)
+    size = np.std(values, axis=0) + 1e-300
+    scatter = np.sqrt(np.mean((parts.std(axis=1) / size) ** 2, axis=1))
+    return parts.mean(axis=1)[scatter <= np.quantile(scatter, _QUIET)]
+
+
+def gravity_unit(rest: np.ndarray) -> tuple[str, float]:
+    """Return the unit in which three columns read |f| = g at rest, or none, and the median |f|; rest is (n, 3)."""
+    norm = np.linalg.norm(rest, axis=1)
+    size = float(np.median(norm)) if len(norm) else 0.0
+    near = [unit for unit, gravity in GRAVITY.items() if abs(size / gravity - 1) < _NEAR_GRAVITY]
+    steady = len(norm) and float(np.quantile(np.abs(norm - size), 0.8)) < _NEAR_GRAVITY * size
+    return (near[0] if near and steady else ""), size
+
+
+def is_clock(values: np.ndarray) -> bool:
+    """Tell whether a column never goes back by more than a reset, and mostly forward."""
+    step = np.diff(values[np.isfinite(values)][:_READ])
+    return len(step) > 1 and float(np.mean(step > 0)) > 0.5 and float(np.mean(step < 0)) < 0.01
+
+
+def infer_layout(values: np.ndarray, kind: str, where: str, names: str) -> Layout:
+    """Return which columns of a table without names are which.
+
+    Parameters
+    ----------
+    values : all columns, shape (N, W).
+    kind : ``a`` or ``g`` where the name of the file or topic says that it holds accelerometers or gyros.
+    where : for the error.
+    names : how the columns are headed, for the error.
+
+    Raises
+    ------
+    InputError
+        where no reading of the columns fits, or more than one.
+    """
+    width = values.shape[1]
+    clock = next((place for place in (0, width - 1) if width > 3 and is_clock(np.asarray(values[:, place]))), None)
+    channels = [place for place in range(width) if place != clock]
+    time = {} if clock is None else {TIME: clock}
+    triples = [channels[k : k + 3] for k in range(0, len(channels) - 2, 3)]
+    rest = rest_means(np.asarray(values[:_READ]))
+    heavy = [(triple, *gravity_unit(rest[:, triple])) for triple in triples]
+    fits = [(triple, unit, size) for triple, unit, size in heavy if unit]
+    if len(channels) == 3:
+        triple, unit, size = heavy[0]
+        if unit and kind != "g":
+            return Layout(time | _three(ACCELEROMETERS, triple), _told(triple, unit, size))
+        if kind:
+            return Layout(time | _three(ACCELEROMETERS if kind == "a" else GYROS, triple), "by the name of the file")
+    elif len(fits) == 1 and len(triples) > 1:
+        forces, unit, size = fits[0]
+        first = triples.index(forces)
+        # The gyros stand behind the accelerometers, or before them.
+        rates = triples[1] if first == 0 else triples[0] if first == 1 else None
+        if rates is not None and _small(rest[:, rates], values[:, rates]):
+            columns = time | _three(ACCELEROMETERS, forces) | _three(GYROS, rates)
+            return Layout(columns, _told(forces, unit, size))
+    elif (
+        len(channels) == 6
+        and not fits
+        and _increments(values, rest, triples, clock) is None
+        and np.isfinite(values[0]).all()
+    ):
+        columns = time | _three(ACCELEROMETERS, channels[:3]) | _three(GYROS, channels[3:])
+        return Layout(columns, "in the usual order, forces before rates: nothing in the numbers speaks for it")
+    raise _refusal(values, clock, heavy, where, names)
+
+
+def _increments(values: np.ndarray, rest: np.ndarray, triples: list[list[int]], clock: int | None) -> Layout | None:
+    """Return the layout of PSINS: three angle increments, three velocity increments that are g times the step, time."""
+    if clock is None or len(triples) != 2:
+        return None
+    step = float(np.median(np.diff(values[:_READ, clock])))
+    unit, size = gravity_unit(rest[:, triples[1]] / step) if step > 0 else ("", 0.0)
+    if unit != "m/s^2":
+        return None
+    columns = {TIME: clock} | _three(GYROS, triples[0]) | _three(ACCELEROMETERS, triples[1])
+    first, last = triples[1][0] + 1, triples[1][2] + 1
+    return Layout(columns, f"columns {first} to {last} over the step of the time are {size:.4g} at rest: increments in "
+                  "m/s, and those before them in rad (PSINS)", True)  # fmt: skip
+
+
+def _three(names: tuple[str, ...], triple: list[int]) -> dict[str, int]:
+    return dict(zip(names, triple, strict=True))
+
+
+def _small(rest: np.ndarray, values: np.ndarray) -> bool:
+    """Tell whether three columns are near zero at rest, as those of a gyro: in size, or beside what they read else."""
+    size = float(np.median(np.linalg.norm(rest, axis=1)))
+    return size < _STILL and size < max(1.0, 0.5 * float(np.quantile(np.abs(values[:_READ]), 0.999)))
+
+
+def _told(triple: list[int], unit: str, size: float) -> str:
+    return f"columns {triple[0] + 1} to {triple[2] + 1} have |f| = {size:.4g} at rest: accelerometers in {unit}"
+
+
+def _refusal(
+    values: np.ndarray, clock: int | None, heavy: list[tuple[list[int], str, float]], where: str, names: str
+) -> InputError:
+    looks = [] if clock is None else [f"{clock + 1} increases like a time"]
+    for triple, unit, size in heavy:
+        means = f"like accelerometers in {unit}" if unit else "in no usual unit of g"
+        looks.append(f"{triple[0] + 1} to {triple[2] + 1} have a magnitude of {size:.4g} at rest, {means}")
+    left = sorted(set(range(values.shape[1])) - {clock} - {place for triple, _, _ in heavy for place in triple})
+    looks += [f"{place + 1} begins with {values[0, place]:.5g}" for place in left]
+    first = 0 if clock is None else (1 if clock == 0 else 0)
+    example = " ".join(
+        f"--column {name}={first + place}" for place, name in enumerate((*ACCELEROMETERS, *GYROS), 1) if place < 7
+    )
+    time = "" if clock is None else f" --column time_s={clock + 1}"
+    issue = Issue(
+        f"{names}, and the numbers do not say which are which",
+        where,
+        "by their numbers, columns " + "; ".join(looks),
+        f"state the column of each channel, such as{time} {example}",
+    )
+    return InputError(issue)

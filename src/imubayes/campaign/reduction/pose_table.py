@@ -1,0 +1,86 @@
+"""Reduction of a free tumble that is given as means: one row for each pose, of unknown attitude, with |f| = g.
+
+Without the motion between them the poses determine the accelerometers alone, and the biases of gyros that were read in
+them.  A row may be one face of six, or one of a thousand attitudes.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from imubayes.campaign.reduction.free_tumble import ReducedTumble, unturned
+from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, fit_magnitude
+from imubayes.campaign.reduction.static_poses import body_vectors
+from imubayes.campaign.stream_checks import Finding
+from imubayes.foundations.campaign_data import Channel
+from imubayes.foundations.errors import input_error
+
+LEAST_MEANS = 4
+
+
+def reduce_means(
+    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], gravity: float, file: Path
+) -> ReducedTumble:
+    """Return the poses of a table of means.
+
+    Parameters
+    ----------
+    numbers : column → shape (R,), in the units of the file, with `samples`, and `<channel>_sd` where recorded.
+    channels : all channels of the campaign, with at least three accelerometers.
+    gravity : local gravity, m/s².
+    file : named in errors.
+
+    Raises
+    ------
+    InputError
+        if channels are missing, or there are fewer than four poses.
+    """
+    rows = len(numbers["samples"])
+    unknown = np.full(rows, np.nan)
+    readings = np.stack([numbers.get(channel.name, unknown) for channel in channels], axis=1)
+    heavy = [index for index, channel in enumerate(channels) if channel.kind == "accelerometer"]
+    complete = np.isfinite(readings[:, heavy]).all(axis=1)
+    if complete.sum() < LEAST_MEANS:
+        raise input_error(
+            f"the table holds {int(complete.sum())} complete poses",
+            str(file),
+            f"{LEAST_MEANS} or more poses; 9 determine bias, scale factor and misalignment, 20 are recommended",
+            "record more poses",
+        )
+    force, _ = body_vectors(np.where(np.isfinite(readings), readings, 0.0), channels, file)
+    force, scatter = force[complete], _scatter(numbers, channels, heavy)[complete]
+    fit = fit_magnitude(force, gravity, scatter)
+    flagged = fit.outliers
+    kept = np.flatnonzero(complete)[~flagged]
+    tumble = unturned(np.flatnonzero(~flagged), fit.apply(force), flagged, len(channels))
+    notes = [f"{rows} static poses given as means, {len(kept)} of them used: each has |f| = g, its attitude is unknown"]
+    if fit.judges:
+        notes.append(f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²")
+    else:
+        notes.append(f"{rows} poses are too few to tell a disturbed one by |f| = g, {LEAST_TO_JUDGE} are needed")
+    notes += [
+        f"row {row + 1} excluded as disturbed: |f| − g is {residual:.2g} m/s²"
+        for row, residual in zip(np.flatnonzero(complete)[flagged], fit.residual[flagged], strict=True)
+    ]
+    slope = float(np.median(np.linalg.norm(force, axis=1))) / gravity
+    found = () if 0.6 < slope < 1.6 else (_wrong_unit(slope, file),)
+    return ReducedTumble({name: values[kept] for name, values in numbers.items()}, tumble, tuple(notes), found)
+
+
+def _scatter(numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], heavy: Sequence[int]) -> np.ndarray:
+    """Return the standard deviation of the mean |f| of each row as far as it was recorded, m/s², (R,)."""
+    each = [
+        np.nan_to_num(numbers.get(f"{channels[i].name}_sd", np.zeros(1))) / abs(channels[i].scale_si) for i in heavy
+    ]
+    return np.sqrt(np.mean([np.broadcast_to(sd, numbers["samples"].shape) ** 2 for sd in each], axis=0)) / np.sqrt(
+        np.maximum(numbers["samples"], 1.0)
+    )
+
+
+def _wrong_unit(slope: float, file: Path) -> Finding:
+    return Finding(
+        "acceleration_unit", "error", "",
+        f"in the static poses the accelerometers indicate {slope:.4g} g by their nominal scale",
+        f"{file}, accelerometer columns", "about 1 g", "correct scale, per or offset of the accelerometers",
+    )  # fmt: skip
