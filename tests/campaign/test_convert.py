@@ -48,8 +48,7 @@ def test_header_columns_and_units(tmp_path: Path) -> None:
     header = "stamp\timu.gx\timu.gy\timu.gz\timu.ax\timu.ay\timu.az"
     log = write_log(tmp_path / "unit.tsv", columns, ("t", *NAMES[3:], *NAMES[:3]), header, "\t")
     names = {name: f"imu.{name}" for name in NAMES} | {"time_s": "stamp"}
-    folder = convert([log], tmp_path / "out", columns=names, time_unit="ms", gyro_unit="deg/s", temperature_degC=21.0
-    )
+    folder = convert([log], tmp_path / "out", columns=names, time_unit="ms", gyro_unit="deg/s", temperature_degC=21.0)
     campaign = load_campaign(folder)
     assert campaign.runs[0].rows == 16
     assert campaign.channels[5].per == "deg/s"
@@ -72,8 +71,7 @@ def test_imu_tk_with_given_scale(tmp_path: Path) -> None:
 def test_scale_of_counts_is_estimated(tmp_path: Path) -> None:
     columns, scale, offset = in_counts(tumble_log(poses=24)[0])
     log = write_log(tmp_path / "unit.log", columns)
-    folder = convert([log], tmp_path / "c", sample_rate_hz=100, accel_unit="count", gyro_unit="count", gravity_m_s2=9.8
-    )
+    folder = convert([log], tmp_path / "c", sample_rate_hz=100, accel_unit="count", gyro_unit="count", gravity_m_s2=9.8)
     campaign = load_campaign(folder)
     np.testing.assert_allclose([channel.scale_si for channel in campaign.channels], scale, rtol=3e-3)
     biased = offset + np.r_[np.zeros(3), 0.01 * scale[3:]]
@@ -126,7 +124,7 @@ def test_static_log_for_a_thermal_ramp(tmp_path: Path) -> None:
 def test_refusals_leave_nothing_behind(tmp_path: Path, change: dict, text: str) -> None:
     columns, _ = tumble_log(poses=6)
     write_log(tmp_path / "unit.log", columns)
-    (tmp_path / "bad.log").write_text("1 2 3 4 5 6\n1 2 x 4 5 6\n")
+    (tmp_path / "bad.log").write_text("0 0 9.8 0 0 0\n0 0 x 0 0 0\n0 0 9.8 0 0 0\n")
     (tmp_path / "empty.log").write_text("")
     (tmp_path / "occupied").mkdir()
     (tmp_path / "occupied" / "precious").write_text("")

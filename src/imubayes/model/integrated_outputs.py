@@ -23,6 +23,7 @@ import numpy as np
 
 from imubayes.effects.base import RecordEffect, Stage
 from imubayes.foundations.arrays import Array, Float, compose, exponential, small_rotation, take
+from imubayes.foundations.campaign_data import Campaign, Tumble
 from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, Nodes, Records, SignalPath
 from imubayes.model.assembly import Assembly
 from imubayes.model.nodes_and_entries import NodeTable, servo_runs
@@ -74,11 +75,7 @@ def nominal_inverse(axes: Array) -> np.ndarray:
 def bind_transitions(assembly: Assembly) -> Transitions | None:
     """Return the transitions of all free tumbles, padded to the longest; None where there are none."""
     campaign, nodes = assembly.grouping.campaign, assembly.grouping.nodes
-    tumbles = [
-        (index, run.tumble)
-        for index, run in enumerate(campaign.runs)
-        if run.tumble is not None and len(run.tumble.start)
-    ]
+    tumbles = _with_turns(campaign)
     if not tumbles:
         return None
     steps = max(tumble.step.shape[1] for _, tumble in tumbles)
@@ -106,6 +103,12 @@ def bind_transitions(assembly: Assembly) -> Transitions | None:
             ),
         ),
     )
+
+
+def _with_turns(campaign: Campaign) -> list[tuple[int, Tumble]]:
+    """Return the tumbles that have turns between their poses, with the number of their run."""
+    tumbles = [(index, run.tumble) for index, run in enumerate(campaign.runs) if run.tumble is not None]
+    return [(index, tumble) for index, tumble in tumbles if len(tumble.start)]
 
 
 def _padded(arrays: list[np.ndarray], steps: int) -> np.ndarray:

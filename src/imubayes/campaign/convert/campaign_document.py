@@ -57,39 +57,60 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     site_notes: list[str] = []
     site = _site(options, site_notes)
     gravity = site.get("gravity_m_s2") or normal_gravity(math.radians(site["latitude_deg"]), options.height_m)
-    longest = max(runs, key=lambda run: len(next(iter(run.columns.values()))))
+    longest = max(runs, key=_rows)
     units = find_units(longest.columns, longest.units, options, source)
     runs = [_in_rates(_temperatures(run, source), units, source) for run in runs]
+    longest = max(runs, key=_rows)
     stated = replace(options, accel_unit=units.accel or "m/s^2", gyro_unit=units.gyro or "rad/s")
-    longest = max(runs, key=lambda run: len(next(iter(run.columns.values()))))
     notes = [f"converted from {source}", *(note for run in runs for note in run.notes)]
     channels = _channels(longest.columns, stated, gravity, notes, source)
     procedure, why = _procedure(longest, options)
-    guesses = longest.guesses | units.guesses | ({"procedure": why} if why else {})
+    guesses = {**longest.guesses, **units.guesses, "procedure": why}
+    guesses = {key: evidence for key, evidence in guesses.items() if evidence}
     stated = replace(stated, procedure=procedure, time_unit=longest.time_unit or options.time_unit)
-    for key, evidence in guesses.items():
-        value = f" = {getattr(stated, key)}" if key != "columns" else ""
-        notes.append(f"guessed, {key}{value}: {evidence}")
-    document: dict[str, Any] = {"format": 1, "name": options.name or name, "notes": [*notes, *site_notes], "site": site}
-    if options.serial:
-        document["unit"] = {"serial": options.serial}
-    document["channel"] = channels
-    if procedure_named(procedure).needs_table:
-        document["table"] = [{"name": "bench", "elevation_deg": 90.0}]
-        document["mounting"] = [{"name": "aligned", "preset": "aligned"}]
-    labels = ["recording"] if len(runs) == 1 else [f"recording-{place}" for place in range(1, len(runs) + 1)]
-    files = [f"runs/{label}.csv" for label in labels]
-    document["run"] = [_run(label, file, procedure, options) for label, file in zip(labels, files, strict=True)]
-    tables = {file: _table(run.columns) for file, run in zip(files, runs, strict=True)}
+    notes += [*(_guessed(key, evidence, stated) for key, evidence in guesses.items()), *site_notes]
+    document: dict[str, Any] = {"format": 1, "name": options.name or name, "notes": notes, "site": site}
+    document |= {"unit": {"serial": options.serial}, "channel": channels}
+    labels = _labels(len(runs))
+    document |= _equipment(procedure)
+    document["run"] = [_run(label, procedure, options) for label in labels]
+    tables = {_file(label): _table(run.columns) for label, run in zip(labels, runs, strict=True)}
     return ConvertedCampaign(document, tables, stated, guesses)
+
+
+def _equipment(procedure: str) -> dict[str, Any]:
+    """Return a table and a mounting where the procedure needs them."""
+    if not procedure_named(procedure).needs_table:
+        return {}
+    return {
+        "table": [{"name": "bench", "elevation_deg": 90.0}],
+        "mounting": [{"name": "aligned", "preset": "aligned"}],
+    }
+
+
+def _labels(count: int) -> list[str]:
+    return ["recording"] if count == 1 else [f"recording-{place}" for place in range(1, count + 1)]
+
+
+def _rows(run: RecordedRun) -> int:
+    return len(next(iter(run.columns.values())))
+
+
+def _guessed(key: str, evidence: str, stated: ConvertOptions) -> str:
+    value = "" if key == "columns" else f" = {getattr(stated, key)}"
+    return f"guessed, {key}{value}: {evidence}"
+
+
+def _file(label: str) -> str:
+    return f"runs/{label}.csv"
 
 
 def _table(columns: Columns) -> Columns:
     return {TIME: columns[TIME], **columns} if TIME in columns else columns
 
 
-def _run(label: str, file: str, procedure: str, options: ConvertOptions) -> dict[str, Any]:
-    run: dict[str, Any] = {"name": label, "procedure": procedure, "file": file}
+def _run(label: str, procedure: str, options: ConvertOptions) -> dict[str, Any]:
+    run: dict[str, Any] = {"name": label, "procedure": procedure, "file": _file(label)}
     for key in ("temperature_degC", "initial_rest_s"):
         if getattr(options, key) is not None:
             run[key] = float(getattr(options, key))

@@ -92,26 +92,29 @@ def _unit(table: ChosenTable, time: np.ndarray, options: ConvertOptions) -> tupl
     stated = options.time_unit or table.columns[TIME].unit
     if stated in TIME_UNITS:
         return stated, ""
-    steps = np.diff(time[np.isfinite(time)])
-    step = float(np.mean(np.abs(steps))) if len(steps) else 0.0
-    start = abs(float(time[np.isfinite(time)][:1].sum()))
+    filled = time[np.isfinite(time)]
+    start = abs(float(filled[:1].sum()))
     since = [unit for unit, factor in _RATES.items() if _EPOCH[0] < start * factor < _EPOCH[1]]
     if since:
         return since[0], f"{start:.10g} is a time since 1970 in {since[0]}"
-    usual = [unit for unit, f in _RATES.items() if step and _USUAL_HZ[0] <= 1 / (step * f) <= _USUAL_HZ[1]]
-    whole = bool(np.all(time[:1000][np.isfinite(time[:1000])] % 1 == 0))
+    step = float(np.mean(np.abs(np.diff(filled)))) if len(filled) > 1 else 0.0
+    return _unit_of_step(step, bool((filled[:1000] % 1 == 0).all()), f"{table.topic.where}, column of the time")
+
+
+def _unit_of_step(step: float, whole: bool, where: str) -> tuple[str, str]:
+    """Return the only unit in which a mean step gives a usual sampling rate, and that in words."""
+    rates = {unit: 1 / (step * factor) for unit, factor in _RATES.items()} if step else {}
+    usual = [unit for unit, rate in rates.items() if _USUAL_HZ[0] <= rate <= _USUAL_HZ[1]]
     if len(usual) > 1 and whole:  # seconds have a fraction at such rates
         usual = [unit for unit in usual if unit != "s"]
     if len(usual) == 1:
         unit = usual[0]
-        rates = f"mean step {step:.5g}: {1 / (step * _RATES[unit]):.5g} Hz in {unit}, no usual rate in another unit"
-        return unit, rates
-    rates = ", ".join(f"{unit} ({1 / (step * f):.4g} Hz)" for unit, f in _RATES.items()) if step else "s, ms, us, ns"
+        return unit, f"mean step {step:.5g}: {rates[unit]:.5g} Hz in {unit}, no usual rate in another unit"
     raise input_error(
         f"the unit of the time is not known: its mean step is {step:.5g}",
-        f"{table.topic.where}, column of the time",
-        rates,
-        f"state it, such as --time-unit {usual[0] if usual else 's'}",
+        where,
+        ", ".join(f"{unit} ({rate:.4g} Hz)" for unit, rate in rates.items()) or "s, ms, us, ns",
+        f"state it, such as --time-unit {(usual or ['s'])[0]}",
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NoReturn
 
 import numpy as np
 
@@ -13,17 +14,19 @@ from imubayes.campaign.convert.column_names import (
     SIX,
     TEMPERATURE,
     TIME,
+    UNKNOWN_AXES,
     ColumnRole,
     quantity_of,
     role_of,
     words_of,
 )
 from imubayes.campaign.convert.options import ConvertOptions
-from imubayes.campaign.convert.recording import Recording, Topic, described, read_columns
+from imubayes.campaign.convert.recording import SourceRecording, Topic, described, read_columns
 from imubayes.campaign.convert.unnamed_columns import infer_layout
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 
 TRIPLES = {"a": ACCELEROMETERS, "g": GYROS}
+_HOLDS = {"ag": "accelerometers and gyros", "a": "accelerometers", "g": "gyros"}
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class ChosenTable:
     faults : why the topic cannot serve.
     """
 
-    recording: Recording
+    recording: SourceRecording
     topic: Topic
     columns: dict[str, ChosenColumn]
     evidence: str = ""
@@ -55,12 +58,17 @@ class ChosenTable:
     faults: tuple[Issue, ...] = field(default=(), repr=False)
 
     @property
+    def usable(self) -> bool:
+        """Whether it has channels, and nothing speaks against it."""
+        return bool(self.kinds) and not self.faults
+
+    @property
     def kinds(self) -> str:
         """Which kinds of channels it has: `a`, `g` or `ag`."""
         return "".join(kind for kind, names in TRIPLES.items() if any(name in self.columns for name in names))
 
 
-def choose_tables(recordings: Sequence[Recording], options: ConvertOptions) -> tuple[ChosenTable, ...]:
+def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions) -> tuple[ChosenTable, ...]:
     """Return the tables that hold the channels: one with all, one for accelerometers and one for gyros, or one a file.
 
     Raises
@@ -69,51 +77,52 @@ def choose_tables(recordings: Sequence[Recording], options: ConvertOptions) -> t
         where no column is a channel, more than one choice is possible, or a stated column is missing; with what the
         recordings hold.
     """
-    found = [(recording, topic) for recording in recordings for topic in recording.topics()]
-    if options.topic:
-        found = [(recording, topic) for recording, topic in found if topic.name in options.topic]
-        lost = sorted(set(options.topic) - {topic.name for _, topic in found})
-        if lost:
-            names = [topic.name for recording in recordings for topic in recording.topics()]
-            what = f"there is no topic '{lost[0]}'"
-            raise input_error(what, "option topic", closest_first(lost[0], names), "name a topic that is there")
+    found = _topics(recordings, options)
     alone = len(found) == 1
     tables = [_table(recording, topic, options, alone) for recording, topic in found]
-    stated = [table for table in tables if _states(table, options)]
+    stated = [table for table in tables if set(options.columns) & set(table.columns)]
     if options.columns and not stated:
         raise InputError(tables[0].faults or _nothing(tables))
-    usable = [table for table in (stated or tables) if table.kinds and not table.faults]
-    if not usable:
-        faults = [fault for table in tables for fault in table.faults]
-        raise InputError(faults[:3] if faults and (alone or len(recordings) > 1) else _nothing(tables, faults))
-    return _one_way(usable)
+    chosen = _one_way([table for table in (stated or tables) if table.usable] or _refuse(tables, alone))
+    read = {id(table.recording) for table in chosen}
+    if idle := [table for table in tables if id(table.recording) not in read]:
+        _refuse(idle, alone=True)  # a file of which nothing is read was not given for nothing
+    return chosen
+
+
+def _topics(recordings: Sequence[SourceRecording], options: ConvertOptions) -> list[tuple[SourceRecording, Topic]]:
+    """Return the topics of all recordings, or those that are stated."""
+    found = [(recording, topic) for recording in recordings for topic in recording.topics()]
+    if not options.topic:
+        return found
+    names = [topic.name for _, topic in found]
+    if lost := sorted(set(options.topic) - set(names)):
+        what = f"there is no topic '{lost[0]}'"
+        raise input_error(what, "option topic", closest_first(lost[0], names), "name a topic that is there")
+    return [(recording, topic) for recording, topic in found if topic.name in options.topic]
+
+
+def _refuse(tables: Sequence[ChosenTable], alone: bool) -> NoReturn:
+    faults = [fault for table in tables for fault in table.faults]
+    raise InputError(faults[:3] if faults and alone else _nothing(tables, faults))
 
 
 def _one_way(usable: Sequence[ChosenTable]) -> tuple[ChosenTable, ...]:
     """Return the tables of the only choice among those that have channels."""
-    whole = [table for table in usable if table.kinds == "ag"]
-    forces, rates = ([table for table in usable if table.kinds == kind] for kind in TRIPLES)
-    if whole:
-        candidates, several = whole, len(whole) > len({id(table.recording) for table in whole})
-    else:
-        several = any(len(part) > len({id(table.recording) for table in part}) for part in (forces, rates))
-        several |= len(forces) > 1 and len(rates) > 1
-        candidates = [*forces, *rates]
-    if several:
-        names = list(dict.fromkeys(table.topic.name for table in candidates))
+    by_kind = {kinds: [table for table in usable if table.kinds == kinds] for kinds in _HOLDS}
+    whole, apart = by_kind["ag"], [by_kind["a"], by_kind["g"]]
+    candidates = whole or [*apart[0], *apart[1]]
+    several = any(len(part) > len({id(table.recording) for table in part}) for part in by_kind.values())
+    if several or (not whole and min(map(len, apart)) > 1):
+        listed = {table.topic.name or table.recording.file.name: _HOLDS[table.kinds] for table in candidates}
         issue = Issue(
             f"{len(candidates)} topics hold channels",
             ", ".join(dict.fromkeys(str(table.recording.file) for table in candidates)),
-            ", ".join(f"{name} ({'accelerometers' * ('a' in table.kinds)}{' and ' * (table.kinds == 'ag')}"
-                      f"{'gyros' * ('g' in table.kinds)})" for name, table in zip(names, candidates, strict=False)),
-            f"choose one, such as --topic {names[0]}",
-        )  # fmt: skip
+            ", ".join(f"{name} ({kinds})" for name, kinds in listed.items()),
+            f"choose one, such as --topic {next(iter(listed))}",
+        )
         raise InputError(issue)
     return tuple(candidates)
-
-
-def _states(table: ChosenTable, options: ConvertOptions) -> bool:
-    return any(target in table.columns for target in options.columns)
 
 
 def _nothing(tables: Sequence[ChosenTable], faults: Sequence[Issue] = ()) -> Issue:
@@ -131,7 +140,7 @@ def _nothing(tables: Sequence[ChosenTable], faults: Sequence[Issue] = ()) -> Iss
     )
 
 
-def _table(recording: Recording, topic: Topic, options: ConvertOptions, alone: bool) -> ChosenTable:
+def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, alone: bool) -> ChosenTable:
     """Return what a topic has, with what speaks against it."""
     table, faults = ChosenTable(recording, topic, {}), []
     stated: dict[str, ChosenColumn] = {}
@@ -165,7 +174,7 @@ def _stated(topic: Topic, target: str, source: str | int, roles: Sequence[Column
     return ChosenColumn(position, role.unit if role else "", sign)
 
 
-def _resolved(role: ColumnRole | None, topic: Topic, recording: Recording) -> ColumnRole | None:
+def _resolved(role: ColumnRole | None, topic: Topic, recording: SourceRecording) -> ColumnRole | None:
     """Return the role of an axis with the quantity that the names of topic and file say."""
     if role is None or not role.target.startswith("?"):
         return role
@@ -173,7 +182,7 @@ def _resolved(role: ColumnRole | None, topic: Topic, recording: Recording) -> Co
     return replace(role, target=kind + role.target[1:]) if kind else role
 
 
-def hinted_kind(topic: Topic, recording: Recording) -> str:
+def hinted_kind(topic: Topic, recording: SourceRecording) -> str:
     """Return ``a`` or ``g`` where the name of the topic, or of the file, says what it holds."""
     for name in (topic.name, recording.file.name.partition(".")[0]):
         if kind := quantity_of(set(words_of(name)) - {"a", "g", "f", "w"}, ""):
@@ -215,21 +224,30 @@ def _by_name(
     chosen: dict[str, ChosenColumn] = {}
     for names in TRIPLES.values():
         wanted = [name for name in names if name not in stated]
-        groups: dict[tuple[str, ...], dict[str, list[int]]] = {}
+        sensors: dict[tuple[str, ...], _Sensor] = {}
         for place, role in enumerate(roles):
             if role is not None and role.target in wanted:
-                groups.setdefault(role.group, {}).setdefault(role.target, []).append(place)
-        if not wanted or not groups:
-            continue
-        own = _one_group(topic, groups, wanted, names)
-        chosen |= {name: _column(own[name], roles) for name in wanted}
-    scatter = {role.target: place for place, role in enumerate(roles) if role is not None and "_sd" in role.target}
-    for target, place in scatter.items():
-        kinds = [kind for kind in TRIPLES if f"{kind}{target[1]}" in chosen]
-        name = f"{kinds[0]}{target[1:]}" if target.startswith("?") and len(kinds) == 1 else target
-        if name[:2] in chosen:
-            chosen[name] = _column(place, roles)
-    return chosen
+                sensors.setdefault(role.group, {}).setdefault(role.target, []).append(place)
+        if sensors:
+            own = _one_sensor(topic, list(sensors.values()), wanted)
+            chosen |= {name: _column(own[name], roles) for name in wanted}
+    return chosen | _scatter(roles, chosen)
+
+
+_Sensor = dict[str, list[int]]
+
+
+def _scatter(roles: Sequence[ColumnRole | None], chosen: Mapping[str, ChosenColumn]) -> dict[str, ChosenColumn]:
+    """Return the columns of standard deviations that belong to chosen channels."""
+    kinds = {name[0] for name in chosen}
+    found = {}
+    for place, role in enumerate(roles):
+        if role is not None and role.target.endswith("_sd"):
+            unknown = role.target.startswith("?") and len(kinds) == 1
+            target = f"{next(iter(kinds))}{role.target[1:]}" if unknown else role.target
+            if target[:2] in chosen:
+                found[target] = _column(place, roles)
+    return found
 
 
 def _column(place: int, roles: Sequence[ColumnRole | None]) -> ChosenColumn:
@@ -237,42 +255,44 @@ def _column(place: int, roles: Sequence[ColumnRole | None]) -> ChosenColumn:
     return ChosenColumn(place, role.unit if role else "")
 
 
-def _one_group(
-    topic: Topic,
-    groups: Mapping[tuple[str, ...], Mapping[str, Sequence[int]]],
-    wanted: Sequence[str],
-    names: Sequence[str],
-) -> dict[str, int]:
+def _one_sensor(topic: Topic, sensors: Sequence[_Sensor], wanted: Sequence[str]) -> dict[str, int]:
     """Return the columns of the only sensor that has all axes."""
-    whole = [own for own in groups.values() if len(own) == len(wanted)]
-    exact = [own for own in whole if any(topic.columns[places[0]].name in names for places in own.values())]
-    candidates = exact or whole
-    if len(candidates) == 1:
-        twice = [places for places in candidates[0].values() if len(places) > 1]
-        if not twice:
-            return {name: places[0] for name, places in candidates[0].items()}
-        name = topic.columns[twice[0][0]].name
-        what = (
-            f"{len(twice[0])} columns are named '{name}'"
-            if all(topic.columns[place].name == name for place in twice[0])
-            else f"{len(twice[0])} columns may be {next(n for n, p in candidates[0].items() if p is twice[0])}"
-        )
-        allowed = ", ".join(f"{place + 1} '{topic.columns[place].name}'" for place in twice[0])
-        remedy = f"state which: --column {wanted[0]}=NUMBER"
-        raise input_error(what, topic.where, allowed, remedy)
-    if candidates:
-        sensors = [", ".join(topic.columns[p[0]].name for p in own.values()) for own in candidates]
-        options = " ".join(f"--column {n}={topic.columns[candidates[0][n][0]].name!r}" for n in wanted)
-        what = f"{len(candidates)} sets of columns may be {' '.join(wanted)}"
-        raise input_error(what, topic.where, "; ".join(sensors), f"state which, such as {options}")
-    found = max(groups.values(), key=len)
+    names = topic.names
+    whole = [own for own in sensors if len(own) == len(wanted)]
+    candidates = [own for own in whole if any(names[places[0]] in SIX for places in own.values())] or whole
+    if not candidates:
+        raise _incomplete(topic, max(sensors, key=len), wanted)
+    if len(candidates) > 1:
+        raise _rivals(topic, candidates, wanted)
+    for target, places in candidates[0].items():
+        if len(places) > 1:
+            raise _twice(topic, target, places)
+    return {name: places[0] for name, places in candidates[0].items()}
+
+
+def _incomplete(topic: Topic, found: _Sensor, wanted: Sequence[str]) -> InputError:
+    named = closest_first("", [name for name in topic.names if name], most=12)
     missing = ", ".join(name for name in wanted if name not in found)
-    raise input_error(
-        f"the columns are named {closest_first('', [n for n in topic.names if n], most=12)}: there is no {missing}",
+    return input_error(
+        f"the columns are named {named}: there is no {missing}",
         topic.where,
         f"columns named {' '.join(SIX)} or alike, as many names as data fields",
         "state the column of each channel, such as --column ax=NAME or --column ax=NUMBER",
     )
+
+
+def _rivals(topic: Topic, candidates: Sequence[_Sensor], wanted: Sequence[str]) -> InputError:
+    listed = [", ".join(topic.names[places[0]] for places in own.values()) for own in candidates]
+    options = " ".join(f"--column {name}={topic.names[candidates[0][name][0]]!r}" for name in wanted)
+    what = f"{len(candidates)} sets of columns may be {' '.join(wanted)}"
+    return input_error(what, topic.where, "; ".join(listed), f"state which, such as {options}")
+
+
+def _twice(topic: Topic, target: str, places: Sequence[int]) -> InputError:
+    alike = {topic.names[place] for place in places}
+    what = f"are named '{alike.pop()}'" if len(alike) == 1 else f"may be {target}"
+    allowed = ", ".join(f"{place + 1} '{topic.names[place]}'" for place in places)
+    return input_error(f"{len(places)} columns {what}", topic.where, allowed, f"state which: --column {target}=NUMBER")
 
 
 def _beside(
@@ -280,25 +300,34 @@ def _beside(
 ) -> tuple[dict[str, ChosenColumn], tuple[str, ...]]:
     """Return the columns with time, temperature and what else a campaign knows, and notes on rivals of these."""
     left: list[str] = []
-    by_target: dict[str, list[int]] = {}
-    for place, role in enumerate(roles):
-        if role is not None and role.target not in columns and role.target[:2] not in SIX and role.target[0] != "?":
-            by_target.setdefault(role.target, []).append(place)
-    if TIME in columns or TIME in by_target:
-        by_target.pop(DATE, None)
-        by_target.pop(CLOCK, None)
-    for target, places in by_target.items():
-        exact = [place for place in places if topic.columns[place].name == target]
-        plain = [place for place in places if (role := roles[place]) is not None and not role.group]
-        best = exact or plain or places
-        others = [f"'{topic.columns[place].name}'" for place in places if place != best[0]]
+    for target, places in _others(roles, columns).items():
+        best = _best(topic, roles, target, places)
+        others = ", ".join(f"'{topic.names[place]}'" for place in places if place != best[0])
         if target == TEMPERATURE and len(best) > 1:
             left.append(f"{len(best)} columns may be {target}, none is read: state one with --column {target}=NAME")
             continue
         if others and target in (TIME, TEMPERATURE):
-            left.append(f"{', '.join(others)} may be {target} as well: '{topic.columns[best[0]].name}' is taken")
+            left.append(f"{others} may be {target} as well: '{topic.names[best[0]]}' is taken")
         columns = columns | {target: _column(best[0], roles)}
     return columns, tuple(left)
+
+
+def _others(roles: Sequence[ColumnRole | None], columns: Mapping[str, ChosenColumn]) -> dict[str, list[int]]:
+    """Return target → columns of what is no channel; a date and a time of day only where there is no other time."""
+    found: dict[str, list[int]] = {}
+    for place, role in enumerate(roles):
+        if role is not None and role.target not in columns and role.target[:2] not in (*SIX, *UNKNOWN_AXES):
+            found.setdefault(role.target, []).append(place)
+    if TIME in columns or TIME in found:
+        return {target: places for target, places in found.items() if target not in (DATE, CLOCK)}
+    return found
+
+
+def _best(topic: Topic, roles: Sequence[ColumnRole | None], target: str, places: Sequence[int]) -> Sequence[int]:
+    """Return the columns of the very name; else those whose name says nothing more; else all."""
+    exact = [place for place in places if topic.names[place] == target]
+    plain = [place for place in places if (role := roles[place]) is not None and not role.group]
+    return exact or plain or places
 
 
 def values_of(table: ChosenTable) -> dict[str, np.ndarray]:

@@ -101,8 +101,11 @@ _MEAN, _SCATTER = _words("mean avg average median means"), _words("std sd stdev 
 _TIMES = _words("t time times timestamp timestamps ts stamp elapsed ustime mstime utc unixtime epoch loggingtime")
 _TEMPERATURES = {"temp", "temperature", "tmp", "temps", "temperatures"}
 _COUNTERS = _words("counter count cnt seq sequence packet packetcounter sample index idx frame")
+_AXES = ("x", "y", "z")
+_DULL = _ACCEL | _GYRO | _MEAN | _SCATTER | {*_AXES, "axis", "angular", "velocity", "linear", "specific", "force"}
+_TARGETS = {*SIX, *(f"{name}_sd" for name in SIX), *recorded_columns(), SAMPLES}
 _JOINED = re.compile(r"(a|f|acc|accel|g|gyr|gyro|w|omega|rate)([xyz])")
-_INDEX, _BRACKETED = re.compile(r"\[(\d)\]$"), re.compile(r"[\[({]([^\])}]*)[\])}]")
+_INDEX, _BRACKETED = re.compile(r"\[(\d)\]"), re.compile(r"[\[({]([^\])}]*)[\])}]")
 _PARTS = re.compile(r"[A-Z]+(?![a-zµ])|[A-Z]?[a-zµ°ωº]+|\d+|[A-Zω]")
 
 
@@ -154,21 +157,22 @@ def role_of(name: str, stated_unit: str = "") -> ColumnRole | None:
     """
     if stated_unit in _WORDS_OF_TIME:
         return ColumnRole(TIME if stated_unit == "stamp" else stated_unit, "s")
-    if name in SIX or name in recorded_columns() or name == SAMPLES:
+    if name in _TARGETS:
         return ColumnRole(name, unit_named(stated_unit) or _own_unit(name), (), True)
-    if name.endswith("_sd") and name[:-3] in SIX:
-        return ColumnRole(name, unit_named(stated_unit), (), True)
-    bare, index = name, _INDEX.search(name)
-    bare = bare[: index.start()] if index else bare
-    bracketed = [unit for found in _BRACKETED.findall(bare) if (unit := unit_named(found))]
-    words = words_of(_BRACKETED.sub(" ", bare))
-    unit = unit_named(stated_unit) or (bracketed[0] if bracketed else "")
-    if not unit:
-        words, unit = _without_ending(words)
     if re.fullmatch("gF[xyz]", name):  # Physics Toolbox
         return ColumnRole(f"a{name[-1]}", "g")
-    axis = int(index[1]) if index else None
-    return _time_or_temperature(words, unit, axis) or _channel(words, unit, axis)
+    index = _INDEX.search(name)
+    bare = name[: index.start()] + name[index.end() :] if index else name
+    bracketed = [unit for found in _BRACKETED.findall(bare) if (unit := unit_named(found))]
+    words = words_of(_BRACKETED.sub(" ", bare))
+    unit = unit_named(stated_unit) or "".join(bracketed[:1])
+    if not unit:
+        words, unit = _without_ending(words)
+    if not words or set(words) & _NEITHER:
+        return None
+    if index is not None:
+        return _channel(words, "xyz"[int(index[1]) : int(index[1]) + 1], unit)
+    return _beside(words, unit) or _channel(*_apart(words), unit)
 
 
 def quantity_of(words: set[str], unit: str) -> str:
@@ -202,38 +206,33 @@ def _without_ending(words: list[str]) -> tuple[list[str], str]:
     return words, ""
 
 
-def _time_or_temperature(words: list[str], unit: str, axis: int | None) -> ColumnRole | None:
+def _beside(words: list[str], unit: str) -> ColumnRole | None:
+    """Return the role of a time, a temperature or a counter."""
     known = set(words)
-    if axis is not None or known & _NEITHER:
-        return None
     group = tuple(word for word in words if word not in _TIMES | _TEMPERATURES)
     if known & _TEMPERATURES or (words in (["t"], ["tc"]) and unit in TEMPERATURE_UNITS):
         return ColumnRole(TEMPERATURE, unit, group)
-    if unit in TIME_UNITS | {"": 1.0} and (known & _TIMES or (len(words) == 1 and _UNITS.get(words[0]) in TIME_UNITS)):
-        written = {"ustime": "us", "mstime": "ms"}.get(words[0]) or _UNITS.get(words[0], "") if words else ""
+    written = {"ustime": "us", "mstime": "ms"}.get(words[0]) or _UNITS.get(words[0], "")
+    if unit in (*TIME_UNITS, "") and (known & _TIMES or (len(words) == 1 and written in TIME_UNITS)):
         return ColumnRole(TIME, unit or (written if written in TIME_UNITS else ""), group)
-    if words and (known <= _COUNTERS | {"imu", "packet", "no"} or words == ["n"]):
+    if known <= _COUNTERS | {"imu", "no"} or words == ["n"]:
         return ColumnRole(COUNTER, "", group)
     return None
 
 
-def _channel(words: list[str], unit: str, axis: int | None) -> ColumnRole | None:
+def _apart(words: list[str]) -> tuple[list[str], str]:
+    """Return the words with a joined quantity and axis taken apart, and the letters of axes among them."""
     joined = next((found for word in words if (found := _JOINED.fullmatch(word))), None)
     if joined:
         words = [part for word in words for part in (joined.groups() if word == joined[0] else (word,))]
+    return words, "".join(word for word in words if word in _AXES)
+
+
+def _channel(words: list[str], letters: str, unit: str) -> ColumnRole | None:
+    """Return the role of one axis, by the only letter."""
     known = set(words)
-    letters = [word for word in words if word in ("x", "y", "z")]
-    if known & _NEITHER or (axis is None and len(letters) != 1) or (axis is not None and axis > 2):
+    quantity = quantity_of(known, unit) or ("g" if "g" in known and unit not in ACCEL_UNITS else "")
+    group = tuple(word for word in words if word not in _DULL)
+    if len(letters) != 1 or (group and not quantity) or (known >= {"linear", "velocity"} and quantity != "g"):
         return None
-    letter = letters[0] if axis is None else "xyz"[axis]
-    quantity = quantity_of(known, unit)
-    if "g" in known and not quantity and unit not in ACCEL_UNITS:
-        quantity = "g"
-    if "linear" in known and "velocity" in known and quantity != "g":
-        return None
-    scatter = bool(known & _SCATTER)
-    dull = _ACCEL | _GYRO | _MEAN | _SCATTER | {letter, "axis", "angular", "velocity", "linear", "specific", "force"}
-    group = tuple(word for word in words if word not in dull)
-    if not quantity and group:
-        return None
-    return ColumnRole(f"{quantity or '?'}{letter}{'_sd' if scatter else ''}", unit, group)
+    return ColumnRole(f"{quantity or '?'}{letters}{'_sd' if known & _SCATTER else ''}", unit, group)

@@ -19,6 +19,7 @@ _MOST_MEANS = 20_000  # rows of a table of pose means
 _TURN = np.deg2rad(4.0)  # between the directions of most rows and the next, in a table of pose means
 _STILL = 0.05  # scatter of a face relative to g
 _LEAST_FACES = 4
+_MEAN_AND_SCATTER = (np.nanmean, np.nanstd)
 
 
 @dataclass(frozen=True)
@@ -107,31 +108,33 @@ def _merged(force: RecordedRun, rate: RecordedRun, tables: Sequence[ChosenTable]
     """Return accelerometers and gyros in one table; with two clocks the rates are interpolated to the forces' times."""
     where = " and ".join(table.topic.where for table in tables)
     forces, rates, notes = dict(force.columns), dict(rate.columns), [*force.notes, *rate.notes]
-    rows, others = (len(next(iter(columns.values()))) for columns in (forces, rates))
-    times = (forces.pop(TIME, None), rates.pop(TIME, None))
-    time, clock = times
-    if time is None and clock is None and rows == others:
+    time, clock = forces.pop(TIME, None), rates.pop(TIME, None)
+    if time is None or clock is None:
+        rows, others = (len(next(iter(columns.values()))) for columns in (forces, rates))
+        if rows != others or time is not clock:
+            what = f"accelerometers and gyros have {rows} and {others} rows, and not both have times"
+            raise input_error(what, where, "times in both, or none and --sample-rate-hz", "give both with their times")
         columns = forces | rates
-    elif time is None or clock is None:
-        what = f"accelerometers and gyros have {rows} and {others} rows, and not both have times"
-        raise input_error(what, where, "times in both, or none and --sample-rate-hz", "give the recordings with times")
     else:
-        inside = (time >= clock[0]) & (time <= clock[-1])
-        if inside.sum() < 2:
-            what = (
-                f"the clocks do not overlap: {time[0]:.6g} to {time[-1]:.6g} s and {clock[0]:.6g} to {clock[-1]:.6g} s"
-            )
-            raise input_error(what, where, "two parts of one recording", "check the files, or --time-unit")
         if len(clock) != len(time) or np.max(np.abs(clock - time)) > 0:
-            notes.append(
-                f"two clocks: the rates are interpolated to the {int(inside.sum())} times of the accelerometers"
-            )
+            inside = _overlap(time, clock, where)
+            notes.append(f"two clocks: rates are interpolated to the {int(inside.sum())} times of the accelerometers")
             rates = {name: np.interp(time[inside], clock, values) for name, values in rates.items()}
             forces = {name: values[inside] for name, values in forces.items()}
             time = time[inside]
         columns = {TIME: time} | rates | forces
-    guesses = force.guesses | {key: why for key, why in rate.guesses.items() if key not in force.guesses}
+    guesses = rate.guesses | force.guesses
     return RecordedRun(columns, rate.units | force.units, tuple(notes), guesses, force.time_unit or rate.time_unit)
+
+
+def _overlap(time: np.ndarray, clock: np.ndarray, where: str) -> np.ndarray:
+    """Return which times of the one clock lie within the other."""
+    inside = (time >= clock[0]) & (time <= clock[-1])
+    if inside.sum() < 2:
+        spans = " and ".join(f"{each[0]:.6g} to {each[-1]:.6g} s" for each in (time, clock))
+        what = f"the clocks do not overlap: {spans}"
+        raise input_error(what, where, "two parts of one recording", "check the files, or --time-unit")
+    return inside
 
 
 def _faces(parts: Sequence[RecordedRun]) -> RecordedRun | None:
@@ -139,24 +142,27 @@ def _faces(parts: Sequence[RecordedRun]) -> RecordedRun | None:
     names = [name for name in SIX if all(name in part.columns for part in parts)]
     if len(parts) < _LEAST_FACES or not set(ACCELEROMETERS) <= set(names):
         return None
-    means = np.array([[np.nanmean(part.columns[name]) for name in names] for part in parts])
-    scatter = np.array([[np.nanstd(part.columns[name], ddof=1) for name in names] for part in parts])
+    means, scatter = (
+        np.array([[reduced(part.columns[name]) for name in names] for part in parts]) for reduced in _MEAN_AND_SCATTER
+    )
     size = float(np.median(np.linalg.norm(means[:, :3], axis=1)))
     apart = np.ptp(means[:, :3], axis=0).max() > 0.5 * size
     if not apart or np.linalg.norm(scatter[:, :3], axis=1).max() > _STILL * size:
         return None
-    beside = [name for name in parts[0].columns if name not in (*names, TIME) and not name.endswith("_sd")]
-    columns: Columns = {SAMPLES: np.array([float(np.isfinite(part.columns[names[0]]).sum()) for part in parts])}
-    columns |= {
-        name: np.array([np.nanmean(part.columns[name]) for part in parts])
-        for name in beside
-        if name != SAMPLES and all(name in part.columns for part in parts)
-    }
+    columns = _means_beside(parts, names)
     for place, name in enumerate(names):
         columns |= {name: means[:, place], f"{name}_sd": scatter[:, place]}
     notes = [note for part in parts for note in part.notes]
     notes.append(f"{len(parts)} files, each at rest on one face: one mean each")
     return RecordedRun(columns, parts[0].units, tuple(notes), parts[0].guesses, parts[0].time_unit, True)
+
+
+def _means_beside(parts: Sequence[RecordedRun], names: Sequence[str]) -> Columns:
+    """Return the number of samples of each part, and the means of what is recorded beside the channels."""
+    left_out = {*names, TIME, SAMPLES, *(f"{name}_sd" for name in names)}
+    shared = set.intersection(*(set(part.columns) for part in parts)) - left_out
+    columns: Columns = {SAMPLES: np.array([float(np.isfinite(part.columns[names[0]]).sum()) for part in parts])}
+    return columns | {name: np.array([np.nanmean(part.columns[name]) for part in parts]) for name in sorted(shared)}
 
 
 def _joined(parts: Sequence[RecordedRun]) -> RecordedRun | None:

@@ -83,7 +83,7 @@ class Topic:
         raise input_error(f"{what} '{word}' for '{target}'", f"{self.where} (option columns)", allowed, remedy)
 
 
-class Recording(ABC):
+class SourceRecording(ABC):
     """A file of any format that holds topics.
 
     Attributes
@@ -118,7 +118,7 @@ class Recording(ABC):
         return ()
 
 
-def read_columns(recording: Recording, topic: Topic, positions: Sequence[int]) -> np.ndarray:
+def read_columns(recording: SourceRecording, topic: Topic, positions: Sequence[int]) -> np.ndarray:
     """Return columns of a topic, shape (N, columns), kept on the disk and not in memory."""
     with tempfile.TemporaryFile() as spool:
         rows = 0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign.convert.column_names import ACCEL_UNITS, ACCELEROMETERS, GYRO_UNITS, GYROS
+from imubayes.campaign.convert.column_names import ACCEL_UNITS, ACCELEROMETERS, GYRO_UNITS, GYROS, TIME
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.convert.raw_counts import LEAST_TURNS, estimate_gyros, find_poses
 from imubayes.campaign.convert.unnamed_columns import gravity_unit, rest_means
@@ -19,6 +19,7 @@ _PER_RADIAN = {"rad/s": 1.0, "deg/s": 57.29578, "mrad/s": 1000.0, "mdeg/s": 5729
 _NEAR = 0.25  # of a unit; the next is a factor of 17 away
 _MOST_SAMPLES = 300_000
 _FEW_COUNTS = 20
+_LARGEST_BIAS = 1.0  # rad/s
 
 
 @dataclass(frozen=True)
@@ -99,35 +100,31 @@ def _of_accelerometers(force: np.ndarray, where: str) -> tuple[str, str]:
 def _whole(values: np.ndarray) -> bool:
     """Tell whether readings are whole numbers, and not few of them, as those of a converter."""
     part = values[:1000][np.isfinite(values[:1000]).all(axis=1)]
-    return bool((part % 1 == 0).all()) and np.ptp(values, axis=0).max() > _FEW_COUNTS
+    return bool((part % 1 == 0).all() and np.ptp(values, axis=0).max() > _FEW_COUNTS)
 
 
 def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, where: str) -> tuple[str, str]:
     """Return the unit of the gyros by the turns between poses; without turns, that of the other SI unit."""
-    names = [*ACCELEROMETERS, *GYROS]
-    turned = ""
-    if all(name in columns for name in names) and "time_s" in columns:
-        per_radian, turned = _per_radian({name: columns[name] for name in [*names, "time_s"]}, where)
-        near = [unit for unit, size in _PER_RADIAN.items() if per_radian and abs(per_radian / size - 1) < _NEAR]
+    names, turned = [*ACCELEROMETERS, *GYROS, TIME], ""
+    if all(name in columns for name in names):
+        per_radian, turned = _per_radian({name: columns[name] for name in names}, where)
+        near = [unit for unit, size in _PER_RADIAN.items() if abs(per_radian / size - 1) < _NEAR]
         if near:
             return near[0], f"turns between poses integrate to {per_radian:.4g} {near[0].split('/')[0]} per radian"
     rate = np.stack([columns[name] for name in GYROS if name in columns], axis=1)
     if _whole(rate):
         return "count", f"whole numbers{turned}"
-    if accel == "m/s^2" and not turned:
-        size = float(np.median(np.linalg.norm(rest_means(rate), axis=1)))
-        if size < 1.0:
-            return "rad/s", (
-                f"{size:.3g} at rest, and the accelerometers are in m/s^2: rad/s goes with it; no turns tell, if it is "
-                "deg/s state --gyro-unit deg/s"
-            )
+    size = float(np.median(np.linalg.norm(rest_means(rate), axis=1)))
+    if accel == "m/s^2" and not turned and size < _LARGEST_BIAS:
+        return "rad/s", (
+            f"{size:.3g} at rest, and the accelerometers are in m/s^2: rad/s goes with it; no turns tell, if it is "
+            "deg/s state --gyro-unit deg/s"
+        )
+    told = "the accelerometers do not tell" if accel else "there are no accelerometers and no turns to tell it by"
     raise input_error(
-        f"the unit of the gyros is not known{turned}: "
-        + ("the accelerometers do not tell" if accel else "there are no accelerometers and no turns to tell it by"),
-        where,
-        ", ".join(GYRO_UNITS),
+        f"the unit of the gyros is not known{turned}: {told}", where, ", ".join(GYRO_UNITS),
         "state it, such as --gyro-unit deg/s",
-    )
+    )  # fmt: skip
 
 
 def _per_radian(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:

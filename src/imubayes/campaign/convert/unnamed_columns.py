@@ -5,6 +5,7 @@ one reading of the columns fits is it taken, and it is said with its evidence; a
 column looks like.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ _READ = 400_000  # samples that are looked at
 
 
 @dataclass(frozen=True)
-class Layout:
+class GuessedColumns:
     """Target → position of the column, from 0, and why they were taken so; increments are integrals over a sample."""
 
     columns: dict[str, int]
@@ -63,7 +64,7 @@ def is_clock(values: np.ndarray) -> bool:
     return len(step) > 1 and float(np.mean(step > 0)) > 0.5 and float(np.mean(step < 0)) < 0.01
 
 
-def infer_layout(values: np.ndarray, kind: str, where: str, names: str) -> Layout:
+def infer_layout(values: np.ndarray, kind: str, where: str, names: str) -> GuessedColumns:
     """Return which columns of a table without names are which.
 
     Parameters
@@ -81,37 +82,52 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str) -> Layou
     width = values.shape[1]
     clock = next((place for place in (0, width - 1) if width > 3 and is_clock(np.asarray(values[:, place]))), None)
     channels = [place for place in range(width) if place != clock]
-    time = {} if clock is None else {TIME: clock}
     triples = [channels[k : k + 3] for k in range(0, len(channels) - 2, 3)]
     rest = rest_means(np.asarray(values[:_READ]))
     heavy = [(triple, *gravity_unit(rest[:, triple])) for triple in triples]
-    fits = [(triple, unit, size) for triple, unit, size in heavy if unit]
     if len(channels) == 3:
-        triple, unit, size = heavy[0]
-        if unit and kind != "g":
-            return Layout(time | _three(ACCELEROMETERS, triple), _told(triple, unit, size))
-        if kind:
-            return Layout(time | _three(ACCELEROMETERS if kind == "a" else GYROS, triple), "by the name of the file")
-    elif len(fits) == 1 and len(triples) > 1:
-        forces, unit, size = fits[0]
-        first = triples.index(forces)
-        # The gyros stand behind the accelerometers, or before them.
-        rates = triples[1] if first == 0 else triples[0] if first == 1 else None
-        if rates is not None and _small(rest[:, rates], values[:, rates]):
-            columns = time | _three(ACCELEROMETERS, forces) | _three(GYROS, rates)
-            return Layout(columns, _told(forces, unit, size))
-    elif (
-        len(channels) == 6
-        and not fits
-        and _increments(values, rest, triples, clock) is None
-        and np.isfinite(values[0]).all()
-    ):
-        columns = time | _three(ACCELEROMETERS, channels[:3]) | _three(GYROS, channels[3:])
-        return Layout(columns, "in the usual order, forces before rates: nothing in the numbers speaks for it")
-    raise _refusal(values, clock, heavy, where, names)
+        found = _of_three(heavy[0], kind)
+    else:
+        found = _of_several(values, rest, heavy) or _increments(values, rest, triples, clock)
+        found = found or _usual_order(values, channels, heavy)
+    if found is None:
+        raise _refusal(values, clock, heavy, where, names)
+    time = {} if clock is None else {TIME: clock}
+    return GuessedColumns(time | found.columns, found.evidence, found.increments)
 
 
-def _increments(values: np.ndarray, rest: np.ndarray, triples: list[list[int]], clock: int | None) -> Layout | None:
+_Heavy = tuple[list[int], str, float]
+
+
+def _of_three(heavy: _Heavy, kind: str) -> GuessedColumns | None:
+    triple, unit, size = heavy
+    if unit and kind != "g":
+        return GuessedColumns(_three(ACCELEROMETERS, triple), _told(triple, unit, size))
+    names = {"a": ACCELEROMETERS, "g": GYROS}.get(kind)
+    return None if names is None else GuessedColumns(_three(names, triple), "by the name of the file")
+
+
+def _of_several(values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Heavy]) -> GuessedColumns | None:
+    """Return the only three columns that read g, and the gyros behind or before them."""
+    fits = [place for place, (_, unit, _) in enumerate(heavy) if unit]
+    if len(fits) != 1 or len(heavy) < 2 or fits[0] > 1:
+        return None
+    (forces, unit, size), rates = heavy[fits[0]], heavy[1 - fits[0]][0]
+    if not _small(rest[:, rates], values[:, rates]):
+        return None
+    return GuessedColumns(_three(ACCELEROMETERS, forces) | _three(GYROS, rates), _told(forces, unit, size))
+
+
+def _usual_order(values: np.ndarray, channels: list[int], heavy: Sequence[_Heavy]) -> GuessedColumns | None:
+    if len(channels) != 6 or any(unit for _, unit, _ in heavy) or not np.isfinite(values[0]).all():
+        return None
+    columns = _three(ACCELEROMETERS, channels[:3]) | _three(GYROS, channels[3:])
+    return GuessedColumns(columns, "in the usual order, forces before rates: nothing in the numbers speaks for it")
+
+
+def _increments(
+    values: np.ndarray, rest: np.ndarray, triples: list[list[int]], clock: int | None
+) -> GuessedColumns | None:
     """Return the layout of PSINS: three angle increments, three velocity increments that are g times the step, time."""
     if clock is None or len(triples) != 2:
         return None
@@ -119,10 +135,12 @@ def _increments(values: np.ndarray, rest: np.ndarray, triples: list[list[int]], 
     unit, size = gravity_unit(rest[:, triples[1]] / step) if step > 0 else ("", 0.0)
     if unit != "m/s^2":
         return None
-    columns = {TIME: clock} | _three(GYROS, triples[0]) | _three(ACCELEROMETERS, triples[1])
-    first, last = triples[1][0] + 1, triples[1][2] + 1
-    return Layout(columns, f"columns {first} to {last} over the step of the time are {size:.4g} at rest: increments in "
-                  "m/s, and those before them in rad (PSINS)", True)  # fmt: skip
+    columns = _three(GYROS, triples[0]) | _three(ACCELEROMETERS, triples[1])
+    evidence = (
+        f"columns {triples[1][0] + 1} to {triples[1][2] + 1} over the step of the time are {size:.4g} at rest: "
+        "increments in m/s, and those before them in rad (PSINS)"
+    )
+    return GuessedColumns(columns, evidence, True)
 
 
 def _three(names: tuple[str, ...], triple: list[int]) -> dict[str, int]:
@@ -139,19 +157,17 @@ def _told(triple: list[int], unit: str, size: float) -> str:
     return f"columns {triple[0] + 1} to {triple[2] + 1} have |f| = {size:.4g} at rest: accelerometers in {unit}"
 
 
-def _refusal(
-    values: np.ndarray, clock: int | None, heavy: list[tuple[list[int], str, float]], where: str, names: str
-) -> InputError:
+def _refusal(values: np.ndarray, clock: int | None, heavy: Sequence[_Heavy], where: str, names: str) -> InputError:
     looks = [] if clock is None else [f"{clock + 1} increases like a time"]
     for triple, unit, size in heavy:
         means = f"like accelerometers in {unit}" if unit else "in no usual unit of g"
         looks.append(f"{triple[0] + 1} to {triple[2] + 1} have a magnitude of {size:.4g} at rest, {means}")
-    left = sorted(set(range(values.shape[1])) - {clock} - {place for triple, _, _ in heavy for place in triple})
-    looks += [f"{place + 1} begins with {values[0, place]:.5g}" for place in left]
-    first = 0 if clock is None else (1 if clock == 0 else 0)
-    example = " ".join(
-        f"--column {name}={first + place}" for place, name in enumerate((*ACCELEROMETERS, *GYROS), 1) if place < 7
-    )
+    known = {clock} | {place for triple, _, _ in heavy for place in triple}
+    looks += [
+        f"{place + 1} begins with {values[0, place]:.5g}" for place in range(values.shape[1]) if place not in known
+    ]
+    first = 2 if clock == 0 else 1
+    example = " ".join(f"--column {name}={place}" for place, name in enumerate((*ACCELEROMETERS, *GYROS), first))
     time = "" if clock is None else f" --column time_s={clock + 1}"
     issue = Issue(
         f"{names}, and the numbers do not say which are which",

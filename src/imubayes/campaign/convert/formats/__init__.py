@@ -5,13 +5,13 @@ from pathlib import Path
 
 from imubayes.campaign.convert.formats import arrays, dataflash, matlab_and_hdf5, novatel, parquet, ros_bag, tdms, ulog
 from imubayes.campaign.convert.formats.text import TextRecording
-from imubayes.campaign.convert.recording import Recording
+from imubayes.campaign.convert.recording import SourceRecording
 from imubayes.foundations.errors import closest_first, input_error
 
 _HEAD = 4096
 _BLACKBOX = b"H Product:Blackbox"
 
-_BY_CONTENT: tuple[tuple[str, Callable[[bytes], bool], Callable[[Path], Recording]], ...] = (
+_BY_CONTENT: tuple[tuple[str, Callable[[bytes], bool], Callable[[Path], SourceRecording]], ...] = (
     ("Parquet", lambda head: head.startswith(parquet.MAGIC), parquet.ParquetRecording),
     ("NumPy .npy", lambda head: head.startswith(arrays.MAGIC), arrays.read_npy),
     ("NumPy .npz", lambda head: head.startswith(b"PK\x03\x04") and b".npy" in head, arrays.read_npz),
@@ -25,7 +25,7 @@ _BY_CONTENT: tuple[tuple[str, Callable[[bytes], bool], Callable[[Path], Recordin
 )
 
 
-def open_recording(file: Path, delimiter: str | None = None) -> Recording:
+def open_recording(file: Path, delimiter: str | None = None) -> SourceRecording:
     """Return the recording that a file holds.
 
     Parameters
@@ -62,7 +62,7 @@ def open_recording(file: Path, delimiter: str | None = None) -> Recording:
     return TextRecording(file, delimiter)
 
 
-def _of_folder(folder: Path, delimiter: str | None) -> Recording:
+def _of_folder(folder: Path, delimiter: str | None) -> SourceRecording:
     """Return the recording of a folder: a ROS 2 bag, or the only file that an EuRoC folder has."""
     if (folder / ros_bag.FOLDER_FILE).is_file():
         return ros_bag.RosBag(folder)

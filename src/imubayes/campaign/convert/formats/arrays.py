@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, Recording, SourceColumn, Topic, damaged
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged
 from imubayes.foundations.errors import input_error
 
 MAGIC = b"\x93NUMPY"
@@ -32,7 +32,7 @@ class _Part:
         return np.asarray(part, dtype=np.float64)
 
 
-class ArrayRecording(Recording):
+class ArrayRecording(SourceRecording):
     """The named arrays of a file, as topics.
 
     Vectors of one group and length are the columns of one topic, and a matrix of that length beside them adds its own:
@@ -47,25 +47,26 @@ class ArrayRecording(Recording):
 
     def __init__(self, file: Path, arrays: Mapping[str, Any], units: Mapping[str, str] | None = None) -> None:
         self.file, self._units = file, units or {}
-        self._tables: dict[str, list[tuple[SourceColumn, _Part]]] = {}
         usable = {name: value for name, value in arrays.items() if _numeric(value)}
-        vectors: dict[tuple[str, int], list[str]] = {}
-        for name, value in usable.items():
-            if not value.dtype.names and 1 in (value.ndim, *value.shape[1:], *value.shape[:-1]):
-                vectors.setdefault((_group(name), int(np.prod(value.shape))), []).append(name)
-        alone = set(usable) - {name for names in vectors.values() for name in names}
-        for (group, rows), names in vectors.items():
-            beside = [name for name in alone if _group(name) == group and rows in usable[name].shape and names]
-            several = sum(own == group for own, _ in vectors) > 1
-            columns = [pair for name in (*names, *sorted(beside)) for pair in self._columns(name, usable[name])]
-            self._tables[f"{group} of {rows} rows".strip() if several else group] = columns
-            alone -= set(beside)
-        for name in sorted(alone):
-            named = bool(usable[name].dtype.names)
-            pairs = self._columns(name, usable[name])
-            self._tables[name] = pairs if named else [(SourceColumn(""), part) for _, part in pairs]
-        if not self._tables:
+        if not usable:
             raise input_error("the file holds no array of numbers", str(file), "vectors or matrices", "export them")
+        self._tables = self._grouped(usable)
+
+    def _grouped(self, usable: Mapping[str, Any]) -> dict[str, list[tuple[SourceColumn, _Part]]]:
+        found: dict[str, list[tuple[SourceColumn, _Part]]] = {}
+        alone = sorted(name for name, value in usable.items() if not _is_vector(value))
+        tables = _vectors(usable)
+        for (group, rows), names in tables.items():
+            beside = [name for name in alone if _group(name) == group and rows in usable[name].shape]
+            several = sum(own == group for own, _ in tables) > 1
+            columns = [pair for name in (*names, *beside) for pair in self._columns(name, usable[name])]
+            found[f"{group} of {rows} rows".strip() if several else group] = columns
+            alone = [name for name in alone if name not in beside]
+        return found | {name: self._alone(name, usable[name]) for name in alone}
+
+    def _alone(self, name: str, value: Any) -> list[tuple[SourceColumn, _Part]]:
+        pairs = self._columns(name, value)
+        return pairs if value.dtype.names else [(SourceColumn(""), part) for _, part in pairs]
 
     def _columns(self, name: str, value: Any) -> list[tuple[SourceColumn, _Part]]:
         unit, short = self._units.get(name, ""), re.split(r"[./]", name)[-1]
@@ -92,6 +93,19 @@ class ArrayRecording(Recording):
                 raise damaged(self.file, "array", error) from None
 
 
+def _vectors(usable: Mapping[str, Any]) -> dict[tuple[str, int], list[str]]:
+    """Return group and length → names of the vectors."""
+    found: dict[tuple[str, int], list[str]] = {}
+    for name, value in usable.items():
+        if _is_vector(value):
+            found.setdefault((_group(name), int(np.prod(value.shape))), []).append(name)
+    return found
+
+
+def _is_vector(value: Any) -> bool:
+    return not value.dtype.names and (value.ndim == 1 or 1 in value.shape)
+
+
 def _group(name: str) -> str:
     return re.split(r"[./][^./]*$", name)[0] if re.search(r"[./]", name) else ""
 
@@ -113,7 +127,7 @@ def read_npy(file: Path) -> ArrayRecording:
 def read_npz(file: Path) -> ArrayRecording:
     """Return the recording of a `.npz` file."""
     try:
-        with np.load(file, allow_pickle=False) as archive:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             return ArrayRecording(file, {name: archive[name] for name in archive.files})
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise damaged(file, "NumPy", error) from None

@@ -7,7 +7,7 @@ from typing import Any
 import lazy_loader
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, Recording, SourceColumn, Topic, damaged, needs_package
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
 
 MAGICS = (b"\xa3\x95\x80", b"FMT, ", b"FMT,")
 _SENSORS = ("IMU", "IMU2", "IMU3", "ACC", "ACC1", "ACC2", "ACC3", "GYR", "GYR1", "GYR2", "GYR3", "IMT")
@@ -18,7 +18,7 @@ _INSTANCE = "I"
 reader: Any = lazy_loader.load("pymavlink.DFReader", suppress_warning=True)
 
 
-class DataFlashLog(Recording):
+class DataFlashLog(SourceRecording):
     """A flight log: one topic for each message of an inertial sensor and its instance."""
 
     def __init__(self, file: Path) -> None:

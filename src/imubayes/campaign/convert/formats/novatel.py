@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, Recording, SourceColumn, Topic
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 
 MAGICS = (b"%RAWIMU", b"#RAWIMU")
 _SEARCHED = 400  # lines of other logs before the first
@@ -25,7 +25,7 @@ def is_rawimu(head: bytes) -> bool:
     return any(line.startswith(MAGICS) for line in head.splitlines()[:_SEARCHED])
 
 
-class RawImuLog(Recording):
+class RawImuLog(SourceRecording):
     """The RAWIMU lines of a log; other logs in between are passed over."""
 
     def __init__(self, file: Path) -> None:

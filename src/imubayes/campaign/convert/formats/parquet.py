@@ -7,12 +7,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, Recording, SourceColumn, Topic, damaged
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged
 
 MAGIC = b"PAR1"
 
 
-class ParquetRecording(Recording):
+class ParquetRecording(SourceRecording):
     """One Parquet file: one topic, whose columns are those that hold numbers or times."""
 
     def __init__(self, file: Path) -> None:

@@ -2,13 +2,14 @@
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import lazy_loader
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, Recording, SourceColumn, Topic, damaged, needs_package
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
 
 MAGICS = (b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0")
 FOLDER_FILE = "metadata.yaml"
@@ -21,7 +22,7 @@ highlevel: Any = lazy_loader.load("rosbags.highlevel", suppress_warning=True)
 typesys: Any = lazy_loader.load("rosbags.typesys", suppress_warning=True)
 
 
-class RosBag(Recording):
+class RosBag(SourceRecording):
     """A bag: one topic for each topic of ROS whose messages hold numbers."""
 
     def __init__(self, file: Path) -> None:
@@ -66,11 +67,14 @@ class RosBag(Recording):
         except (KeyError, ValueError) as error:
             raise damaged(self.file, "ROS bag", error) from None
 
-    def _opened(self) -> Any:
-        try:
-            return self._reader([self.file], default_typestore=self._types)
-        except Exception as error:  # a bag of another storage, or damaged
-            raise damaged(self.file, "ROS bag", error) from None
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        with ExitStack() as stack:
+            try:
+                bag = stack.enter_context(self._reader([self.file], default_typestore=self._types))
+            except Exception as error:  # a bag of another storage, or damaged
+                raise damaged(self.file, "ROS bag", error) from None
+            yield bag
 
 
 def _leaves(message: Any, path: str = "") -> Iterator[tuple[str, float]]:

@@ -1,51 +1,60 @@
 """LabVIEW TDMS files, by npTDMS."""
 
+import struct
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import lazy_loader
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, Recording, SourceColumn, Topic, damaged, needs_package
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
 
 MAGIC = b"TDSm"
 
 nptdms: Any = lazy_loader.load("nptdms")
 
 
-class TdmsRecording(Recording):
+class TdmsRecording(SourceRecording):
     """A file: one topic for each group and length of its channels."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        try:
-            self._content = nptdms.TdmsFile.open(str(file))
-        except ModuleNotFoundError:
-            raise needs_package(file, "TDMS", "npTDMS") from None
-        except Exception as error:  # npTDMS raises whatever a damaged byte leads to
-            raise damaged(file, "TDMS", error) from None
-        self._tables: dict[str, list[Any]] = {}
-        for group in self._content.groups():
-            own = [each for each in group.channels() if len(each) > 1 and np.dtype(each.dtype).kind in "iufM"]
-            lengths = sorted({len(channel) for channel in own})
-            for length in lengths:
-                name = group.name if len(lengths) == 1 else f"{group.name} of {length} rows"
-                self._tables[name] = [channel for channel in own if len(channel) == length]
+        self._tables: dict[str, list[tuple[str, str]]] = {}
 
     def topics(self) -> tuple[Topic, ...]:
         """Return the groups, with the sampling rate of their waveforms."""
-        return tuple(
-            Topic(name, tuple(SourceColumn(each.name, _unit(each)) for each in channels), f"{self.file}, {name}",
-                  rate_hz=_rate(channels))
-            for name, channels in self._tables.items()
-        )  # fmt: skip
+        found = []
+        with self._opened() as content:
+            for group in content.groups():
+                own = [each for each in group.channels() if len(each) > 1 and np.dtype(each.dtype).kind in "iufM"]
+                lengths = sorted({len(channel) for channel in own})
+                for length in lengths:
+                    name = group.name if len(lengths) == 1 else f"{group.name} of {length} rows"
+                    channels = [channel for channel in own if len(channel) == length]
+                    self._tables[name] = [(group.name, channel.name) for channel in channels]
+                    columns = tuple(SourceColumn(each.name, _unit(each)) for each in channels)
+                    found.append(Topic(name, columns, f"{self.file}, {name}", rate_hz=_rate(channels)))
+        return tuple(found)
 
     def blocks(self, topic: Topic, positions: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield rows; times count in seconds from the epoch."""
-        channels = [self._tables[topic.name][place] for place in positions]
-        for first in range(0, len(channels[0]), BLOCK_ROWS):
-            yield np.stack([_numbers(channel[first : first + BLOCK_ROWS]) for channel in channels], axis=1)
+        with self._opened() as content:
+            places = [self._tables[topic.name][place] for place in positions]
+            channels = [content[group][channel] for group, channel in places]
+            for first in range(0, len(channels[0]), BLOCK_ROWS):
+                yield np.stack([_numbers(channel[first : first + BLOCK_ROWS]) for channel in channels], axis=1)
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        try:
+            with self.file.open("rb") as stream, nptdms.TdmsFile.open(stream) as content:
+                yield content
+        except ModuleNotFoundError:
+            raise needs_package(self.file, "TDMS", "npTDMS") from None
+        except (ValueError, KeyError, EOFError, OSError, struct.error) as error:
+            raise damaged(self.file, "TDMS", error) from None
 
 
 def _unit(channel: Any) -> str:

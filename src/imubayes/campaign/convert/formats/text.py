@@ -13,14 +13,14 @@ from imubayes.campaign.convert.formats.text_layout import (
     find_layout,
     open_text,
 )
-from imubayes.campaign.convert.recording import BLOCK_ROWS, Recording, SourceColumn, Topic
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 from imubayes.foundations.errors import input_error
 
 _MOST_DAMAGED = 1e-4  # share of the lines; a torn last line is left out besides
 _LINES_FOR_ONE = 1000  # of which one may be damaged
 
 
-class TextRecording(Recording):
+class TextRecording(SourceRecording):
     """A text table; where the first word of each line says what it holds, each word is a topic."""
 
     def __init__(self, file: Path, delimiter: str | None = None) -> None:

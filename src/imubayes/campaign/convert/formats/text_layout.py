@@ -7,9 +7,10 @@ import lzma
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from imubayes.campaign.convert.column_names import is_unit
 from imubayes.campaign.convert.formats.cell_values import CellKind, has_decimal_comma, is_number, kind_of
@@ -56,7 +57,7 @@ class TextLayout:
         return [cell.replace(",", ".") for cell in cells] if self.decimal_comma else cells
 
 
-def open_text(file: Path, encoding: str) -> IO[str]:
+def open_text(file: Path, encoding: str) -> TextIOWrapper:
     """Open a text file, compressed or not."""
     with file.open("rb") as stream:
         magic = stream.read(6)

@@ -7,7 +7,7 @@ from typing import Any
 import lazy_loader
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, Recording, SourceColumn, Topic, damaged, needs_package
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
 
 MAGIC = b"ULog\x01\x12\x35"
 # Units are in the names of fields, or in the definition of the message.
@@ -18,7 +18,7 @@ _OF_MESSAGE = {"sensor_accel": "m/s^2", "sensor_gyro": "rad/s", "vehicle_acceler
 pyulog: Any = lazy_loader.load("pyulog")
 
 
-class ULogRecording(Recording):
+class ULogRecording(SourceRecording):
     """A flight log: one topic for each message and instance."""
 
     def __init__(self, file: Path) -> None:

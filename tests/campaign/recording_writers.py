@@ -1,0 +1,134 @@
+"""Writers of foreign recordings, byte by byte from the specifications; they share no code with the readers."""
+
+import sqlite3
+import struct
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+
+NAMES = ("ax", "ay", "az", "gx", "gy", "gz")
+
+
+def as_matrix(columns: dict[str, np.ndarray], names: tuple[str, ...] = ("time_s", *NAMES)) -> np.ndarray:
+    return np.stack([columns[name] for name in names], axis=1)
+
+
+def npy(values: np.ndarray) -> bytes:
+    """NumPy format 1.0: magic, version, length of the header, header, data in C order."""
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {values.shape}, }}"
+    header = header.ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + values.astype("<f8").tobytes()
+
+
+def matlab5(arrays: dict[str, np.ndarray]) -> bytes:
+    """MATLAB 5.0 MAT-file: a header of 128 bytes, and one miMATRIX element for each array of doubles."""
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+
+    content = b"MATLAB 5.0 MAT-file, Platform: GLNXA64".ljust(116) + b"\0" * 8 + struct.pack("<H", 0x0100) + b"IM"
+    for name, values in arrays.items():
+        values = values[:, None] if values.ndim == 1 else values
+        parts = element(6, struct.pack("<II", 6, 0))  # array flags: class double
+        parts += element(5, struct.pack("<ii", *values.shape))
+        parts += element(1, name.encode())
+        parts += element(9, values.astype("<f8").tobytes(order="F"))
+        content += element(14, parts)
+    return content
+
+
+def ulog(messages: dict[str, tuple[list[tuple[str, str]], np.ndarray]]) -> bytes:
+    """PX4 ULog: header, flag bits, one format and subscription for each message, and its rows.
+
+    `messages` is name → fields (type and name, the first is uint64_t timestamp) and rows, one column for each element.
+    """
+
+    def message(kind: str, data: bytes) -> bytes:
+        return struct.pack("<HB", len(data), ord(kind)) + data
+
+    codes = {"uint64_t": "Q", "float": "f", "int16_t": "h", "float[3]": "3f"}
+    content = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message("B", bytes(40))
+    for name, (fields, _) in messages.items():
+        content += message("F", f"{name}:{''.join(f'{kind} {field};' for kind, field in fields)}".encode())
+    for number, name in enumerate(messages):
+        content += message("A", struct.pack("<BH", 0, number) + name.encode())
+    for number, (fields, rows) in enumerate(messages.values()):
+        code = "<" + "".join(codes[kind] for kind, _ in fields)
+        for row in rows:
+            content += message("D", struct.pack("<H", number) + struct.pack(code, int(row[0]), *row[1:]))
+    return content
+
+
+def dataflash(rows: np.ndarray) -> bytes:
+    """ArduPilot DataFlash: FMT messages, and IMU messages with microseconds, an instance, gyros and accelerometers."""
+
+    def fmt(kind: int, length: int, name: str, codes: str, labels: str) -> bytes:
+        head = struct.pack("<BBBBB", 0xA3, 0x95, 128, kind, length)
+        return head + name.encode().ljust(4, b"\0") + codes.encode().ljust(16, b"\0") + labels.encode().ljust(64, b"\0")
+
+    content = fmt(128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+    content += fmt(200, 3 + 8 + 1 + 24, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    for row in rows:
+        force, rate = row[1:4], row[4:7]
+        content += struct.pack("<BBBQB6f", 0xA3, 0x95, 200, round(1e6 * row[0]), 0, *rate, *force)
+    return content
+
+
+def tdms(group: str, columns: dict[str, np.ndarray], properties: dict[str, float]) -> bytes:
+    """NI TDMS, one segment: lead-in, objects with their raw index and properties, data channel after channel."""
+
+    def text(word: str) -> bytes:
+        return struct.pack("<I", len(word.encode())) + word.encode()
+
+    metadata = struct.pack("<I", 2 + len(columns))
+    metadata += text("/") + struct.pack("<II", 0xFFFFFFFF, 0)
+    metadata += text(f"/'{group}'") + struct.pack("<II", 0xFFFFFFFF, 0)
+    for name, values in columns.items():
+        metadata += text(f"/'{group}'/'{name}'") + struct.pack("<IIIQ", 20, 10, 1, len(values))
+        metadata += struct.pack("<I", len(properties))
+        for key, value in properties.items():
+            metadata += text(key) + struct.pack("<Id", 10, value)
+    raw = b"".join(values.astype("<f8").tobytes() for values in columns.values())
+    return b"TDSm" + struct.pack("<IIQQ", 0xE, 4713, len(metadata) + len(raw), len(metadata)) + metadata + raw
+
+
+def cdr_imu(seconds: float, force: np.ndarray, rate: np.ndarray) -> bytes:
+    """A sensor_msgs/msg/Imu in CDR, little endian; doubles are aligned to 8 bytes behind the encapsulation."""
+    nanoseconds = round(1e9 * seconds)
+    body = struct.pack("<iII", nanoseconds // 10**9, nanoseconds % 10**9, 4) + b"imu\0"
+    body += b"\0" * (-len(body) % 8) + struct.pack("<4d9d", 0, 0, 0, 1, *[0.0] * 9)
+    return b"\0\1\0\0" + body + struct.pack("<3d9d3d9d", *rate, *[0.0] * 9, *force, *[0.0] * 9)
+
+
+def ros2_db3(file: Path, rows: np.ndarray) -> None:
+    """A ROS 2 bag of storage sqlite3, version 2 of its schema, with one topic of Imu messages."""
+    with closing(sqlite3.connect(file)) as connection, connection as base:
+        base.execute("CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL)")
+        base.execute("INSERT INTO schema VALUES (3, 'humble')")
+        base.execute("CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER, metadata TEXT)")
+        base.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, "
+            "serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL)"
+        )
+        base.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, "
+            "data BLOB NOT NULL)"
+        )
+        base.execute("INSERT INTO topics VALUES (1, '/imu/data', 'sensor_msgs/msg/Imu', 'cdr', '')")
+        base.executemany(
+            "INSERT INTO messages VALUES (?, 1, ?, ?)",
+            [(k + 1, round(1e9 * row[0]) + 10**6, cdr_imu(row[0], row[1:4], row[4:7])) for k, row in enumerate(rows)],
+        )
+
+
+def rawimu(columns: dict[str, np.ndarray], accel: float, gyro: float) -> str:
+    """NovAtel RAWIMUSA lines: increments over one sample in counts, order z, −y, x."""
+    lines = ["#BESTPOSA,COM1,0,50.0,FINESTEERING,1105,425384.000,02000040,0000,0;SOL_COMPUTED,SINGLE,51.1*7e93a1b2"]
+    for time, ax, ay, az, gx, gy, gz in as_matrix(columns):
+        counts = [round(v * accel) for v in (az, -ay, ax)] + [round(v * gyro) for v in (gz, -gy, gx)]
+        seconds = f"{425384 + time:.9f}"
+        lines.append(
+            f"%RAWIMUSA,1105,{425384 + time:.3f};1105,{seconds},00000077,{','.join(map(str, counts))}*5aa97065"
+        )
+    return "\r\n".join(lines) + "\r\n"
