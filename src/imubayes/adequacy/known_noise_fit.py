@@ -12,7 +12,7 @@ figure.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -52,6 +52,7 @@ class KnownNoisePoint:
     jacobian : shape (E, P).
     basis, upper : shapes (E + P, P) and (P, P), QR of the whitened Jacobian with the rows of the priors.
     left : shape (E + P,), whitened residual at the least squares, the rows of the priors last.
+    shift : shape (P,), change of z by responses that were fitted beside; empty without any.
     """
 
     model: Model
@@ -61,10 +62,12 @@ class KnownNoisePoint:
     basis: np.ndarray
     upper: np.ndarray
     left: np.ndarray
+    shift: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
-    def with_columns(self, columns: np.ndarray) -> "KnownNoisePoint":
-        """Return the same with further responses (E, C) fitted, without a prior."""
-        white = whitened_columns(self.model.problem, self.h, columns)
+    def with_columns(self, columns: np.ndarray, white: np.ndarray | None = None) -> "KnownNoisePoint":
+        """Return the same with further responses (E, C) fitted, without a prior; `white`, where they are at hand."""
+        if white is None:
+            white = whitened_columns(self.model.problem, self.h, columns)
         fresh = np.concatenate([white, np.zeros((len(self.left) - len(white), columns.shape[1]))])
         absorbed = self.basis.T @ fresh
         across = fresh - self.basis @ absorbed
@@ -74,7 +77,7 @@ class KnownNoisePoint:
         size = np.linalg.lstsq(across / unit, self.left, rcond=math.sqrt(_RETAINED_MIN))[0] / unit
         moved = np.linalg.solve(self.upper, absorbed @ size)
         misfit = self.misfit - columns @ size + self.jacobian @ moved
-        return replace(self, misfit=misfit, left=self.left - across @ size)
+        return replace(self, misfit=misfit, left=self.left - across @ size, shift=-moved)
 
     def record(self) -> KnownNoiseFit:
         """Return χ² and the residual rms of each channel."""

@@ -150,17 +150,24 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
     """
     if effect:
         _refuse_unknown(effect, fit)
-    message = fit.message or "The fit did not converge."
+    judged = explained_fit(fit, result, progress)
+    if judged is None:
+        message = fit.message or "The fit did not converge."
+        return Diagnosis(verdict="not_converged", message=message, result=result)
+    return judged.answer_about(effect) if effect else judged.diagnosis()
+
+
+def explained_fit(fit: Fit, result: str = "RESULT", progress: Tell = silent) -> "ExplainedFit | None":
+    """Return a fit with the posterior over explanations, for questions about it; None of a fit that stands nowhere."""
     progress("predicting with every effect of the catalogue")
     responses = candidate_responses(fit) if np.isfinite(fit.z).all() else None
     if responses is None or not np.isfinite(responses.misfit).all():
-        return Diagnosis(verdict="not_converged", message=message, result=result)
+        return None
     progress("weighing the explanations")
     known = covariates(fit)
     posterior = explain(fit, responses, known)
     progress("interpreting what was found")
-    judged = _Judged(fit, responses, known, posterior, result)
-    return judged.answer_about(effect) if effect else judged.diagnosis()
+    return ExplainedFit(fit, responses, known, posterior, result)
 
 
 def _refuse_unknown(effect: str, fit: Fit) -> None:
@@ -179,8 +186,16 @@ def _refuse_unknown(effect: str, fit: Fit) -> None:
         )
 
 
-class _Judged:
-    """A fit with the posterior over explanations of what it leaves."""
+class ExplainedFit:
+    """A fit with the posterior over explanations of what it leaves.
+
+    Attributes
+    ----------
+    fit, responses, known : the fit, its linear model with all candidates, and the covariates of its entries.
+    posterior, of : over explanations, and the evidence of each.
+    at_known_noise : the linear model fitted at the noise known beforehand.
+    result : folder of the result, for the next command.
+    """
 
     def __init__(
         self,

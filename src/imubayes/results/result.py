@@ -23,6 +23,7 @@ from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_groups import Group, Groups, Labelled, posterior_groups
+from imubayes.model.bind import Model
 from imubayes.model.likelihood import pseudo_values
 from imubayes.model.noise_covariance import noise_deviation, whiten, whitener
 from imubayes.model.problem import Problem
@@ -49,6 +50,14 @@ def _at_mode(problem: Problem, mode):
     return predicted, jnp.sqrt(jnp.sum(spread**2, axis=0)), noise_deviation(problem, by), whitened
 
 
+def to_input_units(model: Model) -> np.ndarray:
+    """Return the factor from the output of each entry to its input unit, (E,); of closing rotations from rad to deg."""
+    entries, campaign, closing = model.entries, model.campaign, np.asarray(model.entries.closing)
+    units = [to_si(INPUT_UNIT[c.kind], campaign.site.gravity) for c in campaign.channels]
+    per_output = np.array([1 / (c.scale_si * unit) for c, unit in zip(campaign.channels, units, strict=True)])
+    return np.where(closing, 1 / to_si("deg"), per_output[np.where(closing, 0, entries.channel)])
+
+
 def residuals_of(fit: Fit) -> Residuals:
     """Return the residuals of a fit made in this process, at its mode."""
     assert fit.mode is not None, "a fit read from a folder has its residuals there"
@@ -61,10 +70,7 @@ def residuals_of(fit: Fit) -> Residuals:
     kind = np.where(closing, "closure", np.array([c.kind for c in channels])[place])
     output_unit = np.where(closing, "deg", np.array([c.output_unit for c in channels])[place])
     input_unit = np.where(closing, "deg", np.array([INPUT_UNIT[c.kind] for c in channels])[place])
-    per_output = np.array([1 / (c.scale_si * to_si(INPUT_UNIT[c.kind], campaign.site.gravity)) for c in channels])
-    degree = to_si("deg")
-    to_output = np.where(closing, 1 / degree, 1.0)
-    to_input = np.where(closing, 1 / degree, per_output[place])
+    to_output, to_input = np.where(closing, 1 / to_si("deg"), 1.0), to_input_units(model)
     offset = np.where(closing, 0.0, np.array([c.offset for c in channels])[place])
     residual = entries.value - predicted
     # The angle of a table that a gyro drives is an output, and is shown on the scale of the table as well.

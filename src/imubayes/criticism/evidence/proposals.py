@@ -49,28 +49,43 @@ def base_columns(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
     return np.concatenate([*parts, white[:, -1:]], axis=1)
 
 
-def conditional(of: EvidenceOf, solved: Solved) -> Conditional:
-    """Return the likelihood of every coefficient beside a hypothesis."""
+def conditional(of: EvidenceOf, solved: Solved, among: np.ndarray | None = None) -> Conditional:
+    """Return the likelihood of every coefficient beside a hypothesis.
+
+    Parameters
+    ----------
+    among : shape (E,) bool, entries in which alone further coefficients act; what takes part is known from all of them.
+        Rows count as the hypothesis whitens them: each by what it adds to those before it in time.
+    """
     problem, count, at = of.problem, len(of.problem.coefficients), solved.at
     own, right, across = np.zeros((count, count)), np.zeros(count), np.zeros((len(at.precision), count))
     every = problem.own + np.arange(count)
     for k in of.unit_of:
-        gram = of.gram(at.hypothesis, k, at.weight.get(k))
+        gram = of.gram(at.hypothesis, k, at.weight.get(k)).products if among is None else _products(of, at, k, among)
         here, place = of.select(k, every)
         which, inverse = np.flatnonzero(here), 1 / solved.scale[k] ** 2
-        own[np.ix_(which, which)] += inverse * gram.products[np.ix_(place, place)]
-        right[which] += inverse * gram.products[place, -1]
+        own[np.ix_(which, which)] += inverse * gram[np.ix_(place, place)]
+        right[which] += inverse * gram[place, -1]
         taking, mine = of.select(k, at.columns)
-        across[np.ix_(np.flatnonzero(taking), which)] += inverse * gram.products[np.ix_(mine, place)]
+        across[np.ix_(np.flatnonzero(taking), which)] += inverse * gram[np.ix_(mine, place)]
         form = at.hypothesis.form
         if form is not None and k in form.channels:
             columns = of.form_columns(at.hypothesis, form, k, at.weight.get(k))
             white = of.whitened(at.hypothesis, k, at.weight.get(k))
+            if among is not None:
+                columns = columns * among[of.problem.rows[k].entry][:, None]
             span = of.taking_part(k, at.columns, form)[len(mine) :]
             across[np.ix_(span, which)] += inverse * columns.T @ white[:, place]
     left = own - across.T @ solved.covariance @ across
     np.fill_diagonal(left, np.maximum(np.diag(left), 0.0))
     return Conditional(left, right - across.T @ solved.mean)
+
+
+def _products(of: EvidenceOf, at: Evaluated, channel: int, among: np.ndarray) -> np.ndarray:
+    """Return the inner products of the whitened columns of a channel over some entries alone, (L + 1, L + 1)."""
+    chosen = among[of.problem.rows[channel].entry]
+    white = of.whitened(at.hypothesis, channel, at.weight.get(channel))[chosen]
+    return white.T @ white
 
 
 def residuals(of: EvidenceOf, at: Evaluated) -> dict[int, np.ndarray]:

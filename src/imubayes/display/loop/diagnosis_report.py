@@ -52,8 +52,8 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         likely = Cell(probability(line.probability), "bad" if line.probability >= 0.5 else "dim")
         name, drop, odds = line.effect, significant(line.delta_chi2), significant(line.log_odds)
         shown, mark = found.estimate(line.effect) or line, group.get(line.effect, "")
-        rows.append(cells(name, listed(shown.channels, 3), _coefficient(shown), drop, odds, likely, mark))
-        slim.append(cells(name, _coefficient(shown, short=True), drop, likely, mark))
+        rows.append(cells(name, listed(shown.channels, 3), coefficient_text(shown), drop, odds, likely, mark))
+        slim.append(cells(name, coefficient_text(shown, short=True), drop, likely, mark))
     before = _more(len(found.ranking) - len(rows)) + (
         "Coefficient: the most significant one, at the likeliest shape, such as a time constant; Δχ²: predicted drop "
         "if the effect is added alone, at the noise known beforehand; "
@@ -73,7 +73,7 @@ def _more(count: int) -> str:
     return f"{count} more in diagnosis.json. " if count > 0 else ""
 
 
-def _coefficient(line: ScreenedEffect, short: bool = False) -> str:
+def coefficient_text(line: ScreenedEffect, short: bool = False) -> str:
     """Return the most significant coefficient, and the shape that was scanned."""
     known = [(each, each.value) for each in line.coefficients if each.value is not None]
     if not known:
