@@ -21,6 +21,7 @@ FLOORS = (
     ("qualification", "batch"),
     ("display",),
     ("api", ""),
+    ("explore",),
     ("cli",),
 )
 PLUGINS = ("procedures", "effects", "noise")

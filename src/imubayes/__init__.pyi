@@ -36,6 +36,7 @@ from .effects.base import (
     SignalEffect,
     Stage,
 )
+from .explore.start import explore
 from .foundations.arrays import Scalar, compose, cross, exponential, rotate, vector3
 from .foundations.campaign_data import Campaign
 from .foundations.errors import InputError, NotKept
@@ -98,6 +99,7 @@ __all__ = [
     "cross",
     "diagnose",
     "dimension",
+    "explore",
     "exponential",
     "export",
     "fit",

@@ -18,6 +18,7 @@ from imubayes import __version__
 from imubayes.cli.batch import archive, batch
 from imubayes.cli.calibrated_unit import apply, carrier, export, report
 from imubayes.cli.campaign import check, effects, noise, schema, simulate
+from imubayes.cli.explore import explore
 from imubayes.cli.fit import classical, compare, fit
 from imubayes.cli.loop import add, diagnose, history, plant, remove
 from imubayes.foundations.errors import InputError, Issue, NotKept, closest_first
@@ -28,8 +29,8 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
 _COLLECTION_THRESHOLD = 2_000_000
 _COMMANDS = (
-    check, fit, compare, classical, noise, carrier, apply, export, diagnose, add, remove, history, plant, report,
-    effects, simulate, schema, archive, batch,
+    check, fit, compare, classical, noise, carrier, apply, export, diagnose, add, remove, history, explore, plant,
+    report, effects, simulate, schema, archive, batch,
 )  # fmt: skip
 
 app = cyclopts.App(

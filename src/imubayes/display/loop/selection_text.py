@@ -1,0 +1,41 @@
+"""What is said of selected readings and of previewed causes, in a sentence."""
+
+from collections.abc import Sequence
+
+from imubayes.display.loop.diagnosis_sentences import probability
+from imubayes.display.numbers_and_labels import counted, listed, relation, significant
+
+_EXPLAINS = 0.5
+
+
+def selection_text(
+    n: int, chi2: float, p: float | None, rms: tuple[float | None, str], best: tuple[str, float] | None,
+    nothing: float, offset: float | None,
+) -> str:  # fmt: skip
+    """Return what selected readings say.
+
+    Parameters
+    ----------
+    n, chi2, p : of the readings, at the noise known beforehand; the probability of such a χ² by chance.
+    rms : of the residual, and its unit; None of readings of several units.
+    best : the likeliest cause with its probability; None where there is none.
+    nothing, offset : probability of noise alone, and of an offset of these readings alone.
+    """
+    if not n:
+        return "No reading is selected."
+    chance = "" if p is None else f" (p {relation(p)})"
+    size = "" if rms[0] is None else f", {significant(rms[0])} {rms[1]} rms"
+    said = f"{counted(n, 'reading')}: χ² {significant(chi2, 4)}{chance}{size}."
+    if nothing >= _EXPLAINS:
+        return f"{said} Noise alone explains them with probability {probability(nothing)}."
+    if offset is not None and offset >= max(_EXPLAINS, best[1] if best is not None else 0.0):
+        return f"{said} They are off by something of their own, with probability {probability(offset)}."
+    if best is not None and best[1] >= _EXPLAINS:
+        return f"{said} {best[0]} explains them with probability {probability(best[1])}."
+    return f"{said} No single cause stands out."
+
+
+def preview_text(effects: Sequence[str], delta_chi2: float, largest: tuple[str, float] | None) -> str:
+    """Return what previewed causes would do; `largest`: the estimate that moves most, and by how many of its sd."""
+    moved = "" if largest is None else f" {largest[0]} would move by {significant(largest[1], 2)} sd."
+    return f"Predicted with {listed(effects)}: Δχ² {significant(delta_chi2)} at the noise known beforehand.{moved}"

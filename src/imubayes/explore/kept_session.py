@@ -1,0 +1,72 @@
+"""What a session keeps beside its first result: the commands of every click, names and notes, locks of effects."""
+
+from pathlib import Path
+from typing import Literal
+
+from imubayes.foundations.files import write_text
+from imubayes.foundations.records import Record
+from imubayes.results.folder_files import read_record
+
+
+class ModelNote(Record):
+    """A name and a note of a model, in the user's words."""
+
+    name: str = ""
+    note: str = ""
+
+
+class KeptSession(Record):
+    """The contents of `RESULT.explore.json`.
+
+    Attributes
+    ----------
+    commands : that do what was clicked, in order.
+    notes : by the name of the result folder.
+    locks : effect → whether it is always added, or never proposed.
+    """
+
+    format: Literal[1] = 1
+    commands: tuple[str, ...] = ()
+    notes: dict[str, ModelNote] = {}
+    locks: dict[str, Literal["in", "out"]] = {}
+
+    def with_command(self, command: str) -> "KeptSession":
+        """Return the same with a command after the others; one that stands there already is not repeated."""
+        if command in self.commands:
+            return self
+        return self.model_copy(update={"commands": (*self.commands, command)})
+
+    def with_note(self, folder: str, note: ModelNote) -> "KeptSession":
+        """Return the same with another note of a model."""
+        return self.model_copy(update={"notes": self.notes | {folder: note}})
+
+    def with_lock(self, effect: str, lock: Literal["in", "out", ""]) -> "KeptSession":
+        """Return the same with an effect locked in or out, or free."""
+        others = {name: kept for name, kept in self.locks.items() if name != effect}
+        return self.model_copy(update={"locks": others | {effect: lock} if lock else others})
+
+    def script(self) -> str:
+        """Return a shell script of the commands."""
+        return "\n".join(["#!/bin/sh", "set -eu", *self.commands, ""])
+
+
+def session_file(root: Path) -> Path:
+    """Return where the session of a first result is kept."""
+    return root.with_name(f"{root.name}.explore.json")
+
+
+def read_session(root: Path) -> KeptSession:
+    """Return what the session of a first result has kept; a new one where there is none.
+
+    Raises
+    ------
+    InputError
+        where the file cannot be read.
+    """
+    file = session_file(root)
+    return read_record(file, KeptSession) if file.is_file() else KeptSession()
+
+
+def write_session(root: Path, session: KeptSession) -> None:
+    """Keep a session beside its first result."""
+    write_text(session_file(root), session.json_text())

@@ -1,0 +1,262 @@
+"""What the page asks and what the server answers, as typed records.
+
+A view of the points is asked for by a `PointsWanted`; a selection is a list of `Brush`es, each a rectangle on a panel,
+and means the same rows in every window and after a reload.
+"""
+
+from typing import Literal
+
+from pydantic import Field
+
+from imubayes.criticism.explanations import CoefficientEstimate, ProbableExplanation, Verdict
+from imubayes.foundations.records import Record
+
+Ordinate = Literal["known", "input", "fitted"]
+"""Residual over the noise known beforehand, in input units, or over the noise as fitted."""
+Grouping = Literal["run", "mounting", "temperature", "table"]
+
+
+class Brush(Record):
+    """A rectangle on a panel: rows with an abscissa and, where `y` names an ordinate, a residual between bounds.
+
+    Attributes
+    ----------
+    channels, runs : names; empty for all.
+    x : column of the covariate; empty where any abscissa will do.
+    """
+
+    channels: tuple[str, ...] = ()
+    runs: tuple[str, ...] = ()
+    x: str = ""
+    x_low: float = 0.0
+    x_high: float = 0.0
+    y: Ordinate | None = None
+    y_low: float = 0.0
+    y_high: float = 0.0
+
+
+class SelectionWanted(Record):
+    """Which rows of a model are selected."""
+
+    model: str
+    brushes: tuple[Brush, ...] = Field(max_length=200)
+
+
+class PreviewWanted(Record):
+    """Which causes are previewed on a model, together."""
+
+    model: str
+    effects: tuple[str, ...] = Field(max_length=20)
+
+
+class PointsWanted(Record):
+    """Which points are drawn: one channel of some runs, or of all where there are none named.
+
+    Attributes
+    ----------
+    x, y, colour : column of the abscissa, the residual, and what tells the points apart.
+    between : part of the abscissa that is shown; None for all.
+    brushes : the selection.
+    effects : causes that are previewed.
+    most : points at most, beyond which the extremes of each place stand for all.
+    """
+
+    model: str
+    channel: str
+    runs: tuple[str, ...] = ()
+    x: str
+    y: Ordinate = "known"
+    colour: Grouping = "run"
+    between: tuple[float, float] | None = None
+    brushes: tuple[Brush, ...] = Field((), max_length=200)
+    effects: tuple[str, ...] = Field((), max_length=20)
+    most: int = Field(12_000, ge=100, le=50_000)
+
+
+class ChangeWanted(Record):
+    """A change of a model: effects added on channels, or removed."""
+
+    model: str
+    add: tuple[str, ...] = ()
+    remove: tuple[str, ...] = ()
+    channels: tuple[str, ...] | None = None
+
+
+class NoteWanted(Record):
+    """A name and a note of a model, in the user's words."""
+
+    model: str
+    name: str = Field("", max_length=120)
+    note: str = Field("", max_length=4000)
+
+
+class ModelWanted(Record):
+    """A model by its id."""
+
+    model: str
+
+
+class LockWanted(Record):
+    """An effect that is always added, never proposed, or neither."""
+
+    effect: str
+    lock: Literal["in", "out", ""]
+
+
+class Axis(Record):
+    """An abscissa: its column, unit, and words."""
+
+    name: str
+    unit: str
+    phrase: str
+
+
+class MapCell(Record):
+    """One channel of one run: rows, χ² at the noise known beforehand and as fitted, and rms at the first, in `unit`."""
+
+    run: str
+    channel: str
+    n: int
+    chi2: float
+    fitted: float | None
+    rms: float
+    unit: str
+
+
+class CauseLine(Record):
+    """A possible cause.
+
+    Attributes
+    ----------
+    group : number of the group of effects that the runs cannot distinguish; None outside of the leading explanation.
+    share : probability that it stands in the place of the first of its group; None outside.
+    delta_chi2, coefficient : predicted drop of χ², and its most significant coefficient in words.
+    words : what it is.
+    """
+
+    effect: str
+    channels: tuple[str, ...]
+    probability: float
+    log_odds: float
+    delta_chi2: float
+    coefficient: str
+    coefficients: tuple[CoefficientEstimate, ...]
+    words: str
+    group: int | None = None
+    share: float | None = None
+
+
+class ModelFacts(Record):
+    """What the page shows of a model that is open.
+
+    Attributes
+    ----------
+    sentence, evidence : the verdict, and the probability of each explanation, in words.
+    command : the next command of the loop.
+    separating : of each group the run that would tell its effects apart, in words.
+    effects : of the model.
+    """
+
+    id: str
+    folder: str
+    name: str
+    campaign: str
+    verdict: Verdict
+    sentence: str
+    evidence: str
+    explanations: tuple[ProbableExplanation, ...]
+    chi2: float
+    dof: float
+    causes: tuple[CauseLine, ...]
+    separating: tuple[str, ...]
+    cells: tuple[MapCell, ...]
+    channels: tuple[str, ...]
+    runs: tuple[str, ...]
+    abscissae: tuple[Axis, ...]
+    groupings: tuple[Grouping, ...]
+    effects: tuple[str, ...]
+    command: str
+
+
+class RankedCause(Record):
+    """A cause of the selected rows, with its probability among single effects, an offset of these rows, and none."""
+
+    effect: str
+    probability: float
+    log_odds: float
+
+
+class SelectionFacts(Record):
+    """What is said of selected rows.
+
+    Attributes
+    ----------
+    p : probability of such a χ² by chance at the noise known beforehand.
+    nothing, offset : probability that noise alone, or an offset of these rows alone, made them; None where all rows
+        are selected, of which an offset is a bias.
+    sentence : the same in words.
+    runs : those with selected rows.
+    """
+
+    n: int
+    of: int
+    chi2: float
+    p: float | None
+    rms: float | None
+    unit: str
+    nothing: float
+    offset: float | None
+    causes: tuple[RankedCause, ...]
+    sentence: str
+    runs: tuple[str, ...]
+
+
+class MovedEstimate(Record):
+    """What a previewed cause would do to an estimate; `in_sd`: in its standard uncertainty."""
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    sd: float
+    in_sd: float
+
+
+class PreviewFacts(Record):
+    """What previewed causes would do.
+
+    Attributes
+    ----------
+    delta_chi2 : predicted drop of χ² at the noise known beforehand, of all together.
+    cells : expected χ² of each run and channel, in the order of the model's cells.
+    moved : estimates that would move, those that would most first.
+    sentence, command : the prediction in words, and the command that adds the causes.
+    """
+
+    effects: tuple[str, ...]
+    delta_chi2: float
+    cells: tuple[float, ...]
+    moved: tuple[MovedEstimate, ...]
+    sentence: str
+    command: str
+
+
+class PointsHead(Record):
+    """What stands before the numbers of the points: their columns in order, and what they mean.
+
+    Attributes
+    ----------
+    count, of : points that follow, and those that they stand for.
+    arrays : names of the columns of `count` numbers each.
+    groups : names of the colours.
+    y_factor : of what is drawn over the residual that a brush is in.
+    """
+
+    count: int
+    of: int
+    arrays: tuple[str, ...]
+    groups: tuple[str, ...]
+    x_label: str
+    y_label: str
+    y_factor: float
+    output_label: str

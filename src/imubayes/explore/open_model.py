@@ -1,0 +1,176 @@
+"""A model that is open: its result, diagnosis and linear model in memory, and what the page is told of it."""
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from inspect import getdoc
+from pathlib import Path
+
+import numpy as np
+
+from imubayes.criticism.diagnose import explained_fit
+from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.display.fit_quality_tables import run_design_text
+from imubayes.display.loop.diagnosis_report import add_command, coefficient_text, next_command
+from imubayes.display.loop.diagnosis_sentences import evidence_text, sentence
+from imubayes.display.loop.selection_text import preview_text, selection_text
+from imubayes.explore.linear_view import LinearView
+from imubayes.explore.messages import Brush, CauseLine, ModelFacts, PreviewFacts, SelectionFacts
+from imubayes.explore.point_table import PointTable
+from imubayes.foundations.errors import input_error
+from imubayes.foundations.progress import Tell
+from imubayes.foundations.tail_probabilities import chi2_survival
+from imubayes.results.change_records import write_diagnosis
+from imubayes.results.history_tree import shown_place
+from imubayes.results.result import Result
+
+
+@dataclass(frozen=True)
+class OpenModel:
+    """A diagnosed result.
+
+    Attributes
+    ----------
+    id : its name on the page.
+    result, diagnosis, view, table : the result, what the diagnosis says, its linear model, and its readings.
+    stamp : size and time of each file of the campaign when it was opened.
+    """
+
+    id: str
+    result: Result
+    diagnosis: Diagnosis
+    view: LinearView
+    table: PointTable
+    stamp: tuple[tuple[str, int, int], ...]
+
+    @property
+    def folder(self) -> Path:
+        """The result folder."""
+        assert self.result.folder is not None
+        return self.result.folder
+
+    @property
+    def place(self) -> str:
+        """The result folder as it stands in a command."""
+        return quoted(self.folder)
+
+    def campaign_changed(self) -> bool:
+        """Tell whether a file of the campaign is another one than when the model was opened."""
+        return campaign_stamp(self.result) != self.stamp
+
+    def facts(self) -> ModelFacts:
+        """Return what the page shows of the model."""
+        found, model, table = self.diagnosis, self.view.fit.model, self.table
+        record = self.view.point.record()
+        said = found.model_copy(update={"result": self.place})
+        return ModelFacts(
+            id=self.id,
+            folder=shown_place(str(self.folder.resolve())),
+            name=model.spec.name,
+            campaign=model.campaign.name,
+            verdict=found.verdict,
+            sentence=sentence(found),
+            evidence=evidence_text(found.explanations) if found.explanations is not None else "",
+            explanations=found.explanations.explanations if found.explanations is not None else (),
+            chi2=record.chi2,
+            dof=record.dof,
+            causes=tuple(self._causes()),
+            separating=tuple(
+                run_design_text(group.discriminating_run) if group.discriminating_run is not None else ""
+                for group in found.groups
+            ),
+            cells=table.cells(),
+            channels=table.channels,
+            runs=table.run_names,
+            abscissae=table.abscissae,
+            groupings=table.groupings(),
+            effects=tuple(effect.name for effect in model.spec.effects),
+            command=next_command(said),
+        )
+
+    def _causes(self) -> list[CauseLine]:
+        registry, found = self.view.fit.model.registry, []
+        groups = {
+            member.effect: (place, member.probability)
+            for place, group in reversed(list(enumerate(self.diagnosis.groups, 1)))
+            for member in group.candidates
+        }
+        for line in self.diagnosis.ranking:
+            shown = self.diagnosis.estimate(line.effect) or line
+            group, share = groups.get(line.effect, (None, None))
+            found.append(CauseLine(
+                effect=line.effect, channels=shown.channels, probability=line.probability, log_odds=line.log_odds,
+                delta_chi2=shown.delta_chi2, coefficient=coefficient_text(shown), coefficients=shown.coefficients,
+                words=(getdoc(registry.effects[line.effect]) or "").partition("\n")[0], group=group, share=share,
+            ))  # fmt: skip
+        return found
+
+    def select(self, brushes: Sequence[Brush], without: Sequence[str]) -> SelectionFacts:
+        """Return what selected rows say; some effects are not considered."""
+        chosen, view = self.table.chosen(brushes), self.view
+        n, chi2 = int(chosen.sum()), float(np.sum(view.whitened()[chosen] ** 2))
+        p = float(chi2_survival(chi2, float(n))) if n else None
+        rms, unit = self.table.rms(chosen) if n else (None, "")
+        found = view.rank(chosen, without)
+        best = (found.causes[0].effect, found.causes[0].probability) if found.causes else None
+        return SelectionFacts(
+            n=n, of=int(view.entries.sum()), chi2=chi2, p=p, rms=rms, unit=unit, nothing=found.nothing,
+            offset=found.offset, causes=found.causes,
+            sentence=selection_text(n, chi2, p, (rms, unit), best, found.nothing, found.offset),
+            runs=tuple(map(str, np.unique(self.table.runs[self.table.run[chosen]]))),
+        )  # fmt: skip
+
+    def preview(self, effects: Sequence[str], out: str) -> PreviewFacts:
+        """Return what causes would do together; `out` is the folder of the command that adds them."""
+        point = self.view.with_causes(effects)
+        drop = float(self.view.point.left @ self.view.point.left - point.left @ point.left)
+        moved = self.view.moved(point)
+        largest = (moved[0].name, moved[0].in_sd) if moved else None
+        command = add_command(effects, self.channels_for(effects), self.place, out) if effects else ""
+        return PreviewFacts(
+            effects=tuple(effects), delta_chi2=drop, cells=self.table.expected(point), moved=moved,
+            sentence=preview_text(effects, drop, largest) if effects else "", command=command,
+        )  # fmt: skip
+
+    def channels_for(self, effects: Sequence[str]) -> tuple[str, ...] | None:
+        """Return the channels on which a single effect was found; None where the command needs none named."""
+        return self.diagnosis.channels_for(effects[0]) if len(effects) == 1 else None
+
+
+def quoted(folder: Path) -> str:
+    """Return a folder as it stands in a command."""
+    return shlex.quote(shown_place(str(folder.resolve())))
+
+
+def campaign_stamp(result: Result) -> tuple[tuple[str, int, int], ...]:
+    """Return name, size and time of each file of the campaign of a result."""
+    folder = result.fit.model.campaign.folder
+    files = sorted(Path(folder).rglob("*")) if folder else []
+    known = [(file, file.stat()) for file in files if file.is_file()]
+    return tuple((file.name, stat.st_size, stat.st_mtime_ns) for file, stat in known)
+
+
+def opened(name: str, result: Result, tell: Tell) -> OpenModel:
+    """Return a result diagnosed; the diagnosis is kept in its folder, as `imubayes diagnose` keeps it.
+
+    Raises
+    ------
+    InputError
+        where its campaign is gone or has changed, or there is no fit to diagnose.
+    """
+    tell("reading the fit")
+    fit, folder = result.fit, result.folder
+    assert folder is not None
+    explained = explained_fit(fit, str(folder), tell)
+    if explained is None:
+        raise input_error(
+            fit.message or "the fit did not converge", str(folder), "a fit that converged",
+            "mend what kept it from converging, and fit again",
+        )  # fmt: skip
+    found = explained.diagnosis()
+    write_diagnosis(folder, found, result.identity)
+    tell("laying out the readings")
+    view = LinearView(explained, result.summary)
+    model = OpenModel(name, result, found, view, PointTable(result, view), campaign_stamp(result))
+    view.prepare(tell)
+    return model

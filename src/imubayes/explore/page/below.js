@@ -1,0 +1,91 @@
+// The tabs at the bottom: tree of models, estimates with what a preview moves, and the commands of every click.
+
+import { digits, el, fill } from "./dom.js";
+import { drawKnowledge } from "./knowledge.js";
+import { show, told, view } from "./state.js";
+
+const TABS = { models: "Models", estimates: "Estimates", knowledge: "What is known", commands: "Commands" };
+
+export function drawBelow(place, actions) {
+  const tabs = Object.entries(TABS).map(([name, words], at) => el("button", {
+    role: "tab", id: `tab-${name}`, "data-key": `tab-${name}`, "aria-selected": String(view.tab === name), "aria-controls": "tab-panel",
+    title: `key ${at + 1}`, onclick: () => show({ tab: name }),
+  }, words));
+  const panel = el("div", { role: "tabpanel", id: "tab-panel", "aria-labelledby": `tab-${view.tab}` });
+  const draw = { models, estimates, knowledge: drawKnowledge, commands }[view.tab] ?? models;
+  draw(panel, actions);
+  fill(place, el("div", { class: "head" }, el("div", { class: "tabs", role: "tablist" }, tabs), side(actions)), panel);
+}
+
+function side(actions) {
+  if (view.tab === "commands") {
+    return el("div", { class: "row" }, el("button", { "data-key": "copy", onclick: actions.copy }, "copy as a script"), el("a", { href: "script.sh", download: "explore.sh" }, "save it"));
+  }
+  return el("div", { class: "row" },
+    el("button", { "data-key": "undo", id: "undo", onclick: actions.undo, disabled: !parentOf(view.model) }, "undo: back to the model before"),
+    el("button", { "data-key": "export", id: "export", onclick: actions.export }, "export the selected model"));
+}
+
+export function parentOf(model) {
+  return told.session?.tree.find((line) => line.id === model)?.parent ?? "";
+}
+
+function models(panel, actions) {
+  const tree = told.session?.tree ?? [];
+  const units = [...new Set(tree.flatMap((line) => Object.keys(line.rms)))];
+  const rows = tree.map((line) => el("tr", { class: line.id === view.model ? "chosen" : "" },
+    el("td", { class: "left" }, "\u2003".repeat(line.depth), line.depth ? "└ " : "",
+      el("button", { class: "plain", "data-key": `model-${line.id}`, "aria-current": line.id === view.model ? "true" : null, disabled: !line.taken, title: line.note || line.folder, onclick: () => show({ model: line.id, ticked: [] }) }, line.name || line.title),
+      line.taken ? "" : " ✕ not taken"),
+    el("td", {}, line.chi2 && line.dof ? (line.chi2 / line.dof).toFixed(2) : "–"),
+    el("td", {}, digits(line.delta_chi2.predicted)), el("td", {}, digits(line.delta_chi2.observed)),
+    el("td", {}, line.gain),
+    units.map((unit) => el("td", {}, size(line.rms[unit], unit))),
+    el("td", {}, line.selected ? "● selected" : line.taken ? el("button", { class: "plain", "data-key": `select-${line.id}`, onclick: () => actions.select(line.id) }, "○ select") : ""),
+    el("td", {}, el("button", { class: "plain", "data-key": `note-${line.id}`, title: line.note || "name and note", onclick: () => actions.note(line) }, line.note ? "✎ note" : "✎"))));
+  const head = ["χ²/n", "Δχ² predicted", "observed", "Δ elpd", ...units.map((unit) => `residual / ${unit === "deg/s" ? "deg/h" : unit === "g" ? "µg" : unit}`), "", ""];
+  const effects = (told.facts?.effects ?? []).map((effect) => el("span", { class: "chip" }, effect,
+    el("button", { class: "plain", "data-key": `remove-${effect}`, title: `remove ${effect}, and refit`, "aria-label": `remove ${effect}`, onclick: () => actions.remove(effect) }, "×")));
+  fill(panel,
+    el("table", {}, el("thead", {}, el("tr", {}, el("th", { class: "left" }, "model"), head.map((words) => el("th", {}, words)))), el("tbody", {}, rows)),
+    el("h3", { class: "quiet aside" }, "Effects of the model that is shown"), el("div", { class: "chips" }, effects));
+}
+
+function size(value, unit) {
+  if (value === undefined) return "–";
+  return digits(value * ({ "deg/s": 3600, g: 1e6 }[unit] ?? 1));
+}
+
+function estimates(panel) {
+  const preview = told.preview?.effects.length ? told.preview : null;
+  if (!preview) {
+    fill(panel, el("p", { class: "quiet" }, "Preview a cause: what it would do to scale factors, biases and mounting angles is shown here, without a refit."));
+    return;
+  }
+  const rows = preview.moved.map((each) => el("tr", {},
+    el("td", { class: "left" }, each.name), el("td", {}, digits(each.before, 7)), el("td", {}, digits(each.sd, 2)),
+    el("td", {}, digits(each.after, 7)), el("td", { class: "left" }, each.unit),
+    el("td", { class: each.in_sd > 0 ? "up" : "down" }, `${each.in_sd > 0 ? "↑" : "↓"} ${digits(Math.abs(each.in_sd), 2)} sd`)));
+  const empty = el("tr", {}, el("td", { class: "left quiet", colspan: "6" }, "No estimate would move by a twentieth of its standard uncertainty."));
+  fill(panel, el("table", {},
+    el("thead", {}, el("tr", {}, el("th", { class: "left" }, "estimate"), ["now", "sd", `with ${preview.effects.join(", ")}`].map((words) => el("th", {}, words)), el("th", { class: "left" }, "unit"), el("th", {}, "would move"))),
+    el("tbody", {}, rows.length ? rows : empty)));
+}
+
+function commands(panel) {
+  const own = told.session?.commands ?? [];
+  fill(panel, el("p", { class: "quiet" }, "What was clicked, as commands: page and command line go through the same functions and folders."),
+    el("pre", { id: "commands", tabindex: "0" }, own.join("\n")),
+    told.facts?.command ? el("p", { class: "aside" }, "Next, by the diagnosis: ", el("code", {}, told.facts.command)) : null);
+}
+
+export function noteDialog(dialog, line, keep) {
+  const name = el("input", { value: line.name, maxlength: "120", id: "note-name" }), note = el("textarea", { rows: "5", cols: "56", maxlength: "4000", id: "note-text" }, line.note);
+  fill(dialog, el("form", { method: "dialog", onsubmit: () => keep(name.value, note.value) },
+    el("h2", { id: "dialog-title" }, `Name and note of ${line.title}`),
+    el("p", {}, el("label", { for: "note-name" }, "name "), name), el("p", {}, el("label", { for: "note-text" }, "note "), note),
+    el("div", { class: "row" }, el("button", { class: "main" }, "keep"), el("button", { type: "button", onclick: () => dialog.close() }, "cancel"))));
+  dialog.showModal();
+  name.focus();
+}
+

@@ -1,0 +1,97 @@
+// Ranked causes: of everything by the one evidence, or of the selected readings; ticked ones are previewed, then added.
+
+import { bar, digits, el, fill, odds, probability } from "./dom.js";
+import { show, tell, told, view } from "./state.js";
+
+const MOST = 14;
+let every = false, hovering = 0;
+
+export function drawCauses(place, actions) {
+  const facts = told.facts;
+  if (!facts) {
+    fill(place);
+    return;
+  }
+  const selection = view.brushes.length && told.selection?.n ? told.selection : null;
+  const known = new Map(facts.causes.map((cause) => [cause.effect, cause]));
+  const listed = selection ? selection.causes.filter((each) => known.has(each.effect)) : facts.causes;
+  const ticked = view.ticked.filter((effect) => known.has(effect) && !listed.some((each) => each.effect === effect));
+  const shown = every ? listed : listed.slice(0, MOST);
+  const missing = ticked.map((effect) => ({ effect, probability: known.get(effect).probability, log_odds: null }));
+  const lines = grouped([...shown, ...missing.filter((each) => !shown.some((one) => one.effect === each.effect))], known, selection, actions);
+  fill(place,
+    el("div", { class: "head" },
+      el("h2", { id: "causes-title" }, selection ? "What explains these readings" : "What would explain the rest"),
+      selection ? el("button", { onclick: () => show({ brushes: [] }), "data-key": "clear" }, "clear selection") : null),
+    selection ? el("p", { class: "aside", id: "selection-sentence", role: "status" }, selection.sentence) : null,
+    selection ? other("noise alone", selection.nothing) : null,
+    selection?.offset !== null && selection ? other("an offset of these readings alone", selection.offset) : null,
+    lines,
+    listed.length > MOST ? el("button", { class: "plain", onclick: () => { every = !every; drawCauses(place, actions); } }, every ? "fewer" : `${listed.length - MOST} more`) : null,
+    selection ? el("p", { class: "aside quiet" }, "Each cause acts in these readings alone; the parameters are as all readings tell them. Mark on the bar: probability from all readings.") : null,
+    accept(actions));
+}
+
+function other(words, share) {
+  return el("div", { class: "cause other" }, el("span"), el("span", { class: "name" }, words), bar(share), el("span", { class: "number" }, probability(share)));
+}
+
+// Members of a group stand together, with the run that would tell them apart.
+function grouped(lines, known, selection, actions) {
+  const found = [], groups = new Map();
+  for (const line of lines) {
+    const cause = known.get(line.effect), row = causeRow(line, cause, selection, actions);
+    const members = cause.group === null ? 0 : [...known.values()].filter((each) => each.group === cause.group).length;
+    if (members < 2 || selection) {
+      found.push(row);
+      continue;
+    }
+    if (!groups.has(cause.group)) {
+      const box = el("div", { class: "effect-group" });
+      groups.set(cause.group, box);
+      found.push(box);
+    }
+    groups.get(cause.group).append(row);
+  }
+  for (const [group, box] of groups) {
+    const run = told.facts.separating[group - 1];
+    box.append(el("p", { class: "aside quiet" }, `These runs cannot distinguish them.${run ? ` A run that would: ${run}.` : ""}`));
+  }
+  return found;
+}
+
+function causeRow(line, cause, selection, actions) {
+  const lock = told.session?.locks[cause.effect] ?? "", at = view.ticked.includes(cause.effect);
+  const toggle = () => show({ ticked: at ? view.ticked.filter((each) => each !== cause.effect) : [...view.ticked, cause.effect] });
+  const next = { "": "in", in: "out", out: "" }[lock], signs = { "": "free", in: "in", out: "out" };
+  const id = `tick-${cause.effect}`;
+  return el("div", { class: `cause ${lock} ${told.hovered === cause.effect ? "hovered" : ""}`, title: cause.words, onmouseenter: () => hover(cause.effect), onmouseleave: () => hover("") },
+    el("input", { type: "checkbox", id, checked: at, disabled: lock === "out", "data-key": id, class: "tick", onchange: toggle, onfocus: () => hover(cause.effect), onblur: () => hover("") }),
+    el("label", { class: "name", for: id }, broken(cause.effect)),
+    bar(line.probability, selection ? cause.probability : null),
+    el("span", { class: "number", title: odds(line.log_odds ?? cause.log_odds) }, probability(line.probability)),
+    el("span", { class: "more" }, el("span", {}, `${cause.coefficient}; Δχ² ${digits(cause.delta_chi2)}; ${odds(cause.log_odds)} alone`),
+      el("button", { class: "plain quiet", "data-key": `lock-${cause.effect}`, title: `locked: ${signs[lock]}; in: always added, out: never proposed`, "aria-label": `lock of ${cause.effect}: ${signs[lock]}`, onclick: () => actions.lock(cause.effect, next) }, signs[lock])));
+}
+
+// A long name breaks at an underscore.
+function broken(name) {
+  return name.split(/(?<=_)/).flatMap((part, at) => (at ? [el("wbr"), part] : [part]));
+}
+
+// A short wait, so that the pointer may cross the list.
+function hover(effect) {
+  clearTimeout(hovering);
+  hovering = setTimeout(() => told.hovered !== effect && tell({ hovered: effect }), effect ? 70 : 160);
+}
+
+function accept(actions) {
+  const preview = told.preview?.effects.length ? told.preview : null, ticked = view.ticked.length > 0;
+  const busy = told.session?.tasks.some((task) => ["waiting", "running", "cancelling"].includes(task.state));
+  return el("div", { class: "aside" },
+    preview ? el("p", { id: "preview-sentence", role: "status" }, preview.sentence) : el("p", { class: "quiet" }, "Point at a cause to preview it without a refit; tick several to preview them together."),
+    preview ? el("pre", { tabindex: "0", "aria-label": "command" }, preview.command) : null,
+    el("div", { class: "row" },
+      el("button", { class: "main", id: "accept", "data-key": "accept", disabled: !ticked || busy, onclick: actions.accept }, "add what is ticked, and refit"),
+      el("button", { "data-key": "untick", disabled: !ticked, onclick: () => show({ ticked: [] }) }, "untick")));
+}

@@ -1,0 +1,83 @@
+// Elements, numbers and colours; nothing here knows what is shown.
+
+export function el(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) made.addEventListener(name.slice(2), value);
+    else if (name === "class") made.className = value;
+    else if (name === "style") Object.assign(made.style, value);
+    else if (name in made && typeof value !== "string") made[name] = value;
+    else made.setAttribute(name, value === true ? "" : value);
+  }
+  made.append(...children.flat().filter((child) => child !== null && child !== undefined && child !== false));
+  return made;
+}
+
+// Replaces what is in an element; the focus stays on what has the same data-key.
+export function fill(place, ...children) {
+  const key = place.contains(document.activeElement) ? document.activeElement.dataset.key : undefined;
+  const top = place.scrollTop;
+  place.replaceChildren(...children.flat().filter((child) => child !== null && child !== undefined && child !== false));
+  place.scrollTop = top;
+  if (key) place.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus({ preventScroll: true });
+}
+
+export function digits(value, count = 3) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  if (size >= 1e7 || size < 1e-5) return value.toExponential(count - 1).replace("-", "−");
+  const places = Math.max(0, Math.min(8, count - 1 - Math.floor(Math.log10(size))));
+  return value.toFixed(places).replace("-", "−");
+}
+
+export function probability(value) {
+  if (value === null || value === undefined) return "–";
+  if (value > 0.999) return "> 0.999";
+  if (value < 0.001) return "< 0.001";
+  return value >= 0.01 && value < 0.99 ? value.toFixed(2) : value.toFixed(3);
+}
+
+export function odds(value) {
+  if (value === null || value === undefined) return "";
+  const tens = value / Math.LN10;
+  return Math.abs(tens) < 3 ? `odds ${digits(Math.exp(value), 2)} : 1` : `odds 10^${tens.toFixed(0).replace("-", "−")} : 1`;
+}
+
+export function bar(share, tick = null) {
+  const width = `${(100 * Math.max(0, Math.min(1, share))).toFixed(1)}%`;
+  const mark = tick === null ? null : el("b", { style: { left: `calc(${(100 * tick).toFixed(1)}% - 1px)` } });
+  return el("span", { class: "bar", "aria-hidden": "true" }, el("i", { style: { width } }), mark);
+}
+
+// χ²/n on a scale that readers with any colour vision tell apart (cividis); text is chosen for contrast.
+const CIVIDIS = [[0, 34, 78], [53, 69, 108], [102, 105, 112], [148, 142, 119], [200, 184, 102], [254, 232, 56]];
+
+export function heat(ratio) {
+  const share = Math.max(0, Math.min(1, Math.log10(Math.max(ratio, 0.3) / 0.7) / Math.log10(40 / 0.7)));
+  const at = share * (CIVIDIS.length - 1), low = Math.min(Math.floor(at), CIVIDIS.length - 2), part = at - low;
+  const [r, g, b] = [0, 1, 2].map((k) => Math.round(CIVIDIS[low][k] * (1 - part) + CIVIDIS[low + 1][k] * part));
+  const light = 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+  return { back: `rgb(${r} ${g} ${b})`, text: light > 0.18 ? "#000000" : "#ffffff" };
+}
+
+function linear(value) {
+  const part = value / 255;
+  return part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
+}
+
+const HUES = {
+  light: ["#0072b2", "#d55e00", "#009e73", "#7a3b00", "#8c5fb5", "#6b6b6b"],
+  dark: ["#56b4e9", "#ffb347", "#3ddbb0", "#f28ac4", "#f0e442", "#c3c9d3"],
+};
+const SHAPES = ["circle", "triangle", "square", "diamond"];
+
+export function sign(place) {
+  const hues = HUES[document.documentElement.dataset.theme === "dark" ? "dark" : "light"];
+  return { colour: hues[place % hues.length], shape: SHAPES[Math.floor(place / hues.length) % SHAPES.length] };
+}
+
+export function css(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+}

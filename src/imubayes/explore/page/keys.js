@@ -1,0 +1,39 @@
+// Keyboard: every gesture has a key; `?` lists them.
+
+import { el, fill } from "./dom.js";
+
+const KEYS = [
+  ["?", "this list"], ["t", "guided tour"], ["m", "to the map; arrows walk, Enter selects a cell"],
+  ["r", "to the residuals; ← → move a selection, ⇧ ← → change its width"], ["c", "to the causes; Space ticks, Enter adds what is ticked"],
+  ["a", "add what is ticked, and refit"], ["x", "cancel what is at work"], ["u", "undo: back to the model before"],
+  ["n", "next channel (N: the one before)"], ["v", "next covariate on the abscissa (V: the one before)"],
+  ["y", "next kind of residual"], ["o", "only selected runs"], ["p", "residual after the preview"],
+  ["z", "zoom to the selection (Z: whole range)"], ["Esc", "clear the selection, then the ticks"],
+  ["1 … 4", "models, estimates, what is known, commands"], ["e", "export the selected model"], ["d", "light or dark"],
+];
+
+export function listenToKeys(actions) {
+  document.addEventListener("keydown", (event) => {
+    if (event.altKey || event.ctrlKey || event.metaKey || document.getElementById("dialog").open) return;
+    const target = event.target, typing = ["TEXTAREA", "SELECT"].includes(target.tagName) || (target.tagName === "INPUT" && target.type !== "checkbox");
+    if (typing) return;
+    if (event.key === "Enter" && target.classList.contains("tick")) {
+      event.preventDefault();
+      actions.a();
+      return;
+    }
+    const act = actions[event.key];
+    if (act) {
+      event.preventDefault();
+      act();
+    }
+  });
+}
+
+export function helpDialog(dialog) {
+  fill(dialog, el("form", { method: "dialog" }, el("h2", { id: "dialog-title" }, "Keys"),
+    el("table", {}, el("tbody", {}, KEYS.map(([key, words]) => el("tr", {}, el("td", {}, el("kbd", {}, key)), el("td", {}, words))))),
+    el("p", { class: "quiet" }, "With the mouse: drag on a panel to select readings, ⇧ adds to the selection; point at a cause to preview it."),
+    el("button", { class: "main", autofocus: true }, "close")));
+  dialog.showModal();
+}

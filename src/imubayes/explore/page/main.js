@@ -1,0 +1,198 @@
+// The page: what changes leads to what is asked, and what is told leads to what is drawn. State flows one way.
+
+import { drawBelow, noteDialog, parentOf } from "./below.js";
+import { drawCauses } from "./causes.js";
+import { el, fill } from "./dom.js";
+import { helpDialog, listenToKeys } from "./keys.js";
+import { drawMap } from "./map.js";
+import { ask, latest, listen, points, text } from "./net.js";
+import { drawCharts, drawControls, focusRuns, makeCharts, restyle, zoomToSelection } from "./panels.js";
+import { onChange, previewed, show, tell, told, view } from "./state.js";
+import { drawTasks } from "./tasks.js";
+import { tour } from "./tour.js";
+import { drawVerdict } from "./verdict.js";
+
+const place = (name) => document.getElementById(name);
+const dialog = place("dialog");
+const RESIDUALS = ["known", "input", "fitted"];
+
+// What goes wrong is told on the page.
+async function attempt(work) {
+  try {
+    return await work();
+  } catch (error) {
+    tell({ fault: error.issues ? error.issues.join("\n") : `internal error of the page: ${error.message}` });
+    return undefined;
+  }
+}
+
+const actions = {
+  accept: () => view.ticked.length && attempt(() => ask("change", { model: view.model, add: view.ticked })),
+  remove: (effect) => attempt(() => ask("change", { model: view.model, remove: [effect] })),
+  cancel: (task) => attempt(() => ask("cancel", { task })),
+  select: (model) => attempt(async () => tell({ session: await ask("select", { model }) })),
+  lock: (effect, lock) => attempt(async () => {
+    tell({ session: await ask("lock", { effect, lock }) });
+    await select();
+  }),
+  note: (line) => noteDialog(dialog, line, (name, note) => attempt(async () => tell({ session: await ask("note", { model: line.id, name, note }) }))),
+  undo: () => attempt(async () => {
+    const before = parentOf(view.model);
+    if (!before) return;
+    tell({ session: await ask("select", { model: before }) });
+    show({ model: before, ticked: [] });
+  }),
+  export: () => attempt(async () => {
+    const saved = el("a", { href: URL.createObjectURL(new Blob([await text("model.toml")])), download: "model.toml" });
+    saved.click();
+  }),
+  copy: () => attempt(async () => navigator.clipboard.writeText(await text("script.sh"))),
+};
+
+// ---- what is asked ----
+
+async function open() {
+  const facts = await attempt(() => latest("model", (signal) => ask("model", { model: view.model }, signal)));
+  if (!facts || facts.id !== view.model) return;
+  const worst = facts.cells.reduce((one, other) => (other.chi2 / other.n > one.chi2 / one.n ? other : one), facts.cells[0]);
+  const kept = {
+    channel: facts.channels.includes(view.channel) ? view.channel : worst.channel,
+    x: facts.abscissae.some((axis) => axis.name === view.x) ? view.x : firstAbscissa(facts),
+    colour: facts.groupings.includes(view.colour) ? view.colour : "run",
+    ticked: view.ticked.filter((effect) => facts.causes.some((cause) => cause.effect === effect)),
+  };
+  told.facts = facts;
+  show(kept, true);
+  tell({ facts });
+  await Promise.all([select(), preview(), load(true)]);
+}
+
+function firstAbscissa(facts) {
+  const said = facts.abscissae.find((axis) => facts.sentence.includes(`depends on ${axis.phrase}`));
+  return (said ?? facts.abscissae.find((axis) => axis.name === "table_rate_deg_s") ?? facts.abscissae[0]).name;
+}
+
+async function load(moving = false) {
+  if (!told.facts || told.facts.id !== view.model) return;
+  const wanted = {
+    model: view.model, channel: view.channel, runs: view.only, x: view.x, y: view.y, colour: view.colour,
+    between: view.between, brushes: view.brushes, effects: previewed(),
+  };
+  const found = await attempt(() => latest("points", (signal) => points(wanted, signal)));
+  if (!found) return;
+  const before = moving ? told.points : null;
+  told.points = found;
+  drawCharts(before);
+}
+
+async function select() {
+  if (!told.facts || told.facts.id !== view.model) return;
+  if (!view.brushes.length) {
+    tell({ selection: null });
+    return;
+  }
+  const selection = await attempt(() => latest("selection", (signal) => ask("selection", { model: view.model, brushes: view.brushes }, signal)));
+  if (selection) tell({ selection });
+}
+
+async function preview() {
+  if (!told.facts || told.facts.id !== view.model) return;
+  const effects = previewed();
+  if (!effects.length) {
+    tell({ preview: null });
+    return;
+  }
+  const found = await attempt(() => latest("preview", (signal) => ask("preview", { model: view.model, effects }, signal)));
+  if (found) tell({ preview: found });
+}
+
+// ---- what leads to what ----
+
+const any = (names, ...wanted) => names.some((name) => wanted.includes(name));
+
+onChange((seen, heard) => {
+  if (any(seen, "model") && view.model) {
+    if (told.facts?.id !== view.model) told.facts = null;
+    open();
+  } else if (told.facts) {
+    if (any(seen, "brushes")) select();
+    if (any(seen, "ticked") || any(heard, "hovered")) preview();
+    if (any(seen, "channel", "x", "y", "colour", "only", "brushes", "ticked", "between") || any(heard, "hovered")) load();
+    if (any(seen, "after") || any(heard, "selection", "preview")) drawCharts();
+  }
+  draw(seen, heard);
+});
+
+function draw(seen, heard) {
+  if (any(heard, "facts", "lost") || any(seen, "model")) drawVerdict(place("verdict"));
+  if (any(heard, "facts", "preview") || any(seen, "brushes", "channel", "model")) drawMap(place("map"));
+  if (any(heard, "facts", "selection", "preview", "session") || any(seen, "brushes", "ticked", "model")) drawCauses(place("causes"), actions);
+  if (any(heard, "facts", "session", "preview") || any(seen, "tab", "model", "ticked")) drawBelow(place("below"), actions);
+  if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between")) drawControls();
+  if (any(heard, "session", "fault", "lost", "dismissed")) drawTasks(place("notice"), actions);
+}
+
+// A change that was taken is followed by every window that shows the model it was made from.
+function onState(session) {
+  const last = told.session;
+  tell({ session, lost: false });
+  const known = new Set((last?.tasks ?? []).filter((task) => task.made).map((task) => task.number));
+  for (const task of session.tasks) {
+    const fresh = last && task.made && !known.has(task.number);
+    if (fresh && task.of === view.model && task.made !== view.model) show({ model: task.made, ticked: [] });
+    else if (task.made && task.made === view.model && told.facts?.id !== view.model) open();
+  }
+  const there = session.tree.some((line) => line.id === view.model);
+  if (!there && session.tree.length) show({ model: (session.tree.find((line) => line.selected) ?? session.tree[0]).id }, true);
+  else if (!told.facts && there && !session.tasks.some((task) => ["waiting", "running"].includes(task.state)) && !last) open();
+}
+
+// ---- tools and keys ----
+
+function next(list, now, step) {
+  return list[(list.indexOf(now) + step + list.length) % list.length];
+}
+
+function theme(name) {
+  document.documentElement.dataset.theme = name;
+  try {
+    localStorage.setItem("imubayes-theme", name);
+  } catch { /* private windows forget it */ }
+}
+
+function switchTheme() {
+  theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  restyle();
+}
+
+function tools() {
+  fill(place("tools"),
+    el("button", { id: "open-tour", onclick: () => tour(dialog) }, "tour"),
+    el("button", { id: "open-help", onclick: () => helpDialog(dialog), title: "key ?" }, "keys"),
+    el("button", { id: "open-theme", onclick: switchTheme, title: "key d" }, "light / dark"));
+}
+
+const channels = () => told.facts?.channels ?? [view.channel], covariates = () => told.facts?.abscissae.map((axis) => axis.name) ?? [view.x];
+const turnX = (step) => show({ x: next(covariates(), view.x, step), between: null, brushes: view.brushes.filter((brush) => !brush.x) });
+
+listenToKeys({
+  "?": () => helpDialog(dialog), t: () => tour(dialog), d: switchTheme,
+  m: () => (place("map").querySelector(".cell.marked") ?? place("map").querySelector(".cell"))?.focus(), r: () => place("residuals").focus(),
+  c: () => place("causes").querySelector(".tick:not(:disabled)")?.focus(), a: actions.accept, u: actions.undo, e: actions.export,
+  x: () => told.session?.tasks.filter((task) => ["waiting", "running"].includes(task.state)).forEach((task) => actions.cancel(task.number)),
+  n: () => show({ channel: next(channels(), view.channel, 1) }), N: () => show({ channel: next(channels(), view.channel, -1) }),
+  v: () => turnX(1), V: () => turnX(-1), y: () => show({ y: next(RESIDUALS, view.y, 1) }), o: focusRuns,
+  p: () => show({ after: !view.after }), z: zoomToSelection, Z: () => show({ between: null }),
+  Escape: () => show(view.brushes.length ? { brushes: [], only: [] } : { ticked: [] }),
+  1: () => show({ tab: "models" }), 2: () => show({ tab: "estimates" }), 3: () => show({ tab: "knowledge" }), 4: () => show({ tab: "commands" }),
+});
+
+let wanted = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+try {
+  wanted = localStorage.getItem("imubayes-theme") ?? wanted;
+} catch { /* as the system has it */ }
+theme(wanted);
+tools();
+makeCharts(place("charts"));
+drawVerdict(place("verdict"));
+listen(onState, () => tell({ lost: true }), () => tell({ lost: false }));

@@ -1,0 +1,72 @@
+// χ² per reading of every run and channel: where the model fails; a cell selects its readings.
+
+import { digits, el, fill, heat } from "./dom.js";
+import { show, told, view } from "./state.js";
+
+let fitted = false;
+
+export function drawMap(place) {
+  const facts = told.facts;
+  if (!facts) {
+    fill(place);
+    return;
+  }
+  const known = new Map(facts.cells.map((cell, at) => [JSON.stringify([cell.run, cell.channel]), [cell, at]]));
+  const expected = told.preview?.effects.length ? told.preview.cells : null;
+  const head = el("tr", {}, el("th", { class: "run" }, "run"), facts.channels.map((channel) => el("th", {},
+    el("button", { "data-key": `channel-${channel}`, onclick: () => show({ channel, brushes: [{ channels: [channel], runs: [] }] }), title: `select channel ${channel}` }, channel))));
+  const rows = facts.runs.map((run) => el("tr", {},
+    el("th", { class: "run" }, el("button", { "data-key": `run-${run}`, title: `select run ${run}`, onclick: () => show({ brushes: [{ channels: [], runs: [run] }] }) }, run)),
+    facts.channels.map((channel) => {
+      const found = known.get(JSON.stringify([run, channel]));
+      return el("td", {}, found ? cellButton(found[0], expected ? expected[found[1]] : null) : null);
+    })));
+  fill(place,
+    el("div", { class: "head" }, el("h2", { id: "map-title" }, "χ² per reading"),
+      el("label", { class: "quiet" }, el("input", { type: "checkbox", "data-key": "fitted", checked: fitted, onchange: (event) => { fitted = event.target.checked; drawMap(place); } }), " at fitted noise")),
+    el("table", { onkeydown: walk }, el("thead", {}, head), el("tbody", {}, rows)),
+    el("p", { class: "aside quiet" }, expected ? "Dashed: expected with what is previewed." : "1 is what noise alone makes. Click a cell, a run or a channel to select it; hold ⇧ to add."));
+}
+
+function cellButton(cell, expected) {
+  const chi2 = fitted && expected === null ? cell.fitted ?? cell.chi2 : expected ?? cell.chi2;
+  const ratio = chi2 / cell.n, { back, text } = heat(ratio);
+  const marked = view.brushes.some((brush) => !brush.x && matches(brush.channels, cell.channel) && matches(brush.runs, cell.run));
+  const names = ["cell", marked && "marked", expected !== null && "previewed", cell.channel === view.channel && "shown"];
+  return el("button", {
+    class: names.filter(Boolean).join(" "), "data-key": `cell-${cell.run}-${cell.channel}`, "aria-pressed": String(marked),
+    style: { backgroundColor: back, color: text }, title: `${cell.run} ${cell.channel}: χ² ${digits(cell.chi2, 4)} of ${cell.n}, ${digits(cell.rms)} ${cell.unit} rms`
+      + (expected === null ? "" : `; expected χ² ${digits(expected, 4)}`),
+    "aria-label": `run ${cell.run}, channel ${cell.channel}: χ² per reading ${digits(ratio, 2)}`,
+    onclick: (event) => choose(cell, event.shiftKey),
+  }, ratio < 9.95 ? ratio.toFixed(1) : digits(ratio, 2));
+}
+
+function matches(names, name) {
+  return !names.length || names.includes(name);
+}
+
+function choose(cell, added) {
+  const brush = { channels: [cell.channel], runs: [cell.run] };
+  show({ channel: cell.channel, brushes: added ? [...view.brushes, brush] : [brush] });
+}
+
+// Arrows walk from cell to cell.
+function walk(event) {
+  const here = event.target.closest("td, th"), ways = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
+  if (!here || !(event.key in ways)) return;
+  event.preventDefault();
+  const [down, right] = ways[event.key], rows = [...event.currentTarget.querySelectorAll("tr")];
+  let row = rows.indexOf(here.parentElement), column = here.cellIndex;
+  for (;;) {
+    row += down;
+    column += right;
+    const next = rows[row]?.cells[column];
+    if (!next) return;
+    const button = next.querySelector("button");
+    if (button) {
+      button.focus();
+      return;
+    }
+  }
+}

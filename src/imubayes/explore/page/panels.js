@@ -1,0 +1,192 @@
+// Measurement with model above, residuals below: the same points, colours and selection in both.
+
+import { Chart, extent, shape } from "./chart.js";
+import { css, el, fill, sign } from "./dom.js";
+import { show, told, view } from "./state.js";
+
+const MOST_NAMED = 14;
+let measurement, residuals, moving = null;
+
+export function makeCharts(place) {
+  const controls = el("div", { class: "controls", id: "controls" });
+  const above = el("div", { class: "chart", id: "measurement", role: "img", "aria-label": "Measurement and model" });
+  const below = el("div", { class: "chart", id: "residuals", role: "img", "aria-label": "Residuals" });
+  place.append(controls, above, below, el("div", { class: "legend", id: "legend" }));
+  measurement = new Chart(above, { both: false, onBrush: brushed, draw: drawMeasurement });
+  residuals = new Chart(below, { both: true, onBrush: brushed, draw: drawResiduals });
+  above.append(el("div", { class: "title" }, "measurement (points) and model (line)"));
+  below.append(el("div", { class: "title", id: "residual-title" }));
+}
+
+export function restyle() {
+  measurement.build();
+  residuals.build();
+  drawCharts();
+}
+
+function brushed({ x, y }, added) {
+  const factor = told.points?.head.y_factor ?? 1;
+  const brush = { channels: [view.channel], runs: view.only, x: view.x, x_low: x[0], x_high: x[1] };
+  if (y !== null) Object.assign(brush, { y: view.y, y_low: y[0] / factor, y_high: y[1] / factor });
+  show({ brushes: added ? [...view.brushes, brush] : [brush] });
+}
+
+export function drawControls() {
+  const facts = told.facts;
+  if (!facts) return;
+  const pick = (name, label, options) => el("label", {}, label, el("select", {
+    "data-key": name, id: `pick-${name}`, onchange: (event) => show({ [name]: event.target.value, ...(name === "x" ? { between: null, brushes: [] } : {}) }),
+  }, options.map(([value, words]) => el("option", { value, selected: value === view[name] }, words))));
+  fill(document.getElementById("controls"),
+    pick("channel", "channel", facts.channels.map((name) => [name, name])),
+    pick("x", "against", facts.abscissae.map((axis) => [axis.name, axis.unit ? `${axis.phrase} / ${axis.unit}` : axis.phrase])),
+    pick("y", "residual", [["known", "over known noise"], ["input", "in input units"], ["fitted", "over fitted noise"]]),
+    pick("colour", "colour", facts.groupings.map((name) => [name, name])),
+    el("label", {}, el("input", { type: "checkbox", "data-key": "only", checked: view.only.length > 0, onchange: focusRuns }), "only selected runs"),
+    el("label", {}, el("input", { type: "checkbox", "data-key": "after", checked: view.after, onchange: (event) => show({ after: event.target.checked }) }), "residual after preview"),
+    view.between ? el("button", { onclick: () => show({ between: null }) }, "whole range") : null);
+}
+
+export function focusRuns() {
+  show({ only: view.only.length ? [] : told.selection?.runs ?? [] });
+}
+
+export function zoomToSelection() {
+  const own = view.brushes.filter((brush) => brush.x === view.x);
+  if (own.length) show({ between: [Math.min(...own.map((b) => b.x_low)), Math.max(...own.map((b) => b.x_high))] });
+}
+
+function quantile(values, share) {
+  const sorted = Float32Array.from(values).sort();
+  return sorted.length ? sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))] : 0;
+}
+
+// From one model to the next the points move: what each step took off is seen.
+export function drawCharts(before = null) {
+  const points = told.points;
+  if (!points) return;
+  const { head } = points, last = before && before.head.count === head.count ? before : null;
+  const x = extent(points.x), sd = quantile(points.sd, 0.5);
+  const y = extent(points.y, 1.15 * sd), was = last ? extent(last.y, 1.15 * sd) : y;
+  measurement.show({ x, y: extent(points.observed) }, "", head.output_label);
+  document.getElementById("residual-title").textContent = told.preview?.effects.length
+    ? `residual, and what ${told.preview.effects.join(" and ")} would explain of it` : "residual; band: 95 % of noise alone";
+  document.getElementById("residuals").setAttribute("aria-label",
+    `Residuals of ${view.channel}: ${head.of} readings. ${told.selection?.sentence ?? ""} Left and right arrows move a selection.`);
+  const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (!last || still) {
+    moving = null;
+    residuals.show({ x, y }, head.x_label, head.y_label);
+  } else move(last, points, x, was, y);
+  drawLegend(head.groups);
+}
+
+function move(last, points, x, was, y) {
+  const began = performance.now(), own = {};
+  moving = own;
+  const step = (now) => {
+    if (moving !== own) return;
+    const share = Math.min(1, (now - began) / 700), eased = share * share * (3 - 2 * share);
+    own.y = points.y.map((value, k) => last.y[k] + eased * (value - last.y[k]));
+    residuals.show({ x, y: [0, 1].map((k) => was[k] + eased * (y[k] - was[k])) }, points.head.x_label, points.head.y_label);
+    if (share < 1) requestAnimationFrame(step);
+    else moving = null;
+  };
+  requestAnimationFrame(step);
+}
+
+function byGroup(points) {
+  const groups = points.head.groups.map(() => []);
+  for (let k = 0; k < points.head.count; k++) groups[points.group[k]].push(k);
+  return groups;
+}
+
+function drawPoints(context, at, points, y, faint) {
+  const size = (points.head.count > 4000 ? 1.3 : points.head.count > 800 ? 2 : 2.8) * at.ratio;
+  const selecting = told.selection?.n > 0 && view.brushes.length > 0;
+  for (const chosen of selecting ? [false, true] : [null]) {
+    byGroup(points).forEach((members, place) => {
+      const { colour, shape: kind } = sign(place);
+      context.beginPath();
+      for (const k of members) if (chosen === null || Boolean(points.marked[k]) === chosen) shape(context, kind, at.x(points.x[k]), at.y(y[k]), size);
+      context.globalAlpha = (chosen === false ? 0.28 : 0.9) * (faint ? 0.45 : 1);
+      context.fillStyle = colour;
+      context.fill();
+      if (chosen) {
+        context.strokeStyle = css("--marked");
+        context.lineWidth = at.ratio;
+        context.stroke();
+      }
+    });
+  }
+  context.globalAlpha = 1;
+}
+
+function drawMeasurement(context, at) {
+  const points = told.points;
+  if (!points) return;
+  context.lineWidth = 1.2 * at.ratio;
+  byGroup(points).forEach((members, place) => {
+    if (!members.length) return;
+    context.fillStyle = css("--band");
+    context.beginPath();
+    members.forEach((k, n) => context[n ? "lineTo" : "moveTo"](at.x(points.x[k]), at.y(points.predicted[k] + points.band[k])));
+    [...members].reverse().forEach((k) => context.lineTo(at.x(points.x[k]), at.y(points.predicted[k] - points.band[k])));
+    context.fill();
+    context.strokeStyle = sign(place).colour;
+    context.beginPath();
+    members.forEach((k, n) => context[n ? "lineTo" : "moveTo"](at.x(points.x[k]), at.y(points.predicted[k])));
+    context.stroke();
+  });
+  if (told.preview?.effects.length) dashes(context, at, points, points.curve);
+  drawPoints(context, at, points, points.observed, false);
+}
+
+function drawResiduals(context, at) {
+  const points = told.points;
+  if (!points) return;
+  const sd = quantile(points.sd, 0.5), { box } = at;
+  context.fillStyle = css("--band");
+  context.fillRect(box.left, at.y(sd), box.width, at.y(-sd) - at.y(sd));
+  context.fillStyle = css("--quiet");
+  context.fillRect(box.left, at.y(0), box.width, at.ratio);
+  const previewing = told.preview?.effects.length > 0;
+  if (previewing && view.after) {
+    drawPoints(context, at, points, points.after, false);
+    return;
+  }
+  drawPoints(context, at, points, moving?.y ?? points.y, previewing);
+  if (previewing) dashes(context, at, points, points.y.map((value, k) => value - points.after[k]));
+}
+
+function dashes(context, at, points, y) {
+  context.strokeStyle = css("--preview");
+  context.lineWidth = 2.2 * at.ratio;
+  context.beginPath();
+  for (let k = 0; k < points.head.count; k++) {
+    const x = at.x(points.x[k]), height = at.y(y[k]);
+    context.moveTo(x - 5 * at.ratio, height);
+    context.lineTo(x + 5 * at.ratio, height);
+  }
+  context.stroke();
+}
+
+function drawLegend(groups) {
+  const named = groups.slice(0, MOST_NAMED).map((name, place) => {
+    const { colour, shape: kind } = sign(place);
+    const mark = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+    mark.setAttribute("width", 11);
+    mark.setAttribute("height", 11);
+    const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+    const paths = { circle: "M1.5 5.5a4 4 0 1 0 8 0a4 4 0 1 0 -8 0", square: "M2 2h7v7h-7z", triangle: "M5.5 1L10 9.5H1z", diamond: "M5.5 .5L10.5 5.5L5.5 10.5L.5 5.5z" };
+    path.setAttribute("d", paths[kind]);
+    path.setAttribute("fill", colour);
+    mark.append(path);
+    return el("span", {}, mark, " ", name);
+  });
+  if (groups.length > MOST_NAMED) named.push(el("span", { class: "quiet" }, `and ${groups.length - MOST_NAMED} more`));
+  if (told.points.head.of > told.points.head.count) {
+    named.push(el("span", { class: "quiet" }, `${told.points.head.count} extremes of ${told.points.head.of} readings`));
+  }
+  fill(document.getElementById("legend"), named);
+}

@@ -1,0 +1,58 @@
+// The view of this window, which its address holds, and what the server has told; panels only read it.
+
+const FIRST = { model: "", channel: "", x: "", y: "known", colour: "run", only: [], brushes: [], ticked: [], tab: "models", between: null, after: false };
+
+export const view = { ...FIRST, ...fromAddress() };
+export const told = {
+  session: null, facts: null, points: null, selection: null, preview: null, hovered: "", fault: "", lost: false,
+  openTask: 0, dismissed: 0,
+};
+
+const listeners = [];
+
+export function onChange(listener) {
+  listeners.push(listener);
+}
+
+// Changes of the view go through here, and into the address; panels are drawn anew from both.
+export function show(changes, replace = false) {
+  Object.assign(view, changes);
+  const address = `#${encodeURIComponent(JSON.stringify(changed()))}`;
+  if (address !== location.hash) history[replace ? "replaceState" : "pushState"](null, "", address);
+  for (const listener of listeners) listener(Object.keys(changes), []);
+}
+
+export function tell(changes) {
+  Object.assign(told, changes);
+  for (const listener of listeners) listener([], Object.keys(changes));
+}
+
+function changed() {
+  return Object.fromEntries(Object.entries(view).filter(([name, value]) => JSON.stringify(value) !== JSON.stringify(FIRST[name])));
+}
+
+function fromAddress() {
+  try {
+    const read = JSON.parse(decodeURIComponent(location.hash.slice(1)) || "{}");
+    return Object.fromEntries(Object.entries(read).filter(([name, value]) => name in FIRST && sameKind(value, FIRST[name])));
+  } catch {
+    return {};
+  }
+}
+
+function sameKind(value, first) {
+  return first === null ? value === null || Array.isArray(value) : typeof value === typeof first && Array.isArray(value) === Array.isArray(first);
+}
+
+window.addEventListener("hashchange", readAddress);
+window.addEventListener("popstate", readAddress);
+
+function readAddress() {
+  Object.assign(view, FIRST, fromAddress());
+  for (const listener of listeners) listener(Object.keys(FIRST), []);
+}
+
+export function previewed() {
+  const hovered = told.hovered && !view.ticked.includes(told.hovered) ? [told.hovered] : [];
+  return [...view.ticked, ...hovered];
+}

@@ -1,0 +1,249 @@
+"""The readings of a fit as columns for the panels, and what of them a screen can show, as binary numbers.
+
+What is too much for a screen is never sent: of each place on the abscissa the lowest and the highest point stand for
+all, selected points and others apart.  Numbers are sent as Float32 behind a header; sums are made before, in float64.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint
+from imubayes.display.figure_style import numbers
+from imubayes.display.numbers_and_labels import covariates, pretty, readable
+from imubayes.explore.linear_view import LinearView
+from imubayes.explore.messages import Axis, Brush, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
+from imubayes.foundations.errors import closest_first, input_error
+from imubayes.results.result import Result, to_input_units
+
+_NORMAL = 1.959964
+"""97.5 % point of the standard normal."""
+_ARRAYS = ("x", "observed", "predicted", "band", "y", "sd", "group", "marked", "curve", "after")
+
+
+class PointTable:
+    """The entries of a fit, (E,) each, with every covariate and residual."""
+
+    def __init__(self, result: Result, view: LinearView):
+        table, model = result.residuals.table, view.fit.model
+        self.table, self.view, self.summary = table, view, result.summary
+        self.runs, self.run = np.unique(table["run"].to_numpy(), return_inverse=True)
+        order = {name: place for place, name in enumerate(table["run"].unique(maintain_order=True))}
+        self.run_names = tuple(sorted(map(str, self.runs), key=lambda name: order[name]))
+        self.channel = table["channel"].to_numpy().astype(str)
+        self.channels = tuple(name for name in table["channel"].unique(maintain_order=True) if name in self._declared)
+        self.to_input = to_input_units(model)
+        known = {each.column: numbers(table, each.column) for each in covariates() if each.column != "row"}
+        known |= {each.name: each.values for each in view.explained.known if each.name not in known}
+        own = {each.name: (each.unit, each.phrase) for each in view.explained.known}
+        own |= {each.column: (each.unit, each.phrase) for each in covariates()}
+        self.columns = {"reading": np.arange(len(table), dtype=float)} | {k: v for k, v in known.items() if _varies(v)}
+        self.abscissae = tuple(
+            Axis(name=name, unit=pretty(own[name][0]), phrase=own[name][1]) if name in own
+            else Axis(name=name, unit="", phrase="reading, in order")
+            for name in self.columns
+        )  # fmt: skip
+
+    @cached_property
+    def _declared(self) -> frozenset[str]:
+        return frozenset(channel.name for channel in self.view.fit.model.campaign.channels)
+
+    def column(self, name: str) -> np.ndarray:
+        """Return an abscissa; raises InputError for an unknown one."""
+        if name not in self.columns:
+            raise input_error(f"no abscissa '{name}'", "x", closest_first(name, self.columns), "choose one of these")
+        return self.columns[name]
+
+    def ordinate(self, name: Ordinate, point: KnownNoisePoint | None = None) -> np.ndarray:
+        """Return a residual, (E,): over a noise, or in input units; with causes previewed where a point is given."""
+        point = point or self.view.point
+        if name == "known":
+            return self.view.whitened(point)
+        if name == "input":
+            return point.misfit * self.to_input
+        # A preview leaves the noise as fitted where it is: what causes take off is divided by it.
+        whole = self.view.point.misfit - point.misfit
+        sd = numbers(self.table, "input_sd")
+        return numbers(self.table, "whitened") - whole * self.to_input / np.where(sd > 0, sd, np.inf)
+
+    # ---- selections ----
+
+    def chosen(self, brushes: Sequence[Brush]) -> np.ndarray:
+        """Return which entries brushes select, (E,) bool: those of any of them."""
+        found = np.zeros(len(self.table), dtype=bool)
+        for brush in brushes:
+            found |= self._within(brush)
+        return found & self.view.entries
+
+    def _within(self, brush: Brush) -> np.ndarray:
+        here = np.ones(len(self.table), dtype=bool)
+        if brush.channels:
+            here &= np.isin(self.channel, brush.channels)
+        if brush.runs:
+            here &= np.isin(self.runs, brush.runs)[self.run]
+        if brush.x:
+            x = self.column(brush.x)
+            here &= (x >= brush.x_low) & (x <= brush.x_high)
+        if brush.y is not None:
+            y = self.ordinate(brush.y)
+            here &= (y >= brush.y_low) & (y <= brush.y_high)
+        return here
+
+    def rms(self, chosen: np.ndarray) -> tuple[float | None, str]:
+        """Return the rms of chosen entries in a unit of plain numbers; None where they have different units."""
+        units = np.unique(self.table["input_unit"].to_numpy()[chosen].astype(str))
+        if len(units) != 1:
+            return None, ""
+        size = float(np.sqrt(np.mean(np.square(self.ordinate("input")[chosen]))))
+        factor, unit = readable(str(units[0]), size)
+        return factor * size, pretty(unit)
+
+    # ---- the map of runs and channels ----
+
+    @cached_property
+    def _cells(self) -> list[tuple[str, str, np.ndarray]]:
+        found = []
+        for run in self.run_names:
+            here = (self.runs == run)[self.run] & self.view.entries
+            for channel in self.channels:
+                places = np.flatnonzero(here & (self.channel == channel))
+                if len(places):
+                    found.append((run, channel, places))
+        return found
+
+    def cells(self) -> tuple[MapCell, ...]:
+        """Return χ² and rms of every run and channel."""
+        square, fitted = self.view.whitened() ** 2, {(each.name, each.channel): each for each in self.summary.runs}
+        found = []
+        for run, channel, places in self._cells:
+            rms, unit = self.rms(_mask(places, len(self.table)))
+            as_fitted = fitted.get((run, channel))
+            found.append(MapCell(
+                run=run, channel=channel, n=len(places), chi2=float(square[places].sum()),
+                fitted=as_fitted.chi2 if as_fitted is not None else None, rms=rms or 0.0, unit=unit,
+            ))  # fmt: skip
+        return tuple(found)
+
+    def expected(self, point: KnownNoisePoint) -> tuple[float, ...]:
+        """Return the expected χ² of every run and channel with causes previewed, in the order of the cells."""
+        square = self.view.whitened(point) ** 2
+        return tuple(float(square[places].sum()) for _, _, places in self._cells)
+
+    # ---- colours ----
+
+    def groupings(self) -> tuple[Grouping, ...]:
+        """Return what tells readings apart: run, and what runs differ in."""
+        every: tuple[Grouping, ...] = ("mounting", "temperature", "table")
+        return ("run", *(each for each in every if len(self.groups(each)[0]) > 1))
+
+    def groups(self, by: Grouping) -> tuple[tuple[str, ...], np.ndarray]:
+        """Return the names of the groups, and the group of each entry, (E,)."""
+        names = np.array([self._label(str(run), by) for run in self.runs])
+        labels = dict.fromkeys(names[np.searchsorted(self.runs, run)] for run in self.run_names)
+        places = {label: place for place, label in enumerate(labels)}
+        return tuple(map(str, labels)), np.array([places[name] for name in names])[self.run]
+
+    def _label(self, run: str, by: Grouping) -> str:
+        if by == "run":
+            return run
+        recorded = next(each for each in self.view.fit.model.campaign.runs if each.name == run)
+        if by == "temperature":
+            values = recorded.covariates.get("temperature", np.array([np.nan]))
+            mean = float(np.nanmean(values)) if np.isfinite(values).any() else math.nan
+            return "no temperature" if math.isnan(mean) else f"{mean:.0f} °C"
+        return (recorded.mounting if by == "mounting" else recorded.table) or "none"
+
+    # ---- what is drawn ----
+
+    def frame(self, wanted: PointsWanted) -> bytes:
+        """Return the points of a view: the length of a header, the header as JSON, and the columns as Float32.
+
+        Raises
+        ------
+        InputError
+            for an unknown channel, abscissa or cause.
+        """
+        if wanted.channel not in self.channels:
+            allowed = closest_first(wanted.channel, self.channels)
+            raise input_error(f"no channel '{wanted.channel}'", "channel", allowed, "choose one of these")
+        x, view = self.column(wanted.x), self.view
+        here = view.entries & (self.channel == wanted.channel) & np.isfinite(x)
+        if wanted.runs:
+            here &= np.isin(self.runs, wanted.runs)[self.run]
+        if wanted.between is not None:
+            here &= (x >= wanted.between[0]) & (x <= wanted.between[1])
+        places = np.flatnonzero(here)
+        places = places[np.argsort(x[places], kind="stable")]
+        previewed = view.with_causes(wanted.effects)
+        factor, label = self._scale_of(wanted, places)
+        y, after = (factor * self.ordinate(wanted.y, point)[places] for point in (None, previewed))
+        marked = self.chosen(wanted.brushes)[places]
+        kept = decimated(x[places], y, marked, wanted.most)
+        names, group = self.groups(wanted.colour)
+        places, y, after, marked = places[kept], y[kept], after[kept], marked[kept]
+        predicted, sd = numbers(self.table, "predicted")[places], numbers(self.table, "sd")[places]
+        band = _NORMAL * np.hypot(sd, np.nan_to_num(numbers(self.table, "model_sd")[places]))
+        curve = predicted + (view.point.misfit - previewed.misfit)[places]
+        in_y = (
+            factor * _NORMAL * np.ones(len(places))
+            if wanted.y != "input"
+            else factor * (_NORMAL * numbers(self.table, "input_sd")[places])
+        )
+        observed = numbers(self.table, "observed")[places]
+        unit = str(self.table["output_unit"][int(places[0])]) if len(places) else ""
+        head = PointsHead(
+            count=len(places), of=int(here.sum()), arrays=_ARRAYS, groups=names, x_label=self._label_of(wanted.x),
+            y_label=label, y_factor=factor, output_label=f"{wanted.channel} / {pretty(unit)}",
+        )  # fmt: skip
+        columns = (x[places], observed, predicted, band, y, in_y, group[places], marked, curve, after)
+        return framed(head, columns)
+
+    def _scale_of(self, wanted: PointsWanted, places: np.ndarray) -> tuple[float, str]:
+        if wanted.y != "input" or not len(places):
+            known = "known noise" if wanted.y == "known" else "fitted noise"
+            return 1.0, f"residual / {known}"
+        sd, unit = numbers(self.table, "input_sd")[places], str(self.table["input_unit"][int(places[0])])
+        factor, name = readable(unit, float(np.nanmedian(sd)))
+        return factor, f"residual / {pretty(name)}"
+
+    def _label_of(self, name: str) -> str:
+        axis = next(each for each in self.abscissae if each.name == name)
+        return f"{axis.phrase} / {axis.unit}" if axis.unit else axis.phrase
+
+
+def _mask(places: np.ndarray, count: int) -> np.ndarray:
+    found = np.zeros(count, dtype=bool)
+    found[places] = True
+    return found
+
+
+def _varies(values: np.ndarray) -> bool:
+    known = values[np.isfinite(values)]
+    return known.size > 1 and float(np.ptp(known)) > 1e-9 * float(np.max(np.abs(known)))
+
+
+def framed(head: PointsHead, columns: Sequence[np.ndarray]) -> bytes:
+    """Return a header and columns as bytes, the header padded so that numbers stand at multiples of four bytes."""
+    text = head.model_dump_json().encode()
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<I", len(text)) + text + b"".join(np.asarray(each, dtype="<f4").tobytes() for each in columns)
+
+
+def decimated(x: np.ndarray, y: np.ndarray, marked: np.ndarray, most: int) -> np.ndarray:
+    """Return the places of at most `most` points, in order: the extremes of each bin of x, marked points apart.
+
+    Parameters
+    ----------
+    x, y, marked : shapes (n,), x ascending.
+    """
+    if len(x) <= most:
+        return np.arange(len(x))
+    bins, width = max(most // 4, 1), (x[-1] - x[0]) or 1.0
+    place = 2 * np.minimum((bins * (x - x[0]) / width).astype(int), bins - 1) + marked
+    order = np.lexsort((y, place))
+    first = np.flatnonzero(np.diff(place[order], prepend=-1))
+    last = np.append(first[1:], len(order)) - 1
+    return np.unique(np.concatenate([order[first], order[last]]))

@@ -1,0 +1,197 @@
+"""The server of the page: what a window may ask, and the state that it is told of as it changes.
+
+Linear algebra is answered at once, by threads; what fits or diagnoses is queued for the session's worker, and told by
+server-sent events.  Faults of a request are answered in the four parts of an input error.
+"""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from importlib.resources import files
+
+from pydantic import ValidationError
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from imubayes.explore.guard import Application, Guard
+from imubayes.explore.messages import (
+    ChangeWanted,
+    LockWanted,
+    ModelWanted,
+    NoteWanted,
+    PointsWanted,
+    PreviewWanted,
+    SelectionWanted,
+)
+from imubayes.explore.session import Session
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.records import Record
+
+_TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "txt": "text/plain", "svg": "image/svg+xml"}
+_ALIVE = 10.0
+"""Seconds after which a stream without news says that the server is there."""
+
+
+class Faults(Record):
+    """Why a request could not be answered; each fault as text in four parts."""
+
+    issues: tuple[str, ...]
+
+
+class Begun(Record):
+    """The number of a task that was begun."""
+
+    task: int
+
+
+def page_files() -> dict[str, tuple[bytes, str]]:
+    """Return the files of the page: name → content and media type."""
+    found = {}
+    for place in (files("imubayes.explore").joinpath("page"), files("imubayes.explore").joinpath("page", "vendor")):
+        for each in place.iterdir():
+            kind = _TYPES.get(each.name.rpartition(".")[2])
+            if each.is_file() and kind is not None:
+                found[each.name] = (each.read_bytes(), f"{kind}; charset=utf-8")
+    return found
+
+
+def application(session: Session, token: str, port: int) -> Application:
+    """Return the server of a session as an ASGI application."""
+    return Guard(Starlette(routes=_Answers(session).routes()), token, port)
+
+
+def _json(record: Record, status: int = 200) -> Response:
+    return Response(record.model_dump_json(), status, media_type="application/json")
+
+
+def _faults(*issues: str) -> Response:
+    return _json(Faults(issues=issues), 400)
+
+
+Answer = Callable[[Request], Awaitable[Response]]
+
+
+def _asked[Asked: Record](kind: type[Asked], answer: Callable[[Asked], Response]) -> Answer:
+    """Return the handler of a request of a kind, answered in a thread."""
+
+    async def handle(request: Request) -> Response:
+        try:
+            wanted = kind.model_validate_json(await request.body())
+            return await run_in_threadpool(answer, wanted)
+        except InputError as error:
+            return _faults(*map(str, error.issues))
+        except ValidationError as error:
+            told = [Issue(each["msg"], ".".join(map(str, each["loc"])) or "request", "", "correct the request")
+                    for each in error.errors(include_input=False)]  # fmt: skip
+            return _faults(*map(str, told))
+
+    return handle
+
+
+def _given(answer: Callable[[], Response]) -> Answer:
+    """Return the handler of a request that says nothing further."""
+
+    async def handle(request: Request) -> Response:
+        try:
+            return await run_in_threadpool(answer)
+        except InputError as error:
+            return _faults(*map(str, error.issues))
+
+    return handle
+
+
+class _Answers:
+    """What is answered about a session."""
+
+    def __init__(self, session: Session):
+        self.session, self.files = session, page_files()
+
+    def routes(self) -> list[Route]:
+        asked = (
+            ("model", _asked(ModelWanted, self.model)),
+            ("points", _asked(PointsWanted, self.points)),
+            ("selection", _asked(SelectionWanted, self.selection)),
+            ("preview", _asked(PreviewWanted, self.preview)),
+            ("change", _asked(ChangeWanted, self.change)),
+            ("select", _asked(ModelWanted, self.select)),
+            ("note", _asked(NoteWanted, self.note)),
+            ("lock", _asked(LockWanted, self.lock)),
+            ("cancel", _asked(Begun, self.cancel)),
+        )
+        given = (
+            ("state", _given(lambda: _json(self.session.state()))),
+            ("script.sh", _given(lambda: PlainTextResponse(self.session.script()))),
+            ("model.toml", _given(lambda: PlainTextResponse(self.session.exported()))),
+        )
+        return [
+            *(Route(f"/{name}", handle, methods=["POST"]) for name, handle in asked),
+            *(Route(f"/{name}", handle) for name, handle in given),
+            Route("/events", self.events),
+            Route("/", self.file),
+            Route("/page/{name}", self.file),
+        ]
+
+    async def file(self, request: Request) -> Response:
+        content, kind = self.files.get(request.path_params.get("name", "index.html"), (b"", ""))
+        return Response(content, media_type=kind) if kind else PlainTextResponse("there is no such file\n", 404)
+
+    async def events(self, request: Request) -> Response:
+        return StreamingResponse(self._states(request), media_type="text/event-stream")
+
+    async def _states(self, request: Request) -> AsyncIterator[str]:
+        """Yield the state of the session, and again whenever it changes."""
+        loop, news = asyncio.get_running_loop(), asyncio.Event()
+
+        def told() -> None:
+            loop.call_soon_threadsafe(news.set)
+
+        end = self.session.listen(told)
+        try:
+            while not await request.is_disconnected():
+                news.clear()
+                state = await run_in_threadpool(self.session.state)
+                yield f"data: {state.model_dump_json()}\n\n"
+                try:
+                    async with asyncio.timeout(_ALIVE):
+                        await news.wait()
+                except TimeoutError:
+                    yield ": still here\n\n"
+        finally:
+            end()
+
+    # ---- what is asked ----
+
+    def model(self, wanted: ModelWanted) -> Response:
+        found = self.session.get(wanted.model)
+        return Response(status_code=202) if found is None else _json(found.facts())
+
+    def points(self, wanted: PointsWanted) -> Response:
+        frame = self.session.require(wanted.model).table.frame(wanted)
+        return Response(frame, media_type="application/octet-stream")
+
+    def selection(self, wanted: SelectionWanted) -> Response:
+        return _json(self.session.require(wanted.model).select(wanted.brushes, self.session.left_out))
+
+    def preview(self, wanted: PreviewWanted) -> Response:
+        return _json(self.session.previewed(wanted.model, wanted.effects))
+
+    def change(self, wanted: ChangeWanted) -> Response:
+        return _json(Begun(task=self.session.change(wanted)), 202)
+
+    def select(self, wanted: ModelWanted) -> Response:
+        self.session.select(wanted.model)
+        return _json(self.session.state())
+
+    def note(self, wanted: NoteWanted) -> Response:
+        self.session.note(wanted)
+        return _json(self.session.state())
+
+    def lock(self, wanted: LockWanted) -> Response:
+        self.session.lock(wanted)
+        return _json(self.session.state())
+
+    def cancel(self, wanted: Begun) -> Response:
+        self.session.worker.cancel(wanted.task)
+        return _json(self.session.state())

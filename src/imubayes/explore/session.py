@@ -1,0 +1,322 @@
+"""A session: the tree of models that grows from one result, those that are open, and the changes that are asked for.
+
+All that is done to results goes through the functions behind the commands; the session keeps which command does the
+same.  What windows are told is one record, which counts its changes.
+"""
+
+import hashlib
+import shlex
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from imubayes.api import add, export, fit, remove
+from imubayes.display.loop.change_report import change_lines
+from imubayes.display.loop.diagnosis_report import add_command
+from imubayes.display.loop.history import gain_text
+from imubayes.explore.kept_session import ModelNote, read_session, write_session
+from imubayes.explore.messages import ChangeWanted, LockWanted, NoteWanted, PreviewFacts
+from imubayes.explore.open_model import OpenModel, opened, quoted
+from imubayes.explore.worker import TaskOutcome, TaskProgress, Work, Worker
+from imubayes.foundations.errors import input_error
+from imubayes.foundations.progress import Tell
+from imubayes.foundations.records import Record
+from imubayes.loop.model_history import ChiSquareDrop, Tree, rms_by_unit
+from imubayes.results.change_records import ModelChange
+from imubayes.results.history_tree import campaign_of, read_tree, select, shown_place
+from imubayes.results.result import Result, read_result
+
+_MOST_OPEN = 4
+
+
+class TreeLine(Record):
+    """A model of the tree: its place in it, what it brought, and the user's words.
+
+    Attributes
+    ----------
+    parent : id of the model that it was made from; empty without one.
+    gain : outcome of the cross-validation, in words.
+    rms : residual rms over the channels of each unit.
+    """
+
+    id: str
+    parent: str
+    depth: int
+    title: str
+    folder: str
+    name: str = ""
+    note: str = ""
+    chi2: float | None
+    dof: float | None
+    delta_chi2: ChiSquareDrop
+    gain: str
+    rms: dict[str, float]
+    selected: bool
+    taken: bool
+    message: str
+    open: bool
+
+
+class SessionState(Record):
+    """What every window of a session shows alike."""
+
+    version: int
+    tree: tuple[TreeLine, ...]
+    tasks: tuple[TaskProgress, ...]
+    commands: tuple[str, ...]
+    locks: dict[str, str]
+
+
+class Session:
+    """One tree of models, from its first result on.
+
+    Parameters
+    ----------
+    root : folder of the first result.
+    """
+
+    def __init__(self, root: Path):
+        self.root, self._version = root, 0
+        self._lock, self._listeners = threading.RLock(), list[Callable[[], None]]()
+        self._open, self._kept = dict[str, OpenModel](), read_session(root)
+        self.worker = Worker(self.changed)
+
+    # ---- what windows are told ----
+
+    def changed(self) -> None:
+        """Count a change, and tell every window."""
+        with self._lock:
+            self._version += 1
+            listeners = list(self._listeners)
+        for listener in listeners:
+            listener()
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call a function at every change; return what ends that."""
+        with self._lock:
+            self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    def state(self) -> SessionState:
+        """Return what every window shows alike."""
+        return SessionState(
+            version=self._version, tree=tuple(self._lines()), tasks=self.worker.tasks, commands=self._kept.commands,
+            locks=dict(self._kept.locks),
+        )  # fmt: skip
+
+    def tree(self) -> Tree | None:
+        """Return the tree of models; None before there is a first one."""
+        return read_tree([self.root]) if (self.root / "manifest.json").is_file() else None
+
+    def _lines(self) -> Iterator[TreeLine]:
+        tree = self.tree()
+        for depth, place in tree.in_order() if tree is not None else ():
+            assert tree is not None
+            node, parent = tree.nodes[place], tree.parents[place]
+            kept = self._kept.notes.get(Path(place).name, ModelNote())
+            yield TreeLine(
+                id=id_of(place), parent=id_of(parent) if parent else "", depth=depth, title=node.title,
+                folder=shown_place(place), name=kept.name, note=kept.note, chi2=node.chi2, dof=node.dof,
+                delta_chi2=node.delta_chi2, gain=gain_text(node), rms=rms_by_unit(node.rms), selected=node.selected,
+                taken=node.taken, message=node.message, open=id_of(place) in self._open,
+            )  # fmt: skip
+
+    # ---- models ----
+
+    def place_of(self, model: str) -> Path:
+        """Return the folder of a model of the tree; raises InputError where it has none of this id."""
+        tree = self.tree()
+        for place in tree.nodes if tree is not None else ():
+            if id_of(place) == model:
+                return Path(place)
+        raise input_error("there is no such model in this session", f"model {model[:40]!r}", "a model of the tree",
+                          "choose one of the tree")  # fmt: skip
+
+    def get(self, model: str) -> OpenModel | None:
+        """Return a model that is open; None of one that is not: it is opened then."""
+        with self._lock:
+            if model in self._open:
+                self._open[model] = self._open.pop(model)
+                return self._open[model]
+            if any(each.kind == "open" and each.of == model and each.at_work for each in self.worker.tasks):
+                return None
+        folder = self.place_of(model)
+        self.worker.submit("open", f"open {folder.name}", model, lambda tell: self._opened(read_result(folder), tell))
+        return None
+
+    def require(self, model: str) -> OpenModel:
+        """Return a model that is open; raises InputError of one that is not yet."""
+        found = self.get(model)
+        if found is None:
+            raise input_error("this model is still being opened", f"model {model[:40]!r}", "a model that is open",
+                              "wait until it is open")  # fmt: skip
+        return found
+
+    def _opened(self, result: Result, tell: Tell, lines: tuple[str, ...] = ()) -> TaskOutcome:
+        """Diagnose a result and hold it in memory; the one that was used least goes."""
+        assert result.folder is not None
+        name = id_of(str(result.folder.resolve()))
+        found = opened(name, result, tell)
+        with self._lock:
+            self._open[name] = found
+            while len(self._open) > _MOST_OPEN:
+                del self._open[next(iter(self._open))]
+        self.keep(f"imubayes diagnose {found.place}")
+        return TaskOutcome(name, lines)
+
+    def begin(self, result: Result | None = None) -> None:
+        """Open the selected model of the tree, or a result that is in memory."""
+        if result is not None:
+            name = id_of(str(self.root))
+            self.worker.submit("open", f"open {self.root.name}", name, lambda tell: self._opened(result, tell))
+            return
+        tree = self.tree()
+        if tree is not None:
+            self.get(id_of((tree.selected or tree.roots)[0]))
+
+    def fit(self, campaign: Path, model: Path) -> None:
+        """Fit a campaign as the first model."""
+        places = shlex.join(["imubayes", "fit", str(campaign), "--model", str(model), "--out", str(self.root)])
+
+        def work(tell: Tell) -> TaskOutcome:
+            result = fit(campaign, model, self.root, sample=False, progress=tell)
+            self.keep(f"{places} --no-sample")
+            return self._opened(result, tell)
+
+        self.worker.submit("fit", f"fit {campaign.name}", "", work)
+
+    def previewed(self, model: str, effects: tuple[str, ...]) -> PreviewFacts:
+        """Return what causes would do together, with the command that adds them."""
+        found = self.require(model)
+        out = self.folder_for(found, effects[0]) if effects else found.folder
+        return found.preview(effects, quoted(out))
+
+    # ---- changes ----
+
+    def keep(self, command: str) -> None:
+        """Keep the command of what was done."""
+        with self._lock:
+            self._kept = self._kept.with_command(command)
+            write_session(self.root, self._kept)
+        self.changed()
+
+    def folder_for(self, model: OpenModel, word: str) -> Path:
+        """Return a free folder beside a model for the one that follows it."""
+        number, first = 1, model.folder.with_name(f"{model.folder.name}-{word}")
+        folder = first
+        while folder.exists():
+            number += 1
+            folder = first.with_name(f"{first.name}-{number}")
+        return folder
+
+    def change(self, wanted: ChangeWanted) -> int:
+        """Add or remove effects, and fit again; return the number of the task.
+
+        Raises
+        ------
+        InputError
+            where a change is at work already, the campaign is no longer what was fitted, or nothing is named.
+        """
+        model = self.require(wanted.model)
+        if any(each.kind == "change" and each.at_work for each in self.worker.tasks):
+            raise input_error("a change is at work already", "this session", "one change at a time",
+                              "wait for it, or cancel it")  # fmt: skip
+        if not (wanted.add or wanted.remove):
+            raise input_error("no effect is named", "change", "effects to add or to remove", "choose one")
+        self._refuse_changed_campaign(model)
+        word, effects = ("add", self._with_locked(wanted.add, model)) if wanted.add else ("remove", wanted.remove)
+        make = self._adding(model, effects, wanted.channels) if wanted.add else self._removing(model, effects)
+        return self.worker.submit("change", f"{word} {', '.join(effects)}", model.id, make)
+
+    def _with_locked(self, effects: tuple[str, ...], model: OpenModel) -> tuple[str, ...]:
+        """Return effects with those that are always added."""
+        locked = [name for name, lock in self._kept.locks.items() if lock == "in" and name in model.view.variants]
+        return tuple(dict.fromkeys((*effects, *locked)))
+
+    def _adding(self, model: OpenModel, effects: tuple[str, ...], channels: tuple[str, ...] | None) -> Work:
+        folder, channels = self.folder_for(model, effects[0]), channels or model.channels_for(effects)
+        command = add_command(effects, channels, model.place, quoted(folder))
+
+        def work(tell: Tell) -> TaskOutcome:
+            change = add(model.result, effects, folder, channels, diagnosis=model.diagnosis, progress=tell)
+            return self._after(change, command, tell)
+
+        return work
+
+    def _removing(self, model: OpenModel, effects: tuple[str, ...]) -> Work:
+        folder = self.folder_for(model, f"without-{effects[0]}")
+        command = f"imubayes remove {shlex.join(effects)} --from {model.place} --out {quoted(folder)}"
+
+        def work(tell: Tell) -> TaskOutcome:
+            return self._after(remove(model.result, effects, folder, progress=tell), command, tell)
+
+        return work
+
+    def _after(self, change: ModelChange, command: str, tell: Tell) -> TaskOutcome:
+        self.keep(command)
+        lines = tuple(change_lines(change))
+        return self._opened(change.result, tell, lines) if change.taken else TaskOutcome("", lines)
+
+    def _refuse_changed_campaign(self, model: OpenModel) -> None:
+        if model.campaign_changed() and campaign_of(model.folder) is None:
+            raise input_error(
+                "the campaign is no longer the one that was fitted", model.view.fit.model.campaign.folder or "campaign",
+                "the files as they were: the fit belongs to their every byte",
+                f"restore them, or fit the campaign as it is now: imubayes explore CAMPAIGN --model "
+                f"{model.folder / 'model.toml'}",
+            )  # fmt: skip
+
+    def select(self, model: str) -> None:
+        """Make a model the selected one: the one that is exported."""
+        folder = self.place_of(model)
+        select(folder)
+        self.keep(f"imubayes history --select {quoted(folder)}")
+
+    def note(self, wanted: NoteWanted) -> None:
+        """Keep a name and a note of a model."""
+        folder = self.place_of(wanted.model)
+        with self._lock:
+            self._kept = self._kept.with_note(folder.name, ModelNote(name=wanted.name, note=wanted.note))
+            write_session(self.root, self._kept)
+        self.changed()
+
+    def lock(self, wanted: LockWanted) -> None:
+        """Lock an effect in or out, or free it."""
+        with self._lock:
+            self._kept = self._kept.with_lock(wanted.effect, wanted.lock)
+            write_session(self.root, self._kept)
+        self.changed()
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Effects that are locked out."""
+        return tuple(name for name, lock in self._kept.locks.items() if lock == "out")
+
+    def script(self) -> str:
+        """Return a shell script that does what was clicked."""
+        return self._kept.script()
+
+    def exported(self) -> str:
+        """Return the text of the selected model.
+
+        Raises
+        ------
+        InputError
+            where it needs effect files, which a single file cannot hold.
+        """
+        with TemporaryDirectory() as scratch:
+            file = Path(scratch) / "model.toml"
+            export(self.root, file)
+            others = sorted(each.name for each in Path(scratch).iterdir() if each != file)
+            if others:
+                raise input_error(
+                    f"the selected model needs {', '.join(others)} beside it", "export", "a model in one file",
+                    f"run: imubayes history {quoted(self.root)} --export model.toml",
+                )  # fmt: skip
+            return file.read_text(encoding="utf-8")
+
+
+def id_of(place: str) -> str:
+    """Return the name of a model on the page, from its folder."""
+    return hashlib.sha256(str(Path(place).resolve()).encode()).hexdigest()[:12]

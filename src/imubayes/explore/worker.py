@@ -1,0 +1,136 @@
+"""The one thread that fits and diagnoses: one task after the other, each with its progress, and stopped between steps.
+
+JAX works in this thread alone, so that the page is answered meanwhile.  A task that is cancelled ends at its next step;
+results are written as a whole at the end, so that nothing of it is left.
+"""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.progress import Tell
+from imubayes.foundations.records import Record
+
+TaskState = Literal["waiting", "running", "cancelling", "done", "failed", "cancelled"]
+TaskKind = Literal["open", "fit", "change"]
+_AT_WORK: tuple[TaskState, ...] = ("waiting", "running", "cancelling")
+_TOLD_EVERY = 0.1
+
+
+class CancelledError(Exception):
+    """The task was cancelled."""
+
+
+class TaskProgress(Record):
+    """A task, as the page shows it.
+
+    Attributes
+    ----------
+    what : of it, in words; `step` is what goes on.
+    of, made : model that it starts from, and that it has made or opened; empty for none.
+    seconds : since it began.
+    issues : why it failed, as text in four parts.
+    lines : what a change brought, in words.
+    """
+
+    number: int
+    kind: TaskKind
+    what: str
+    state: TaskState = "waiting"
+    step: str = ""
+    seconds: float = 0.0
+    of: str = ""
+    made: str = ""
+    issues: tuple[str, ...] = ()
+    lines: tuple[str, ...] = ()
+
+    @property
+    def at_work(self) -> bool:
+        """Whether it waits or runs."""
+        return self.state in _AT_WORK
+
+
+@dataclass(frozen=True)
+class TaskOutcome:
+    """The model that a task has made or opened, and what is said of it."""
+
+    made: str
+    lines: tuple[str, ...] = ()
+
+
+Work = Callable[[Tell], TaskOutcome]
+
+
+class Worker:
+    """Runs tasks one after the other; `changed` is called after every step."""
+
+    def __init__(self, changed: Callable[[], None]):
+        self._changed, self._queue = changed, queue.Queue[tuple[int, Work]]()
+        self._lock, self._tasks, self._began = threading.Lock(), dict[int, TaskProgress](), 0.0
+        self._cancelled = set[int]()
+        threading.Thread(target=self._run, name="explore-worker", daemon=True).start()
+
+    @property
+    def tasks(self) -> tuple[TaskProgress, ...]:
+        """The tasks that wait or run, and the last that ended."""
+        with self._lock:
+            every = list(self._tasks.values())
+        return tuple(every[-8:])
+
+    @property
+    def busy(self) -> bool:
+        """Whether a task waits or runs."""
+        return any(each.at_work for each in self.tasks)
+
+    def submit(self, kind: TaskKind, what: str, of: str, work: Work) -> int:
+        """Queue a task about a model; return its number."""
+        with self._lock:
+            number = 1 + max(self._tasks, default=0)
+            self._tasks[number] = TaskProgress(number=number, kind=kind, what=what, of=of)
+        self._queue.put((number, work))
+        self._changed()
+        return number
+
+    def cancel(self, number: int) -> None:
+        """Stop a task at its next step; one that has ended stays as it is."""
+        if number in self._tasks and self._tasks[number].state in ("waiting", "running"):
+            self._cancelled.add(number)
+            self._update(number, state="cancelling")
+
+    def _update(self, number: int, **changes: object) -> None:
+        with self._lock:
+            self._tasks[number] = self._tasks[number].model_copy(update=changes)
+        self._changed()
+
+    def _run(self) -> None:
+        while True:
+            number, work = self._queue.get()
+            began = time.monotonic()
+
+            def tell(text: str, number: int = number, began: float = began) -> None:
+                if number in self._cancelled:
+                    raise CancelledError
+                seconds = time.monotonic() - began
+                if text != self._tasks[number].step or seconds - self._tasks[number].seconds > _TOLD_EVERY:
+                    self._update(number, state="running", step=text, seconds=seconds)
+
+            self._update(number, **self._ended(work, tell), seconds=time.monotonic() - began)
+
+    def _ended(self, work: Work, tell: Tell) -> dict[str, object]:
+        """Return what became of a task."""
+        try:
+            tell("starting")
+            outcome = work(tell)
+        except CancelledError:
+            return {"state": "cancelled"}
+        except InputError as error:
+            return {"state": "failed", "issues": tuple(map(str, error.issues))}
+        except Exception as error:  # the page tells it, and goes on
+            said = f"internal error: {type(error).__name__}: {error}"
+            issue = Issue(said, "inside imubayes", "", "run the command that the page shows, and report its output")
+            return {"state": "failed", "issues": (str(issue),)}
+        return {"state": "done", "made": outcome.made, "lines": outcome.lines}
