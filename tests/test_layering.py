@@ -21,7 +21,7 @@ FLOORS = (
     ("qualification", "batch"),
     ("display",),
     ("api", ""),
-    ("explore",),
+    ("explorer",),
     ("cli",),
 )
 PLUGINS = ("procedures", "effects", "noise")

@@ -36,7 +36,7 @@ from .effects.base import (
     SignalEffect,
     Stage,
 )
-from .explore.start import explore
+from .explorer.start import explore
 from .foundations.arrays import Scalar, compose, cross, exponential, rotate, vector3
 from .foundations.campaign_data import Campaign
 from .foundations.errors import InputError, NotKept

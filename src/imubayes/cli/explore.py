@@ -41,7 +41,7 @@ def explore(
         trusting(model or place, trust)
         start_jax("explore")
         try:
-            from imubayes.explore.start import explore as begin
+            from imubayes.explorer.start import explore as begin
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] not in ("starlette", "uvicorn"):
                 raise

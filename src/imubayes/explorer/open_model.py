@@ -14,9 +14,9 @@ from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.loop.diagnosis_report import add_command, coefficient_text, next_command
 from imubayes.display.loop.diagnosis_sentences import evidence_text, sentence
 from imubayes.display.loop.selection_text import preview_text, selection_text
-from imubayes.explore.linear_view import LinearView
-from imubayes.explore.messages import Brush, CauseLine, ModelFacts, PreviewFacts, SelectionFacts
-from imubayes.explore.point_table import PointTable
+from imubayes.explorer.linear_view import LinearView
+from imubayes.explorer.messages import Brush, CauseLine, ModelFacts, PreviewFacts, SelectionFacts
+from imubayes.explorer.point_table import PointTable
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.tail_probabilities import chi2_survival

@@ -15,10 +15,10 @@ from imubayes.api import add, export, fit, remove
 from imubayes.display.loop.change_report import change_lines
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.history import gain_text
-from imubayes.explore.kept_session import ModelNote, read_session, write_session
-from imubayes.explore.messages import ChangeWanted, LockWanted, NoteWanted, PreviewFacts
-from imubayes.explore.open_model import OpenModel, opened, quoted
-from imubayes.explore.worker import TaskOutcome, TaskProgress, Work, Worker
+from imubayes.explorer.kept_session import ModelNote, read_session, write_session
+from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PreviewFacts
+from imubayes.explorer.open_model import OpenModel, opened, quoted
+from imubayes.explorer.worker import TaskOutcome, TaskProgress, Work, Worker
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record

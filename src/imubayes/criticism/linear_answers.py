@@ -1,8 +1,8 @@
-"""A diagnosed fit as linear algebra: what explains selected rows, and what causes would do without a refit.
+"""Questions to a diagnosed fit that linear algebra answers: what explains some rows, and what causes would do.
 
 Both rest on what the diagnosis has made already.  Rows are ranked by the likelihood of its one evidence, beside the
-likeliest hypothesis without an effect: a cause acts in the selected rows alone, and the parameters of the model are as
-all rows tell them.  With all rows selected this is the log odds of the ranking.  A preview is the least squares at the
+likeliest hypothesis without an effect: a cause acts in the chosen rows alone, and the parameters of the model are as
+all rows tell them.  With all rows chosen this is the log odds of the ranking.  A preview is the least squares at the
 noise known beforehand that predicts Δχ² in the diagnosis.
 """
 
@@ -21,54 +21,53 @@ from imubayes.criticism.evidence.hypothesis import Solved
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.criticism.evidence.proposals import Screen, base_columns, conditional
-from imubayes.explore.messages import MovedEstimate, RankedCause
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import Tell
-from imubayes.model.derived_quantities import derived_jacobian
-from imubayes.results.summary import ParameterSummary, Summary, in_output_units
+from imubayes.foundations.records import Record
 
-_MOST_RANKED, _MOST_MOVED, _STAYED = 12, 60, 0.05
+_MOST_RANKED = 12
+
+
+class RankedCause(Record):
+    """A cause of chosen rows, with its probability among single effects, an offset of these rows, and none."""
+
+    effect: str
+    probability: float
+    log_odds: float
 
 
 @dataclass(frozen=True)
-class Ranking:
-    """Causes of selected rows, the likeliest first, with the probabilities of noise alone and of an offset of them."""
+class RowsRanking:
+    """Causes of chosen rows, the likeliest first, with the probabilities of noise alone and of an offset of them.
+
+    `offset` is None where all rows are chosen, of which an offset is a bias.
+    """
 
     causes: tuple[RankedCause, ...]
     nothing: float
     offset: float | None
 
 
-class LinearView:
+class LinearAnswers:
     """A diagnosed fit, and what it answers without a refit.
 
     Attributes
     ----------
-    explained, summary : the diagnosed fit, and the summary of its result.
+    explained : the diagnosed fit.
     entries : shape (E,) bool, which count.
     """
 
-    def __init__(self, explained: ExplainedFit, summary: Summary):
-        self.explained, self.summary, self.fit = explained, summary, explained.fit
+    def __init__(self, explained: ExplainedFit):
+        self.explained, self.fit = explained, explained.fit
         observations, entries = self.fit.model.problem.observations, self.fit.model.entries
         self.entries = (np.asarray(observations.weight) > 0) & ~np.asarray(entries.closing)
         self._white: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     def prepare(self, tell: Tell) -> None:
-        """Make ready what every gesture needs, so that the first one is as fast as the others."""
+        """Make ready what every question needs, so that the first one is answered as fast as the others."""
         tell("preparing previews")
-        _ = self._slopes
         for effect in self.variants:
             self._columns(effect)
-
-    @property
-    def point(self) -> KnownNoisePoint:
-        """The fit at the noise known beforehand."""
-        return self.explained.at_known_noise
-
-    def whitened(self, point: KnownNoisePoint | None = None) -> np.ndarray:
-        """Return the residual of every entry in units of the noise known beforehand, (E,)."""
-        return (point or self.point).left[: len(self.entries)]
 
     # ---- what explains selected rows ----
 
@@ -81,7 +80,7 @@ class LinearView:
     def _screen(self) -> Screen:
         return Screen(self.explained.of)
 
-    def rank(self, chosen: np.ndarray, without: Sequence[str] = ()) -> Ranking:
+    def rank(self, chosen: np.ndarray, without: Sequence[str] = ()) -> RowsRanking:
         """Return how probable single causes of chosen entries, (E,) bool, are; some effects left out."""
         of, odds = self.explained.of, dict[str, float]()
         for gain, n in self._screen.singles(conditional(of, self._nothing, chosen)):
@@ -93,7 +92,7 @@ class LinearView:
         whole = float(np.logaddexp.reduce(every))
         ranked = sorted(odds.items(), key=lambda pair: -pair[1])[:_MOST_RANKED]
         causes = tuple(RankedCause(effect=e, probability=math.exp(o - whole), log_odds=o) for e, o in ranked)
-        return Ranking(causes, math.exp(-whole), None if offset is None else math.exp(offset - whole))
+        return RowsRanking(causes, math.exp(-whole), None if offset is None else math.exp(offset - whole))
 
     def _offset_gain(self, chosen: np.ndarray) -> float:
         """Return the log odds that each channel of the chosen rows is off by something outside the catalogue.
@@ -119,6 +118,11 @@ class LinearView:
         return gain
 
     # ---- what causes would do ----
+
+    @property
+    def point(self) -> KnownNoisePoint:
+        """The fit at the noise known beforehand."""
+        return self.explained.at_known_noise
 
     @cached_property
     def variants(self) -> dict[str, int]:
@@ -154,33 +158,3 @@ class LinearView:
             return self.point
         plain, white = zip(*map(self._columns, effects), strict=True)
         return self.point.with_columns(np.concatenate(plain, axis=1), np.concatenate(white, axis=1))
-
-    @cached_property
-    def _slopes(self) -> np.ndarray:
-        """The derivatives of the derived quantities by z, (D, P)."""
-        return derived_jacobian(self.fit.derived.derivation, self.fit.model.problem, self.fit.z)
-
-    def moved(self, point: KnownNoisePoint) -> tuple[MovedEstimate, ...]:
-        """Return the estimates that a previewed fit moves, those that it moves most first."""
-        if not len(point.shift):
-            return ()
-        layout, z = self.fit.model.layout, self.fit.z
-        steps = {
-            each.name: float(each.prior.value(z[k] + point.shift[k]) - each.prior.value(z[k])) / each.factor
-            for k, each in enumerate(layout.parameters)
-        }
-        steps |= dict(
-            zip((each.name for each in self.fit.derived.names), (self._slopes @ point.shift).tolist(), strict=True)
-        )
-        shown = in_output_units(self.summary)
-        found = [
-            MovedEstimate(
-                name=each.name, unit=each.unit, before=each.mean, after=each.mean + steps[each.name], sd=each.sd,
-                in_sd=steps[each.name] / each.sd,
-            )
-            for each in (*shown.derived, *shown.parameters)
-            if each.name in steps and each.mean is not None and each.sd and not each.repeats_misalignments
-            if not (isinstance(each, ParameterSummary) and each.nuisance)
-        ]  # fmt: skip
-        told = [each for each in found if math.isfinite(each.in_sd) and abs(each.in_sd) >= _STAYED]
-        return tuple(sorted(told, key=lambda each: -abs(each.in_sd))[:_MOST_MOVED])

@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from imubayes.criticism.explanations import CoefficientEstimate, ProbableExplanation, Verdict
+from imubayes.criticism.linear_answers import RankedCause
 from imubayes.foundations.records import Record
 
 Ordinate = Literal["known", "input", "fitted"]
@@ -176,14 +177,6 @@ class ModelFacts(Record):
     groupings: tuple[Grouping, ...]
     effects: tuple[str, ...]
     command: str
-
-
-class RankedCause(Record):
-    """A cause of the selected rows, with its probability among single effects, an offset of these rows, and none."""
-
-    effect: str
-    probability: float
-    log_odds: float
 
 
 class SelectionFacts(Record):

@@ -14,8 +14,8 @@ import numpy as np
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.display.figure_style import numbers
 from imubayes.display.numbers_and_labels import covariates, pretty, readable
-from imubayes.explore.linear_view import LinearView
-from imubayes.explore.messages import Axis, Brush, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
+from imubayes.explorer.linear_view import LinearView
+from imubayes.explorer.messages import Axis, Brush, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.results.result import Result, to_input_units
 

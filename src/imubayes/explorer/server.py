@@ -15,8 +15,8 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from imubayes.explore.guard import Application, Guard
-from imubayes.explore.messages import (
+from imubayes.explorer.guard import Application, Guard
+from imubayes.explorer.messages import (
     ChangeWanted,
     LockWanted,
     ModelWanted,
@@ -25,7 +25,7 @@ from imubayes.explore.messages import (
     PreviewWanted,
     SelectionWanted,
 )
-from imubayes.explore.session import Session
+from imubayes.explorer.session import Session
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.records import Record
 
@@ -49,7 +49,7 @@ class Begun(Record):
 def page_files() -> dict[str, tuple[bytes, str]]:
     """Return the files of the page: name → content and media type."""
     found = {}
-    for place in (files("imubayes.explore").joinpath("page"), files("imubayes.explore").joinpath("page", "vendor")):
+    for place in (files("imubayes.explorer").joinpath("page"), files("imubayes.explorer").joinpath("page", "vendor")):
         for each in place.iterdir():
             kind = _TYPES.get(each.name.rpartition(".")[2])
             if each.is_file() and kind is not None:

@@ -10,9 +10,9 @@ from pathlib import Path
 import uvicorn
 
 from imubayes.compiled.jax_settings import prepare_jax
-from imubayes.explore.guard import HOST, new_token
-from imubayes.explore.server import application
-from imubayes.explore.session import Session
+from imubayes.explorer.guard import HOST, new_token
+from imubayes.explorer.server import application
+from imubayes.explorer.session import Session
 from imubayes.foundations.errors import input_error
 from imubayes.results.folder_files import MANIFEST, checked
 from imubayes.results.result import Result, read_result

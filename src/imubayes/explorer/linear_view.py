@@ -1,0 +1,62 @@
+"""A diagnosed result as linear algebra: what is asked of the diagnosis, and the estimates that a preview moves."""
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint
+from imubayes.criticism.diagnose import ExplainedFit
+from imubayes.criticism.linear_answers import LinearAnswers
+from imubayes.explorer.messages import MovedEstimate
+from imubayes.foundations.progress import Tell
+from imubayes.model.derived_quantities import derived_jacobian
+from imubayes.results.summary import ParameterSummary, Summary, in_output_units
+
+_MOST_MOVED, _STAYED = 60, 0.05
+
+
+class LinearView(LinearAnswers):
+    """A diagnosed result, and what it answers without a refit; `summary`: of the result."""
+
+    def __init__(self, explained: ExplainedFit, summary: Summary):
+        super().__init__(explained)
+        self.summary = summary
+
+    def prepare(self, tell: Tell) -> None:
+        super().prepare(tell)
+        _ = self._slopes
+
+    def whitened(self, point: KnownNoisePoint | None = None) -> np.ndarray:
+        """Return the residual of every entry in units of the noise known beforehand, (E,)."""
+        return (point or self.point).left[: len(self.entries)]
+
+    @cached_property
+    def _slopes(self) -> np.ndarray:
+        """The derivatives of the derived quantities by z, (D, P)."""
+        return derived_jacobian(self.fit.derived.derivation, self.fit.model.problem, self.fit.z)
+
+    def moved(self, point: KnownNoisePoint) -> tuple[MovedEstimate, ...]:
+        """Return the estimates that a previewed fit moves, those that it moves most first."""
+        if not len(point.shift):
+            return ()
+        layout, z = self.fit.model.layout, self.fit.z
+        steps = {
+            each.name: float(each.prior.value(z[k] + point.shift[k]) - each.prior.value(z[k])) / each.factor
+            for k, each in enumerate(layout.parameters)
+        }
+        steps |= dict(
+            zip((each.name for each in self.fit.derived.names), (self._slopes @ point.shift).tolist(), strict=True)
+        )
+        shown = in_output_units(self.summary)
+        found = [
+            MovedEstimate(
+                name=each.name, unit=each.unit, before=each.mean, after=each.mean + steps[each.name], sd=each.sd,
+                in_sd=steps[each.name] / each.sd,
+            )
+            for each in (*shown.derived, *shown.parameters)
+            if each.name in steps and each.mean is not None and each.sd and not each.repeats_misalignments
+            if not (isinstance(each, ParameterSummary) and each.nuisance)
+        ]  # fmt: skip
+        told = [each for each in found if math.isfinite(each.in_sd) and abs(each.in_sd) >= _STAYED]
+        return tuple(sorted(told, key=lambda each: -abs(each.in_sd))[:_MOST_MOVED])

@@ -1,0 +1,334 @@
+"""What the server answers about a fitted campaign: what the commands say, and what dense algebra gives."""
+
+import http.client
+import json
+import re
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import polars as pl
+import pytest
+from explore_client import settled
+
+from imubayes.api import add, diagnose
+from imubayes.criticism.evidence.model_search import states_noise
+from imubayes.criticism.evidence.proposals import conditional
+from imubayes.display.loop.diagnosis_report import diagnosis_json
+from imubayes.explorer.messages import Brush, PointsWanted
+from imubayes.explorer.point_table import decimated
+from imubayes.results.stored_tables import read_summary_and_residuals
+
+HIDDEN = "gyro_scale_asymmetry"
+
+
+@pytest.fixture(scope="module")
+def facts(client, first):
+    return client.json("model", {"model": first})
+
+
+@pytest.fixture(scope="module")
+def model(explored, first):
+    return explored.session.require(first)
+
+
+def test_the_verdict_is_that_of_the_command(explored, facts):
+    told = diagnosis_json(diagnose(explored.session.root))
+    assert facts["verdict"] == told["verdict"] == "missing_effect"
+    assert facts["sentence"] == told["sentence"]
+    assert facts["explanations"] == told["explanations"]["explanations"]
+    lines = {each["effect"]: each for each in told["ranking"]}
+    assert [each["effect"] for each in facts["causes"]] == [each["effect"] for each in told["ranking"]]
+    for cause in facts["causes"]:
+        assert cause["probability"] == lines[cause["effect"]]["probability"]
+        assert cause["log_odds"] == lines[cause["effect"]]["log_odds"]
+    assert facts["causes"][0]["coefficients"] == told["groups"][0]["candidates"][0]["coefficients"]
+    # A folder with a blank in its name is one word of the command.
+    assert re.search(r"imubayes add gyro_scale_asymmetry --to '.*first result' --out ", facts["command"])
+
+
+def test_chi2_is_that_of_the_fit_and_of_the_diagnosis(explored, facts):
+    summary, residuals = read_summary_and_residuals(explored.session.root)
+    assert facts["chi2"] == pytest.approx(summary.known_noise.chi2, rel=1e-9)
+    fitted = {(each.name, each.channel): each.chi2 for each in summary.runs}
+    assert {(cell["run"], cell["channel"]): cell["fitted"] for cell in facts["cells"]} == fitted
+    assert sum(cell["n"] for cell in facts["cells"]) == residuals.table.height
+    # What the priors take is small here.
+    assert sum(cell["chi2"] for cell in facts["cells"]) == pytest.approx(facts["chi2"], rel=0.05)
+
+
+def test_a_preview_predicts_what_the_diagnosis_predicts(client, explored, first, facts):
+    told = diagnosis_json(diagnose(explored.session.root))
+    found = client.json("preview", {"model": first, "effects": [HIDDEN]})
+    assert found["delta_chi2"] == pytest.approx(told["delta_chi2"], rel=1e-9)
+    assert sum(found["cells"]) < 0.5 * sum(cell["chi2"] for cell in facts["cells"])
+    assert f"Predicted with {HIDDEN}" in found["sentence"]
+    assert {each["name"].partition("[")[0] for each in found["moved"]} & {"gyro_bias.bias", "scale_factor"}
+    both = client.json("preview", {"model": first, "effects": [HIDDEN, facts["causes"][1]["effect"]]})
+    assert both["delta_chi2"] > found["delta_chi2"]
+
+
+def test_all_readings_rank_as_the_diagnosis_does(client, first, facts):
+    found = client.json("selection", {"model": first, "brushes": [{}]})
+    odds = {each["effect"]: each["log_odds"] for each in facts["causes"]}
+    assert found["n"] == found["of"] == sum(cell["n"] for cell in facts["cells"])
+    assert found["offset"] is None  # an offset of all readings is a bias
+    assert found["causes"][0]["effect"] == HIDDEN
+    # The ranking of the diagnosis tells the best variant of an effect, this one adds its variants up.
+    assert odds[HIDDEN] - 1e-6 <= found["causes"][0]["log_odds"] <= odds[HIDDEN] + 2
+
+
+def test_readings_that_fail_name_the_cause_and_others_do_not(client, first, facts):
+    worst = max(facts["cells"], key=lambda cell: cell["chi2"] / cell["n"])
+    found = client.json(
+        "selection", {"model": first, "brushes": [{"runs": [worst["run"]], "channels": [worst["channel"]]}]}
+    )
+    assert (found["n"], found["runs"]) == (worst["n"], [worst["run"]])
+    assert found["chi2"] == pytest.approx(worst["chi2"])
+    assert found["causes"][0]["effect"] == HIDDEN
+    assert found["causes"][0]["probability"] > 0.9
+    assert found["nothing"] + (found["offset"] or 0) + sum(each["probability"] for each in found["causes"]) <= 1 + 1e-9
+    quiet = min((cell for cell in facts["cells"] if cell["channel"] == "ax"), key=lambda cell: cell["chi2"] / cell["n"])
+    found = client.json("selection", {"model": first, "brushes": [{"runs": [quiet["run"]], "channels": ["ax"]}]})
+    assert found["nothing"] > 0.5
+    assert "Noise alone" in found["sentence"]
+
+
+def test_an_offset_of_some_readings_alone_is_told_as_such(model):
+    """Readings that are moved together are off by something of their own, unless an effect does the same."""
+    chosen = (model.table.channel == "ay") & (model.table.column("reading") % 7 == 0)
+    found = model.view.rank(chosen)
+    assert found.offset is not None
+    assert found.offset < 0.2
+    k = next(k for k in model.view.explained.of.unit_of if model.table.channels[k] == "ay")
+    rows = model.view.explained.of.problem.rows[k]
+    column = rows.columns[:, -1]
+    kept = column.copy()
+    try:
+        column += 6 * rows.root * chosen[rows.entry]
+        model.view.explained.of.rows[k]._gram.clear()
+        model.view.explained.of.rows[k]._kept.clear()
+        assert model.view.rank(chosen).offset > 0.9
+    finally:
+        column[:] = kept
+        model.view.explained.of.rows[k]._gram.clear()
+        model.view.explained.of.rows[k]._kept.clear()
+
+
+def test_the_likelihood_of_some_rows_is_that_of_dense_algebra(model):
+    """Coefficients that act in some rows, the parameters estimated from all: Schur complement of the whole system."""
+    of = model.view.explained.of
+    solved = of.solved(model.view.explained.posterior.search.best(states_noise))
+    at, problem = solved.at, of.problem
+    assert not at.weight
+    random = np.random.default_rng(5)
+    chosen = random.uniform(size=len(model.table.run)) < 0.3
+    count = problem.own + len(problem.coefficients)
+    whole, right = np.zeros((count, count)), np.zeros(count)
+    whole[: problem.own, : problem.own] = np.diag(at.precision)
+    right[: problem.own] = at.pull
+    for k, rows in enumerate(problem.rows):
+        noise = of.noise(at.hypothesis, k)
+        assert noise.rows.is_white
+        covariance = np.eye(len(rows.entry))
+        for start, length in rows.series:
+            offset = np.zeros(len(rows.entry))
+            offset[start : start + length] = noise.scatter * rows.root[start : start + length]
+            covariance += np.outer(offset, offset)
+        columns = np.zeros((len(rows.entry), count))
+        columns[:, rows.live] = rows.columns[:, :-1]
+        columns[:, problem.own :] *= chosen[rows.entry][:, None]
+        solution = np.linalg.solve(covariance, np.column_stack([columns, rows.columns[:, -1]])) / solved.scale[k] ** 2
+        whole += columns.T @ solution[:, :-1]
+        right += columns.T @ solution[:, -1]
+    inner, cross = whole[: problem.own, : problem.own], whole[: problem.own, problem.own :]
+    expected = whole[problem.own :, problem.own :] - cross.T @ np.linalg.solve(inner, cross)
+    pull = right[problem.own :] - cross.T @ np.linalg.solve(inner, right[: problem.own])
+    found = conditional(of, solved, chosen)
+    size = np.sqrt(np.maximum(np.diag(whole)[problem.own :], 1e-300))
+    np.testing.assert_allclose(found.own / np.outer(size, size), expected / np.outer(size, size), atol=1e-6)
+    np.testing.assert_allclose(found.right / size, pull / size, atol=1e-5)
+
+
+def _frame(client, wanted):
+    status, content = client.ask("points", wanted)
+    assert status == 200, content
+    (length,) = struct.unpack("<I", content[:4])
+    head = json.loads(content[4 : 4 + length])
+    numbers = np.frombuffer(content[4 + length :], "<f4").reshape(len(head["arrays"]), head["count"])
+    return head, dict(zip(head["arrays"], numbers, strict=True))
+
+
+def test_points_are_those_of_the_result(client, explored, first):
+    table = pl.read_parquet(explored.session.root / "residuals.parquet").filter(pl.col("channel") == "gz")
+    fast = {"x": "table_rate_deg_s", "x_low": 50, "x_high": 1e6}
+    wanted = {"model": first, "channel": "gz", "x": "table_rate_deg_s", "y": "input"}
+    head, points = _frame(client, wanted | {"effects": [HIDDEN], "brushes": [fast]})
+    shown = table.filter(pl.col("table_rate_deg_s").is_not_null()).sort("table_rate_deg_s", maintain_order=True)
+    assert head["of"] == head["count"] == shown.height
+    np.testing.assert_allclose(points["x"], shown["table_rate_deg_s"], rtol=1e-6)
+    np.testing.assert_allclose(np.sort(points["observed"]), np.sort(shown["observed"]), rtol=1e-6)
+    assert points["marked"].sum() == (shown["table_rate_deg_s"] >= 50).sum() > 0
+    # What the hidden effect explains goes off the residual.
+    assert np.mean(points["after"] ** 2) < 0.5 * np.mean(points["y"] ** 2)
+
+
+def test_a_brush_of_residuals_selects_what_it_shows(client, first):
+    wanted = {"model": first, "channel": "gz", "x": "rate_i", "y": "known"}
+    _, points = _frame(client, wanted)
+    brush = {"channels": ["gz"], "x": "rate_i", "x_low": 0, "x_high": 1e9, "y": "known", "y_low": 3, "y_high": 1e9}
+    found = client.json("selection", {"model": first, "brushes": [brush]})
+    assert found["n"] == ((points["x"] >= 0) & (points["y"] >= 3)).sum() > 0
+
+
+def test_what_is_too_much_for_the_screen_keeps_its_extremes():
+    random = np.random.default_rng(2)
+    x, y = np.sort(random.uniform(size=1_000_000)), random.normal(size=1_000_000)
+    marked = random.uniform(size=len(x)) < 1e-4
+    y[777_777] = 40.0
+    kept = decimated(x, y, marked, 12_000)
+    assert len(kept) <= 12_000
+    assert 777_777 in kept
+    assert y[kept].min() == y.min()
+    assert marked[kept].any()
+    assert np.all(np.diff(kept) > 0)
+    np.testing.assert_array_equal(decimated(x[:50], y[:50], marked[:50], 100), np.arange(50))
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "said"),
+    [
+        ("model", {"model": "../../etc"}, "no such model"),
+        ("points", {"model": "MODEL", "channel": "<b>gz</b>", "x": "reading"}, "no channel '<b>gz</b>'"),
+        ("points", {"model": "MODEL", "channel": "gz", "x": "../x"}, "no abscissa"),
+        ("points", {"model": "MODEL", "channel": "gz", "x": "reading", "y": "none"}, "known"),
+        ("preview", {"model": "MODEL", "effects": ["__import__"]}, "is no cause here"),
+        ("change", {"model": "MODEL"}, "no effect is named"),
+        ("selection", {"model": "MODEL", "brushes": [{}] * 201}, "at most 200"),
+    ],
+)
+def test_faults_are_told_in_four_parts(client, first, path, body, said):
+    body = {name: first if value == "MODEL" else value for name, value in body.items()}
+    status, content = client.ask(path, body)
+    assert status == 400
+    issues = json.loads(content)["issues"]
+    assert any(said in each for each in issues), issues
+    assert all(each.startswith("error: ") and "\n  do: " in each for each in issues)
+
+
+@pytest.mark.parametrize(
+    "path", ["page/../server.py", "page/..%2fguard.py", "page/%2e%2e/start.py", "page/nothing.js", "summary.json"]
+)
+def test_no_other_file_is_served(client, path):
+    assert client.ask(path)[0] == 404
+
+
+def test_the_page_and_its_files_are_served(client):
+    status, content = client.ask("")
+    assert status == 200
+    for name in re.findall(rb'(?:src|href)="(page/[^"]+)"', content):
+        assert client.ask(name.decode())[0] == 200
+    assert client.ask("", whole=True)[0] == 403
+
+
+def test_hostile_names_are_kept_as_text(client, explored, first):
+    hostile = "<img src=x onerror=alert(1)>\"'`$(reboot)"
+    state = client.json("note", {"model": first, "name": hostile, "note": hostile})
+    assert next(line for line in state["tree"] if line["id"] == first)["name"] == hostile
+    kept = json.loads((explored.session.root.parent / "first result.explore.json").read_text())
+    assert kept["notes"]["first result"]["note"] == hostile
+    client.json("note", {"model": first})
+
+
+def test_a_request_is_answered_while_another_tells_the_state(client, explored):
+    """The stream of states begins with the present one, and tells a change."""
+    connection = http.client.HTTPConnection(*client.host.split(":"), timeout=30)
+    connection.request("GET", f"/{client.token}/events", headers={"Host": client.host})
+    answer = connection.getresponse()
+    line = answer.readline()
+    while not line.startswith(b"data: "):
+        line = answer.readline()
+    before = json.loads(line[6:])["version"]
+    client.json("lock", {"effect": "accel_cubic", "lock": "out"})
+    line = b""
+    while not line.startswith(b"data: "):
+        line = answer.readline()
+    told = json.loads(line[6:])
+    assert told["version"] > before
+    assert told["locks"] == {"accel_cubic": "out"}
+    connection.close()
+    client.json("lock", {"effect": "accel_cubic", "lock": ""})
+
+
+def test_a_locked_effect_is_not_proposed(client, first):
+    client.json("lock", {"effect": HIDDEN, "lock": "out"})
+    try:
+        found = client.json("selection", {"model": first, "brushes": [{}]})
+        assert HIDDEN not in [each["effect"] for each in found["causes"]]
+    finally:
+        client.json("lock", {"effect": HIDDEN, "lock": ""})
+
+
+def test_what_is_cancelled_leaves_nothing(client, explored, first):
+    before = sorted(each.name for each in explored.session.root.parent.iterdir())
+    task = client.json("change", {"model": first, "add": [HIDDEN]})["task"]
+    assert client.ask("change", {"model": first, "add": [HIDDEN]})[0] == 400  # one change at a time
+    client.json("cancel", {"task": task})
+    settled(explored)
+    state = client.json("state")
+    assert state["tasks"][-1]["state"] == "cancelled"
+    assert sorted(each.name for each in explored.session.root.parent.iterdir()) == before
+
+
+def test_a_change_is_that_of_the_command(client, explored, first, facts):
+    """Added on the page, and by the command that the page shows: the same numbers."""
+    task = client.json("change", {"model": first, "add": [HIDDEN]})["task"]
+    settled(explored)
+    state = client.json("state")
+    done = next(each for each in state["tasks"] if each["number"] == task)
+    assert done["state"] == "done", done["issues"]
+    assert any("predicted 103" in line and "observed 103" in line for line in done["lines"])
+    line = next(each for each in state["tree"] if each["id"] == done["made"])
+    assert line["parent"] == first
+    assert line["selected"]
+    after = client.json("model", {"model": done["made"]})
+    assert after["verdict"] == "adequate"
+    assert after["chi2"] < facts["chi2"] - 900
+    command = next(each for each in state["commands"] if each.startswith("imubayes add"))
+    assert client.ask("script.sh")[1].decode().splitlines()[-3:-1] == [command, state["commands"][-1]]
+    # Undo: the one before is selected, and exported.
+    assert "gyro_scale_asymmetry" in client.ask("model.toml")[1].decode()
+    client.json("select", {"model": first})
+    assert "gyro_scale_asymmetry" not in client.ask("model.toml")[1].decode()
+    again = explored.session.root.parent / "by command"
+    summary = read_summary_and_residuals(explored.session.place_of(done["made"]))[0]
+    change = add(explored.session.root, [HIDDEN], again)
+    own = {each.name: each.mean for each in change.result.summary.parameters}
+    assert {each.name: each.mean for each in summary.parameters} == pytest.approx(own, rel=1e-9, abs=1e-12)
+
+
+def test_a_campaign_that_has_changed_is_told(client, explored, first, model, monkeypatch):
+    monkeypatch.setattr(type(model), "campaign_changed", lambda self: True)
+    monkeypatch.setattr("imubayes.explorer.session.campaign_of", lambda folder: None)
+    status, content = client.ask("change", {"model": first, "add": [HIDDEN]})
+    assert status == 400
+    assert "no longer the one that was fitted" in json.loads(content)["issues"][0]
+
+
+def test_views_are_refused_beyond_their_bounds():
+    with pytest.raises(ValueError, match="most"):
+        PointsWanted(model="", channel="", x="", most=10**7)
+    assert Brush().channels == ()
+
+
+def test_the_command_asks_for_the_packages(tmp_path):
+    code = (
+        "import sys; sys.modules['uvicorn'] = None; sys.modules['starlette'] = None\n"
+        "from imubayes.cli.main import run\n"
+        f"raise SystemExit(run(['explore', {str(tmp_path)!r}]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert "pip install 'imubayes[explore]'" in done.stderr
+    assert "Traceback" not in done.stderr
