@@ -36,6 +36,8 @@ COMPILED = (
     "model/test_compile_cache_limit.py",  # first, as it drops what its process compiled before
     "readme",
     "criticism",
+    "explore/test_explore_answers.py",
+    "explore/test_explore_page.py",
     "cli",
     "readme/test_notebook.py",  # of what others have compiled
     "conformance",
@@ -103,6 +105,8 @@ GROUPS = {
         "criticism/test_noise_is_no_effect.py::test_complete_models",
         "criticism/test_known_noise_fit.py",
         "criticism/test_removal.py",
+        "explore/test_explore_answers.py",
+        "explore/test_explore_page.py",
     ),
     "polar-tumble": (
         "batch/test_run_batch.py",

@@ -21,6 +21,7 @@ from imubayes.criticism.evidence.hypothesis import Solved
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.criticism.evidence.proposals import Screen, base_columns, conditional
+from imubayes.criticism.formula_search import ResidualFormula, find_formula
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
@@ -116,6 +117,18 @@ class LinearAnswers:
             gains = gain_of_coefficients(own, np.array([float(right)]), widths, np.zeros(1, dtype=int))
             gain += float(np.logaddexp.reduce(gains)) - math.log(len(AMPLITUDES))
         return gain
+
+    def formula(self, channel: str) -> ResidualFormula | None:
+        """Return the simplest formula for what the model leaves of a channel; None where no term is worth its odds."""
+        names = [each.name for each in self.explained.of.problem.channels]
+        if channel not in names:
+            raise input_error(
+                f"no channel '{channel}'", "formula", closest_first(channel, names), "choose one of these"
+            )
+        at, posterior = self._nothing.at, self.explained.posterior
+        return find_formula(
+            self.explained.of, at, at.scale, posterior.fitted, self.explained.known, names.index(channel)
+        )
 
     # ---- what causes would do ----
 

@@ -10,11 +10,35 @@ from pydantic import Field
 
 from imubayes.criticism.explanations import CoefficientEstimate, ProbableExplanation, Verdict
 from imubayes.criticism.linear_answers import RankedCause
+from imubayes.display.layout import Sheet
 from imubayes.foundations.records import Record
 
 Ordinate = Literal["known", "input", "fitted"]
 """Residual over the noise known beforehand, in input units, or over the noise as fitted."""
 Grouping = Literal["run", "mounting", "temperature", "table"]
+
+
+class ShownTable(Record):
+    """A table: texts of its cells, which columns are left-aligned, and rows that need attention."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left: tuple[int, ...]
+    note: str
+    doubtful: tuple[int, ...]
+
+
+def shown_table(sheet: Sheet) -> ShownTable:
+    """Return a sheet as it is sent."""
+    return ShownTable(
+        title=sheet.title,
+        head=tuple(sheet.head),
+        rows=tuple(tuple(cell.text for cell in row) for row in sheet.rows),
+        left=tuple(sheet.left),
+        note=sheet.note,
+        doubtful=tuple(k for k, row in enumerate(sheet.rows) if any(cell.mood in ("weak", "bad") for cell in row)),
+    )
 
 
 class Brush(Record):
@@ -75,12 +99,31 @@ class PointsWanted(Record):
 
 
 class ChangeWanted(Record):
-    """A change of a model: effects added on channels, or removed."""
+    """A change of a model: effects added on channels, or removed, or the formula of the residual of a channel added.
+
+    No code is taken from a page: an effect is made of the formula that is found again.
+    """
 
     model: str
     add: tuple[str, ...] = ()
     remove: tuple[str, ...] = ()
+    formula_of: str = ""
     channels: tuple[str, ...] | None = None
+
+
+class FormulaWanted(Record):
+    """The channel of a model whose residual is put into a formula."""
+
+    model: str
+    channel: str
+
+
+class FormulaFacts(Record):
+    """A formula of a residual: its terms, and the effect that it becomes; `source` is empty without one."""
+
+    sentence: str
+    table: ShownTable | None
+    source: str
 
 
 class NoteWanted(Record):
@@ -95,6 +138,13 @@ class ModelWanted(Record):
     """A model by its id."""
 
     model: str
+
+
+class QuantityWanted(Record):
+    """A quantity of a model by its name."""
+
+    model: str
+    name: str
 
 
 class LockWanted(Record):

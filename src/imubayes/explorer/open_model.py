@@ -11,11 +11,25 @@ import numpy as np
 from imubayes.criticism.diagnose import explained_fit
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.display.fit_quality_tables import run_design_text
-from imubayes.display.loop.diagnosis_report import add_command, coefficient_text, next_command
+from imubayes.display.loop.diagnosis_report import (
+    add_command,
+    coefficient_text,
+    formula_sheet,
+    formula_source,
+    next_command,
+)
 from imubayes.display.loop.diagnosis_sentences import evidence_text, sentence
-from imubayes.display.loop.selection_text import preview_text, selection_text
+from imubayes.display.loop.selection_text import formula_text, preview_text, selection_text
 from imubayes.explorer.linear_view import LinearView
-from imubayes.explorer.messages import Brush, CauseLine, ModelFacts, PreviewFacts, SelectionFacts
+from imubayes.explorer.messages import (
+    Brush,
+    CauseLine,
+    FormulaFacts,
+    ModelFacts,
+    PreviewFacts,
+    SelectionFacts,
+    shown_table,
+)
 from imubayes.explorer.point_table import PointTable
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.progress import Tell
@@ -131,6 +145,16 @@ class OpenModel:
             effects=tuple(effects), delta_chi2=drop, cells=self.table.expected(point), moved=moved,
             sentence=preview_text(effects, drop, largest) if effects else "", command=command,
         )  # fmt: skip
+
+    def formula(self, channel: str) -> FormulaFacts:
+        """Return the formula of what the model leaves of a channel, and the effect that it becomes."""
+        found = self.view.formula(channel)
+        sheet = formula_sheet(self.diagnosis.model_copy(update={"formulas": (found,) if found is not None else ()}))
+        return FormulaFacts(
+            sentence=formula_text(found, channel),
+            table=shown_table(sheet) if found is not None else None,
+            source=formula_source(found) if found is not None else "",
+        )
 
     def channels_for(self, effects: Sequence[str]) -> tuple[str, ...] | None:
         """Return the channels on which a single effect was found; None where the command needs none named."""

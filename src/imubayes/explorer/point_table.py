@@ -141,12 +141,13 @@ class PointTable:
 
     def groups(self, by: Grouping) -> tuple[tuple[str, ...], np.ndarray]:
         """Return the names of the groups, and the group of each entry, (E,)."""
-        names = np.array([self._label(str(run), by) for run in self.runs])
+        names = np.array([self.label(str(run), by) for run in self.runs])
         labels = dict.fromkeys(names[np.searchsorted(self.runs, run)] for run in self.run_names)
         places = {label: place for place, label in enumerate(labels)}
         return tuple(map(str, labels)), np.array([places[name] for name in names])[self.run]
 
-    def _label(self, run: str, by: Grouping) -> str:
+    def label(self, run: str, by: Grouping) -> str:
+        """Return the group of a run."""
         if by == "run":
             return run
         recorded = next(each for each in self.view.fit.model.campaign.runs if each.name == run)
@@ -157,6 +158,11 @@ class PointTable:
         return (recorded.mounting if by == "mounting" else recorded.table) or "none"
 
     # ---- what is drawn ----
+
+    def output_unit(self, channel: str) -> str:
+        """Return the unit of the outputs of a channel, as it is shown."""
+        declared = self.view.fit.model.campaign.channels
+        return pretty(next(each.output_unit for each in declared if each.name == channel))
 
     def frame(self, wanted: PointsWanted) -> bytes:
         """Return the points of a view: the length of a header, the header as JSON, and the columns as Float32.
@@ -193,10 +199,9 @@ class PointTable:
             else factor * (_NORMAL * numbers(self.table, "input_sd")[places])
         )
         observed = numbers(self.table, "observed")[places]
-        unit = str(self.table["output_unit"][int(places[0])]) if len(places) else ""
         head = PointsHead(
             count=len(places), of=int(here.sum()), arrays=_ARRAYS, groups=names, x_label=self._label_of(wanted.x),
-            y_label=label, y_factor=factor, output_label=f"{wanted.channel} / {pretty(unit)}",
+            y_label=label, y_factor=factor, output_label=f"{wanted.channel} / {self.output_unit(wanted.channel)}",
         )  # fmt: skip
         columns = (x[places], observed, predicted, band, y, in_y, group[places], marked, curve, after)
         return framed(head, columns)

@@ -16,15 +16,19 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from imubayes.explorer.guard import Application, Guard
+from imubayes.explorer.knowledge import known_tables, quantity_facts
 from imubayes.explorer.messages import (
     ChangeWanted,
+    FormulaWanted,
     LockWanted,
     ModelWanted,
     NoteWanted,
     PointsWanted,
     PreviewWanted,
+    QuantityWanted,
     SelectionWanted,
 )
+from imubayes.explorer.saved_page import saved_page
 from imubayes.explorer.session import Session
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.records import Record
@@ -114,6 +118,9 @@ class _Answers:
             ("points", _asked(PointsWanted, self.points)),
             ("selection", _asked(SelectionWanted, self.selection)),
             ("preview", _asked(PreviewWanted, self.preview)),
+            ("formula", _asked(FormulaWanted, self.formula)),
+            ("known", _asked(ModelWanted, self.known)),
+            ("quantity", _asked(QuantityWanted, self.quantity)),
             ("change", _asked(ChangeWanted, self.change)),
             ("select", _asked(ModelWanted, self.select)),
             ("note", _asked(NoteWanted, self.note)),
@@ -123,6 +130,7 @@ class _Answers:
         given = (
             ("state", _given(lambda: _json(self.session.state()))),
             ("script.sh", _given(lambda: PlainTextResponse(self.session.script()))),
+            ("session.html", _given(self.saved)),
             ("model.toml", _given(lambda: PlainTextResponse(self.session.exported()))),
         )
         return [
@@ -176,6 +184,19 @@ class _Answers:
 
     def preview(self, wanted: PreviewWanted) -> Response:
         return _json(self.session.previewed(wanted.model, wanted.effects))
+
+    def formula(self, wanted: FormulaWanted) -> Response:
+        return _json(self.session.require(wanted.model).formula(wanted.channel))
+
+    def known(self, wanted: ModelWanted) -> Response:
+        return _json(known_tables(self.session.require(wanted.model).result))
+
+    def quantity(self, wanted: QuantityWanted) -> Response:
+        return _json(quantity_facts(self.session.require(wanted.model).result, wanted.name))
+
+    def saved(self) -> Response:
+        page = saved_page(self.session.state(), self.session.open_models, self.files)
+        return Response(page, media_type="text/plain; charset=utf-8")
 
     def change(self, wanted: ChangeWanted) -> Response:
         return _json(Begun(task=self.session.change(wanted)), 202)

@@ -20,6 +20,7 @@ from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, Pre
 from imubayes.explorer.open_model import OpenModel, opened, quoted
 from imubayes.explorer.worker import TaskOutcome, TaskProgress, Work, Worker
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.files import write_text
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
 from imubayes.loop.model_history import ChiSquareDrop, Tree, rms_by_unit
@@ -145,6 +146,12 @@ class Session:
         self.worker.submit("open", f"open {folder.name}", model, lambda tell: self._opened(read_result(folder), tell))
         return None
 
+    @property
+    def open_models(self) -> tuple[OpenModel, ...]:
+        """The models that are open."""
+        with self._lock:
+            return tuple(self._open.values())
+
     def require(self, model: str) -> OpenModel:
         """Return a model that is open; raises InputError of one that is not yet."""
         found = self.get(model)
@@ -222,9 +229,12 @@ class Session:
         if any(each.kind == "change" and each.at_work for each in self.worker.tasks):
             raise input_error("a change is at work already", "this session", "one change at a time",
                               "wait for it, or cancel it")  # fmt: skip
-        if not (wanted.add or wanted.remove):
+        if not (wanted.add or wanted.remove or wanted.formula_of):
             raise input_error("no effect is named", "change", "effects to add or to remove", "choose one")
         self._refuse_changed_campaign(model)
+        if wanted.formula_of:
+            what = f"add the formula of {wanted.formula_of}"
+            return self.worker.submit("change", what, model.id, self._adding_formula(model, wanted.formula_of))
         word, effects = ("add", self._with_locked(wanted.add, model)) if wanted.add else ("remove", wanted.remove)
         make = self._adding(model, effects, wanted.channels) if wanted.add else self._removing(model, effects)
         return self.worker.submit("change", f"{word} {', '.join(effects)}", model.id, make)
@@ -240,6 +250,23 @@ class Session:
 
         def work(tell: Tell) -> TaskOutcome:
             change = add(model.result, effects, folder, channels, diagnosis=model.diagnosis, progress=tell)
+            return self._after(change, command, tell)
+
+        return work
+
+    def _adding_formula(self, model: OpenModel, channel: str) -> Work:
+        """Return the work of writing an effect for the formula of a residual, and adding it on its channel."""
+        source = model.formula(channel).source
+        if not source:
+            raise input_error(f"the residual of {channel} has no formula", "formula", "a channel with one",
+                              "choose another channel")  # fmt: skip
+        folder = self.folder_for(model, "found_shape")
+        file = folder.with_name(f"{folder.name}.py")
+        command = add_command([quoted(file)], [channel], model.place, quoted(folder))
+
+        def work(tell: Tell) -> TaskOutcome:
+            write_text(file, source)
+            change = add(model.result, [str(file)], folder, [channel], diagnosis=model.diagnosis, progress=tell)
             return self._after(change, command, tell)
 
         return work

@@ -42,8 +42,9 @@ class Exploration:
         self.address = f"http://{HOST}:{bound.getsockname()[1]}/{token}/"
         served = application(session, token, bound.getsockname()[1])
         settings = uvicorn.Config(
-            served, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=1
-        )
+            lambda: served, factory=True, interface="asgi3", ws="none", lifespan="off", proxy_headers=False, server_header=False,
+            log_level="warning", access_log=False, timeout_graceful_shutdown=1,
+        )  # fmt: skip
         self._server = uvicorn.Server(settings)
         self._thread = threading.Thread(target=self._server.run, args=([bound],), name="explore-server", daemon=True)
 

@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 
+from imubayes.criticism.formula_search import ResidualFormula
 from imubayes.display.loop.diagnosis_sentences import probability
-from imubayes.display.numbers_and_labels import counted, listed, relation, significant
+from imubayes.display.numbers_and_labels import counted, listed, percent, relation, significant
 
 _EXPLAINS = 0.5
 
@@ -39,3 +40,14 @@ def preview_text(effects: Sequence[str], delta_chi2: float, largest: tuple[str, 
     """Return what previewed causes would do; `largest`: the estimate that moves most, and by how many of its sd."""
     moved = "" if largest is None else f" {largest[0]} would move by {significant(largest[1], 2)} sd."
     return f"Predicted with {listed(effects)}: Δχ² {significant(delta_chi2)} at the noise known beforehand.{moved}"
+
+
+def formula_text(found: ResidualFormula | None, channel: str) -> str:
+    """Return the formula of what a model leaves of a channel, and how sure its first term is."""
+    if found is None:
+        return f"No term is worth its odds for the residual of {channel}."
+    near = f" Almost as well fit: {listed(found.near, 3)}." if found.near else ""
+    return (
+        f"The residual of {channel} is {found.shape}; its first term leads in {percent(found.inclusion)} of resampled "
+        f"runs.{near}"
+    )

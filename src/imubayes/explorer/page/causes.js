@@ -24,12 +24,12 @@ export function drawCauses(place, actions) {
       el("h2", { id: "causes-title" }, selection ? "What explains these readings" : "What would explain the rest"),
       selection ? el("button", { onclick: () => show({ brushes: [] }), "data-key": "clear" }, "clear selection") : null),
     selection ? el("p", { class: "aside", id: "selection-sentence", role: "status" }, selection.sentence) : null,
-    selection ? other("noise alone", selection.nothing) : null,
-    selection?.offset !== null && selection ? other("an offset of these readings alone", selection.offset) : null,
+    selection && selection.nothing !== null ? other("noise alone", selection.nothing) : null,
+    selection && selection.offset !== null ? other("an offset of these readings alone", selection.offset) : null,
     lines,
     listed.length > MOST ? el("button", { class: "plain", onclick: () => { every = !every; drawCauses(place, actions); } }, every ? "fewer" : `${listed.length - MOST} more`) : null,
     selection ? el("p", { class: "aside quiet" }, "Each cause acts in these readings alone; the parameters are as all readings tell them. Mark on the bar: probability from all readings.") : null,
-    accept(actions));
+    accept(actions, selection));
 }
 
 function other(words, share) {
@@ -85,7 +85,7 @@ function hover(effect) {
   hovering = setTimeout(() => told.hovered !== effect && tell({ hovered: effect }), effect ? 70 : 160);
 }
 
-function accept(actions) {
+function accept(actions, selection) {
   const preview = told.preview?.effects.length ? told.preview : null, ticked = view.ticked.length > 0;
   const busy = told.session?.tasks.some((task) => ["waiting", "running", "cancelling"].includes(task.state));
   return el("div", { class: "aside" },
@@ -93,5 +93,6 @@ function accept(actions) {
     preview ? el("pre", { tabindex: "0", "aria-label": "command" }, preview.command) : null,
     el("div", { class: "row" },
       el("button", { class: "main", id: "accept", "data-key": "accept", disabled: !ticked || busy, onclick: actions.accept }, "add what is ticked, and refit"),
+      selection || told.facts.verdict === "unexplained_structure" ? el("button", { "data-key": "formula", id: "formula", onclick: () => actions.formula(view.channel) }, `formula of ${view.channel}`) : null,
       el("button", { "data-key": "untick", disabled: !ticked, onclick: () => show({ ticked: [] }) }, "untick")));
 }

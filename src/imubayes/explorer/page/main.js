@@ -3,6 +3,7 @@
 import { drawBelow, noteDialog, parentOf } from "./below.js";
 import { drawCauses } from "./causes.js";
 import { el, fill } from "./dom.js";
+import { formulaDialog } from "./formula.js";
 import { helpDialog, listenToKeys } from "./keys.js";
 import { drawMap } from "./map.js";
 import { ask, latest, listen, points, text } from "./net.js";
@@ -26,7 +27,12 @@ async function attempt(work) {
   }
 }
 
+const download = (name) => attempt(async () => {
+  el("a", { href: URL.createObjectURL(new Blob([await text(name)])), download: name }).click();
+});
+
 const actions = {
+  attempt,
   accept: () => view.ticked.length && attempt(() => ask("change", { model: view.model, add: view.ticked })),
   remove: (effect) => attempt(() => ask("change", { model: view.model, remove: [effect] })),
   cancel: (task) => attempt(() => ask("cancel", { task })),
@@ -42,9 +48,12 @@ const actions = {
     tell({ session: await ask("select", { model: before }) });
     show({ model: before, ticked: [] });
   }),
-  export: () => attempt(async () => {
-    const saved = el("a", { href: URL.createObjectURL(new Blob([await text("model.toml")])), download: "model.toml" });
-    saved.click();
+  export: () => download("model.toml"),
+  save: () => download("session.html"),
+  script: () => download("script.sh"),
+  formula: (channel) => attempt(async () => {
+    const found = await ask("formula", { model: view.model, channel });
+    formulaDialog(dialog, channel, found, () => attempt(() => ask("change", { model: view.model, formula_of: channel })));
   }),
   copy: () => attempt(async () => navigator.clipboard.writeText(await text("script.sh"))),
 };
@@ -182,7 +191,7 @@ listenToKeys({
   x: () => told.session?.tasks.filter((task) => ["waiting", "running"].includes(task.state)).forEach((task) => actions.cancel(task.number)),
   n: () => show({ channel: next(channels(), view.channel, 1) }), N: () => show({ channel: next(channels(), view.channel, -1) }),
   v: () => turnX(1), V: () => turnX(-1), y: () => show({ y: next(RESIDUALS, view.y, 1) }), o: focusRuns,
-  p: () => show({ after: !view.after }), z: zoomToSelection, Z: () => show({ between: null }),
+  f: () => told.facts && actions.formula(view.channel), p: () => show({ after: !view.after }), z: zoomToSelection, Z: () => show({ between: null }),
   Escape: () => show(view.brushes.length ? { brushes: [], only: [] } : { ticked: [] }),
   1: () => show({ tab: "models" }), 2: () => show({ tab: "estimates" }), 3: () => show({ tab: "knowledge" }), 4: () => show({ tab: "commands" }),
 });

@@ -1,0 +1,67 @@
+"""What the runs determined, what they did not, and the run that would: the tables of a fit, and any one quantity."""
+
+import numpy as np
+
+from imubayes.display.fit_quality_tables import combination_sheet, contribution_sheet, next_run_sheet, weak_sheet
+from imubayes.display.numbers_and_labels import pretty
+from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
+from imubayes.explorer.messages import ShownTable, shown_table
+from imubayes.foundations.errors import closest_first, input_error
+from imubayes.foundations.records import Record
+from imubayes.results.result import Result
+from imubayes.results.stored_tables import draws_of
+from imubayes.results.summary import in_output_units
+
+_BINS, _REACH = 80, 5.0
+
+
+class KnownTables(Record):
+    """The tables of what is known, and the names of the quantities that can be asked for."""
+
+    tables: tuple[ShownTable, ...]
+    quantities: tuple[str, ...]
+
+
+class QuantityFacts(Record):
+    """One quantity: densities of posterior and prior at places `x` in `unit`, each over its highest value."""
+
+    name: str
+    unit: str
+    x: tuple[float, ...]
+    posterior: tuple[float, ...]
+    prior: tuple[float, ...]
+
+
+def known_tables(result: Result) -> KnownTables:
+    """Return what the runs of a result determined, and what they did not."""
+    summary = result.summary
+    sheets = (
+        weak_sheet(summary), next_run_sheet(summary), combination_sheet(summary), derived_sheet(summary),
+        parameter_sheet(summary), contribution_sheet(summary),
+    )  # fmt: skip
+    return KnownTables(tables=tuple(map(shown_table, sheets)), quantities=tuple(result.quantities))
+
+
+def quantity_facts(result: Result, name: str) -> QuantityFacts:
+    """Return prior and posterior of a quantity; raises InputError for one that the result does not have."""
+    if name not in result.quantities:
+        allowed = closest_first(name, result.quantities)
+        raise input_error(f"no quantity '{name}'", "quantity", allowed, "choose one of these")
+    posterior = result.draws.get(name, np.zeros(0))
+    prior = draws_of(result.posterior["prior"].to_dataset(), [name]).get(name, np.zeros(0))
+    found = posterior[np.isfinite(posterior)]
+    if len(found) < 2:
+        raise input_error(f"'{name}' has no draws", "quantity", "a quantity with draws", "choose another one")
+    middle, reach = float(np.median(found)), _REACH * max(float(found.std()), 1e-300)
+    edges = np.linspace(middle - reach, middle + reach, _BINS + 1)
+    shown = {each.name: each for each in (*in_output_units(result.summary).parameters, *result.summary.derived)}
+    return QuantityFacts(
+        name=name, unit=pretty(shown[name].unit), x=tuple((0.5 * (edges[1:] + edges[:-1])).tolist()),
+        posterior=_density(found, edges), prior=_density(prior, edges),
+    )  # fmt: skip
+
+
+def _density(draws: np.ndarray, edges: np.ndarray) -> tuple[float, ...]:
+    """Return a histogram over the highest of its bins; of draws that hardly fall there, such as a wide prior, flat."""
+    counts = np.histogram(draws[np.isfinite(draws)], edges)[0].astype(float)
+    return tuple((counts / max(counts.max(), 1.0)).tolist())

@@ -1,0 +1,227 @@
+"""The walk on the shipped campaign in Debian's Chromium, from opening to the exported model, by mouse and by keys."""
+
+import json
+import shutil
+from urllib.parse import quote, unquote
+
+import pytest
+from explore_client import settled, wait_for
+from selenium import webdriver
+from selenium.common.exceptions import WebDriverException
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+
+BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(
+    BROWSER is None or DRIVER is None, reason="Debian's chromium and chromium-driver are not here"
+)
+HIDDEN = "gyro_scale_asymmetry"
+
+
+class Page:
+    """A window on the session."""
+
+    def __init__(self, address: str, width: int = 1280, height: int = 800):
+        options = webdriver.ChromeOptions()
+        options.binary_location = BROWSER or ""
+        for argument in ("headless=new", "no-sandbox", "disable-gpu", "disable-dev-shm-usage", "disable-extensions",
+                         "force-prefers-reduced-motion", f"window-size={width},{height}"):  # fmt: skip
+            options.add_argument(f"--{argument}")
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+        self.address, self.requested = address, set[str]()
+        self.open(address)
+
+    def open(self, address: str) -> None:
+        self.driver.get(address)
+        self.wait(
+            "document.querySelectorAll('.cell').length > 0 && document.querySelector('#legend').children.length > 0"
+        )
+
+    def run(self, script: str):
+        return self.driver.execute_script(f"return {script}")
+
+    def wait(self, script: str):
+        def found():
+            try:
+                return self.run(script)
+            except WebDriverException:
+                return None
+
+        return wait_for(found)
+
+    def text(self, selector: str) -> str:
+        return self.run(f"document.querySelector({json.dumps(selector)})?.textContent ?? ''")
+
+    def click(self, selector: str) -> None:
+        self.driver.find_element(By.CSS_SELECTOR, selector).click()
+
+    def press(self, *keys: str) -> None:
+        ActionChains(self.driver).send_keys(*keys).perform()
+
+    def view(self) -> dict:
+        return json.loads(unquote(self.run("location.hash"))[1:] or "{}")
+
+    def complaints(self) -> list[str]:
+        """Return what the console says, and requests to any other host."""
+        told = [each["message"] for each in self.driver.get_log("browser")]
+        for each in self.driver.get_log("performance"):
+            message = json.loads(each["message"])["message"]
+            if message["method"] == "Network.requestWillBeSent":
+                self.requested.add(message["params"]["request"]["url"])
+        own = (self.address, "data:", "blob:", "chrome:", "about:")
+        return told + [url for url in self.requested if not url.startswith(own)]
+
+    def close(self) -> None:
+        self.driver.quit()
+
+
+@pytest.fixture(scope="module")
+def page(explored):
+    found = Page(explored.address)
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def fresh(page, explored, first, client):
+    """The page on the first model, nothing selected or ticked."""
+    client.json("select", {"model": first})
+    page.run("(history.replaceState(null, '', location.pathname), null)")
+    page.driver.refresh()
+    page.open(explored.address)
+    page.wait(f"JSON.parse(decodeURIComponent(location.hash.slice(1)) || '{{}}').model === {json.dumps(first)}")
+    yield page
+    assert page.complaints() == []
+
+
+def test_the_first_page_tells_the_verdict_and_where_the_model_fails(fresh, explored):
+    assert HIDDEN in fresh.text("#sentence")
+    assert fresh.run("document.querySelectorAll('#verdict .kind').length") == 5
+    assert fresh.run("document.querySelectorAll('.cell').length") == 42
+    assert HIDDEN in fresh.text("#causes .cause label")
+    # The channel that fails worst is shown against what its residual depends on.
+    assert fresh.view()["channel"] == "gz"
+    assert fresh.view()["x"] == "rate_i"
+
+
+def test_a_brush_of_residuals_ranks_their_causes(fresh):
+    over = fresh.driver.find_element(By.CSS_SELECTOR, "#residuals .u-over")
+    width, height = over.rect["width"], over.rect["height"]
+    drag = ActionChains(fresh.driver).move_to_element_with_offset(over, int(-0.49 * width), int(-0.47 * height))
+    drag.click_and_hold().move_by_offset(int(0.35 * width), int(0.5 * height)).release().perform()
+    fresh.wait("document.querySelector('#selection-sentence')")
+    brush = fresh.view()["brushes"][0]
+    assert brush["x"] == "rate_i"
+    assert brush["x_low"] < -100
+    assert brush["y_low"] > -1
+    assert HIDDEN in fresh.text("#selection-sentence")
+    assert "χ²" in fresh.text("#selection-sentence")
+    # The address holds the view: the same selection stands there after a reload.
+    said = fresh.text("#selection-sentence")
+    fresh.driver.refresh()
+    fresh.wait("document.querySelector('#selection-sentence')")
+    assert fresh.text("#selection-sentence") == said
+
+
+def test_a_cell_of_the_map_selects_and_a_cause_is_previewed(fresh):
+    cell = fresh.driver.find_element(By.CSS_SELECTOR, '[data-key="cell-rate-z-up-gz"]')
+    before = float(cell.text)
+    cell.click()
+    fresh.wait("document.querySelector('#selection-sentence')?.textContent.startsWith('12 readings')")
+    fresh.click(f'[id="tick-{HIDDEN}"]')
+    fresh.wait("document.querySelector('#preview-sentence')")
+    assert "Δχ² 1030" in fresh.text("#preview-sentence")
+    fresh.wait("document.querySelectorAll('.cell.previewed').length === 42")
+    assert float(fresh.text('[data-key="cell-rate-z-up-gz"]')) < before / 5
+    fresh.click("#tab-estimates")
+    fresh.wait("document.querySelector('#tab-panel').textContent.includes('gyro_bias.bias[gz]')")
+    assert "imubayes add" in fresh.text("#causes pre")
+
+
+def test_the_walk_by_keys_alone(fresh, explored, first, client):
+    """Select, tick, add, see that nothing is missing, go back."""
+    fresh.press("m")
+    fresh.press(Keys.ARROW_DOWN, Keys.ARROW_RIGHT, Keys.ENTER)
+    fresh.wait("document.querySelector('#selection-sentence')")
+    fresh.press(Keys.ESCAPE)
+    fresh.wait("!document.querySelector('#selection-sentence')")
+    fresh.press("r")
+    fresh.press(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    fresh.wait("document.querySelector('#selection-sentence')")
+    fresh.press(Keys.ESCAPE)
+    fresh.press("c")
+    fresh.wait(f"document.activeElement.id === 'tick-{HIDDEN}'")
+    fresh.press(Keys.SPACE)
+    fresh.wait("document.querySelector('#preview-sentence') && !document.querySelector('#accept').disabled")
+    fresh.press(Keys.ENTER)
+    fresh.wait("document.querySelector('#cancel')")
+    fresh.driver.refresh()  # the work goes on
+    fresh.wait("document.querySelector('#sentence')?.textContent.includes('explains the data')")
+    assert "predicted 103" in fresh.text("#notice")
+    made = fresh.view()["model"]
+    assert made != first
+    fresh.press("1")
+    fresh.wait("document.querySelector('#tab-panel').textContent.includes('+ gyro_scale_asymmetry')")
+    fresh.press("4")
+    fresh.wait("document.querySelector('#commands')?.textContent.includes('imubayes add gyro_scale_asymmetry')")
+    fresh.press("u")
+    fresh.wait(f"document.querySelector('#sentence')?.textContent.startsWith('{HIDDEN} is missing')")
+    assert fresh.view()["model"] == first
+    tree = {line["id"]: line for line in client.json("state")["tree"]}
+    assert tree[first]["selected"]
+    assert not tree[made]["selected"]
+
+
+def test_two_windows_agree(fresh, explored, first, client):
+    other = Page(explored.address)
+    try:
+        client.json("note", {"model": first, "name": '<b>first</b> & "only"', "note": "<script>alert(1)</script>"})
+        for window in (fresh, other):
+            window.press("1")
+            window.wait("document.querySelector('#tab-panel').textContent.includes('<b>first</b> & \"only\"')")
+            assert window.run("document.querySelectorAll('#tab-panel b, #tab-panel script').length") == 0
+        fresh.click(f'[id="tick-{HIDDEN}"]')
+        fresh.click("#accept")
+        other.wait("document.querySelector('#cancel')")
+        other.press("x")
+        for window in (fresh, other):
+            window.wait("document.querySelector('#notice').textContent.includes('was cancelled; nothing was written')")
+        settled(explored)
+        assert other.complaints() == []
+    finally:
+        client.json("note", {"model": first})
+        other.close()
+
+
+def test_help_tour_theme_and_what_is_known(fresh):
+    fresh.press("?")
+    fresh.wait("document.querySelector('#dialog').open")
+    assert fresh.run("document.querySelectorAll('#dialog tr').length") >= 15
+    fresh.press(Keys.ESCAPE)
+    fresh.press("t")
+    for step in range(1, 10):
+        fresh.wait(f"document.querySelector('#dialog-title').textContent.startsWith('{step} of 9')")
+        fresh.press(Keys.ENTER)
+    fresh.wait("!document.querySelector('#dialog').open")
+    before = fresh.run("getComputedStyle(document.body).backgroundColor")
+    fresh.press("d")
+    assert fresh.run("getComputedStyle(document.body).backgroundColor") != before
+    fresh.press("d")
+    fresh.press("3")
+    fresh.wait("document.querySelector('#tab-panel').textContent.includes('Weakly determined combinations')")
+    field = fresh.driver.find_element(By.CSS_SELECTOR, "#tab-panel input[list]")
+    field.send_keys("scale_factor[gz]", Keys.ENTER)
+    fresh.wait("document.querySelector('#tab-panel .densities')")
+    fresh.press(Keys.ESCAPE)
+
+
+def test_an_address_of_nonsense_opens_the_page(fresh, explored):
+    nonsense = quote(
+        json.dumps({"model": "x" * 40, "channel": 7, "brushes": "all", "tab": "<i>", "ticked": ["nothing"]})
+    )
+    fresh.driver.get("about:blank")
+    fresh.open(f"{explored.address}#{nonsense}")
+    assert HIDDEN in fresh.text("#sentence")
