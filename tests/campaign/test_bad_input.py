@@ -130,6 +130,17 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "negative uncertainty": (
         toml("axis_uncertainty_arcsec = 20.0", "axis_uncertainty_arcsec = -1.0"), "-1", r"table\[0\]\.axis", "at least 0",
     ),
+    "uncertainty of an axis of more than half a turn": (
+        toml("axis_uncertainty_arcsec = 20.0", "axis_uncertainty_arcsec = 1e18"), "1e+18", r"table\[0\]\.axis",
+        "at most 648000",
+    ),
+    "uncertainty of an attitude of more than half a turn": (
+        toml('preset = "trihedral"', 'preset = "trihedral"\nuncertainty_arcmin = 1e18'), "1e+18",
+        r"mounting\[1\]\.uncertainty", "at most 10800",
+    ),
+    "uncertainty of gravity beyond gravity": (
+        toml("[unit]", "gravity_uncertainty_ug = 1e9\n[unit]"), "1000000000.0", "gravity_uncertainty_ug", "at most 1e+06",
+    ),
     "negative uncertainty of a temperature": (
         toml("temperature_degC = 25.0", "temperature_degC = 25.0\ntemperature_uncertainty_degC = -0.5"),
         "-0.5", r"run\[0\]\.temperature_uncertainty_degC", "at least 0",

@@ -40,7 +40,11 @@ Name = Annotated[str, Field(min_length=1, pattern=_NAME)]
 ColumnName = Annotated[str, Field(min_length=1, pattern=_COLUMN_NAME)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+# Standard uncertainties: up to half a turn, the whole of a value, and a hundred metres.
+Arcseconds = Annotated[float, Field(ge=0, le=648_000)]
+Arcminutes = Annotated[float, Field(ge=0, le=10_800)]
+Millionths = Annotated[float, Field(ge=0, le=1e6)]
+Micrometres = Annotated[float, Field(ge=0, le=1e8)]
 _LEAST_LENGTH = 1e-9
 ABSURD = 1e30  # no instrument reads as much, and squares of more than 1e154 overflow
 Degrees = Annotated[float, Field(ge=-360, le=360)]
@@ -76,7 +80,7 @@ class SiteEntry(_Entry):
     """above the ellipsoid"""
     gravity_m_s2: float | None = Field(default=None, ge=9.5, le=10.1)
     """as measured; by default WGS 84"""
-    gravity_uncertainty_ug: NotNegative | None = None
+    gravity_uncertainty_ug: Millionths | None = None
     """standard uncertainty of gravity; 0 means exact, by default unknown"""
 
 
@@ -140,19 +144,19 @@ class TableEntry(_Entry):
         description="reading of table_angle_deg at the zero of the table, subtracted from the column: there table x is "
         "horizontal, at azimuth_deg + 90, and y = z x x (East and North for azimuth 0 and elevation 90)",
     )
-    settling_s: NotNegative = 0.0
+    settling_s: float = Field(default=0.0, ge=0)
     """least time left out of raw logs after each change of the stimulus"""
     rate_tolerance_deg_s: Positive | None = None
     """of raw logs: rates closer than this are equal; by default the noise of the column"""
-    axis_uncertainty_arcsec: NotNegative | None = None
+    axis_uncertainty_arcsec: Arcseconds | None = None
     """of the direction of the rotation axis, about each of two axes across it"""
-    azimuth_uncertainty_arcsec: NotNegative | None = None
+    azimuth_uncertainty_arcsec: Arcseconds | None = None
     """of azimuth_deg, where it differs from axis_uncertainty_arcsec: north is known worse"""
-    elevation_uncertainty_arcsec: NotNegative | None = None
+    elevation_uncertainty_arcsec: Arcseconds | None = None
     """of elevation_deg, where it differs from axis_uncertainty_arcsec: a level tells it"""
-    rate_uncertainty_ppm: NotNegative | None = None
+    rate_uncertainty_ppm: Millionths | None = None
     """of the commanded or measured rate"""
-    angle_uncertainty_arcsec: NotNegative | None = None
+    angle_uncertainty_arcsec: Arcseconds | None = None
     """of an angle that is read; of the record of a servo table"""
     inner_axis: Vector | None = None
     """at zero angles, in axes with z along the outer axis"""
@@ -160,13 +164,13 @@ class TableEntry(_Entry):
     """as inner_axis, of a table of three axes"""
     arm_radius_m: Positive | None = None
     """of a centrifuge: from the outer to the inner axis"""
-    zero_uncertainty_arcsec: NotNegative | None = None
+    zero_uncertainty_arcsec: Arcseconds | None = None
     """of the zero of each axis: the prior of inner_axis_zero, outer_axis_zero, middle_axis_zero"""
-    squareness_uncertainty_arcsec: NotNegative | None = None
+    squareness_uncertainty_arcsec: Arcseconds | None = None
     """of the right angle between two axes of the table"""
-    intersection_uncertainty_um: NotNegative | None = None
+    intersection_uncertainty_um: Micrometres | None = None
     """of the distance between two axes that should intersect"""
-    arm_uncertainty_um: NotNegative | None = None
+    arm_uncertainty_um: Micrometres | None = None
     """of arm_radius_m"""
 
     @model_validator(mode="after")
@@ -188,7 +192,7 @@ class MountingEntry(_Entry):
     """aligned: body axes along those of the table; trihedral: body diagonal along table z"""
     body_to_table: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = None
     """three rows; the columns are the body axes in axes of the table, at its zero"""
-    uncertainty_arcmin: NotNegative | None = None
+    uncertainty_arcmin: Arcminutes | None = None
     """of the attitude, about each axis; 0 is exact"""
 
     @model_validator(mode="after")

@@ -206,7 +206,8 @@ def _partial_turns(run: Run, where: str) -> list[Finding]:
 def _ratio(stimulus: np.ndarray, measured: np.ndarray) -> float:
     """Return the median ratio of measured to nominal input; NaN if there is none."""
     good = np.isfinite(measured) & (stimulus != 0)
-    return float(np.median(measured[good] / stimulus[good])) if good.any() else math.nan
+    with np.errstate(over="ignore"):  # a stimulus of next to nothing
+        return float(np.median(measured[good] / stimulus[good])) if good.any() else math.nan
 
 
 def _current_finding(run: str, channel: Channel, ratio: float, where: str) -> Finding:
