@@ -292,6 +292,57 @@ def test_the_pdf_has_the_record_attached_and_is_the_same_every_time(result, tmp_
         assert mark in once.read_bytes().replace(b" /", b"/").replace(b"AFRelationship /", b"AFRelationship/"), mark
 
 
+CERTIFICATE = """
+format = 1
+
+[certificate]
+number = "2026-0117"
+date = 2026-11-20
+
+[certificate.laboratory]
+name = "Example Laboratory"
+"""
+
+
+def pages(file: Path) -> int:
+    return max(int(count) for count in re.findall(rb"/Count (\d+)", file.read_bytes()))
+
+
+def test_a_certificate_has_two_pages_its_date_and_what_is_missing(result, tmp_path):
+    pytest.importorskip("typst", reason="typst is not installed")
+    judged(result, "adequate")
+    (tmp_path / "certificate.toml").write_text(CERTIFICATE)
+    common = [
+        "report",
+        str(result),
+        "--spec",
+        specification(tmp_path),
+        "--certificate",
+        str(tmp_path / "certificate.toml"),
+    ]
+    sizes = {}
+    for annex in ("none", "results", "all"):
+        file = tmp_path / f"{annex}.pdf"
+        assert run([*common, "--annex", annex, "--out", str(file)]) == 0
+        sizes[annex] = pages(file)
+        assert b"/CreationDate(D:20261120000000Z)" in file.read_bytes()
+    assert sizes["none"] <= 2
+    assert sizes["none"] < sizes["results"] < sizes["all"]
+    status, record, page = written(result, tmp_path, *common[2:], "--annex", "none")
+    assert status == 0
+    said = visible(page)
+    for text in ("Calibration certificate 2026-0117", "Example Laboratory", "Missing from this certificate"):
+        assert text in said
+    assert "Uncertainty budgets" not in said
+    assert {each.item for each in record.missing} >= {"method", "standards", "signatories", "customer_name"}
+    assert record.budgets is not None, "the record has everything"
+
+
+def test_an_unknown_annex_is_refused(result, tmp_path):
+    with pytest.raises(InputError, match="no annex 'budget'"):
+        imubayes.report(result, annexes=["budget"], out=[tmp_path / "x.html"])
+
+
 def test_an_unknown_ending_is_refused_before_anything_is_computed(result, tmp_path, capsys):
     assert run(["report", str(result), "--out", str(tmp_path / "report.doc")]) == 2
     assert ".html" in capsys.readouterr().err

@@ -152,6 +152,8 @@ def report(
     result: Result | str | Path,
     specification: str | Path | None = None,
     *,
+    certificate: str | Path | None = None,
+    annexes: Sequence[str] | None = None,
     sections: Sequence[Callable[[QualificationReport], ReportSection]] = (),
     out: Sequence[str | Path] = (),
     progress: Callable[[str], None] | None = None,
@@ -162,6 +164,8 @@ def report(
     ----------
     result : a result that has a folder, or the folder; its diagnosis and history are read from there.
     specification : file with limits and decision rules; None where nothing is to be decided.
+    certificate : file with the certificate block (`imubayes schema certificate`); that of the specification where None.
+    annexes : of page and PDF: results, budgets, evidence; None for all of a page, and the results alone of a PDF.
     sections : functions of the report that return further sections, such as a statement of traceability.
     out : files to write, by their endings: .html, .pdf, .json; none where the record alone is asked for.
     progress : called with a short text as the work goes on.
@@ -176,12 +180,12 @@ def report(
     # The record alone needs nothing that draws.
     with progress_of(progress) as tell, report_files.places_held(files) if files else nullcontext():
         tell("evaluating the posterior")
-        found = report_of(result, specification)
+        found = report_of(result, specification, certificate)
         if sections:
             found = found.model_copy(update={"supplied": tuple(_supplied(each, found) for each in sections)})
         if files:
             tell("drawing")
-            report_files.write_report(found, files)
+            report_files.write_report(found, files, report_files.known_annexes(annexes))
     return found
 
 

@@ -197,7 +197,21 @@ def export(
 Out = Annotated[list[Path], cyclopts.Parameter(consume_multiple=True, negative="")]
 
 
-def report(result: Path, *, out: Out, spec: Path | None = None, trust: Trust = False) -> int:
+Annexes = Annotated[
+    list[Literal["results", "budgets", "evidence", "all", "none"]] | None,
+    cyclopts.Parameter(consume_multiple=True, negative=""),
+]
+
+
+def report(
+    result: Path,
+    *,
+    out: Out,
+    spec: Path | None = None,
+    certificate: Path | None = None,
+    annex: Annexes = None,
+    trust: Trust = False,
+) -> int:
     """Write the uncertainty report of a unit as a page, a PDF file or a JSON record.
 
     Example: imubayes report results/full --spec models/qualification-spec.toml --out report.html report.pdf
@@ -212,6 +226,12 @@ def report(result: Path, *, out: Out, spec: Path | None = None, trust: Trust = F
         Files to write, by their endings: .html, .pdf, .json.
     spec
         Specification: limits and decision rules. Without one nothing is decided.
+    certificate
+        Certificate block: laboratory, customer, method, standards, signatories (`imubayes schema certificate`); that of
+        the specification where it has one.
+    annex
+        Annexes of page and PDF: results, budgets, evidence, all or none. Without it a page has all of them, and a PDF
+        file the results. The JSON record has everything.
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
@@ -220,7 +240,7 @@ def report(result: Path, *, out: Out, spec: Path | None = None, trust: Trust = F
         trusting(result, trust)
         from imubayes.api import report as make_report
 
-        found = make_report(result, spec, out=out, progress=tell)
+        found = make_report(result, spec, certificate=certificate, annexes=annex, out=out, progress=tell)
     from imubayes.display.qualification.first_page import alarms, banner
 
     said = banner(found)
@@ -229,4 +249,9 @@ def report(result: Path, *, out: Out, spec: Path | None = None, trust: Trust = F
         print(line)
     for file in out:
         print(f"written: {file}")
+    if any(file.suffix.lower() == ".pdf" for file in out):
+        from imubayes.display.qualification.pdf_file import shown_by_code_points
+
+        if unknown := shown_by_code_points(found.json_text()):
+            print(f"note: no font has {' '.join(unknown)}: the PDF file has the code points instead; install a font")
     return 0 if found.accepted else 1

@@ -182,6 +182,7 @@ _RECORDS = {
     "model": ("imubayes.campaign.file_schemas", "ModelFile"),
     "plan": ("imubayes.simulation.test_plan", "PlanFile"),
     "specification": ("imubayes.qualification.specification", "SpecificationFile"),
+    "certificate": ("imubayes.qualification.certificate", "CertificateFile"),
     "constants": ("imubayes.qualification.onboard.record", "OnboardConstants"),
     "diagnosis": ("imubayes.criticism.diagnosis_record", "Diagnosis"),
     "change": ("imubayes.results.change_records", "ModelChange"),
@@ -202,8 +203,8 @@ def schema(kind: str) -> None:
     Parameters
     ----------
     kind
-        campaign (campaign.toml), model, plan; report; constants (of `imubayes export`); summary, fit, diagnosis,
-        change, history or manifest (JSON files of a result).
+        campaign (campaign.toml), model, plan, specification, certificate; report; constants (of `imubayes export`);
+        summary, fit, diagnosis, change, history or manifest (JSON files of a result).
     """
     if kind not in _RECORDS:
         allowed = closest_first(kind, _RECORDS)

@@ -19,6 +19,7 @@ from imubayes.loop.model_history import Tree
 from imubayes.qualification import report_estimates as estimates
 from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
+from imubayes.qualification.certificate import Certificate, missing_items, read_certificate
 from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, assess
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
 from imubayes.qualification.report_budgets import unit_with_budgets
@@ -29,6 +30,7 @@ from imubayes.qualification.report_pictures import (
     mounting_pictures,
     worst_residual,
 )
+from imubayes.qualification.specification import read_specification
 from imubayes.qualification.standard_quantities import digital_unit, standard_symbol
 from imubayes.qualification.taken_as_exact import TakenAsExact
 from imubayes.qualification.unit_under_test import TestedUnit
@@ -142,13 +144,18 @@ def provenance_of(result: Result) -> subject.Provenance:
 _UNDETERMINED = 0.1
 
 
-def report_of(result: Result | str | Path, specification: str | Path | None = None) -> record.QualificationReport:
+def report_of(
+    result: Result | str | Path,
+    specification: str | Path | None = None,
+    certificate: str | Path | None = None,
+) -> record.QualificationReport:
     """Return the report of a result folder.
 
     Parameters
     ----------
     result : a result that has a folder, or the folder; its diagnosis and history are read from there.
     specification : file with limits; None for a report without conformity.
+    certificate : file with the certificate block; that of the specification where None.
 
     Raises
     ------
@@ -163,6 +170,7 @@ def report_of(result: Result | str | Path, specification: str | Path | None = No
     evaluated = unit_with_budgets(found) if found.converged else None
     unit = None if evaluated is None else evaluated.unit
     assessment = assess(found, specification, diagnosis, unit) if specification is not None else None
+    block, scope = certificate_of(specification, certificate), scope_of(campaign, found, diagnosis)
     angles, standards = estimates.mounting_angles(found, unit), estimates.standard_estimates(unit)
     return record.QualificationReport(
         subject=subject_of(campaign, found),
@@ -179,9 +187,24 @@ def report_of(result: Result | str | Path, specification: str | Path | None = No
         exact=TakenAsExact() if evaluated is None else evaluated.exact,
         budgets=None if evaluated is None else evaluated.budgets,
         left_out=left_out_of(campaign, found, diagnosis),
-        scope=scope_of(campaign, found, diagnosis),
+        scope=scope,
         pictures=pictures_of(found, unit, assessment, angles),
+        certificate=block,
+        missing=() if block is None else missing_items(block, campaign.serial, scope.first_start, scope.last_start),
     )
+
+
+def certificate_of(specification: str | Path | None, certificate: str | Path | None) -> Certificate | None:
+    """Return the certificate block of a file of its own, else that of the specification; None where neither has one.
+
+    Raises
+    ------
+    InputError
+        with everything that is wrong with the file.
+    """
+    if certificate is not None:
+        return read_certificate(certificate)
+    return None if specification is None else read_specification(specification)[0].certificate
 
 
 def _tree(folder: Path) -> tuple[Tree, str] | None:

@@ -13,6 +13,7 @@ from imubayes.criticism.explanations import Evidence, Verdict
 from imubayes.foundations.records import Record
 from imubayes.inference.identifiability import PriorConflict, ProcedureShare, WeakDirection
 from imubayes.qualification.budget_parts import UncertaintyBudgets
+from imubayes.qualification.certificate import Certificate, Missing
 from imubayes.qualification.conformity import Obstacle
 from imubayes.qualification.coverage import IntervalShape
 from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
@@ -435,6 +436,8 @@ class QualificationReport(Record):
     exact : what the model takes as exact of site and equipment; what is included is in every uncertainty.
     budgets : None where the fit did not converge.
     pictures : what the pictures show, as numbers.
+    certificate : what the laboratory states; None where it states nothing.
+    missing : what ISO/IEC 17025 requires of a certificate and this one lacks.
     supplied : what the author of the report added; the package computed none of it.
     """
 
@@ -456,6 +459,8 @@ class QualificationReport(Record):
     left_out: Omissions
     scope: StatisticalScope
     pictures: PictureData
+    certificate: Certificate | None = None
+    missing: tuple[Missing, ...] = ()
     supplied: tuple[ReportSection, ...] = ()
 
     @property

@@ -30,6 +30,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from imubayes.campaign.toml_documents import Ledger, read_document
+from imubayes.qualification.certificate import Certificate
 from imubayes.qualification.decision_rules import COVERAGE, GUARD_FACTOR, DecisionRule, RuleName
 
 Probability = Annotated[float, Field(gt=0, lt=1)]
@@ -86,6 +87,7 @@ class SpecificationFile(_SpecificationEntry):
         default=RuleEntry(name="guard_band", factor=GUARD_FACTOR), description="by which conformity is decided"
     )
     limit: Annotated[list[LimitEntry], Field(min_length=1)] = Field(description="one for each quantity or family")
+    certificate: Certificate | None = Field(default=None, description="what a certificate states of the calibration")
 
 
 def read_specification(file: str | Path) -> tuple[SpecificationFile, Ledger]:

@@ -46,10 +46,10 @@ def texts(*cells: str | Text) -> tuple[Text, ...]:
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading; level 2 begins a section, level 3 a part of it."""
+    """A heading; level 1 begins an annex on a page of its own, level 2 a section, level 3 a part of it."""
 
     text: str
-    level: Literal[2, 3] = 2
+    level: Literal[1, 2, 3] = 2
     type: Literal["heading"] = "heading"
 
 

@@ -203,6 +203,18 @@ def _where(limit: LimitOutcome) -> str:
     return f"{low:g} … {high:g}{worst}"
 
 
+def rules_text(limits: Sequence[LimitOutcome]) -> list[str]:
+    """Return each decision rule with the limits that it was applied to, a sentence each."""
+    groups: dict[str, list[str]] = {}
+    for limit in limits:
+        symbol = limit.symbol or limit.name.partition("[")[0]
+        groups.setdefault(words.rule_text(limit), []).append(symbol)
+    return [
+        f"Decision rule: {rule}, for {', '.join(dict.fromkeys(symbols))} ({len(symbols)} limits)."
+        for rule, symbols in groups.items()
+    ]
+
+
 def risk_table(limits: Sequence[LimitOutcome]) -> ReportTable:
     """Return rule, guard band and risks of every limit, with the second method of each probability."""
     known = any(limit.global_consumer_risk is not None for limit in limits)

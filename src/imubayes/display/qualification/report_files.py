@@ -1,33 +1,27 @@
 """The qualification report as a document, and its files: HTML, PDF and JSON.
 
-All that is said and drawn comes from the record of the report.  The ending of a file chooses its format.
+All that is said and drawn comes from the record of the report.  The ending of a file chooses its format.  The document
+is a certificate of two pages, and annexes: results, budgets, and the evidence for the model.
 
-The HTML page has no script and no link to anything outside; pictures are inline SVG.  The PDF file is PDF/A-3, set by
-Typst, with the record attached as `report.json`.  Fonts are those that come with Typst and with Matplotlib, so that the
-same input gives the same bytes everywhere.
+The HTML page has no script and no link to anything outside; pictures are inline SVG.
 """
 
-import json
 import re
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import fields
-from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Literal, get_args
 
-import lazy_loader
-import matplotlib as mpl
 from markupsafe import Markup, escape
 
 from imubayes.display.layout import render
 from imubayes.display.qualification import model_sections, result_sections, unit_drawings
 from imubayes.display.qualification.budget_sections import budget_section
+from imubayes.display.qualification.certificate_pages import certificate_facts, certificate_section, missing_section
 from imubayes.display.qualification.document import (
     Block,
-    Drawings,
     Heading,
+    Items,
     Paragraph,
     ReportDocument,
     ReportTable,
@@ -40,7 +34,9 @@ from imubayes.display.qualification.first_page import (
     facts,
     limits_table,
     risk_table,
+    rules_text,
 )
+from imubayes.display.qualification.pdf_file import pdf_file
 from imubayes.display.qualification.quantity_drawings import forest_drawings
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.files import only_writer, refuse_existing, replacing
@@ -103,131 +99,118 @@ def _anchor(heading: str) -> str:
     return "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in heading.lower())
 
 
-typst: Any = lazy_loader.load("typst")
-# A column whose longest text is shorter than this keeps its width; wider ones share what is left.  All keep theirs
-# where a row of the longest texts, with the gap beside each, fits the page.
-_NARROW, _WIDEST, _GAP, _PAGE = 24, 60, 2, 125
+Annex = Literal["results", "budgets", "evidence"]
+ANNEXES: tuple[Annex, ...] = get_args(Annex)
+_TITLES: dict[Annex, str] = {
+    "results": "results",
+    "budgets": "uncertainty budgets",
+    "evidence": "model, convergence and record",
+}
 
 
-def pdf_file(document: ReportDocument, record: str) -> bytes:
-    """Return a document as PDF.
-
-    Parameters
-    ----------
-    record : JSON text of the record, which is attached.
-
-    Raises
-    ------
-    InputError
-        where Typst is not installed.
-    """
-    _need_typst()
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        template = files("imubayes.display").joinpath("templates/qualification.typ").read_text(encoding="utf-8")
-        (folder / "main.typ").write_text(template, encoding="utf-8")
-        (folder / "document.json").write_text(
-            json.dumps(_content(document), ensure_ascii=False, default=_members), encoding="utf-8"
-        )
-        (folder / "report.json").write_text(record, encoding="utf-8")
-        return typst.compile(
-            str(folder / "main.typ"),
-            root=scratch,
-            font_paths=[str(Path(mpl.get_data_path()) / "fonts" / "ttf")],
-            ignore_system_fonts=True,
-            pdf_standards=["a-3a"],
-            timestamp=0,
-        )
-
-
-def _need_typst() -> None:
-    try:
-        typst.compile  # noqa: B018  (the module is loaded when it is first used)
-    except ModuleNotFoundError as error:
-        what, without = "PDF files need the package 'typst'", "an .html or .json file without it"
-        raise input_error(what, "option --out", without, "pip install 'imubayes[pdf]'") from error
-
-
-def _content(document: ReportDocument) -> dict[str, Any]:
-    """Return the document for the template, with the widths of columns and drawings."""
-    content = _members(document) | {"blocks": [_members(block) for block in document.blocks]}
-    for part, block in zip(content["blocks"], document.blocks, strict=True):
-        if isinstance(block, ReportTable):
-            part["widths"] = _widths(block)
-        elif isinstance(block, Drawings):
-            part["drawings"] = [_members(each) | {"wide": each.wide} for each in block.drawings]
-    return content
-
-
-def _members(value: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass."""
-    return {field.name: getattr(value, field.name) for field in fields(value)}
-
-
-def _widths(table: ReportTable) -> list[int]:
-    """Return the share of each column in the free width; 0 for a column as wide as its content."""
-    longest = [
-        max(len(head), *(len(row[column].text) for row in table.rows), 0) for column, head in enumerate(table.head)
-    ]
-    if sum(length + _GAP for length in longest) <= _PAGE:
-        return [0] * len(longest)
-    return [0 if length <= _NARROW else min(length, _WIDEST) for length in longest]
-
-
-def report_document(report: QualificationReport) -> ReportDocument:
-    """Return the report as a document."""
-    serial = report.subject.serial or report.subject.campaign
+def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNEXES) -> ReportDocument:
+    """Return the report as a document: certificate, then the annexes."""
+    serial, block = report.subject.serial or report.subject.campaign, report.certificate
     made = report.provenance
+    number = f"{block.number} · " if block is not None and block.number else ""
+    of = "" if block is None else f" {block.number or ''}".rstrip()
+    own = () if block is None else certificate_facts(report, block)
     return ReportDocument(
-        title="Uncertainty report for qualification",
+        title="Uncertainty report for qualification" if block is None else f"{block.title}{of}",
         subtitle=f"Unit {serial}",
         banner=banner(report),
         alarms=alarms(report),
-        facts=facts(report),
-        blocks=tuple(filter(None, _blocks(report))),
-        footer=f"Unit {serial} · data {made.data_sha256[:12]} · model {made.model_sha256[:12]}",
+        facts=(*own, *facts(report)),
+        blocks=tuple(filter(None, _blocks(report, annexes))),
+        footer=f"{number}Unit {serial} · data {made.data_sha256[:12]} · model {made.model_sha256[:12]}",
     )
 
 
-def _blocks(report: QualificationReport) -> Iterator[Block | None]:
+def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[Block | None]:
     """Yield the blocks in order; None for a drawing that has nothing to show."""
-    conformity, pictures = report.conformity, report.pictures
+    conformity = report.conformity
     if conformity is not None and conformity.limits:
         yield limits_table(conformity.limits, components_of(report))
     yield exact_table(report)
-    yield Heading("Errors of the unit")
-    nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
-    yield unit_drawings.error_drawings(pictures) or nothing
     if conformity is not None:
         yield Heading("Conformity to the specification")
         yield Paragraph(f"Specification “{conformity.specification}”, SHA-256 {conformity.sha256}.")
-        if conformity.limits:
-            yield risk_table(conformity.limits)
+        yield Items(rules_text(conformity.limits))
+    yield from certificate_section(report)
+    for each in report.supplied:
+        yield from result_sections.supplied_section(each)
+    made: dict[Annex, Callable[[QualificationReport], Iterator[Block | None]]] = {
+        "results": _results, "budgets": budget_section, "evidence": _evidence,
+    }  # fmt: skip
+    chosen: list[Annex] = [each for each in ANNEXES if each in annexes]
+    for letter, annex in zip("ABC", chosen, strict=False):
+        yield Heading(f"Annex {letter}: {_TITLES[annex]}", 1)
+        yield from made[annex](report)
+    yield from missing_section(report.missing)
+
+
+def _results(report: QualificationReport) -> Iterator[Block | None]:
+    pictures = report.pictures
     yield from result_sections.standards_section(report)
+    yield Heading("Errors of the unit")
+    nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
+    yield unit_drawings.error_drawings(pictures) or nothing
     yield from result_sections.mounting_section(report.mounting_angles)
     yield unit_drawings.mounting_drawings(pictures)
     yield unit_drawings.angle_drawings(pictures)
     yield from result_sections.combination_section(report.combinations)
     yield from result_sections.converter_section(report.thermal_linearity, report.results)
-    yield from budget_section(report)
+    if report.conformity is not None and report.conformity.limits:
+        yield risk_table(report.conformity.limits)
+    yield from model_sections.scope_section(report.scope)
+
+
+def _evidence(report: QualificationReport) -> Iterator[Block | None]:
     yield from model_sections.adequacy_section(report.adequacy)
-    if pictures.worst is not None:
-        yield unit_drawings.worst_drawing(pictures.worst)
+    if report.pictures.worst is not None:
+        yield unit_drawings.worst_drawing(report.pictures.worst)
     yield from model_sections.convergence_section(report.convergence)
     yield from model_sections.left_out_section(report.left_out)
-    yield from model_sections.scope_section(report.scope)
     yield from result_sections.result_section(report)
     yield forest_drawings(report.results)
-    for each in report.supplied:
-        yield from result_sections.supplied_section(each)
     yield from model_sections.equipment_section(report.subject)
     yield from model_sections.provenance_section(report.provenance)
 
 
-_WRITERS: dict[str, tuple[Callable[[QualificationReport], bytes], bytes]] = {
-    ".html": (lambda report: html_page(report_document(report)).encode(), b"<!doctype html>"),
-    ".pdf": (lambda report: pdf_file(report_document(report), report.json_text()), b"%PDF"),
-    ".json": (lambda report: report.json_text().encode(), b'{\n "format": 1,\n "interval":'),
+def _pdf(report: QualificationReport, annexes: Sequence[Annex] | None) -> bytes:
+    document = report_document(report, ("results",) if annexes is None else annexes)
+    return pdf_file(document, report.json_text(), None if report.certificate is None else report.certificate.date)
+
+
+def _page(report: QualificationReport, annexes: Sequence[Annex] | None) -> bytes:
+    return html_page(report_document(report, ANNEXES if annexes is None else annexes)).encode()
+
+
+def known_annexes(asked: Sequence[str] | None) -> tuple[Annex, ...] | None:
+    """Return the annexes that are asked for by name, `all` or `none`; None where nothing is asked for.
+
+    Raises
+    ------
+    InputError
+        for a name that is none.
+    """
+    if asked is None:
+        return None
+    for name in asked:
+        if name not in (*ANNEXES, "all", "none"):
+            allowed = closest_first(name, (*ANNEXES, "all", "none"))
+            raise input_error(f"there is no annex '{name}'", "annexes", allowed, "name an annex")
+    return tuple(each for each in ANNEXES if each in asked or "all" in asked)
+
+
+_Writer = Callable[[QualificationReport, Sequence[Annex] | None], bytes]
+_WRITERS: dict[str, tuple[_Writer, bytes]] = {
+    ".html": (
+        lambda report, chosen: html_page(report_document(report, chosen or ANNEXES)).encode(),
+        b"<!doctype html>",
+    ),
+    ".pdf": (_pdf, b"%PDF"),
+    ".json": (lambda report, chosen: report.json_text().encode(), b'{\n "format": 1,\n "interval":'),
 }
 """Ending → what makes the file, and how such a file begins."""
 
@@ -263,10 +246,15 @@ def _check_places(files: Sequence[Path]) -> None:
         refuse_existing(file, but=lambda content, start=start: content.startswith(start))
 
 
-def write_report(report: QualificationReport, files: Sequence[Path]) -> None:
-    """Write a report to files, each replaced atomically."""
+def write_report(report: QualificationReport, files: Sequence[Path], annexes: Sequence[Annex] | None = None) -> None:
+    """Write a report to files, each replaced atomically.
+
+    Parameters
+    ----------
+    annexes : of page and PDF; None for all of a page, and for the results alone of a PDF.
+    """
     for file in files:
-        content = _WRITERS[file.suffix.lower()][0](report)
+        content = _WRITERS[file.suffix.lower()][0](report, annexes)
         file.parent.mkdir(parents=True, exist_ok=True)
         with replacing(file) as scratch:
             scratch.write_bytes(content)

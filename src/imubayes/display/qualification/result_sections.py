@@ -54,7 +54,7 @@ def _standard_table(standard: str, own: Sequence[record.StandardEstimate]) -> Re
     for each in own:
         new = each.key != before
         before = each.key
-        _, u, _, _ = words.stated(each)
+        u = NO_NUMBER if each.withheld else words.stated(each)[1]
         rows.append(
             texts(
                 Text(each.symbol if new else "", formula=True),

@@ -99,7 +99,7 @@ def value_text(found: Stated) -> str:
     if error is None:
         return rounded((found.estimate,), None)[0]
     if error.digits == 0:
-        return " ".join(with_digits((), u, error))
+        return ": ".join(with_digits((), u, error))
     expanded = found.expanded_uncertainty or 1.96 * u
     step = expanded * (1 if error.expanded_digits == 2 else 10)
     y, whole, low, high = rounded((found.estimate, expanded, found.low, found.high), step)

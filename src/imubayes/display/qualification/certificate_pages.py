@@ -1,0 +1,104 @@
+"""The certificate block in words: head of the first page, second page, and what is missing on the last one."""
+
+from collections.abc import Iterator, Sequence
+
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, texts
+from imubayes.qualification.certificate import Certificate, Environment, Missing, MissingItem, Party
+from imubayes.qualification.report_record import QualificationReport
+
+_NOT_STATED = "not stated"
+_MISSING: dict[MissingItem, str] = {
+    "number": "unique identification of the certificate (7.8.2.1 d)",
+    "date": "date of issue (7.8.2.1 j)",
+    "laboratory_name": "name of the laboratory (7.8.2.1 b)",
+    "laboratory_address": "address of the laboratory (7.8.2.1 b)",
+    "location": "location of the calibration (7.8.2.1 c)",
+    "customer_name": "name of the customer (7.8.2.1 e)",
+    "customer_address": "contact information of the customer (7.8.2.1 e)",
+    "method": "identification of the method (7.8.2.1 f)",
+    "item_description": "description of the item (7.8.2.1 g)",
+    "serial": "unambiguous identification of the item: `serial` of the campaign (7.8.2.1 g)",
+    "received": "date of receipt of the item (7.8.2.1 h)",
+    "performed": "dates of the calibration: `start` of the runs (7.8.2.1 i)",
+    "environment": "conditions under which the calibration was made (7.8.4.1 b)",
+    "standards": "standards used, for the statement of traceability (7.8.4.1 c)",
+    "standard_certificate": "number of the certificate of {of} (7.8.4.1 c)",
+    "standard_validity": "validity of the certificate of {of} (7.8.4.1 c)",
+    "expired": "a valid certificate of {of}: it expired before the last run (6.5)",
+    "signatories": "persons who authorise the certificate (7.8.2.1 o)",
+}
+
+
+def certificate_facts(report: QualificationReport, found: Certificate) -> list[tuple[str, str]]:
+    """Return the head of a certificate: number, laboratory, customer, item and dates."""
+    scope, item = report.scope, found.item
+    named = ", ".join(filter(None, (item.description, item.manufacturer, item.model)))
+    start, end = (None if each is None else each[:10] for each in (scope.first_start, scope.last_start))
+    return [
+        ("Certificate", f"{found.number or 'number ' + _NOT_STATED}, issued {found.date or _NOT_STATED}"),
+        ("Laboratory", _party(found.laboratory)),
+        ("Customer", _party(found.customer) + (f"; order {found.order}" if found.order else "")),
+        ("Item", f"{named or _NOT_STATED}; serial number {report.subject.serial or _NOT_STATED}"),
+        ("Received", f"{item.received or _NOT_STATED}" + (f", {item.condition}" if item.condition else "")),
+        ("Calibrated", f"{start or _NOT_STATED} to {end or _NOT_STATED}, at {found.location or _NOT_STATED}"),
+    ]
+
+
+def _party(found: Party) -> str:
+    return ", ".join(filter(None, (found.name, found.address, found.country, found.email))) or _NOT_STATED
+
+
+def certificate_section(report: QualificationReport) -> Iterator[Block]:
+    """Return method, traceability, conditions, statements and signatures; nothing without a certificate block."""
+    found = report.certificate
+    if found is None:
+        return
+    yield Heading("Method, traceability and conditions")
+    yield Paragraph(
+        f"Method: {found.method or _NOT_STATED}." + (f" Deviations: {found.deviations}." * bool(found.deviations))
+    )
+    if found.standard:
+        rows = [
+            texts(each.name, each.serial or "–", each.certificate or _NOT_STATED, each.issued_by or "–",
+                  str(each.valid_until or _NOT_STATED))
+            for each in found.standard
+        ]  # fmt: skip
+        head = ("standard", "serial number", "certificate", "issued by", "valid until")
+        yield ReportTable("Standards used", head, rows, (0, 1, 2, 3, 4))
+    yield Paragraph(f"Conditions: {_conditions(found.environment)}. Adjustment: {found.adjustment or 'none was made'}.")
+    yield Paragraph(
+        "The results relate only to the item calibrated, at the time and under the conditions of the calibration. The "
+        "expanded uncertainty U is the standard uncertainty times the coverage factor k, which for the posterior of "
+        "the quantity corresponds to a coverage probability of 95 %; it was evaluated by JCGM 100 and JCGM 101 and "
+        "contains no contribution of long-term stability. This certificate may be reproduced only in full."
+    )
+    if found.remarks:
+        yield Paragraph(f"Remarks: {found.remarks}")
+    if found.accreditation:
+        yield Paragraph(found.accreditation)
+    if found.signatory:
+        rows = [texts(each.name, each.function or "–", "", "") for each in found.signatory]
+        yield ReportTable("Authorised by", ("name", "function", "date", "signature"), rows, (0, 1, 2, 3))
+
+
+def _conditions(found: Environment) -> str:
+    ranges = (
+        ("air temperature", found.temperature_degC, "°C"),
+        ("relative humidity", found.humidity_percent, "%"),
+        ("air pressure", found.pressure_hPa, "hPa"),
+    )
+    said = [f"{what} {span[0]:g} … {span[1]:g} {unit}" for what, span, unit in ranges if span is not None]
+    return ", ".join([*said, *filter(None, (found.text,))]) or _NOT_STATED
+
+
+def missing_section(missing: Sequence[Missing]) -> Iterator[Block]:
+    """Return what ISO/IEC 17025 requires of a certificate and this one lacks."""
+    if not missing:
+        return
+    yield Heading("Missing from this certificate")
+    yield Paragraph(
+        "ISO/IEC 17025:2017 requires the following of a calibration certificate, and it was not stated. Without it "
+        "this document is no certificate of an accredited laboratory.",
+        "weak",
+    )
+    yield Items([_MISSING[each.item].format(of=each.of) for each in missing])

@@ -1,0 +1,163 @@
+"""A document as PDF/A-3, set by Typst, with the record attached as `report.json`.
+
+Fonts are those that come with Typst and with Matplotlib, so that the same input gives the same bytes everywhere.  They
+have no Chinese, Japanese or Korean characters: where a document has such, as in a serial number, a font of the system
+that has them is taken as well; where there is none, each stands as its code point, U+6D4B.
+"""
+
+import json
+import re
+import tempfile
+from collections.abc import Iterator
+from dataclasses import fields
+from datetime import UTC, date, datetime
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import lazy_loader
+import matplotlib as mpl
+from matplotlib.font_manager import findSystemFonts
+from matplotlib.ft2font import FT2Font
+
+from imubayes.display.qualification.document import Drawings, ReportDocument, ReportTable
+from imubayes.foundations.errors import input_error
+
+typst: Any = lazy_loader.load("typst")
+# A column whose longest text is shorter than this keeps its width; wider ones share what is left.  All keep theirs
+# where a row of the longest texts, with the gap beside each, fits the page.
+_NARROW, _WIDEST, _GAP, _PAGE = 24, 60, 2, 125
+_BREAK = "\u200b"
+# Names of quantities may break at their dots, underscores and brackets; a number has none before a letter.
+_PART_OF_NAME = re.compile(r"(?<=[A-Za-z\]])([._\[,])(?=[A-Za-z])")
+_SHAPES = "DejaVu"
+
+
+def pdf_file(document: ReportDocument, record: str, issued: date | None = None) -> bytes:
+    """Return a document as PDF.
+
+    Parameters
+    ----------
+    record : JSON text of the record, which is attached.
+    issued : date of the document; the first of January 1970 where None, so that the same input gives the same bytes.
+
+    Raises
+    ------
+    InputError
+        where Typst is not installed.
+    """
+    _need_typst()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        template = files("imubayes.display").joinpath("templates/qualification.typ").read_text(encoding="utf-8")
+        (folder / "main.typ").write_text(template, encoding="utf-8")
+        text = json.dumps(_content(document, issued), ensure_ascii=False, default=_members)
+        fonts = [each for each in map(_system_font, missing_characters(text)) if each is not None]
+        families = list(dict.fromkeys(FT2Font(font).family_name for font in fonts))
+        content = json.loads(_with_code_points(text)) | {"families": families}
+        (folder / "document.json").write_text(json.dumps(content, ensure_ascii=False), encoding="utf-8")
+        (folder / "report.json").write_text(record, encoding="utf-8")
+        at = datetime(issued.year, issued.month, issued.day, tzinfo=UTC) if issued is not None else None
+        return typst.compile(
+            str(folder / "main.typ"),
+            root=scratch,
+            font_paths=[str(_own_fonts()), *sorted({str(Path(font).parent) for font in fonts})],
+            ignore_system_fonts=True,
+            pdf_standards=["a-3a"],
+            timestamp=0 if at is None else int(at.timestamp()),
+        )
+
+
+def _need_typst() -> None:
+    try:
+        typst.compile  # noqa: B018  (the module is loaded when it is first used)
+    except ModuleNotFoundError as error:
+        what, without = "PDF files need the package 'typst'", "an .html or .json file without it"
+        raise input_error(what, "option --out", without, "pip install 'imubayes[pdf]'") from error
+
+
+def _own_fonts() -> Path:
+    return Path(mpl.get_data_path()) / "fonts" / "ttf"
+
+
+@cache
+def _own_characters() -> frozenset[int]:
+    """Return the code points that the fonts of Matplotlib have; those of Typst have no others that text needs."""
+    known = (FT2Font(str(font)).get_charmap() for font in _own_fonts().glob(f"{_SHAPES}Sans*.ttf"))
+    return frozenset(point for each in known for point in each)
+
+
+def missing_characters(text: str) -> list[str]:
+    """Return the characters of a text that no font of the package has, in the order of their code points."""
+    return sorted({each for each in text if each.isprintable() and ord(each) not in _own_characters()} - {_BREAK})
+
+
+@cache
+def _system_font(character: str) -> str | None:
+    """Return a font file of the system that has a character, the first by name; None where there is none."""
+    return next((font for font in sorted(findSystemFonts()) if ord(character) in _characters_of(font)), None)
+
+
+@cache
+def _characters_of(font: str) -> frozenset[int]:
+    try:
+        return frozenset(FT2Font(font).get_charmap())
+    except (RuntimeError, OSError):  # no outline font
+        return frozenset()
+
+
+def shown_by_code_points(text: str) -> tuple[str, ...]:
+    """Return the characters that neither the package nor the system has a font for."""
+    return tuple(each for each in missing_characters(text) if _system_font(each) is None)
+
+
+def _with_code_points(text: str) -> str:
+    for each in shown_by_code_points(text):
+        text = text.replace(each, f"U+{ord(each):04X} ")
+    return text
+
+
+def breakable(text: str) -> str:
+    """Return a text whose names of quantities may break between their parts; its numbers have nothing in them."""
+    return _PART_OF_NAME.sub(rf"\1{_BREAK}", text)
+
+
+def _content(document: ReportDocument, issued: date | None) -> dict[str, Any]:
+    """Return the document for the template, with the widths of columns and drawings, and numbers of figures."""
+    content = _members(document) | {"blocks": list(_blocks(document))}
+    return content | {"issued": None if issued is None else [issued.year, issued.month, issued.day]}
+
+
+def _blocks(document: ReportDocument) -> Iterator[dict[str, Any]]:
+    figures = 0
+    for block in document.blocks:
+        part = _members(block)
+        if isinstance(block, ReportTable):
+            part["widths"] = _widths(block)
+            part["rows"] = [
+                [_members(cell) | {"text": cell.text if cell.formula else breakable(cell.text)} for cell in row]
+                for row in block.rows
+            ]
+        elif isinstance(block, Drawings):
+            figures += 1
+            part["caption"] = f"Figure {figures}. {block.caption}"
+            part["drawings"] = [_members(each) | {"wide": each.wide} for each in block.drawings]
+        elif block.type == "items":
+            part["items"] = [breakable(item) for item in block.items]
+        yield part
+
+
+def _members(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass."""
+    return {field.name: getattr(value, field.name) for field in fields(value)}
+
+
+def _widths(table: ReportTable) -> list[int]:
+    """Return the share of each column in the free width; 0 for a column as wide as its content."""
+    longest = [
+        max(len(head), *(len(row[column].text) for row in table.rows), 0) for column, head in enumerate(table.head)
+    ]
+    if sum(length + _GAP for length in longest) <= _PAGE:
+        return [0] * len(longest)
+    return [0 if length <= _NARROW else min(length, _WIDEST) for length in longest]

@@ -1,0 +1,147 @@
+"""The certificate block: what a laboratory states is on the pages, what ISO/IEC 17025 asks beside it is listed."""
+
+import datetime
+from pathlib import Path
+
+import pytest
+
+from imubayes.display.qualification.certificate_pages import missing_section
+from imubayes.display.qualification.document import (
+    Banner,
+    Drawing,
+    Drawings,
+    Heading,
+    Items,
+    ReportDocument,
+    ReportTable,
+    Text,
+)
+from imubayes.display.qualification.pdf_file import _blocks, breakable, missing_characters, shown_by_code_points
+from imubayes.foundations.errors import InputError
+from imubayes.qualification.certificate import Certificate, missing_items, read_certificate
+from imubayes.qualification.specification import read_specification
+
+WHOLE = """
+format = 1
+
+[certificate]
+number = "2026-0117"
+date = 2026-11-20
+method = "WI-12"
+location = "laboratory 2"
+
+[certificate.laboratory]
+name = "Example Laboratory"
+address = "Street 1, 12345 Example Town"
+
+[certificate.customer]
+name = "Customer"
+address = "Street 2, 12345 Example Town"
+
+[certificate.item]
+description = "inertial measurement unit"
+received = 2026-10-28
+
+[[certificate.standard]]
+name = "rate table"
+certificate = "NMI 2026-0815"
+valid_until = 2027-11-02
+
+[certificate.environment]
+temperature_degC = [22.6, 23.4]
+
+[[certificate.signatory]]
+name = "A. Example"
+"""
+RUNS = ("2026-11-01T08:00:00+00:00", "2026-11-04T08:00:00+00:00")
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "certificate.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def lacking(block: Certificate, serial: str = "U7", runs: tuple[str | None, str | None] = RUNS) -> set[tuple[str, str]]:
+    return {(each.item, each.of) for each in missing_items(block, serial, *runs)}
+
+
+def test_a_whole_certificate_lacks_nothing(tmp_path):
+    block = read_certificate(written(tmp_path, WHOLE))
+    assert block.date == datetime.date(2026, 11, 20)
+    assert lacking(block) == set()
+    assert list(missing_section(missing_items(block, "U7", *RUNS))) == []
+    # The same block in a specification.
+    limits = '\n[[limit]]\nquantity = "accel_bias.bias"\nupper = 1\nunit = "mg"\n'
+    spec = tmp_path / "spec.toml"
+    spec.write_text(WHOLE.replace("format = 1", 'format = 1\nname = "x"') + limits)
+    assert read_specification(spec)[0].certificate == block
+
+
+@pytest.mark.parametrize(
+    ("line", "item"),
+    [
+        ('number = "2026-0117"', "number"), ("date = 2026-11-20", "date"), ('method = "WI-12"', "method"),
+        ('location = "laboratory 2"', "location"), ('name = "Example Laboratory"', "laboratory_name"),
+        ('address = "Street 1, 12345 Example Town"', "laboratory_address"), ('name = "Customer"', "customer_name"),
+        ('address = "Street 2, 12345 Example Town"', "customer_address"),
+        ('description = "inertial measurement unit"', "item_description"), ("received = 2026-10-28", "received"),
+        ('certificate = "NMI 2026-0815"', "standard_certificate"), ("valid_until = 2027-11-02", "standard_validity"),
+        ("temperature_degC = [22.6, 23.4]", "environment"),
+    ],
+)  # fmt: skip
+def test_what_is_not_stated_is_missing_on_the_last_page(tmp_path, line, item):
+    assert line in WHOLE
+    block = read_certificate(written(tmp_path, WHOLE.replace(line, "", 1)))
+    assert {name for name, _ in lacking(block)} == {item}
+    *_, items = missing_section(missing_items(block, "U7", *RUNS))
+    assert isinstance(items, Items)
+    assert len(items.items) == 1
+    assert "(7.8." in items.items[0]
+
+
+def test_serial_dates_and_validity_are_of_the_campaign(tmp_path):
+    block = read_certificate(written(tmp_path, WHOLE.replace("2027-11-02", "2026-11-03")))
+    assert lacking(block) == {("expired", "rate table")}
+    assert lacking(block, serial="", runs=(None, None)) == {("serial", ""), ("performed", "")}
+    nothing = {name for name, _ in lacking(Certificate())}
+    assert {"standards", "signatories", "number", "environment"} <= nothing
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        (WHOLE.replace("number =", "nummer ="), "unknown key 'nummer'"),
+        (WHOLE.replace("2026-11-20", '"next week"'), "date"),
+        ("format = 1\n", "certificate"),
+    ],
+)
+def test_a_block_that_cannot_be_read_is_refused(tmp_path, text, what):
+    with pytest.raises(InputError) as caught:
+        read_certificate(written(tmp_path, text))
+    assert what in f"{caught.value.issues[0].what} {caught.value.issues[0].where}"
+
+
+@pytest.mark.parametrize("number", ["67.245", "−0.00052 ± 0.00060", "≥ 0.99", "1,234.5", "1.2e-05", "12.5 … 13.25"])
+def test_numbers_have_nothing_in_them(number):
+    assert breakable(number) == number
+    assert "\u200b" in breakable("gyro_bias.bias[gx,flat]")
+
+
+def test_figures_are_numbered_and_cells_are_plain():
+    drawing = Drawing("<svg/>", 4.0, "x")
+    rows = [[Text("gyro_bias.bias[gx]"), Text("67.245")]]
+    made = ReportTable("t", ("a", "b"), rows)
+
+    blocks = (Heading("x"), Drawings([drawing], "First."), made, Drawings([drawing], "Second."))
+    parts = list(_blocks(ReportDocument("t", "s", Banner("", "", ""), (), (), blocks)))
+    captions = [part["caption"] for part in parts if part["type"] == "drawings"]
+    assert captions == ["Figure 1. First.", "Figure 2. Second."]
+    table = next(part for part in parts if part["type"] == "table")
+    assert [cell["text"].replace("\u200b", "|") for cell in table["rows"][0]] == ["gyro_|bias.|bias[|gx]", "67.245"]
+
+
+def test_characters_without_a_font_are_found():
+    assert missing_characters("Gerät-Ü7 测试 №1 µg/g² ≤ Θ") == ["测", "试"]
+    # Nothing has a private character: it stands as its code point.
+    assert shown_by_code_points("A\ue123B") in ((), ("\ue123",))
