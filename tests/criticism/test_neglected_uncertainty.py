@@ -1,6 +1,7 @@
 """Uncertainties of the equipment that a campaign states and a model takes as exact are told with what they would do."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,9 +15,11 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
-from imubayes.model.model_file import read_model
+from imubayes.model.model_file import EffectSpec, read_model
+from imubayes.qualification.taken_as_exact import ExactInput, exact_equipment
 
 
+@cache
 def fitted(ppm: float, gravity: float | None = None) -> Fit:
     """Return the fit of a campaign whose table rate is known to so many ppm, by a model that takes it as exact.
 
@@ -38,6 +41,64 @@ def sd(at: Fit, place: int) -> float:
     """Return the posterior standard deviation of a parameter in z, by the inverse of the precision."""
     mode = find_mode(at.model.problem, at.z, at.h)
     return float(np.sqrt(np.linalg.inv(np.asarray(posterior_precision(at.model.problem, mode)))[place, place]))
+
+
+def gravity_of(at: Fit, scale: str) -> tuple[ExactInput | None, float]:
+    """Return gravity as it is taken as exact, and the standard deviation that is in no uncertainty of a scale factor."""
+    layout = at.model.layout
+    place = layout.names.index(scale)
+    gradient = np.zeros((1, len(layout)))
+    gradient[0, place] = layout.parameters[place].prior_sd
+    found = exact_equipment(at).found({scale: gradient})
+    unstated = {each.name: each.value for each in found.unstated}
+    return next((each for each in found.inputs if each.effect == "gravity_anomaly"), None), unstated.get(scale, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stated", "excess", "size", "included"),
+    [
+        (None, 0.0, 50.0, True),  # normal gravity
+        (None, 1e-4, 50.0, False),  # measured, nobody says how well
+        (20.0, 1e-4, 20.0, True),
+        (0.0, 0.0, 0.0, False),  # exact, and stated so
+    ],
+)
+def test_gravity_is_as_uncertain_as_the_way_it_was_got(stated, excess, size, included):
+    at, scale = fitted(1e-3), "accel_scale_factor.scale[ax]"
+    campaign = at.model.campaign
+    known = None if stated is None else stated * 1e-6 * campaign.site.gravity
+    site = replace(campaign.site, gravity=campaign.site.gravity + excess, gravity_uncertainty=known)
+    declared = bind(at.model.spec, replace(campaign, site=site))
+    gravity, unstated = gravity_of(replace(at, model=declared), scale)
+    if not size:
+        assert gravity is None
+        return
+    assert gravity is not None
+    assert (gravity.size, gravity.stated, gravity.included) == (
+        pytest.approx(size, rel=1e-3),
+        stated is not None,
+        included,
+    )
+    assert abs(gravity.shift(scale)) == pytest.approx(size, rel=0.05)
+    # What is in no uncertainty may decide nothing.
+    assert (unstated > 40) == (not included)
+
+
+def test_what_is_included_is_what_a_fit_finds_that_knows_of_it():
+    at, scale = fitted(1e-3), "accel_scale_factor.scale[ax]"
+    gravity, _ = gravity_of(at, scale)
+    assert gravity is not None
+    spec = replace(at.model.spec, effects=(*at.model.spec.effects, EffectSpec("gravity_anomaly", where="gravity")))
+    declared = bind(spec, at.model.campaign)
+    within = refitted(declared, *(np.zeros(size) for size in declared.problem.size))
+
+    def deviation(each: Fit) -> float:
+        place = each.model.layout.names.index(scale)
+        return sd(each, place) * each.model.layout.parameters[place].prior_sd
+
+    own, known = deviation(at), deviation(within)
+    assert known > 5 * own, "a law that could not fail"
+    assert np.hypot(own, gravity.shift(scale)) == pytest.approx(known, rel=0.03)
 
 
 def test_a_table_rate_taken_as_exact_is_told():
