@@ -214,7 +214,7 @@ def test_what_cannot_be_read_lists_what_was_found(tmp_path: Path) -> None:
             converted(tmp_path, tmp_path / name)
 
 
-@pytest.mark.parametrize("write", [parquet, matlab, matlab73, ros2, tdms, named_arrays], ids=lambda w: w.__name__)
+@pytest.mark.parametrize("write", [parquet, matlab, matlab73, tdms, named_arrays], ids=lambda w: w.__name__)
 def test_a_damaged_file_is_refused(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     if write in EXTRA:
         pytest.importorskip(EXTRA[write])
@@ -223,3 +223,10 @@ def test_a_damaged_file_is_refused(tmp_path: Path, write: Callable[[Path], Path]
     with pytest.raises(InputError) as refused:
         converted(tmp_path, file)
     assert all((refused.value.issues[0].what, refused.value.issues[0].where, refused.value.issues[0].remedy))
+
+
+def test_a_damaged_bag_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    (tmp_path / "log.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(200))
+    with pytest.raises(InputError, match="the ROS bag file cannot be read"):
+        converted(tmp_path, tmp_path / "log.bag")

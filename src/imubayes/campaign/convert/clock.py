@@ -17,7 +17,8 @@ from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.foundations.errors import input_error
 
 _RATES = {unit: factor for unit, factor in TIME_UNITS.items() if unit in ("s", "ms", "us", "ns")}
-_USUAL_HZ = (3.0, 5000.0)  # sampling rates of inertial units
+_USUAL_HZ = (0.6, 5000.0)  # sampling rates of inertial units
+_WHOLE_SECOND = 0.99
 _EPOCH = (1e9, 3e9)  # s since 1970 of recordings from 2001 to 2065
 _WRAPS = (2.0**8, 2.0**16, 2.0**24, 2.0**32, 2.0**32 / 1000)  # the last is that of microseconds in ms
 _OUT_OF_ORDER = 1e-3  # share of the rows that may be late
@@ -105,7 +106,7 @@ def _unit_of_step(step: float, whole: bool, where: str) -> tuple[str, str]:
     """Return the only unit in which a mean step gives a usual sampling rate, and that in words."""
     rates = {unit: 1 / (step * factor) for unit, factor in _RATES.items()} if step else {}
     usual = [unit for unit, rate in rates.items() if _USUAL_HZ[0] <= rate <= _USUAL_HZ[1]]
-    if len(usual) > 1 and whole:  # seconds have a fraction at such rates
+    if len(usual) > 1 and whole and step < _WHOLE_SECOND:  # seconds would have a fraction
         usual = [unit for unit in usual if unit != "s"]
     if len(usual) == 1:
         unit = usual[0]

@@ -12,7 +12,7 @@ import numpy as np
 from imubayes.campaign.convert.column_names import ACCEL_UNITS, ACCELEROMETERS, GYRO_UNITS, GYROS, TIME
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.convert.raw_counts import LEAST_TURNS, estimate_gyros, find_poses
-from imubayes.campaign.convert.unnamed_columns import gravity_unit, rest_means
+from imubayes.campaign.convert.unnamed_columns import rest_means, unit_of_gravity
 from imubayes.foundations.errors import InputError, input_error
 
 _PER_RADIAN = {"rad/s": 1.0, "deg/s": 57.29578, "mrad/s": 1000.0, "mdeg/s": 57295.78}
@@ -84,7 +84,7 @@ def _stated(
 
 def _of_accelerometers(force: np.ndarray, where: str) -> tuple[str, str]:
     rest = rest_means(force)
-    unit, size = gravity_unit(rest) if force.shape[1] == 3 else ("", float(np.median(np.abs(rest))))
+    unit, size = unit_of_gravity(force, rest) if force.shape[1] == 3 else ("", float(np.median(np.abs(rest))))
     if unit:
         return unit, f"|f| = {size:.5g} at rest is g in {unit}"
     if _whole(force):

@@ -58,6 +58,18 @@ def gravity_unit(rest: np.ndarray) -> tuple[str, float]:
     return (near[0] if near and steady else ""), size
 
 
+def unit_of_gravity(values: np.ndarray, rest: np.ndarray) -> tuple[str, float]:
+    """Return the unit in which three columns read g: at rest, or in each row where a row is a pose.
+
+    Parameters
+    ----------
+    values, rest : all rows, and `rest_means` of them, shape (N, 3) and (n, 3).
+    """
+    at_rest = gravity_unit(rest)
+    single = gravity_unit(values[:_READ][np.isfinite(values[:_READ]).all(axis=1)]) if not at_rest[0] else at_rest
+    return single if single[0] else at_rest
+
+
 def is_clock(values: np.ndarray) -> bool:
     """Tell whether a column never goes back by more than a reset, and mostly forward."""
     step = np.diff(values[np.isfinite(values)][:_READ])
@@ -84,7 +96,7 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str) -> Guess
     channels = [place for place in range(width) if place != clock]
     triples = [channels[k : k + 3] for k in range(0, len(channels) - 2, 3)]
     rest = rest_means(np.asarray(values[:_READ]))
-    heavy = [(triple, *gravity_unit(rest[:, triple])) for triple in triples]
+    heavy = [(triple, *unit_of_gravity(values[:, triple], rest[:, triple])) for triple in triples]
     if len(channels) == 3:
         found = _of_three(heavy[0], kind)
     else:

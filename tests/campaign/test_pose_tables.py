@@ -1,0 +1,113 @@
+"""Poses without the motion between them: tables of means, one file a face, accelerometers alone, turns cut out."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_files import GRAVITY
+from tumble_files import NAMES, channels, tumble_log
+
+from imubayes.campaign import load_campaign
+from imubayes.campaign.convert import convert, read_recordings
+from imubayes.campaign.reduction.free_tumble import reduce_tumble
+from imubayes.foundations.errors import InputError
+
+SCALE, BIAS = np.array([1.002, 0.997, 1.004]), np.array([0.05, -0.03, 0.2])
+
+
+def poses(count: int, seed: int = 1) -> np.ndarray:
+    """Specific forces of faces and random attitudes as an accelerometer with scale factors and biases reads them."""
+    rng = np.random.default_rng(seed)
+    directions = np.vstack([np.eye(3), -np.eye(3), rng.normal(size=(max(0, count - 6), 3))])[:count]
+    return GRAVITY * directions / np.linalg.norm(directions, axis=1, keepdims=True) * SCALE + BIAS
+
+
+@pytest.mark.parametrize("count", [6, 24, 1000])
+@pytest.mark.parametrize("header", ["", "ax,ay,az"])
+def test_a_table_of_means(tmp_path: Path, count: int, header: str) -> None:
+    means = poses(count) + np.random.default_rng(2).normal(0, 1e-4, (count, 3))
+    np.savetxt(tmp_path / "means.csv", means, delimiter=",", header=header, comments="", fmt="%.6f")
+    campaign = load_campaign(convert([tmp_path / "means.csv"], tmp_path / "c", gravity_m_s2=GRAVITY))
+    [run] = campaign.runs
+    assert [channel.name for channel in campaign.channels] == ["ax", "ay", "az"]
+    np.testing.assert_allclose(run.observed, means, atol=1e-6)
+    assert run.tumble is not None
+    assert (len(run.tumble.start), run.tumble.flagged.any()) == (0, False)
+    # Each attitude is levelled by its calibrated force.
+    up = run.tumble.attitude.transpose(0, 2, 1)[:, :, 2]
+    truth = (means - BIAS) / SCALE / GRAVITY
+    assert np.linalg.norm(up - truth, axis=1).max() < (0.05 if count < 8 else 1e-3)
+    assert any("each row is the mean of one pose" in note for note in campaign.notes)
+
+
+def test_means_with_their_scatter_and_a_disturbed_one(tmp_path: Path) -> None:
+    means = poses(24) / GRAVITY
+    means[7] *= 1.01
+    columns = np.stack([np.c_[np.sign(means[:, k]), means[:, k], np.full(24, 1e-3)] for k in range(3)], axis=1)
+    header = ",".join(f"{axis}_true (g),{axis}_mean (g),{axis}_std" for axis in "xyz")
+    np.savetxt(tmp_path / "m.csv", columns.reshape(24, 9), delimiter=",", header=header, comments="", fmt="%.6f")
+    campaign = load_campaign(convert([tmp_path / "m.csv"], tmp_path / "c", samples=400, gravity_m_s2=GRAVITY))
+    [run] = campaign.runs
+    assert campaign.channels[0].per == "g"
+    np.testing.assert_allclose(run.observed, np.delete(means, 7, axis=0), atol=1e-6)
+    assert (run.samples == 400).all()
+    np.testing.assert_allclose(run.sample_sd, 1e-3)
+    assert any("row 8 excluded as disturbed" in note for note in run.notes)
+
+
+def test_one_file_a_face(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    files, names = [], "t,accX,accY,accZ,gyroX,gyroY,gyroZ"
+    for face, force in enumerate(poses(6)):
+        rows = np.c_[0.01 * np.arange(300), force + rng.normal(0, 0.01, (300, 3)), rng.normal(0.01, 1e-3, (300, 3))]
+        files.append(tmp_path / f"face{face}.csv")
+        np.savetxt(files[-1], rows, delimiter=",", header=names, comments="", fmt="%.7g")
+    campaign = load_campaign(convert(files, tmp_path / "c", gyro_unit="rad/s", gravity_m_s2=GRAVITY))
+    [run] = campaign.runs
+    np.testing.assert_allclose(run.observed[:, :3], poses(6), atol=3e-3)
+    np.testing.assert_allclose(run.observed[:, 3:], 0.01, atol=3e-4)
+    assert (run.samples == 300).all()
+    np.testing.assert_allclose(run.sample_sd[:, :3], 0.01, rtol=0.2)
+
+
+def test_accelerometers_alone_are_a_tumble_without_turns() -> None:
+    columns, _ = tumble_log()
+    alone = {name: columns[name] for name in ("time_s", *NAMES[:3])}
+    reduced = reduce_tumble(alone, channels()[:3], GRAVITY, None, Path("log.csv"))
+    assert len(reduced.tumble.flagged) == 16
+    assert len(reduced.tumble.start) == 0
+    whole = reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"))
+    np.testing.assert_allclose(reduced.numbers["az"], whole.numbers["az"], atol=2e-3)
+    with pytest.raises(InputError, match="three accelerometers in different directions"):
+        reduce_tumble(alone, channels()[:2], GRAVITY, None, Path("log.csv"))
+
+
+def test_a_turn_with_a_gap_is_left_out() -> None:
+    columns, _ = tumble_log()
+    whole = reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"))
+    moving = np.flatnonzero(np.linalg.norm([columns[name] for name in NAMES[3:]], axis=0) > 1.0)
+    middle = moving[np.searchsorted(moving, moving[0] + 50)]
+    for missing, left_out in ((40, True), (3, False)):
+        keep = (np.arange(len(columns["time_s"])) < middle - 20) | (
+            np.arange(len(columns["time_s"])) >= middle - 20 + missing
+        )
+        cut = {name: values[keep] for name, values in columns.items()}
+        reduced = reduce_tumble(cut, channels(), GRAVITY, None, Path("log.csv"))
+        assert not reduced.tumble.flagged.any()
+        assert len(reduced.tumble.start) == len(whole.tumble.start) - left_out
+        told = [note for note in reduced.notes if "turn from pose 0 to pose 1 is left out: 0.41 s are missing" in note]
+        assert len(told) == left_out
+        assert reduced.findings == ()
+
+
+def test_turns_that_were_cut_out_are_no_wrong_unit(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    force = np.repeat(poses(20), 300, axis=0) + rng.normal(0, 0.01, (6000, 3))
+    rows = np.c_[0.01 * np.arange(6000), force, rng.normal(0.002, 1e-3, (6000, 3))]
+    np.savetxt(tmp_path / "log", rows, header=" ".join(("time_s", *NAMES)), fmt="%.7g")
+    made = read_recordings([tmp_path / "log"], gravity_m_s2=GRAVITY)
+    campaign = load_campaign(made.write(tmp_path / "c"))
+    [run] = campaign.runs
+    assert run.tumble is not None
+    assert (run.rows, len(run.tumble.start)) == (20, 0)
+    assert any("the attitude jumps from one sample to the next" in note for note in run.notes)
