@@ -109,7 +109,7 @@ def test_several_faults_are_reported_at_once(copy, capsys, tmp_path):
         ["compare", "data/accel-channel"],
         ["effects", "gyro_bais"],
         ["convert", "imu-kt", "a", "--out", "b"],
-        ["convert", "six-column", "none.log", "--out", "b"],
+        ["convert", "none.log", "--out", "b"],
         ["simulate", "none.toml", "--out", "b"],
         ["schema", "modell"],
     ],
