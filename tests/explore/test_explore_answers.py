@@ -1,5 +1,6 @@
 """What the server answers about a fitted campaign: what the commands say, and what dense algebra gives."""
 
+import base64
 import http.client
 import json
 import re
@@ -16,8 +17,10 @@ from imubayes.api import add, diagnose
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.criticism.evidence.proposals import conditional
 from imubayes.display.loop.diagnosis_report import diagnosis_json
+from imubayes.display.loop.selection_text import selection_text
 from imubayes.explorer.messages import Brush, PointsWanted
 from imubayes.explorer.point_table import decimated
+from imubayes.explorer.session import Session
 from imubayes.results.stored_tables import read_summary_and_residuals
 
 HIDDEN = "gyro_scale_asymmetry"
@@ -50,7 +53,7 @@ def test_the_verdict_is_that_of_the_command(explored, facts):
 
 def test_chi2_is_that_of_the_fit_and_of_the_diagnosis(explored, facts):
     summary, residuals = read_summary_and_residuals(explored.session.root)
-    assert facts["chi2"] == pytest.approx(summary.known_noise.chi2, rel=1e-9)
+    assert facts["chi2"] == pytest.approx(summary.known_noise.chi2, rel=1e-6)
     fitted = {(each.name, each.channel): each.chi2 for each in summary.runs}
     assert {(cell["run"], cell["channel"]): cell["fitted"] for cell in facts["cells"]} == fitted
     assert sum(cell["n"] for cell in facts["cells"]) == residuals.table.height
@@ -296,7 +299,7 @@ def test_a_change_is_that_of_the_command(client, explored, first, facts):
     assert after["verdict"] == "adequate"
     assert after["chi2"] < facts["chi2"] - 900
     command = next(each for each in state["commands"] if each.startswith("imubayes add"))
-    assert client.ask("script.sh")[1].decode().splitlines()[-3:-1] == [command, state["commands"][-1]]
+    assert client.ask("script.sh")[1].decode().splitlines()[-2:] == [command, state["commands"][-1]]
     # Undo: the one before is selected, and exported.
     assert "gyro_scale_asymmetry" in client.ask("model.toml")[1].decode()
     client.json("select", {"model": first})
@@ -332,3 +335,67 @@ def test_the_command_asks_for_the_packages(tmp_path):
     assert done.returncode == 2, done.stderr
     assert "pip install 'imubayes[explore]'" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_formula_becomes_an_effect(client, first):
+    """The hidden effect is k·|rate|: without the catalogue the residual says so."""
+    found = client.json("formula", {"model": first, "channel": "gz"})
+    assert found["table"]["rows"][0][1] == "|Ω_i|"
+    assert "|Ω_i|" in found["sentence"]
+    compile(found["source"], "found_shape.py", "exec")
+    quiet = client.json("formula", {"model": first, "channel": "ax"})
+    assert quiet["source"] == "" or "ax" in quiet["sentence"]
+
+
+def test_what_is_known_is_that_of_the_summary(client, explored, first):
+    summary = read_summary_and_residuals(explored.session.root)[0]
+    found = client.json("known", {"model": first})
+    titles = [table["title"] for table in found["tables"]]
+    assert "Weakly determined combinations" in titles
+    weak = next(table for table in found["tables"] if table["title"] == "Weakly determined combinations")
+    assert len(weak["rows"]) == len(summary.weak_directions)
+    name = "scale_factor[gz]"
+    quantity = client.json("quantity", {"model": first, "name": name})
+    estimate = next(each for each in summary.derived if each.name == name)
+    highest = quantity["x"][int(np.argmax(quantity["posterior"]))]
+    assert abs(highest - estimate.mean) < estimate.sd
+    # The prior is far wider than the posterior, and nearly flat there.
+    assert np.ptp(quantity["prior"]) < 0.5 < np.ptp(quantity["posterior"])
+    assert client.ask("quantity", {"model": first, "name": "<nothing>"})[0] == 400
+
+
+def test_the_saved_page_holds_the_readings_and_asks_nobody(client, explored, first, facts):
+    status, content = client.ask("session.html")
+    assert status == 200
+    assert len(content) < 5_000_000
+    page = content.decode()
+    kept = json.loads(re.search(r'<script type="application/json" id="kept">(.*?)</script>', page, re.DOTALL)[1])
+    model = next(each for each in kept["models"] if each["facts"]["id"] == first)
+    assert model["count"] == model["of"] == sum(cell["n"] for cell in facts["cells"])
+    known = np.frombuffer(base64.b64decode(model["columns"]["known"]), "<f4")
+    assert np.sum(known.astype(float) ** 2) == pytest.approx(sum(cell["chi2"] for cell in facts["cells"]), rel=1e-5)
+    assert model["previews"][0]["facts"]["effects"] == [HIDDEN]
+    assert not re.search(r'(?:src|href)="(?!data:)', page)
+    assert "default-src 'none'" in page
+
+
+def test_a_session_that_is_begun_again_has_what_was_done(client, explored):
+    before, again = client.json("state"), Session(explored.session.root).state()
+    assert [line.id for line in again.tree] == [line["id"] for line in before["tree"]]
+    assert list(again.commands) == before["commands"]
+
+
+@pytest.mark.parametrize(
+    ("nothing", "offset", "best", "said"),
+    [
+        (0.8, 0.1, ("a_cause", 0.1), "Noise alone explains them with probability 0.80"),
+        (0.1, 0.7, ("a_cause", 0.2), "off by something of their own, with probability 0.70"),
+        (0.1, 0.0, ("a_cause", 0.9), "a_cause explains them with probability 0.90"),
+        (0.4, 0.1, ("a_cause", 0.3), "No single cause stands out"),
+        (0.4, None, None, "No single cause stands out"),
+    ],
+)
+def test_a_selection_is_told_by_what_explains_it(nothing, offset, best, said):
+    found = selection_text(3, 12.5, 0.006, (1.5, "deg/h"), best, nothing, offset)
+    assert found.startswith("3 readings: χ² 12.50 (p = 0.006), 1.50 deg/h rms.")
+    assert said in found

@@ -12,7 +12,7 @@ from imubayes.results.result import Result
 from imubayes.results.stored_tables import draws_of
 from imubayes.results.summary import in_output_units
 
-_BINS, _REACH = 80, 5.0
+_PLACES, _REACH, _KERNEL = 81, 5.0, 0.25
 
 
 class KnownTables(Record):
@@ -53,15 +53,17 @@ def quantity_facts(result: Result, name: str) -> QuantityFacts:
     if len(found) < 2:
         raise input_error(f"'{name}' has no draws", "quantity", "a quantity with draws", "choose another one")
     middle, reach = float(np.median(found)), _REACH * max(float(found.std()), 1e-300)
-    edges = np.linspace(middle - reach, middle + reach, _BINS + 1)
+    x = np.linspace(middle - reach, middle + reach, _PLACES)
     shown = {each.name: each for each in (*in_output_units(result.summary).parameters, *result.summary.derived)}
     return QuantityFacts(
-        name=name, unit=pretty(shown[name].unit), x=tuple((0.5 * (edges[1:] + edges[:-1])).tolist()),
-        posterior=_density(found, edges), prior=_density(prior, edges),
+        name=name, unit=pretty(shown[name].unit), x=tuple(x.tolist()),
+        posterior=_density(found, x), prior=_density(prior, x),
     )  # fmt: skip
 
 
-def _density(draws: np.ndarray, edges: np.ndarray) -> tuple[float, ...]:
-    """Return a histogram over the highest of its bins; of draws that hardly fall there, such as a wide prior, flat."""
-    counts = np.histogram(draws[np.isfinite(draws)], edges)[0].astype(float)
-    return tuple((counts / max(counts.max(), 1.0)).tolist())
+def _density(draws: np.ndarray, x: np.ndarray) -> tuple[float, ...]:
+    """Return a kernel density of draws at places, over its highest value; 0 without draws."""
+    known = draws[np.isfinite(draws)]
+    width = _KERNEL * max(float(known.std()) if len(known) else 0.0, 1e-300)
+    found = np.sum(np.exp(-0.5 * ((x[:, None] - known) / width) ** 2), axis=1)
+    return tuple((found / max(float(found.max()), 1e-300)).tolist())

@@ -3,6 +3,7 @@
 import math
 from functools import cached_property
 
+import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
@@ -11,6 +12,7 @@ from imubayes.criticism.linear_answers import LinearAnswers
 from imubayes.explorer.messages import MovedEstimate
 from imubayes.foundations.progress import Tell
 from imubayes.model.derived_quantities import derived_jacobian
+from imubayes.parameters.declarations import prior_slopes
 from imubayes.results.summary import ParameterSummary, Summary, in_output_units
 
 _MOST_MOVED, _STAYED = 60, 0.05
@@ -33,21 +35,17 @@ class LinearView(LinearAnswers):
 
     @cached_property
     def _slopes(self) -> np.ndarray:
-        """The derivatives of the derived quantities by z, (D, P)."""
-        return derived_jacobian(self.fit.derived.derivation, self.fit.model.problem, self.fit.z)
+        """The derivatives of parameters and derived quantities, in their units, by z, (P + D, P)."""
+        model, z = self.fit.model, self.fit.z
+        own = np.asarray(prior_slopes(model.problem.priors, jnp.asarray(z))) / model.layout.factors()
+        return np.concatenate([np.diag(own), derived_jacobian(self.fit.derived.derivation, model.problem, z)])
 
     def moved(self, point: KnownNoisePoint) -> tuple[MovedEstimate, ...]:
         """Return the estimates that a previewed fit moves, those that it moves most first."""
         if not len(point.shift):
             return ()
-        layout, z = self.fit.model.layout, self.fit.z
-        steps = {
-            each.name: float(each.prior.value(z[k] + point.shift[k]) - each.prior.value(z[k])) / each.factor
-            for k, each in enumerate(layout.parameters)
-        }
-        steps |= dict(
-            zip((each.name for each in self.fit.derived.names), (self._slopes @ point.shift).tolist(), strict=True)
-        )
+        names = (*self.fit.model.layout.names, *(each.name for each in self.fit.derived.names))
+        steps = dict(zip(names, (self._slopes @ point.shift).tolist(), strict=True))
         shown = in_output_units(self.summary)
         found = [
             MovedEstimate(

@@ -19,7 +19,7 @@ Grouping = Literal["run", "mounting", "temperature", "table"]
 
 
 class ShownTable(Record):
-    """A table: texts of its cells, which columns are left-aligned, and rows that need attention."""
+    """A table: texts of its cells, which columns are left-aligned, and cells, row by row, that need attention."""
 
     title: str
     head: tuple[str, ...]
@@ -31,13 +31,14 @@ class ShownTable(Record):
 
 def shown_table(sheet: Sheet) -> ShownTable:
     """Return a sheet as it is sent."""
+    moods = [cell.mood for row in sheet.rows for cell in row]
     return ShownTable(
         title=sheet.title,
         head=tuple(sheet.head),
         rows=tuple(tuple(cell.text for cell in row) for row in sheet.rows),
         left=tuple(sheet.left),
         note=sheet.note,
-        doubtful=tuple(k for k, row in enumerate(sheet.rows) if any(cell.mood in ("weak", "bad") for cell in row)),
+        doubtful=tuple(k for k, mood in enumerate(moods) if mood in ("weak", "bad")),
     )
 
 

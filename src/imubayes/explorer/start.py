@@ -41,9 +41,10 @@ class Exploration:
         token, self.session = new_token(), session
         self.address = f"http://{HOST}:{bound.getsockname()[1]}/{token}/"
         served = application(session, token, bound.getsockname()[1])
+        # Given by a factory, which uvicorn need not tell from an application.
         settings = uvicorn.Config(
-            lambda: served, factory=True, interface="asgi3", ws="none", lifespan="off", proxy_headers=False, server_header=False,
-            log_level="warning", access_log=False, timeout_graceful_shutdown=1,
+            lambda: served, factory=True, interface="asgi3", ws="none", lifespan="off", proxy_headers=False,
+            server_header=False, log_level="warning", access_log=False, timeout_graceful_shutdown=1,
         )  # fmt: skip
         self._server = uvicorn.Server(settings)
         self._thread = threading.Thread(target=self._server.run, args=([bound],), name="explore-server", daemon=True)

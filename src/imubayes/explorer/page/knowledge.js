@@ -45,7 +45,7 @@ async function seek(name, panel, actions) {
 
 function sheet(table, panel, actions) {
   const names = new Set(known.tables.quantities);
-  const cell = (text, at, row) => el("td", { class: `${table.left.includes(at) ? "left" : ""} ${table.doubtful.includes(row) ? "doubtful" : ""}` },
+  const cell = (text, at, row) => el("td", { class: `${table.left.includes(at) ? "left" : ""} ${table.doubtful.includes(row * table.head.length + at) ? "doubtful" : ""}` },
     at === 0 && names.has(text) ? el("button", { class: "plain", onclick: () => seek(text, panel, actions) }, text) : text);
   return el("div", {}, el("table", {},
     el("thead", {}, el("tr", {}, table.head.map((words, at) => el("th", { class: table.left.includes(at) ? "left" : "" }, words)))),

@@ -30,16 +30,16 @@ export function drawMap(place) {
 
 function cellButton(cell, expected) {
   const chi2 = fitted && expected === null ? cell.fitted ?? cell.chi2 : expected ?? cell.chi2;
-  const ratio = chi2 / cell.n, { back, text } = heat(ratio);
+  const ratio = chi2 / cell.n, { back, text } = heat(ratio), words = ratio < 9.95 ? ratio.toFixed(1) : digits(ratio, 2);
   const marked = view.brushes.some((brush) => !brush.x && matches(brush.channels, cell.channel) && matches(brush.runs, cell.run));
   const names = ["cell", marked && "marked", expected !== null && "previewed", cell.channel === view.channel && "shown"];
   return el("button", {
     class: names.filter(Boolean).join(" "), "data-key": `cell-${cell.run}-${cell.channel}`, "aria-pressed": String(marked),
     style: { backgroundColor: back, color: text }, title: `${cell.run} ${cell.channel}: χ² ${digits(cell.chi2, 4)} of ${cell.n}, ${digits(cell.rms)} ${cell.unit} rms`
       + (expected === null ? "" : `; expected χ² ${digits(expected, 4)}`),
-    "aria-label": `run ${cell.run}, channel ${cell.channel}: χ² per reading ${digits(ratio, 2)}`,
+    "aria-label": `${words}: χ² per reading of run ${cell.run}, channel ${cell.channel}`,
     onclick: (event) => choose(cell, event.shiftKey),
-  }, ratio < 9.95 ? ratio.toFixed(1) : digits(ratio, 2));
+  }, words);
 }
 
 function matches(names, name) {

@@ -1,6 +1,6 @@
 // What is asked of the server, and what it tells by itself. Paths are relative: the token in the address is the key.
 
-import { answer, kept, savedPoints } from "./offline.js";
+import { kept, savedAnswer, savedPoints } from "./offline.js";
 
 export class Refused extends Error {
   constructor(issues) {
@@ -35,14 +35,14 @@ async function send(name, body, signal) {
 }
 
 export async function ask(name, body, signal) {
-  if (kept) return keptAnswer(() => answer(name, body));
+  if (kept) return keptAnswer(() => savedAnswer(name, body));
   const answer = await send(name, body, signal);
   return answer.status === 202 && !answer.headers.get("content-type") ? null : answer.json();
 }
 
 export async function text(name) {
   if (kept && name === "script.sh") return ["#!/bin/sh", "set -eu", ...kept.state.commands, ""].join("\n");
-  if (kept) return keptAnswer(() => answer(name));
+  if (kept) return keptAnswer(() => savedAnswer(name));
   return (await send(name)).text();
 }
 

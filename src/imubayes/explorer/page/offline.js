@@ -16,7 +16,7 @@ function find(id) {
 
 const refusal = "this page was saved, and has no server: start `imubayes explore FOLDER` to go on";
 
-export function answer(name, body) {
+export function savedAnswer(name, body) {
   if (name === "state") return kept.state;
   const model = body && find(body.model);
   if (!model) throw new Error(name === "model" ? "this model was not open when the page was saved" : refusal);
