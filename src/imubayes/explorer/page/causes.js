@@ -12,7 +12,9 @@ export function drawCauses(place, actions) {
     fill(place);
     return;
   }
-  const selection = view.brushes.length && told.selection?.n ? told.selection : null;
+  const chosen = view.brushes.length && told.selection?.n ? told.selection : null;
+  // A saved page knows what is selected, and cannot rank it.
+  const selection = chosen && chosen.nothing !== null ? chosen : null;
   const known = new Map(facts.causes.map((cause) => [cause.effect, cause]));
   const listed = selection ? selection.causes.filter((each) => known.has(each.effect)) : facts.causes;
   const ticked = view.ticked.filter((effect) => known.has(effect) && !listed.some((each) => each.effect === effect));
@@ -22,9 +24,9 @@ export function drawCauses(place, actions) {
   fill(place,
     el("div", { class: "head" },
       el("h2", { id: "causes-title" }, selection ? "What explains these readings" : "What would explain the rest"),
-      selection ? el("button", { onclick: () => show({ brushes: [] }), "data-key": "clear" }, "clear selection") : null),
-    selection ? el("p", { class: "aside", id: "selection-sentence", role: "status" }, selection.sentence) : null,
-    selection && selection.nothing !== null ? other("noise alone", selection.nothing) : null,
+      chosen ? el("button", { onclick: () => show({ brushes: [] }), "data-key": "clear" }, "clear selection") : null),
+    chosen ? el("p", { class: "aside", id: "selection-sentence", role: "status" }, chosen.sentence) : null,
+    selection ? other("noise alone", selection.nothing) : null,
     selection && selection.offset !== null ? other("an offset of these readings alone", selection.offset) : null,
     lines,
     listed.length > MOST ? el("button", { class: "plain", onclick: () => { every = !every; drawCauses(place, actions); } }, every ? "fewer" : `${listed.length - MOST} more`) : null,
