@@ -218,7 +218,7 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "gyro per hour": (toml('per = "deg/s"', 'per = "deg/h"'), "rate_unit", r"rates\.csv, column 'gx'", "per deg/h"),
     "accelerometer in m/s²": (column(POSITIONS, "ax", lambda a: a * 9.80665), "acceleration_unit", r"column 'ax'", "per g"),
     "stuck channel": (column(RATES, "gz", np.zeros_like), "stuck_channel", r"rates\.csv, column 'gz'", "vary"),
-    "means of a free tumble": (toml('procedure = "rate_table"', 'procedure = "free_tumble"'), "free tumble", r"rates\.csv", "raw log"),
+    "means of a free tumble": (toml('procedure = "rate_table"', 'procedure = "free_tumble"'), "no static poses", r"rates\.csv", "raw log"),
     "free tumble at rest": (
         toml('procedure = "thermal_ramp"', 'procedure = "free_tumble"'), "static poses", r"ramp\.parquet", "4 or more",
     ),

@@ -44,7 +44,7 @@ def sd(at: Fit, place: int) -> float:
 
 
 def gravity_of(at: Fit, scale: str) -> tuple[ExactInput | None, float]:
-    """Return gravity as it is taken as exact, and the standard deviation that is in no uncertainty of a scale factor."""
+    """Return gravity as it is taken as exact, and the sd that is in no uncertainty of a scale factor."""
     layout = at.model.layout
     place = layout.names.index(scale)
     gradient = np.zeros((1, len(layout)))

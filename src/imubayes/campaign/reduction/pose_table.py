@@ -17,6 +17,8 @@ from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
 
 LEAST_MEANS = 4
+# About the median of the rows, which takes a bias out: far beyond Earth rate and what g-sensitivity leaves, rad/s.
+_AT_REST = np.radians(5.0)
 
 
 def reduce_means(
@@ -48,7 +50,8 @@ def reduce_means(
             f"{LEAST_MEANS} or more poses; 9 determine bias, scale factor and misalignment, 20 are recommended",
             "record more poses",
         )
-    force, _ = body_vectors(np.where(np.isfinite(readings), readings, 0.0), channels, file)
+    force, rate = body_vectors(np.where(np.isfinite(readings), readings, 0.0), channels, file)
+    _refuse_turning(rate[np.isfinite(readings).all(axis=1)], file)
     force, scatter = force[complete], _scatter(numbers, channels, heavy)[complete]
     fit = fit_magnitude(force, gravity, scatter)
     flagged = fit.outliers
@@ -66,6 +69,18 @@ def reduce_means(
     slope = float(np.median(np.linalg.norm(force, axis=1))) / gravity
     found = () if 0.6 < slope < 1.6 else (_wrong_unit(slope, file),)
     return ReducedTumble({name: values[kept] for name, values in numbers.items()}, tumble, tuple(notes), found)
+
+
+def _refuse_turning(rate: np.ndarray, file: Path) -> None:
+    """Raise InputError where rows, with rates (n, 3) in rad/s, are no poses at rest."""
+    about = np.linalg.norm(rate - np.median(rate, axis=0), axis=1) if len(rate) else np.zeros(1)
+    if about.max() > _AT_REST:
+        raise input_error(
+            f"the rates of the rows differ by up to {np.degrees(about.max()):.3g} deg/s: these are no static poses",
+            str(file),
+            f"means of poses at rest, or the raw log of a free tumble; rates within {np.degrees(_AT_REST):.3g} deg/s",
+            "correct the procedure of the run, or give the raw log: the poses are found in it",
+        )
 
 
 def _scatter(numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], heavy: Sequence[int]) -> np.ndarray:

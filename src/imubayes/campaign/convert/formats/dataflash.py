@@ -55,6 +55,7 @@ class DataFlashLog(SourceRecording):
             yield np.array(rows)
 
     def _messages(self, *kinds: str) -> Iterator[Any]:
+        opened: Any = None
         try:
             opened = (reader.DFReader_binary if self._binary else reader.DFReader_text)(str(self.file))
             while (message := opened.recv_match(type=list(kinds or _SENSORS))) is not None:
@@ -63,6 +64,9 @@ class DataFlashLog(SourceRecording):
             raise needs_package(self.file, "ArduPilot DataFlash", "pymavlink") from None
         except Exception as error:  # pymavlink raises whatever a damaged byte leads to
             raise damaged(self.file, "DataFlash", error) from None
+        finally:
+            if opened is not None:
+                opened.close()
 
 
 def _unit(field: str) -> str:
