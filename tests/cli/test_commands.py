@@ -248,8 +248,16 @@ def test_without_injected_current_gain_and_offset_are_not_separated(copy, tmp_pa
     assert best[0]["run"]["procedure"] == "current_injection"
 
 
-def test_help_has_an_example_for_every_command(capsys):
-    for command in ("check", "fit", "compare", "effects", "simulate", "convert", "schema"):
-        status, out, _ = said(capsys, command, "--help")
+def test_every_command_stands_in_a_group_and_has_an_example(capsys):
+    status, out, _ = said(capsys, "--help")
+    assert status == 0
+    # Each group of the overview is a frame with its name on top; a command begins its line, its text is indented.
+    frames = dict(re.findall(r"╭─ ([A-Z][a-z ]+) ─+╮\n(.*?)╰", out, re.DOTALL))
+    assert list(frames) == ["Commands", "The loop", "Data", "Results", "Many units"]
+    named = [name for title in list(frames)[1:] for name in re.findall(r"^│ ([a-z]+) ", frames[title], re.MULTILINE)]
+    assert len(named) == len(set(named)) == 21
+    assert not re.findall(r"^│ ([a-z]+) ", frames["Commands"], re.MULTILINE)
+    for name in set(named) - {"archive", "batch"}:  # they have commands of their own
+        status, out, _ = said(capsys, name, "--help")
         assert status == 0
-        assert "Example: imubayes" in out
+        assert f"Example: imubayes {name}" in out, name

@@ -28,10 +28,13 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Characters that steer a terminal: they come from names in files, and are shown as numbers.
 _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
 _COLLECTION_THRESHOLD = 2_000_000
-_COMMANDS = (
-    check, fit, compare, classical, noise, carrier, apply, export, diagnose, add, remove, history, explore, plant,
-    report, effects, simulate, schema, archive, batch,
-)  # fmt: skip
+# In the order of work: what `imubayes --help` shows together.
+_GROUPS = {
+    "The loop": (fit, compare, diagnose, add, remove, history, explore, plant),
+    "Data": (check, noise, classical, carrier, effects, simulate, schema),
+    "Results": (report, apply, export),
+    "Many units": (archive, batch),
+}
 
 app = cyclopts.App(
     name="imubayes",
@@ -41,17 +44,27 @@ app = cyclopts.App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in _COMMANDS:
-    app.command(_command)
+_ordered = {name: cyclopts.Group(name, sort_key=place) for place, name in enumerate(_GROUPS)}
+for _group, _commands in _GROUPS.items():
+    for _place, _command in enumerate(_commands):
+        if isinstance(_command, cyclopts.App):
+            _command.group, _command.sort_key = _ordered[_group], _place
+            app.command(_command)
+        else:
+            app.command(_command, group=_ordered[_group], sort_key=_place)
 # Its options are a dataclass of the campaign package: imported only when the command runs; its help stands here, or
 # `imubayes --help` would import it as well.
 app.command(
     "imubayes.cli.convert:convert",
     name="convert",
+    group=_ordered["Data"],
+    sort_key=-1,
     help="Convert a recording of any format into a campaign folder.\n\n"
     "Example: imubayes convert acc.mat gyro.mat --out campaigns/xsens --accel-unit count --gyro-unit count "
     "--gravity-m-s2 9.81744",
 )
+
+app.register_install_completion_command()
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
