@@ -167,7 +167,8 @@ def report(
     certificate : file with the certificate block (`imubayes schema certificate`); that of the specification where None.
     annexes : of page and PDF: results, budgets, evidence; None for all of a page, and the results alone of a PDF.
     sections : functions of the report that return further sections, such as a statement of traceability.
-    out : files to write, by their endings: .html, .pdf, .json; none where the record alone is asked for.
+    out : files to write, by their endings: .html, .pdf, .json, .xml (DCC), .csv (covariance); none where the record
+        alone is asked for.
     progress : called with a short text as the work goes on.
 
     Raises

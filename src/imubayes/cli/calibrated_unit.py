@@ -223,7 +223,8 @@ def report(
     result
         Result folder of a fit; `imubayes diagnose` should have seen it.
     out
-        Files to write, by their endings: .html, .pdf, .json.
+        Files to write, by their endings: .html, .pdf, .json; .xml for a digital calibration certificate (DCC), .csv for
+        the covariance of the quantities (GTC, METAS UncLib).
     spec
         Specification: limits and decision rules. Without one nothing is decided.
     certificate

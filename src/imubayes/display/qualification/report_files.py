@@ -1,4 +1,4 @@
-"""The qualification report as a document, and its files: HTML, PDF and JSON.
+"""The qualification report as a document, and its files: HTML, PDF, JSON, DCC (XML) and covariances (CSV).
 
 All that is said and drawn comes from the record of the report.  The ending of a file chooses its format.  The document
 is a certificate of two pages, and annexes: results, budgets, and the evidence for the model.
@@ -17,6 +17,7 @@ from markupsafe import Markup, escape
 from imubayes.display.layout import render
 from imubayes.display.qualification import model_sections, result_sections, unit_drawings
 from imubayes.display.qualification.budget_sections import budget_section
+from imubayes.display.qualification.calibration_xml import covariance_file, dcc_file
 from imubayes.display.qualification.certificate_pages import certificate_facts, certificate_section, missing_section
 from imubayes.display.qualification.document import (
     Block,
@@ -210,6 +211,8 @@ _WRITERS: dict[str, tuple[_Writer, bytes]] = {
         b"<!doctype html>",
     ),
     ".pdf": (_pdf, b"%PDF"),
+    ".xml": (lambda report, chosen: dcc_file(report), b"<?xml"),
+    ".csv": (lambda report, chosen: covariance_file(report), b"name,unit,value,standard_uncertainty,"),
     ".json": (lambda report, chosen: report.json_text().encode(), b'{\n "format": 1,\n "interval":'),
 }
 """Ending → what makes the file, and how such a file begins."""

@@ -1,0 +1,306 @@
+"""The certificate as a Digital Calibration Certificate (PTB, DCC 3.3.0) with D-SI units, and covariances as a table.
+
+A DCC is XML: administrative data from the certificate block and the campaign, then each quantity of the standards that
+was measured, with U, k and the coverage probability in a D-SI `real`.  Where the posterior is not symmetric, the
+standard uncertainty stands there and the interval in words.  What D-SI has no unit for is left out and named.
+
+The table of covariances is for programs that propagate uncertainty (GTC, METAS UncLib): a CSV file with a line for each
+quantity: its name, D-SI unit, value, standard uncertainty and degrees of freedom, and its row of the covariance.
+GTC takes them by `multiple_ureal` and `set_correlation`, UncLib by `ulinprop` of values and covariance.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
+from xml.etree import ElementTree
+
+import numpy as np
+
+from imubayes.display.qualification.words import value_text
+from imubayes.foundations.errors import InputError, Issue
+from imubayes.qualification.certificate import Certificate, Party
+from imubayes.qualification.decision_rules import Outcome
+from imubayes.qualification.report_record import QualificationReport, StandardEstimate
+
+DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
+SCHEMA_VERSION = "3.3.0"
+_LOCATION = f"{DCC} {DCC}/v{SCHEMA_VERSION}/dcc.xsd"
+_SCHEMA_INSTANCE = "http://www.w3.org/2001/XMLSchema-instance"
+_CONFORMITY: dict[Outcome, str] = {
+    "pass": "pass", "conditional_pass": "conditionalPass", "conditional_fail": "conditionalFail", "fail": "fail",
+    "withheld": "noPass",
+}  # fmt: skip
+_PROBABILITY = "0.95"
+
+
+def dcc_file(report: QualificationReport) -> bytes:
+    """Return the report as a Digital Calibration Certificate.
+
+    Raises
+    ------
+    InputError
+        with everything that a DCC requires and the certificate block or the campaign does not state.
+    """
+    block = _complete(report)
+    for prefix, space in (("dcc", DCC), ("si", SI), ("xsi", _SCHEMA_INSTANCE)):
+        ElementTree.register_namespace(prefix, space)
+    root = ElementTree.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=SCHEMA_VERSION)
+    root.set(f"{{{_SCHEMA_INSTANCE}}}schemaLocation", _LOCATION)
+    _administrative(_child(root, "administrativeData"), report, block)
+    _measured(_child(root, "measurementResults"), report, block)
+    ElementTree.indent(root)
+    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="utf-8") + b"\n"
+
+
+def _complete(report: QualificationReport) -> Certificate:
+    """Return the certificate block, which has all that a DCC requires."""
+    block = report.certificate or Certificate()
+    needed = {
+        "number": block.number,
+        "laboratory.name": block.laboratory.name,
+        "laboratory.address": block.laboratory.address,
+        "laboratory.country": block.laboratory.country,
+        "customer.name": block.customer.name,
+        "customer.address": block.customer.address,
+        "signatory": block.signatory,
+    }
+    issues = [
+        Issue(
+            f"a digital calibration certificate needs '{key}', which is not stated", f"[certificate], key '{key}'",
+            "see `imubayes schema certificate`", "state it in the specification, or in the file of --certificate",
+        )
+        for key, given in needed.items()
+        if not given
+    ]  # fmt: skip
+    if not report.scope.first_start or not report.scope.last_start:
+        where, allowed = "campaign.toml, [[run]] start", "date and time of the runs"
+        issues.append(
+            Issue("a digital calibration certificate needs the dates of the runs", where, allowed, "add them")
+        )
+    if not any(each.d_si is not None for each in report.standards):
+        issues.append(
+            Issue("there is no measured quantity with a D-SI unit", "the result", "one or more", "measure one")
+        )
+    if issues:
+        raise InputError(issues)
+    return block
+
+
+def _child(parent: ElementTree.Element, name: str, text: str | None = None, space: str = DCC) -> ElementTree.Element:
+    found = ElementTree.SubElement(parent, f"{{{space}}}{name}")
+    found.text = None if text is None else " ".join(text.split())
+    return found
+
+
+def _text(parent: ElementTree.Element, name: str, text: str) -> ElementTree.Element:
+    """Add an element of text with a language."""
+    found = _child(parent, name)
+    _child(found, "content", text).set("lang", "en")
+    return found
+
+
+def _administrative(parent: ElementTree.Element, report: QualificationReport, block: Certificate) -> None:
+    software = _child(parent, "dccSoftware")
+    for each in report.provenance.software:
+        own = _child(software, "software")
+        _text(own, "name", each.package)
+        _child(own, "release", each.version)
+    core = _child(parent, "coreData")
+    _child(core, "countryCodeISO3166_1", block.laboratory.country)
+    _child(core, "usedLangCodeISO639_1", "en")
+    _child(core, "mandatoryLangCodeISO639_1", "en")
+    _child(core, "uniqueIdentifier", block.number)
+    _child(core, "beginPerformanceDate", str(report.scope.first_start)[:10])
+    _child(core, "endPerformanceDate", str(report.scope.last_start)[:10])
+    _child(core, "performanceLocation", "laboratory")
+    if block.date is not None:
+        _child(core, "issueDate", block.date.isoformat())
+    item = _child(_child(parent, "items"), "item")
+    _text(item, "name", block.item.description or report.subject.campaign)
+    if block.item.model:
+        _child(item, "model", block.item.model)
+    identifications = _child(item, "identifications")
+    _identified(identifications, "manufacturer", report.subject.serial or "none stated", "serial number")
+    _identified(identifications, "other", report.provenance.data_sha256, "SHA-256 of the data")
+    _contact(_child(_child(parent, "calibrationLaboratory"), "contact"), block.laboratory)
+    persons = _child(parent, "respPersons")
+    for place, each in enumerate(block.signatory):
+        own = _child(persons, "respPerson")
+        _text(_child(own, "person"), "name", each.name)
+        if each.function:
+            _child(own, "role", each.function)
+        _child(own, "mainSigner", "false" if place else "true")
+    _contact(_child(parent, "customer"), block.customer)
+    _statements(_child(parent, "statements"), report, block)
+
+
+def _identified(parent: ElementTree.Element, issuer: str, value: str, name: str) -> None:
+    own = _child(parent, "identification")
+    _child(own, "issuer", issuer)
+    _child(own, "value", value)
+    _text(own, "name", name)
+
+
+def _contact(parent: ElementTree.Element, party: Party) -> None:
+    _text(parent, "name", party.name or "")
+    if party.email:
+        _child(parent, "eMail", party.email)
+    location = _child(parent, "location")
+    _text(location, "further", party.address or "")
+    if party.country:
+        _child(location, "countryCode", party.country)
+
+
+def _statements(parent: ElementTree.Element, report: QualificationReport, block: Certificate) -> None:
+    said = [
+        "Expanded uncertainties are standard uncertainties times the coverage factor k, for a coverage probability of "
+        "95 %; evaluated by JCGM 100 and JCGM 101.",
+        "The results relate only to the item calibrated.",
+        *filter(None, (block.accreditation, block.remarks)),
+    ]
+    for text in said:
+        _text(_child(parent, "statement"), "declaration", text)
+    if report.conformity is not None:
+        own = _child(parent, "statement")
+        _text(own, "declaration", f"Conformity to the specification {report.conformity.specification}")
+        _child(own, "conformity", _CONFORMITY[report.conformity.outcome])
+
+
+def _measured(parent: ElementTree.Element, report: QualificationReport, block: Certificate) -> None:
+    result = _child(parent, "measurementResult")
+    _text(result, "name", f"Quantities of unit {report.subject.serial or report.subject.campaign}")
+    left_out = [each for each in report.standards if each.d_si is None or each.withheld is not None]
+    if left_out:
+        named = ", ".join(f"{each.symbol}[{each.label}] in {each.unit}" for each in left_out)
+        _text(result, "description", f"Without a D-SI unit or withheld, and left out here: {named}.")
+    method = _child(_child(result, "usedMethods"), "usedMethod")
+    _text(method, "name", block.method or report.provenance.model)
+    for standard in dict.fromkeys(each.standard for each in report.standards):
+        _child(method, "norm", standard)
+    _equipment(result, block)
+    _conditions(result, block)
+    _results(_child(result, "results"), [each for each in report.standards if each not in left_out])
+
+
+def _results(parent: ElementTree.Element, shown: Sequence[StandardEstimate]) -> None:
+    for standard in dict.fromkeys(each.standard for each in shown):
+        own = _child(parent, "result")
+        _text(own, "name", standard)
+        data = _child(own, "data")
+        for each in shown:
+            if each.standard == standard:
+                _quantity(data, each)
+
+
+def _equipment(parent: ElementTree.Element, block: Certificate) -> None:
+    if not block.standard:
+        return
+    equipment = _child(parent, "measuringEquipments")
+    for each in block.standard:
+        own = _child(equipment, "measuringEquipment")
+        _text(own, "name", each.name)
+        known = {"serial number": each.serial, "certificate": each.certificate}
+        if any(known.values()):
+            listed = _child(own, "identifications")
+            for name, value in known.items():
+                if value:
+                    _identified(listed, "other", value, name)
+
+
+def _conditions(parent: ElementTree.Element, block: Certificate) -> None:
+    found = block.environment
+    ranges = (
+        ("air temperature", found.temperature_degC, r"\degreecelsius"),
+        ("relative humidity", found.humidity_percent, r"\percent"),
+        ("air pressure", found.pressure_hPa, r"\hecto\pascal"),
+    )
+    known = [(name, span, unit) for name, span, unit in ranges if span is not None]
+    if not known:
+        return
+    conditions = _child(parent, "influenceConditions")
+    for name, span, unit in known:
+        own = _child(conditions, "influenceCondition")
+        _text(own, "name", name)
+        data = _child(own, "data")
+        for which, value in zip(("lowest", "highest"), span, strict=True):
+            quantity = _child(data, "quantity")
+            _text(quantity, "name", which)
+            real = _child(quantity, "real", space=SI)
+            _child(real, "value", repr(float(value)), SI)
+            _child(real, "unit", unit, SI)
+
+
+def _quantity(parent: ElementTree.Element, each: StandardEstimate) -> None:
+    assert each.d_si is not None, "quantities without a D-SI unit are left out"
+    factor, own = each.d_si.factor, _child(parent, "quantity")
+    _text(own, "name", f"{each.quantity} {each.symbol} of {each.label}")
+    symmetric = each.interval == "symmetric" and each.expanded_uncertainty is not None
+    shape = "" if symmetric else f" 95 % {each.interval} interval: {value_text(each)} {each.unit}."
+    _text(own, "description", f"{each.term}.{shape}")
+    real = _child(own, "real", space=SI)
+    _child(real, "value", _number(each.estimate, factor), SI)
+    _child(real, "unit", each.d_si.unit, SI)
+    uncertainty = _child(real, "measurementUncertaintyUnivariate", space=SI)
+    if not symmetric:
+        _child(
+            _child(uncertainty, "standardMU", space=SI),
+            "valueStandardMU",
+            _number(each.standard_uncertainty, factor),
+            SI,
+        )
+        return
+    expanded = _child(uncertainty, "expandedMU", space=SI)
+    _child(expanded, "valueExpandedMU", _number(each.expanded_uncertainty, abs(factor)), SI)
+    _child(expanded, "coverageFactor", _number(each.coverage_factor, 1.0), SI)
+    _child(expanded, "coverageProbability", _PROBABILITY, SI)
+
+
+def _number(value: float | None, factor: float) -> str:
+    assert value is not None, "withheld numbers are left out"
+    return f"{value * factor:.9g}"
+
+
+def covariance_file(report: QualificationReport) -> bytes:
+    """Return values and covariance of the quantities of the standards with D-SI units, as a table."""
+    budgets = report.budgets
+    found = [] if budgets is None else list(_with_budget(report))
+    rows = {} if budgets is None else dict(zip(budgets.correlation.names, budgets.correlation.rows, strict=True))
+    order = {name: place for place, name in enumerate(rows)}
+
+    def correlation(first: str, second: str) -> float:
+        low, high = sorted((first, second), key=lambda name: order[name])
+        return rows[high][order[low]]
+
+    buffer = io.StringIO()
+    table = csv.writer(buffer, lineterminator="\n")
+    names = [each.name for each, _, _ in found]
+    table.writerow(["name", "unit", "value", "standard_uncertainty", "degrees_of_freedom", *names])
+    u = np.array([uncertainty for _, _, uncertainty in found])
+    for k, (each, known, uncertainty) in enumerate(found):
+        assert each.d_si is not None, "quantities without a D-SI unit are left out"
+        degrees = _degrees(report, known)
+        line = [float(uncertainty * u[j] * correlation(known, other)) for j, (_, other, _) in enumerate(found)]
+        line[k] = float(uncertainty**2)
+        value = _number(each.estimate, each.d_si.factor)
+        table.writerow([each.name, each.d_si.unit, value, f"{uncertainty:.9g}", degrees, *(f"{v:.9g}" for v in line)])
+    return buffer.getvalue().encode()
+
+
+def _with_budget(report: QualificationReport) -> Iterator[tuple[StandardEstimate, str, float]]:
+    """Yield the quantities with a D-SI unit, the name of the budget of each, and its uncertainty in that unit."""
+    known = _names_of_budgets(report)
+    for each in report.standards:
+        own = each.name if each.name in known else each.members[0]
+        if each.d_si is not None and each.standard_uncertainty and each.withheld is None and own in known:
+            yield each, own, each.standard_uncertainty * abs(each.d_si.factor)
+
+
+def _names_of_budgets(report: QualificationReport) -> Sequence[str]:
+    return () if report.budgets is None else report.budgets.correlation.names
+
+
+def _degrees(report: QualificationReport, name: str) -> str:
+    assert report.budgets is not None, "there are quantities with budgets"
+    found = next(each.degrees_of_freedom for each in report.budgets.quantities if each.name == name)
+    return "inf" if found is None or not math.isfinite(found) else f"{found:.6g}"

@@ -1,0 +1,191 @@
+"""The digital calibration certificate: its structure, its numbers and units, and the table of covariances."""
+
+import csv
+import io
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from imubayes.display.qualification.calibration_xml import DCC, SI, covariance_file, dcc_file
+from imubayes.foundations.errors import InputError
+from imubayes.qualification.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
+from imubayes.qualification.certificate import Certificate
+from imubayes.qualification.report_record import (
+    Conformity,
+    MonteCarloError,
+    QualificationReport,
+    StandardEstimate,
+    StatisticalScope,
+)
+from imubayes.qualification.report_subject import Provenance, Subject
+from imubayes.qualification.standard_quantities import DigitalUnit
+from imubayes.results.summary import SoftwareVersion
+
+SCHEMA = Path(__file__).parents[3] / "shared" / "schemas" / "dcc" / "dcc.xsd"
+# Elements of DCC 3.3.0 in the order of their sequences; choices and free content are left out.
+ORDER = {
+    "digitalCalibrationCertificate": ("administrativeData", "measurementResults"),
+    "administrativeData": None,  # in any order
+    "software": ("name", "release"),
+    "coreData": (
+        "countryCodeISO3166_1", "usedLangCodeISO639_1", "mandatoryLangCodeISO639_1", "uniqueIdentifier",
+        "beginPerformanceDate", "endPerformanceDate", "performanceLocation", "issueDate",
+    ),
+    "item": ("name", "model", "identifications"),
+    "identification": ("issuer", "value", "name"),
+    "contact": ("name", "eMail", "location"),
+    "customer": ("name", "eMail", "location"),
+    "respPerson": ("person", "role", "mainSigner"),
+    "statement": ("declaration", "conformity"),
+    "measurementResult": (
+        "name", "description", "usedMethods", "measuringEquipments", "influenceConditions", "results",
+    ),
+    "usedMethod": ("name", "norm"),
+    "measuringEquipment": ("name", "identifications"),
+    "influenceCondition": ("name", "data"),
+    "result": ("name", "data"),
+    "quantity": ("name", "description", "real"),
+    "real": ("value", "unit", "measurementUncertaintyUnivariate"),
+    "expandedMU": ("valueExpandedMU", "coverageFactor", "coverageProbability"),
+}  # fmt: skip
+REQUIRED = ("dccSoftware", "coreData", "items", "calibrationLaboratory", "respPersons", "customer")
+BLOCK = Certificate.model_validate(
+    {
+        "number": "2026-0117", "date": "2026-11-20", "method": "WI-12",
+        "laboratory": {"name": "Laboratory", "address": "Street 1 & 2", "country": "DE", "email": "a@b.invalid"},
+        "customer": {"name": "测试 <customer>", "address": "Street 3"},
+        "standard": [{"name": "rate table", "certificate": "NMI 2026-0815"}],
+        "environment": {"temperature_degC": [22.6, 23.4]},
+        "signatory": [{"name": "A. Example", "function": "head"}, {"name": "B. Example"}],
+    }
+)  # fmt: skip
+G = 9.79
+
+
+def estimate(symbol: str, label: str, y: float, u: float, unit: DigitalUnit | None, **others) -> StandardEstimate:
+    error = MonteCarloError(
+        estimate=u / 100, standard_uncertainty=u / 1000, low=u / 50, high=u / 50, effective=1e4, digits=2,
+        expanded_digits=2, tolerance=u / 10, worst="low", draws_needed=0.1,
+    )  # fmt: skip
+    known = {
+        "estimate": y, "standard_uncertainty": u, "low": y - 2 * u, "high": y + 2 * u, "interval": "symmetric",
+        "coverage_factor": 2.0, "expanded_uncertainty": 2 * u, "monte_carlo": error,
+    }  # fmt: skip
+    return StandardEstimate.model_validate(
+        {
+            "name": f"{symbol}[{label}]", "unit": "ug", "d_si": unit, "key": symbol, "symbol": symbol,
+            "quantity": "bias", "standard": "IEEE Std 1293", "term": symbol, "label": label, "members": ("m",),
+            **(known | others),
+        }
+    )  # fmt: skip
+
+
+MICRO_G = DigitalUnit(unit=r"\metre\per\second\tothe{2}", factor=1e-6 * G)
+STANDARDS = (
+    estimate("K_0", "ax", 100.0, 2.0, MICRO_G),
+    estimate("K_0", "ay", -50.0, 3.0, MICRO_G),
+    estimate("K_9", "ax", 1.0, 0.1, None),
+    estimate("Θ", "ax", 4.0, 1.0, DigitalUnit(unit=r"\arcsecond"), interval="shortest", low=3.0, high=7.0),
+)
+
+
+def report(**changes) -> QualificationReport:
+    names = tuple(each.name for each in STANDARDS)
+    budgets = UncertaintyBudgets.model_construct(
+        quantities=tuple(
+            QuantityBudget.model_construct(name=name, degrees_of_freedom=None if place else 12.0)
+            for place, name in enumerate(names)
+        ),
+        correlation=CorrelationMatrix(names=names, rows=((1.0,), (0.75, 1.0), (0, 0, 1.0), (0.1, 0, 0, 1.0))),
+    )
+    known = {
+        "subject": Subject.model_construct(serial="U7", campaign="c"),
+        "provenance": Provenance.model_construct(
+            model="m", data_sha256="d" * 64, software=(SoftwareVersion(package="imubayes", version="1"),)
+        ),
+        "scope": StatisticalScope.model_construct(first_start="2026-11-01T08:00:00", last_start="2026-11-04T08:00:00"),
+        "conformity": Conformity(specification="FQ", sha256="", outcome="conditional_pass", obstacles=(), limits=()),
+        "standards": STANDARDS, "budgets": budgets, "certificate": BLOCK,
+    }  # fmt: skip
+    return QualificationReport.model_construct(**(known | changes))
+
+
+def tag(element: ElementTree.Element) -> str:
+    return element.tag.partition("}")[2]
+
+
+def test_elements_stand_in_the_order_of_the_schema():
+    root = ElementTree.fromstring(dcc_file(report()))
+    assert root.get("schemaVersion") == "3.3.0"
+    seen = set()
+    for element in root.iter():
+        order = ORDER.get(tag(element))
+        if order is None:
+            continue
+        seen.add(tag(element))
+        places = [order.index(tag(child)) for child in element]
+        assert places == sorted(places), tag(element)
+        assert len(set(places)) == len(places) or tag(element) in ("usedMethod",), tag(element)
+    assert seen == {name for name, order in ORDER.items() if order}
+    administrative = {tag(child) for child in root[0]}
+    assert set(REQUIRED) <= administrative
+    # No element of text is empty, which the schema forbids.
+    assert all(element.text and element.text.strip() for element in root.iter() if not len(element))
+
+
+@pytest.mark.skipif(not SCHEMA.is_file(), reason="the schema of the PTB is not at hand")
+def test_the_file_is_valid_by_the_schema(tmp_path):
+    xmlschema = pytest.importorskip("xmlschema", reason="xmlschema is not installed")
+    (tmp_path / "certificate.xml").write_bytes(dcc_file(report()))
+    xmlschema.XMLSchema(SCHEMA).validate(tmp_path / "certificate.xml")
+
+
+def test_numbers_are_in_d_si_units_with_their_coverage():
+    root = ElementTree.fromstring(dcc_file(report()))
+    found = [each for each in root.iter(f"{{{DCC}}}quantity") if each.find(f"{{{DCC}}}description") is not None]
+    assert len(found) == 3, "a quantity without a D-SI unit is left out"
+    (bias, other, angle) = found
+    real = bias.find(f"{{{SI}}}real")
+    assert real is not None
+    assert float(real.findtext(f"{{{SI}}}value") or "nan") == pytest.approx(100e-6 * G)
+    assert real.findtext(f"{{{SI}}}unit") == r"\metre\per\second\tothe{2}"
+    expanded = real.find(f".//{{{SI}}}expandedMU")
+    assert expanded is not None
+    assert [float(child.text or "nan") for child in expanded] == pytest.approx([4e-6 * G, 2.0, 0.95])
+    assert other.find(f".//{{{SI}}}expandedMU") is not None
+    # A posterior that is not symmetric has its interval in words.
+    assert angle.find(f".//{{{SI}}}expandedMU") is None
+    assert "3.0 … 7.0" in "".join(angle.itertext())
+    text = "".join(root.itertext())
+    assert "K_9[ax] in ug" in text, "what is left out is named"
+    assert "测试 <customer>" in text
+    assert [each.text for each in root.iter(f"{{{DCC}}}conformity")] == ["conditionalPass"]
+
+
+def test_what_a_dcc_needs_is_asked_for_at_once():
+    lacking = BLOCK.model_copy(update={"number": None, "signatory": ()})
+    with pytest.raises(InputError) as caught:
+        dcc_file(report(certificate=lacking))
+    assert [each.what for each in caught.value.issues] == [
+        "a digital calibration certificate needs 'number', which is not stated",
+        "a digital calibration certificate needs 'signatory', which is not stated",
+    ]
+    with pytest.raises(InputError):
+        dcc_file(report(certificate=None))
+
+
+def test_the_covariance_is_that_of_the_quantities_in_their_units():
+    rows = list(csv.reader(io.StringIO(covariance_file(report()).decode())))
+    head, *lines = rows
+    assert head[:5] == ["name", "unit", "value", "standard_uncertainty", "degrees_of_freedom"]
+    names = [line[0] for line in lines]
+    assert head[5:] == names == ["K_0[ax]", "K_0[ay]", "Θ[ax]"]
+    covariance = np.array([[float(cell) for cell in line[5:]] for line in lines])
+    u = np.array([float(line[3]) for line in lines])
+    np.testing.assert_allclose(u, [2e-6 * G, 3e-6 * G, 1.0])
+    np.testing.assert_allclose(covariance, covariance.T)
+    np.testing.assert_allclose(np.diag(covariance), u**2)
+    assert covariance[0, 1] == pytest.approx(0.75 * u[0] * u[1])
+    assert [line[4] for line in lines] == ["12", "inf", "inf"]
