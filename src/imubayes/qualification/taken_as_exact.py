@@ -186,12 +186,15 @@ def exact_equipment(fit: Fit) -> ExactEquipment:
     rows = whitened_rows(problem, fit.h, joined)
     own, others = rows[:, :size], rows[:, size:]
     widths = np.asarray(prior_widths(problem, jnp.asarray(fit.h)))
+    # By orthogonal projection: some parameters are known to 1e-8 of their prior, and differences of squares are not.
+    basis, upper = np.linalg.qr(np.concatenate([own, np.diag(1 / widths)]))
+    whole = np.concatenate([others, np.zeros((size, others.shape[1]))])
+    along = basis.T @ whole
+    rest = whole - basis @ along
     covariance = inverse_of_precision(own.T @ own + np.diag(widths**-2.0)) if size else np.zeros((0, 0))
-    across = own.T @ others
-    told = others.T @ others - across.T @ covariance @ across
     parameters = tuple(each for each, _ in listed)
     included = np.array([each.stated or _is_unmeasured(each, fit.model.campaign) for each in parameters], dtype=bool)
-    return ExactEquipment(parameters, included, covariance @ across, told, covariance)
+    return ExactEquipment(parameters, included, np.linalg.solve(upper, along), rest.T @ rest, covariance)
 
 
 def _is_unmeasured(parameter: _Parameter, campaign: Campaign) -> bool:

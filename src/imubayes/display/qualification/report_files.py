@@ -133,7 +133,9 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
     if conformity is not None and conformity.limits:
         yield limits_table(conformity.limits, components_of(report))
     yield exact_table(report)
-    if conformity is not None:
+    if conformity is None:  # then the quantities themselves are what is certified
+        yield from result_sections.standards_section(report)
+    else:
         yield Heading("Conformity to the specification")
         yield Paragraph(f"Specification “{conformity.specification}”, SHA-256 {conformity.sha256}.")
         yield Items(rules_text(conformity.limits))
@@ -152,7 +154,8 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
 
 def _results(report: QualificationReport) -> Iterator[Block | None]:
     pictures = report.pictures
-    yield from result_sections.standards_section(report)
+    if report.conformity is not None:
+        yield from result_sections.standards_section(report)
     yield Heading("Errors of the unit")
     nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
     yield unit_drawings.error_drawings(pictures) or nothing
@@ -206,10 +209,7 @@ def known_annexes(asked: Sequence[str] | None) -> tuple[Annex, ...] | None:
 
 _Writer = Callable[[QualificationReport, Sequence[Annex] | None], bytes]
 _WRITERS: dict[str, tuple[_Writer, bytes]] = {
-    ".html": (
-        lambda report, chosen: html_page(report_document(report, chosen or ANNEXES)).encode(),
-        b"<!doctype html>",
-    ),
+    ".html": (_page, b"<!doctype html>"),
     ".pdf": (_pdf, b"%PDF"),
     ".xml": (lambda report, chosen: dcc_file(report), b"<?xml"),
     ".csv": (lambda report, chosen: covariance_file(report), b"name,unit,value,standard_uncertainty,"),
