@@ -125,12 +125,14 @@ def test_a_block_that_cannot_be_read_is_refused(tmp_path, text, what):
 @pytest.mark.parametrize("number", ["67.245", "−0.00052 ± 0.00060", "≥ 0.99", "1,234.5", "1.2e-05", "12.5 … 13.25"])
 def test_numbers_have_nothing_in_them(number):
     assert breakable(number) == number
-    assert "\u200b" in breakable("gyro_bias.bias[gx,flat]")
+    assert breakable(f"gyro_misalignment.toward_o[gz,flat] = {number}").endswith(f" = {number}")
+    assert "\u200b" in breakable("gyro_misalignment.toward_o[gz,flat]")
+    assert breakable("gx,gy") == "gx,gy"
 
 
 def test_figures_are_numbered_and_cells_are_plain():
     drawing = Drawing("<svg/>", 4.0, "x")
-    rows = [[Text("gyro_bias.bias[gx]"), Text("67.245")]]
+    rows = [[Text("gyro_misalignment.toward_o[gx]"), Text("67.245")]]
     made = ReportTable("t", ("a", "b"), rows)
 
     blocks = (Heading("x"), Drawings([drawing], "First."), made, Drawings([drawing], "Second."))
@@ -138,7 +140,10 @@ def test_figures_are_numbered_and_cells_are_plain():
     captions = [part["caption"] for part in parts if part["type"] == "drawings"]
     assert captions == ["Figure 1. First.", "Figure 2. Second."]
     table = next(part for part in parts if part["type"] == "table")
-    assert [cell["text"].replace("\u200b", "|") for cell in table["rows"][0]] == ["gyro_|bias.|bias[|gx]", "67.245"]
+    assert [cell["text"].replace("\u200b", "|") for cell in table["rows"][0]] == [
+        "gyro_|misalignment.|toward_|o[|gx]",
+        "67.245",
+    ]
 
 
 def test_characters_without_a_font_are_found():

@@ -187,7 +187,7 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
     values = _values(limit, unit)
     over = _conformance_over(values, limit.tolerance, effective)
     marginals = [Marginal(column, effective) for column in values.T]
-    stated = [unit.coverage(name)] if limit.span is None else [coverage_of(marginal) for marginal in marginals]
+    stated = [unit.coverage(name)] if limit.span is None else [unit.coverage_at(name, each) for each in marginals]
     estimates = [_estimate(each, over) for each in stated]
     decisions = _decisions(limit, unit, values, estimates)
     worst = min(range(len(estimates)), key=lambda place: _rank(decisions[place], estimates[place], limit.tolerance))

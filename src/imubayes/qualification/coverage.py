@@ -59,11 +59,15 @@ class Coverage:
 
 @dataclass(frozen=True)
 class KnownUncertainty:
-    """A standard uncertainty that is known better than from draws: u, its Monte Carlo error, and ν."""
+    """A standard uncertainty that is known better than from draws: u, its Monte Carlo error, and ν.
+
+    `mean_error` is the Monte Carlo error of the estimate where that is not u over the root of the draws.
+    """
 
     standard: float
     error: float
     degrees: float = math.inf
+    mean_error: float | None = None
 
 
 def coverage_factor(degrees: float) -> float:
@@ -95,8 +99,9 @@ def coverage_of(marginal: Marginal, known: KnownUncertainty | None = None) -> Co
         # The shape is that of the draws alone: their standard deviation has an error of its own.
         of_draws = abs(mean - k * marginal.sd - low), abs(mean + k * marginal.sd - high)
         if of_draws[0] <= _AGREES * errors.low and of_draws[1] <= _AGREES * errors.high:
-            half, of_end = k * known.standard, math.hypot(errors.mean, k * known.error)
-            own = MonteCarloErrors(errors.mean, known.error, of_end, of_end)
+            of_mean = errors.mean if known.mean_error is None else known.mean_error
+            half, of_end = k * known.standard, math.hypot(of_mean, k * known.error)
+            own = MonteCarloErrors(of_mean, known.error, of_end, of_end)
             return Coverage(mean, known.standard, mean - half, mean + half, "symmetric", own)
     return Coverage(marginal.mean, known.standard, low, high, "equal-tailed", errors)
 

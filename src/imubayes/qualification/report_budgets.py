@@ -63,13 +63,17 @@ def unit_with_budgets(result: Result) -> UnitWithBudgets:
         if result.folder is not None:
             with suppress(OSError, InputError):  # of a result that cannot be written to they are computed every time
                 add_to(result.folder, BUDGETS, kept.model_dump_json() + "\n", result.identity)
-    known = {
-        each.name: KnownUncertainty(
-            each.standard_uncertainty, each.monte_carlo_error, each.degrees_of_freedom or math.inf
-        )
-        for each in kept.budgets.quantities
-    }
-    return UnitWithBudgets(replace(unit_under_test(result, kept.exact), known=known), kept.budgets, kept.exact)
+    unit = unit_under_test(result, kept.exact)
+    known = {each.name: _known(unit, each) for each in kept.budgets.quantities}
+    return UnitWithBudgets(replace(unit, known=known), kept.budgets, kept.exact)
+
+
+def _known(unit: TestedUnit, found: budget_parts.QuantityBudget) -> KnownUncertainty:
+    """Return what a budget knows of an uncertainty; what is taken as exact adds nothing to the error of the estimate."""
+    own = found.standard_uncertainty**2 - sum(line.contribution**2 for line in found.lines if line.kind == "exact")
+    of_mean = math.sqrt(max(own, 0.0) / unit.quantities.effective[found.name])
+    degrees = found.degrees_of_freedom or math.inf
+    return KnownUncertainty(found.standard_uncertainty, found.monte_carlo_error, degrees, of_mean)
 
 
 def keep_budgets(result: Result) -> None:

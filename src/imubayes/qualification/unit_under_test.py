@@ -8,6 +8,7 @@ import polars as pl
 
 from imubayes.inference.identifiability import WEAK_SHARE
 from imubayes.qualification.coverage import Coverage, KnownUncertainty, coverage_of, coverage_of_length
+from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.posterior_quantities import (
     PosteriorQuantities,
     posterior_quantities,
@@ -30,6 +31,7 @@ class TestedUnit(UnitUnderTest):
     thermal : thermal terms of the model.
     lengths : quantity → the length of its mean vector, where it is the length of one.
     known : quantity → its uncertainty, where a budget gives it.
+    added : quantity → standard deviation by what is included of equipment that the model takes as exact.
     unstated : quantity → standard deviation by equipment that the model takes as exact, in no uncertainty.
     """
 
@@ -39,7 +41,19 @@ class TestedUnit(UnitUnderTest):
     thermal: ThermalModel
     lengths: Mapping[str, float] = field(default_factory=dict)
     known: Mapping[str, KnownUncertainty] = field(default_factory=dict)
+    added: Mapping[str, float] = field(default_factory=dict)
     unstated: Mapping[str, float] = field(default_factory=dict)
+
+    def coverage_at(self, name: str, marginal: Marginal) -> Coverage:
+        """Return what is stated of a quantity at one temperature; what was added moves no estimate."""
+        added = self.added.get(name, 0.0)
+        if not added or not marginal.sd > 0:
+            return coverage_of(marginal)
+        own = max(marginal.sd**2 - added**2, 0.0)
+        of_mean = float(np.sqrt(own / marginal.effective))
+        # What was added has its standard deviation exactly, and a chance correlation with the draws.
+        of_sd = float(np.hypot(marginal.errors.sd * own / marginal.sd**2, of_mean))
+        return coverage_of(marginal, KnownUncertainty(marginal.sd, of_sd, mean_error=of_mean))
 
     def coverage(self, name: str) -> Coverage:
         """Return what is stated of a quantity: the same in every table."""
@@ -76,7 +90,11 @@ def unit_under_test(result: Result, exact: TakenAsExact | None = None) -> Tested
     inputs = inputs_over_range(result.residuals.table)
     unit = TestedUnit(quantities, channels, inputs, gravity, _temperatures(result), thermal)
     known, lengths = with_standards(unit)
-    return replace(unit, quantities=known, lengths=lengths, unstated={each.name: each.value for each in exact.unstated})
+    added: dict[str, float] = {}
+    for shift in (shift for each in exact.included for shift in each.shifts):
+        added[shift.name] = float(np.hypot(added.get(shift.name, 0.0), shift.value))
+    unstated = {each.name: each.value for each in exact.unstated}
+    return replace(unit, quantities=known, lengths=lengths, added=added, unstated=unstated)
 
 
 def widened(known: PosteriorQuantities, exact: Sequence[ExactInput]) -> PosteriorQuantities:
@@ -87,7 +105,8 @@ def widened(known: PosteriorQuantities, exact: Sequence[ExactInput]) -> Posterio
             if shift.name in draws:
                 # The same draws give the same report, and one parameter moves all quantities together.
                 normal = np.random.default_rng([20260501, place]).standard_normal(len(draws[shift.name]))
-                draws[shift.name] = draws[shift.name] + shift.value * normal
+                # It moves no estimate, and has its standard deviation exactly.
+                draws[shift.name] = draws[shift.name] + shift.value * (normal - normal.mean()) / normal.std()
     for name, values in draws.items():
         share, before = entries[name].from_data, np.nanvar(known.draws[name])
         if share is not None and before > 0:

@@ -119,7 +119,9 @@ def _with_code_points(text: str) -> str:
 
 
 def breakable(text: str) -> str:
-    """Return a text whose names of quantities may break between their parts; its numbers have nothing in them."""
+    """Return a text whose long names may break between their parts; short ones and numbers stay as they are."""
+    if len(text) <= _NARROW:
+        return text
     return _PART_OF_NAME.sub(rf"\1{_BREAK}", text)
 
 
