@@ -69,7 +69,7 @@ def unit_with_budgets(result: Result) -> UnitWithBudgets:
 
 
 def _known(unit: TestedUnit, found: budget_parts.QuantityBudget) -> KnownUncertainty:
-    """Return what a budget knows of an uncertainty; what is taken as exact adds nothing to the error of the estimate."""
+    """Return what a budget knows of an uncertainty; what is taken as exact moves no estimate by chance."""
     own = found.standard_uncertainty**2 - sum(line.contribution**2 for line in found.lines if line.kind == "exact")
     of_mean = math.sqrt(max(own, 0.0) / unit.quantities.effective[found.name])
     degrees = found.degrees_of_freedom or math.inf
