@@ -1,14 +1,16 @@
 """Questions to a diagnosed fit that linear algebra answers: what explains some rows, and what causes would do.
 
-Both rest on what the diagnosis has made already.  Rows are ranked by the likelihood of its one evidence, beside the
-likeliest hypothesis without an effect: a cause acts in the chosen rows alone, and the parameters of the model are as
-all rows tell them.  With all rows chosen this is the log odds of the ranking.  A preview is the least squares at the
-noise known beforehand that predicts Δχ² in the diagnosis.
+Both rest on what the diagnosis has made already.  A cause of some rows is judged by how well it predicts them from all
+others, against that nothing is missing: p(some | others, cause) / p(some | others), the factor by which these rows
+change its odds in the one evidence, times its prior odds.  With all rows chosen this is the log odds of the ranking.
+The noise is held.  Where the model correlates rows in time, a row counts by what it adds to those before it.
+
+A preview is the least squares at the noise known beforehand that predicts Δχ² in the diagnosis.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,13 +41,18 @@ class RankedCause(Record):
 
 @dataclass(frozen=True)
 class RowsRanking:
-    """Causes of chosen rows, the likeliest first, with the probabilities of noise alone and of an offset of them.
+    """Causes of chosen rows, the likeliest first, and the probabilities of what else they may be.
 
-    `offset` is None where all rows are chosen, of which an offset is a bias.
+    Attributes
+    ----------
+    nothing : of noise alone.
+    form : of the form outside the catalogue, or the wrong record, of the leading explanation; None without one.
+    offset : of an offset of these rows alone; None where all rows are chosen, of which an offset is a bias.
     """
 
     causes: tuple[RankedCause, ...]
     nothing: float
+    form: float | None
     offset: float | None
 
 
@@ -81,42 +88,80 @@ class LinearAnswers:
     def _screen(self) -> Screen:
         return Screen(self.explained.of)
 
+    @cached_property
+    def _of_all(self) -> dict[int, float]:
+        """The log odds of each variant alone by all rows."""
+        return {n: gain for gain, n in self._screen.singles(conditional(self.explained.of, self._nothing))}
+
+    def _others(self, chosen: np.ndarray) -> Solved:
+        """Return that nothing is missing by the rows that are not chosen: chosen ones have no weight."""
+        of, at = self.explained.of, self._nothing.at
+        weight = {
+            k: at.weight.get(k, np.ones(len(of.problem.rows[k].entry))) * ~chosen[of.problem.rows[k].entry]
+            for k in of.unit_of
+        }
+        return of.solved(replace(at, weight=weight), self._nothing.scale)
+
     def rank(self, chosen: np.ndarray, without: Sequence[str] = ()) -> RowsRanking:
         """Return how probable single causes of chosen entries, (E,) bool, are; some effects left out."""
-        of, odds = self.explained.of, dict[str, float]()
-        for gain, n in self._screen.singles(conditional(of, self._nothing, chosen)):
-            effect = of.variants[n].effect
-            if effect not in without:
-                odds[effect] = float(np.logaddexp(odds.get(effect, -math.inf), gain))
-        offset = None if chosen[self.entries].all() else self._offset_gain(chosen)
-        every = [0.0, *odds.values(), *([] if offset is None else [offset])]
-        whole = float(np.logaddexp.reduce(every))
+        of, others = self.explained.of, self._others(chosen)
+        by_rest = {n: gain for gain, n in self._screen.singles(conditional(of, others))}
+        terms: dict[str, list[tuple[float, float, float]]] = {}
+        for n, gain in self._of_all.items():
+            variant = of.variants[n]
+            if variant.effect not in without:
+                terms.setdefault(variant.effect, []).append((variant.log_odds, gain, by_rest[n]))
+        odds: dict[str, float] = {}
+        for effect, each in terms.items():
+            prior, by_all, by_others = np.logaddexp.reduce(np.array(each), axis=0).tolist()
+            odds[effect] = prior + by_all - by_others
+        form = self._form_odds(others)
+        offset = None if chosen[self.entries].all() else self._offset_odds(chosen)
+        whole = float(
+            np.logaddexp.reduce([0.0, *odds.values(), *(each for each in (form, offset) if each is not None)])
+        )
         ranked = sorted(odds.items(), key=lambda pair: -pair[1])[:_MOST_RANKED]
         causes = tuple(RankedCause(effect=e, probability=math.exp(o - whole), log_odds=o) for e, o in ranked)
-        return RowsRanking(causes, math.exp(-whole), None if offset is None else math.exp(offset - whole))
+        rest = (None if each is None else math.exp(each - whole) for each in (form, offset))
+        return RowsRanking(causes, math.exp(-whole), *rest)
 
-    def _offset_gain(self, chosen: np.ndarray) -> float:
-        """Return the log odds that each channel of the chosen rows is off by something outside the catalogue.
+    def _offset_odds(self, chosen: np.ndarray) -> float:
+        """Return the log odds that the chosen rows of each channel are off by something of their own.
 
         With the prior probability and the amplitudes of the free forms of the evidence.
         """
-        of, solved, gain = self.explained.of, self._nothing, math.log(UNEXPECTED / 2)
+        of, at, found = self.explained.of, self._nothing.at, math.log(UNEXPECTED / 2)
         for k in of.unit_of:
-            rows, here = of.problem.rows[k], solved.at.hypothesis
+            rows, weight = of.problem.rows[k], at.weight.get(k)
             mask = chosen[rows.entry]
-            if not mask.any():
-                continue
-            weight, scale = solved.at.weight.get(k), solved.scale[k]
-            column = of.whiten(here, (rows.root * mask)[:, None], k, weight)[:, 0] / scale
-            base = base_columns(of, solved.at, k) / scale
-            where = of.taking_part(k, solved.at.columns, here.form)
-            through = column @ base[:, :-1]
-            left = column @ column - through @ solved.covariance[np.ix_(where, where)] @ through
-            right = column @ (base[:, -1] - base[:, :-1] @ solved.mean[where])
-            own, widths = np.array([[max(float(left), 0.0)]]), np.array(AMPLITUDES)[:, None]
-            gains = gain_of_coefficients(own, np.array([float(right)]), widths, np.zeros(1, dtype=int))
-            gain += float(np.logaddexp.reduce(gains)) - math.log(len(AMPLITUDES))
-        return gain
+            if mask.any():
+                found += self._gain(self._nothing, k, of.whiten(at.hypothesis, (rows.root * mask)[:, None], k, weight))
+        return found
+
+    def _form_odds(self, others: Solved) -> float | None:
+        """Return the log odds of the form, or wrong record, of the leading explanation; None without one."""
+        of, form = self.explained.of, self.explained.posterior.top.hypothesis.form
+        if form is None:
+            return None
+
+        def gain(solved: Solved) -> float:
+            at, told = solved.at, (form.amplitude,)
+            columns = {k: of.form_columns(at.hypothesis, form, k, at.weight.get(k)) for k in form.channels}
+            return sum(self._gain(solved, k, each, told) for k, each in columns.items())
+
+        return form.log_prior + gain(self._nothing) - gain(others)
+
+    def _gain(self, solved: Solved, k: int, columns: np.ndarray, amplitudes: Sequence[float] = AMPLITUDES) -> float:
+        """Return the log evidence of whitened columns (n, C) of a channel beside a hypothesis, over its amplitudes."""
+        of, at = self.explained.of, solved.at
+        base, white = base_columns(of, at, k) / solved.scale[k], columns / solved.scale[k]
+        where = of.taking_part(k, at.columns, None)
+        through = white.T @ base[:, :-1]
+        own = white.T @ white - through @ solved.covariance[np.ix_(where, where)] @ through.T
+        right = white.T @ (base[:, -1] - base[:, :-1] @ solved.mean[where])
+        widths = np.repeat(np.array(amplitudes)[:, None], columns.shape[1], axis=1)
+        gains = gain_of_coefficients(own, right, widths, np.zeros(columns.shape[1], dtype=int))
+        return float(np.logaddexp.reduce(gains)) - math.log(len(amplitudes))
 
     def formula(self, channel: str) -> ResidualFormula | None:
         """Return the simplest formula for what the model leaves of a channel; None where no term is worth its odds."""
@@ -144,7 +189,7 @@ class LinearAnswers:
         for slot in self.explained.posterior.slots:
             for member in slot.members:
                 found.setdefault(member.effect, member.variant)
-        for _, n in self._screen.singles(conditional(of, self._nothing)):
+        for n in self._of_all:
             found.setdefault(of.variants[n].effect, n)
         return found
 

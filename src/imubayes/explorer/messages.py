@@ -238,6 +238,7 @@ class SelectionFacts(Record):
     p : probability of such a χ² by chance at the noise known beforehand.
     nothing, offset : probability that noise alone, or an offset of these rows alone, made them; None where all rows
         are selected, of which an offset is a bias.
+    form, form_words : probability of the form, or wrong record, of the leading explanation, and what it is.
     sentence : the same in words.
     runs : those with selected rows.
     """
@@ -250,6 +251,8 @@ class SelectionFacts(Record):
     unit: str
     nothing: float
     offset: float | None
+    form: float | None
+    form_words: str
     causes: tuple[RankedCause, ...]
     sentence: str
     runs: tuple[str, ...]

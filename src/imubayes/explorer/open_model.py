@@ -18,7 +18,7 @@ from imubayes.display.loop.diagnosis_report import (
     formula_source,
     next_command,
 )
-from imubayes.display.loop.diagnosis_sentences import evidence_text, sentence
+from imubayes.display.loop.diagnosis_sentences import evidence_text, form_text, sentence
 from imubayes.display.loop.selection_text import formula_text, preview_text, selection_text
 from imubayes.explorer.linear_view import LinearView
 from imubayes.explorer.messages import (
@@ -127,9 +127,13 @@ class OpenModel:
         rms, unit = self.table.rms(chosen) if n else (None, "")
         found = view.rank(chosen, without)
         best = (found.causes[0].effect, found.causes[0].probability) if found.causes else None
+        told = self.diagnosis.explanations.form if self.diagnosis.explanations is not None else None
+        words = form_text(told) if told is not None and found.form is not None else ""
+        if found.form is not None and found.form > (best[1] if best is not None else 0.0):
+            best = words, found.form
         return SelectionFacts(
             n=n, of=int(view.entries.sum()), chi2=chi2, p=p, rms=rms, unit=unit, nothing=found.nothing,
-            offset=found.offset, causes=found.causes,
+            offset=found.offset, form=found.form, form_words=words, causes=found.causes,
             sentence=selection_text(n, chi2, p, (rms, unit), best, found.nothing, found.offset),
             runs=tuple(map(str, np.unique(self.table.runs[self.table.run[chosen]]))),
         )  # fmt: skip

@@ -5,7 +5,7 @@ takes part are the same for every candidate, so that all are scored from one mat
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -49,59 +49,28 @@ def base_columns(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
     return np.concatenate([*parts, white[:, -1:]], axis=1)
 
 
-def conditional(of: EvidenceOf, solved: Solved, among: np.ndarray | None = None) -> Conditional:
-    """Return the likelihood of every coefficient beside a hypothesis.
-
-    Parameters
-    ----------
-    among : shape (E,) bool, entries in which alone further coefficients act; what takes part is known from all of them.
-    """
+def conditional(of: EvidenceOf, solved: Solved) -> Conditional:
+    """Return the likelihood of every coefficient beside a hypothesis."""
     problem, count, at = of.problem, len(of.problem.coefficients), solved.at
     own, right, across = np.zeros((count, count)), np.zeros(count), np.zeros((len(at.precision), count))
     every = problem.own + np.arange(count)
     for k in of.unit_of:
+        gram = of.gram(at.hypothesis, k, at.weight.get(k))
         here, place = of.select(k, every)
         which, inverse = np.flatnonzero(here), 1 / solved.scale[k] ** 2
+        own[np.ix_(which, which)] += inverse * gram.products[np.ix_(place, place)]
+        right[which] += inverse * gram.products[place, -1]
         taking, mine = of.select(k, at.columns)
-        products = _products(of, at, k) if among is None else _products_among(of, at, k, among)
-        own[np.ix_(which, which)] += inverse * products.own[np.ix_(place, place)]
-        right[which] += inverse * products.right[place]
-        across[np.ix_(np.flatnonzero(taking), which)] += inverse * products.across[np.ix_(mine, place)]
+        across[np.ix_(np.flatnonzero(taking), which)] += inverse * gram.products[np.ix_(mine, place)]
         form = at.hypothesis.form
         if form is not None and k in form.channels:
             columns = of.form_columns(at.hypothesis, form, k, at.weight.get(k))
+            white = of.whitened(at.hypothesis, k, at.weight.get(k))
             span = of.taking_part(k, at.columns, form)[len(mine) :]
-            across[np.ix_(span, which)] += inverse * columns.T @ products.white()[:, place]
+            across[np.ix_(span, which)] += inverse * columns.T @ white[:, place]
     left = own - across.T @ solved.covariance @ across
     np.fill_diagonal(left, np.maximum(np.diag(left), 0.0))
     return Conditional(left, right - across.T @ solved.mean)
-
-
-@dataclass(frozen=True)
-class _Further:
-    """Inner products of the columns of further coefficients, with themselves, the residual and those that take part.
-
-    `white` returns these columns whitened, (n, L + 1).
-    """
-
-    own: np.ndarray
-    right: np.ndarray
-    across: np.ndarray
-    white: Callable[[], np.ndarray]
-
-
-def _products(of: EvidenceOf, at: Evaluated, channel: int) -> _Further:
-    weight = at.weight.get(channel)
-    gram = of.gram(at.hypothesis, channel, weight).products
-    return _Further(gram, gram[:, -1], gram, lambda: of.whitened(at.hypothesis, channel, weight))
-
-
-def _products_among(of: EvidenceOf, at: Evaluated, channel: int, among: np.ndarray) -> _Further:
-    """Return the same of columns that are zero but in some entries."""
-    weight, rows = at.weight.get(channel), of.problem.rows[channel]
-    every = of.whitened(at.hypothesis, channel, weight)
-    some = of.whiten(at.hypothesis, rows.columns * among[rows.entry][:, None], channel, weight)
-    return _Further(some.T @ some, some.T @ every[:, -1], every.T @ some, lambda: some)
 
 
 def residuals(of: EvidenceOf, at: Evaluated) -> dict[int, np.ndarray]:

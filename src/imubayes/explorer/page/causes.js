@@ -28,9 +28,10 @@ export function drawCauses(place, actions) {
     chosen ? el("p", { class: "aside", id: "selection-sentence", role: "status" }, chosen.sentence) : null,
     selection ? other("noise alone", selection.nothing) : null,
     selection && selection.offset !== null ? other("an offset of these readings alone", selection.offset) : null,
+    selection && selection.form !== null ? other(selection.form_words || "outside the catalogue", selection.form) : null,
     lines,
     listed.length > MOST ? el("button", { class: "plain", onclick: () => { every = !every; drawCauses(place, actions); } }, every ? "fewer" : `${listed.length - MOST} more`) : null,
-    selection ? el("p", { class: "aside quiet" }, "Each cause acts in these readings alone; the parameters are as all readings tell them. Mark on the bar: probability from all readings.") : null,
+    selection ? el("p", { class: "aside quiet" }, "Each cause is judged by how well it predicts these readings from all others. Mark on the bar: probability from all readings.") : null,
     accept(actions, selection));
 }
 
