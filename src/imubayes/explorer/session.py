@@ -283,6 +283,7 @@ class Session:
     def _after(self, change: ModelChange, command: str, tell: Tell) -> TaskOutcome:
         self.keep(command)
         lines = tuple(change_lines(change))
+        self.worker.say(lines)  # its diagnosis may take longer than the refit
         return self._opened(change.result, tell, lines) if change.taken else TaskOutcome("", lines)
 
     def _refuse_changed_campaign(self, model: OpenModel) -> None:

@@ -101,6 +101,12 @@ class Worker:
             self._cancelled.add(number)
             self._update(number, state="cancelling")
 
+    def say(self, lines: tuple[str, ...]) -> None:
+        """Tell what the task at work has brought so far."""
+        for each in self.tasks:
+            if each.state == "running":
+                self._update(each.number, lines=lines)
+
     def _update(self, number: int, **changes: object) -> None:
         with self._lock:
             self._tasks[number] = self._tasks[number].model_copy(update=changes)

@@ -12,9 +12,9 @@ export function drawCauses(place, actions) {
     fill(place);
     return;
   }
-  const chosen = view.brushes.length && told.selection?.n ? told.selection : null;
+  const chosen = view.brushes.length ? told.selection : null;
   // A saved page knows what is selected, and cannot rank it.
-  const selection = chosen && chosen.nothing !== null ? chosen : null;
+  const selection = chosen?.n && chosen.nothing !== null ? chosen : null;
   const known = new Map(facts.causes.map((cause) => [cause.effect, cause]));
   const listed = selection ? selection.causes.filter((each) => known.has(each.effect)) : facts.causes;
   const ticked = view.ticked.filter((effect) => known.has(effect) && !listed.some((each) => each.effect === effect));
