@@ -7,6 +7,7 @@ import re
 import struct
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -14,6 +15,7 @@ import pytest
 from explore_client import settled
 
 from imubayes.api import add, diagnose
+from imubayes.cli.main import run
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.display.loop.diagnosis_report import diagnosis_json
 from imubayes.display.loop.selection_text import selection_text
@@ -23,6 +25,7 @@ from imubayes.explorer.session import Session
 from imubayes.results.stored_tables import read_summary_and_residuals
 
 HIDDEN = "gyro_scale_asymmetry"
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -31,12 +34,17 @@ def facts(client, first):
 
 
 @pytest.fixture(scope="module")
+def told(explored):
+    """What the command says of the first result."""
+    return diagnosis_json(diagnose(explored.session.root))
+
+
+@pytest.fixture(scope="module")
 def model(explored, first):
     return explored.session.require(first)
 
 
-def test_the_verdict_is_that_of_the_command(explored, facts):
-    told = diagnosis_json(diagnose(explored.session.root))
+def test_the_verdict_is_that_of_the_command(facts, told):
     assert facts["verdict"] == told["verdict"] == "missing_effect"
     assert facts["sentence"] == told["sentence"]
     assert facts["explanations"] == told["explanations"]["explanations"]
@@ -60,8 +68,7 @@ def test_chi2_is_that_of_the_fit_and_of_the_diagnosis(explored, facts):
     assert sum(cell["chi2"] for cell in facts["cells"]) == pytest.approx(facts["chi2"], rel=0.05)
 
 
-def test_a_preview_predicts_what_the_diagnosis_predicts(client, explored, first, facts):
-    told = diagnosis_json(diagnose(explored.session.root))
+def test_a_preview_predicts_what_the_diagnosis_predicts(client, first, facts, told):
     found = client.json("preview", {"model": first, "effects": [HIDDEN]})
     assert found["delta_chi2"] == pytest.approx(told["delta_chi2"], rel=1e-9)
     assert sum(found["cells"]) < 0.5 * sum(cell["chi2"] for cell in facts["cells"])
@@ -422,3 +429,19 @@ def test_a_selection_is_told_by_what_explains_it(nothing, offset, best, said):
     found = selection_text(3, 12.5, 0.006, (1.5, "deg/h"), best, nothing, offset)
     assert found.startswith("3 readings: χ² 12.50 (p = 0.006), 1.50 deg/h rms.")
     assert said in found
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere"], "no such result folder"),
+        ([str(ROOT / "data" / "hidden-gyro")], "a campaign needs a model"),
+        ([str(ROOT / "data" / "hidden-gyro"), "--model", "nothing.toml"], "nothing.toml"),
+    ],
+)
+def test_what_cannot_be_explored_is_told_before_a_page_is_opened(words, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(["explore", *words, "--no-browser"]) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert "\n  do: " in told

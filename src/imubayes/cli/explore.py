@@ -1,5 +1,6 @@
 """Command `imubayes explore`: the loop on a page of this machine, in the browser."""
 
+from contextlib import suppress
 from pathlib import Path
 
 from imubayes.cli.session import Flag, Trust, progress, start_jax, trusting
@@ -52,6 +53,7 @@ def explore(
         begun = begin(place, model, out, port=port, browser=not no_browser)
     print(f"{begun.address}\nStop with Ctrl-C; what was accepted is kept.", flush=True)
     try:
-        begun.wait()
+        with suppress(KeyboardInterrupt):
+            begun.wait()
     finally:
         begun.stop()

@@ -14,6 +14,7 @@ from imubayes.explorer.guard import HOST, new_token
 from imubayes.explorer.server import application
 from imubayes.explorer.session import Session
 from imubayes.foundations.errors import input_error
+from imubayes.model.model_file import read_model
 from imubayes.results.folder_files import MANIFEST, checked
 from imubayes.results.result import Result, read_result
 
@@ -129,6 +130,7 @@ def _of_folder(place: Path, model: str | Path | None, out: str | Path | None) ->
     if model is None:
         raise input_error("a campaign needs a model", str(place), "--model FILE",
                           "name the model, or a result folder in place of the campaign")  # fmt: skip
+    read_model(model)  # what is wrong with it is told before a page is opened
     root = Path(out) if out is not None else Path("results") / f"{place.resolve().name}-{Path(model).stem}"
     session = Session(root)
     if (root / MANIFEST).is_file():
