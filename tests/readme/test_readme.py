@@ -45,7 +45,7 @@ def test_there_are_commands():
 
 # What takes long is run by `make study`: a whole qualification compiles for a minute, an archive is fitted in one.
 LONG = ("Procedures", "Archives")
-WRITTEN = {"archive": "unit=*/*.parquet", "batch": "model-*/part-*/units.parquet"}
+WRITTEN = {"convert": "mapping.toml", "archive": "unit=*/*.parquet", "batch": "model-*/part-*/units.parquet"}
 
 
 @pytest.fixture

@@ -11,13 +11,14 @@ import polars as pl
 from imubayes.display.onboard.export_files import ExportOptions, Format, write_constants
 from imubayes.display.progress import progress_of
 from imubayes.foundations.errors import input_error
+from imubayes.noise_analysis.noise_densities import of_record
 from imubayes.qualification.onboard.constants import onboard_constants as constants_of
 from imubayes.qualification.onboard.inputs_along_axes import (
     CalibratedInputs,
     inputs_along_axes,
     read_readings,
 )
-from imubayes.qualification.onboard.losses import Loss, of_fit, of_record, read_noise, refuse_other_unit
+from imubayes.qualification.onboard.losses import Loss, of_fit, read_noise, refuse_other_unit
 from imubayes.qualification.onboard.record import OnboardConstants
 from imubayes.qualification.onboard.recording_files import (
     CorrectedRecording,

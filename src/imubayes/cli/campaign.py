@@ -140,8 +140,8 @@ def noise(
     runs
         Runs of procedure static_record; by default all of them.
     out
-        Folder to write: noise.json, the Allan deviation of every run as a figure, and noise-priors.toml, the
-        terms as priors for models of other campaigns of the unit (key `noise_priors` of a model file).
+        Folder to write: noise.json, the Allan deviation of every run as a figure, imu.yaml for kalibr, and
+        noise-priors.toml, the terms as priors for models of other campaigns of the unit (key `noise_priors`).
     shortest_tau
         Shortest averaging time in s that the terms have to describe; above 0 where a filter shapes the noise of
         single samples.
@@ -158,13 +158,15 @@ def noise(
             raise input_error(f"a value of {value:g}", name, "a number above 0", "correct it")
     written: list[Path] = []
     with progress("reading the campaign") as tell:
-        found = static_noise(load_campaign(campaign), split(runs) or (), shortest_tau, tell)
+        read = load_campaign(campaign)
+        found = static_noise(read, split(runs) or (), shortest_tau, tell)
         if out is not None:
             from imubayes.display.noise_report import write_noise
+            from imubayes.noise_analysis.noise_densities import of_record
 
             tell("drawing")
             out.mkdir(parents=True, exist_ok=True)
-            written = write_noise(out, found, sample_rate)
+            written = write_noise(out, found, sample_rate, of_record(found, read))
 
     def report() -> "Report":
         from imubayes.display.noise_report import noise_report  # it brings Matplotlib

@@ -9,7 +9,7 @@ There is a figure per record.  The sentences state what a static record holds be
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +17,11 @@ import numpy as np
 from imubayes.display.figures.allan import allan_figure
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, rounded, significant
+from imubayes.display.onboard.noise_yaml import noise_yaml
 from imubayes.foundations.files import write_text
 from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.described_band import Cause, Gap
+from imubayes.noise_analysis.noise_densities import NoiseDensity
 from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, TermRecord
 
 # Effect, parameter and factor from output units and seconds of each coefficient; white noise is scaled by the sampling
@@ -294,7 +296,7 @@ _NAMES_BY_KIND = {
     NoiseTerm.RAMP: ("rate ramp R", "acceleration ramp R"),
 }
 _REASONS = {"empty": "without a sample", "constant": "constant, dead or coarser than its noise"}
-NOISE_FILE, PRIORS_FILE = "noise.json", "noise-priors.toml"
+NOISE_FILE, PRIORS_FILE, KALIBR_FILE = "noise.json", "noise-priors.toml", "imu.yaml"
 
 
 def noise_report(noise: StaticNoise) -> Report:
@@ -370,10 +372,19 @@ def _of_ambiguity(noise: ChannelNoise) -> list[str]:
     return found
 
 
-def write_noise(folder: Path, noise: StaticNoise, sample_rate: float | None = None) -> list[Path]:
-    """Write the record, the priors if there are any, and a figure of each record into a folder; return the files."""
+def write_noise(
+    folder: Path,
+    noise: StaticNoise,
+    sample_rate: float | None = None,
+    densities: Mapping[str, NoiseDensity] | None = None,
+) -> list[Path]:
+    """Write the record, kalibr's `imu.yaml`, priors if there are any, and a figure of each record; return the files."""
     write_text(folder / NOISE_FILE, noise.json_text())
     written = [folder / NOISE_FILE]
+    if densities:
+        rate = sample_rate or 1 / min(channel.interval_s for channel in noise.channels)
+        write_text(folder / KALIBR_FILE, noise_yaml(densities, rate, f"campaign '{noise.campaign}'"))
+        written.append(folder / KALIBR_FILE)
     if any(has_priors(channel) for channel in noise.channels):
         write_text(folder / PRIORS_FILE, priors_text(noise, sample_rate))
         written.append(folder / PRIORS_FILE)

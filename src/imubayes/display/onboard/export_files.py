@@ -8,7 +8,8 @@ from typing import Literal
 from imubayes.display.onboard import formats
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import write_text
-from imubayes.qualification.onboard.losses import Loss, NoiseDensity, losses
+from imubayes.noise_analysis.noise_densities import NoiseDensity
+from imubayes.qualification.onboard.losses import Loss, losses
 from imubayes.qualification.onboard.record import OnboardConstants
 
 Format = Literal["json", "c", "kalibr", "px4", "ardupilot", "ros"]

@@ -19,9 +19,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from imubayes.display.onboard.noise_yaml import KALIBR_NAMES, density_lines, yaml_number
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.units import BIAS_CONVENTION
-from imubayes.qualification.onboard.losses import Loss, NoiseDensity, along_axes, kalibr_matrices
+from imubayes.noise_analysis.noise_densities import NoiseDensity
+from imubayes.qualification.onboard.losses import Loss, along_axes, kalibr_matrices
 from imubayes.qualification.onboard.record import (
     OnboardConstants,
     ThermalPolynomial,
@@ -77,12 +79,6 @@ def heading(constants: OnboardConstants, found: Sequence[Loss]) -> list[str]:
         lines.append(f"Not measured, but fixed by the model or its priors: {', '.join(constants.not_determined)}.")
     lines += [f"Left out: {in_words(loss)}." for loss in found]
     return lines
-
-
-def yaml_number(value: float) -> str:
-    """Return a number that YAML 1.1 reads as one: with a point, as in 1.0e-05; 1e-05 would be a text."""
-    mantissa, mark, exponent = repr(float(value)).partition("e")
-    return f"{mantissa}{'' if '.' in mantissa or not mark else '.0'}{mark}{exponent}"
 
 
 def yaml_row(values: Sequence[float]) -> str:
@@ -192,9 +188,6 @@ def _initialiser(rows: Sequence[Sequence[float]]) -> str:
     return "{" + ", ".join(map(_row, rows)) + "}"
 
 
-_NAMES = {"accelerometer": "accelerometer", "gyro": "gyroscope"}
-
-
 def kalibr_yaml(
     constants: OnboardConstants, found: Sequence[Loss], noise: Mapping[str, NoiseDensity], rate: float, topic: str
 ) -> str:
@@ -213,11 +206,8 @@ def kalibr_yaml(
     """
     _refuse_incomplete(constants, noise)
     matrices = kalibr_matrices(constants)
-    limits = [name for kind, name in _NAMES.items() if kind in noise and noise[kind].walk_is_limit]
     lines = [f"# {line}" for line in heading(constants, found)]
     lines += [
-        "# Noise is that of the noisiest axis of a triad, in SI units.",
-        *(f"# {name}_random_walk is an upper limit of 95 %: the record did not determine it." for name in limits),
         "# r_a = M f + b_a; r_g = M C_gyro_i w + A C_gyro_i f + b_g: from the truth to the reading, in the frame i.",
         "# Biases are not part of this file: kalibr estimates them along the recording.",
         "# C_i_body turns body axes of the campaign into the frame i; kalibr ignores it.",
@@ -228,11 +218,7 @@ def kalibr_yaml(
         *(f"- {yaml_row(row)}" for row in np.eye(4).tolist()),
         "time_offset: 0.0",
     ]
-    for kind, name in _NAMES.items():
-        known = noise[kind]
-        if known.white is not None and known.walk is not None:
-            lines.append(f"{name}_noise_density: {yaml_number(known.white)}")
-            lines.append(f"{name}_random_walk: {yaml_number(known.walk)}")
+    lines += density_lines(noise)
     if matrices.accelerometers is not None:
         lines += ["accelerometers:", *_matrix("M", matrices.accelerometers)]
     if matrices.gyroscopes is not None and matrices.g_sensitivity is not None and matrices.gyro_from_imu is not None:
@@ -258,7 +244,7 @@ def _refuse_incomplete(constants: OnboardConstants, noise: Mapping[str, NoiseDen
     issues += [
         Issue(f"the unit has no complete set of {kind}s", "--format kalibr", "gyros and accelerometers",
               "export as json or c")
-        for kind in _NAMES if kind not in present
+        for kind in KALIBR_NAMES if kind not in present
     ]  # fmt: skip
     for kind in sorted(present):
         known = noise.get(kind, NoiseDensity(None, None))

@@ -21,10 +21,9 @@ from typing import Literal
 
 import numpy as np
 
-from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
-from imubayes.noise_analysis.cosine_spectra import NoiseTerm
-from imubayes.noise_analysis.noise_record import StaticNoise, coefficient_unit
+from imubayes.noise_analysis.noise_densities import NoiseDensity
+from imubayes.noise_analysis.noise_record import StaticNoise
 from imubayes.qualification.onboard.record import OnboardConstants, ThermalPolynomial, TriadConstants
 from imubayes.results.result import Result
 
@@ -72,22 +71,6 @@ def lower_and_rotation(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 _SECONDS = math.sqrt(3600.0)
 
 
-@dataclass(frozen=True)
-class NoiseDensity:
-    """The noise of the gyros or the accelerometers.
-
-    Attributes
-    ----------
-    white : rad/s/√Hz or m/s²/√Hz; None where unknown.
-    walk : rad/s²/√Hz or m/s³/√Hz; None where unknown.
-    walk_is_limit : whether the walk is an upper limit of 95 %.
-    """
-
-    white: float | None
-    walk: float | None
-    walk_is_limit: bool = False
-
-
 def read_noise(file: Path) -> StaticNoise:
     """Read what `imubayes noise --out` wrote.
 
@@ -115,27 +98,6 @@ def refuse_other_unit(noise: StaticNoise, campaign: Campaign, where: str) -> Non
         f"the noise record is of {of}, the constants are of {mine}", where, "a static record of the same unit",
         "record this unit and run `imubayes noise` on it, or take the other's with --noise-of-another-unit",
     )  # fmt: skip
-
-
-def of_record(noise: StaticNoise, campaign: Campaign) -> dict[str, NoiseDensity]:
-    """Return the noise of a static record, kind → density."""
-    found = {}
-    for kind in ("gyro", "accelerometer"):
-        white, walk = [], []
-        for record in noise.channels:
-            channel = next((c for c in campaign.of_kind(kind) if c.name == record.channel), None)
-            if channel is None:
-                continue
-            for term, into in ((NoiseTerm.WHITE, white), (NoiseTerm.RANDOM_WALK, walk)):
-                si = coefficient_unit(channel, term, campaign.site.gravity)[1]
-                own = record.of(term)
-                value = own.value if own.determined else own.upper_limit
-                if value is not None:
-                    into.append((value * si, not own.determined))
-        if white:
-            largest, limit = max(walk) if walk else (None, False)
-            found[kind] = NoiseDensity(max(white)[0], largest, limit)
-    return found
 
 
 def of_fit(result: Result, constants: OnboardConstants, rate: float | None) -> dict[str, NoiseDensity]:
