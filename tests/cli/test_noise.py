@@ -128,3 +128,16 @@ def read_model_text(file: Path, text: str) -> ModelSpec:
 def test_what_cannot_be_analysed_is_refused(words: list[str], what: str, capsys: pytest.CaptureFixture):
     assert run(words) == 2
     assert what in capsys.readouterr().err
+
+
+def test_kalibr_has_its_file_without_a_fit(written: Path, record: StaticNoise):
+    lines = [line for line in (written / "imu.yaml").read_text().splitlines() if not line.startswith("#")]
+    read = dict(line.split(": ") for line in lines)
+    noisiest = max(WHITE[name] for name in ("gx", "gy", "gz")) * np.pi / 180 / 60
+    assert float(read["gyroscope_noise_density"]) == pytest.approx(noisiest, rel=0.05)
+    noisiest = 1e-6 * 9.8 * max(WHITE[name] for name in ("ax", "ay", "az"))
+    assert float(read["accelerometer_noise_density"]) == pytest.approx(noisiest, rel=0.05)
+    walks = [term for one in record.channels if one.kind == "gyro" for term in [one.of(NoiseTerm.RANDOM_WALK)]]
+    largest = max(term.value if term.determined else term.upper_limit or 0.0 for term in walks)
+    assert float(read["gyroscope_random_walk"]) == pytest.approx(largest * np.pi / 180 / 3600 / 60, rel=1e-6)
+    assert float(read["update_rate"]) == pytest.approx(1 / record.channels[0].interval_s)

@@ -5,6 +5,7 @@ import pytest
 import static_record as generator
 from scipy.signal import butter, lfilter
 
+from imubayes.noise_analysis.allan_deviation import allan_variance
 from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.described_band import Cause, DescribedBand
 from imubayes.noise_analysis.noise_terms import NoiseEstimate, TermEstimate, estimate_terms
@@ -221,3 +222,25 @@ def test_drift_with_temperature_is_told_from_random_walks():
         drift = without_temperature(from_samples(walk + 1.5 * temperature, step), recorded)[1]
         assert drift is not None
         assert abs(drift.slope - 1.5) < 4 * drift.sd
+
+
+def test_stretches_without_rest_are_left_out_on_request():
+    """Bursts of twenty times the noise and pushes of the mean; flicker noise beside them stays."""
+    generator = np.random.default_rng(8)
+    samples = 200_000
+    quiet = generator.normal(size=samples) + 0.02 * np.cumsum(generator.normal(size=samples))
+    loud = quiet.copy()
+    for start in (30_000, 90_000, 150_500):
+        loud[start : start + 800] += 20 * generator.normal(size=800)
+    loud[120_000:121_000] += 60.0
+    record = from_samples(loud, 0.01)
+    assert examined(record).contamination is None
+    seen = examined(record, robust=True)
+    found = seen.contamination
+    assert found is not None
+    assert found.count == 4
+    assert 0.015 < found.share < 0.035
+    assert float(allan_variance(seen.cleaned).variance[0]) == pytest.approx(1.0, rel=0.02)
+    assert float(allan_variance(record).variance[0]) > 3.0
+    # A quiet record loses nothing, nor does one that drifts.
+    assert examined(from_samples(quiet, 0.01), robust=True).contamination is None

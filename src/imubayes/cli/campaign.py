@@ -127,6 +127,7 @@ def noise(
     out: Path | None = None,
     shortest_tau: float = 0.0,
     sample_rate: float | None = None,
+    robust: Flag = False,
     as_json: Json = False,
 ) -> int:
     """Estimate the noise terms of static records by likelihood, and their Allan deviations.
@@ -147,6 +148,8 @@ def noise(
         single samples.
     sample_rate
         Sampling rate in Hz of the raw data of those campaigns, for the priors; by default that of the record.
+    robust
+        Leave out stretches in which the unit did not rest: steps on the floor, a hand on the bench.
     as_json
         Print one JSON object on standard output.
     """
@@ -159,7 +162,7 @@ def noise(
     written: list[Path] = []
     with progress("reading the campaign") as tell:
         read = load_campaign(campaign)
-        found = static_noise(read, split(runs) or (), shortest_tau, tell)
+        found = static_noise(read, split(runs) or (), shortest_tau, tell, robust)
         if out is not None:
             from imubayes.display.noise_report import write_noise
             from imubayes.noise_analysis.noise_densities import of_record

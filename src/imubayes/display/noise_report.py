@@ -146,8 +146,8 @@ _MOST_LINES = 5
 def beside_noise(noise: ChannelNoise) -> list[str]:
     """Return a sentence for each finding."""
     return [
-        *_of_repetition(noise), *_of_outliers(noise), *_of_temperature(noise), *_of_lines(noise), *_of_change(noise),
-        *_of_filter(noise), *_of_gaps(noise), *_of_levels(noise), *_of_rounding(noise),
+        *_of_repetition(noise), *_of_outliers(noise), *_of_contamination(noise), *_of_temperature(noise),
+        *_of_lines(noise), *_of_change(noise), *_of_filter(noise), *_of_gaps(noise), *_of_levels(noise), *_of_rounding(noise),
     ]  # fmt: skip
 
 
@@ -205,6 +205,17 @@ def _of_outliers(noise: ChannelNoise) -> list[str]:
     many = "an outlier is" if found.count == 1 else f"{found.count} outliers are"
     size = f"{found.size:.3g} {pretty(noise.output_unit)}"
     return [f"{many} left out; the largest is {size} off at {found.time_s:.6g} s."]
+
+
+def _of_contamination(noise: ChannelNoise) -> list[str]:
+    found = noise.contamination
+    if found is None:
+        return []
+    many = "a stretch is" if found.count == 1 else f"{found.count} stretches are"
+    return [
+        f"{many} left out in which the unit did not rest, {100 * found.share:.2g} % of the record, the loudest at "
+        f"{found.loudest_s:.6g} s."
+    ]
 
 
 def _of_temperature(noise: ChannelNoise) -> list[str]:

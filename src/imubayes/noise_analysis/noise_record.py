@@ -12,6 +12,7 @@ from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import counted, silent
 from imubayes.foundations.records import Record, finite
 from imubayes.noise_analysis.allan_deviation import AllanVariance, allan_variance
+from imubayes.noise_analysis.contamination import Contamination
 from imubayes.noise_analysis.cosine_spectra import NoiseTerm, allan_shape, cosine_statistics
 from imubayes.noise_analysis.described_band import (
     LEAST_OCTAVES,
@@ -133,6 +134,7 @@ class ChannelNoise(Record):
     misfit: list[Octave]
     repetition: Repetition | None = None
     outliers: OutlyingSamples | None = None
+    contamination: Contamination | None = None
     temperature: TemperatureDrift | None = None
     lines: list[SpectralLine] = []
     gaps: list[Gap] = []
@@ -178,6 +180,7 @@ def static_noise(
     runs: Sequence[str] = (),
     shortest_tau: float = 0.0,
     progress: Callable[[str], None] | None = None,
+    robust: bool = False,
 ) -> StaticNoise:
     """Return the noise of the static records of a campaign.
 
@@ -187,6 +190,7 @@ def static_noise(
     runs : names of static records; all where empty.
     shortest_tau : leave out frequencies above 1/(2 `shortest_tau`), s, where a filter shapes the noise.
     progress : called with a short text as the work goes on.
+    robust : leave out stretches in which the unit did not rest.
 
     Raises
     ------
@@ -207,7 +211,7 @@ def static_noise(
             record = sums.pop(channel.name, None)
             noise = None
             if record is not None and record.resolution:
-                noise = _of_channel(campaign, run, channel, record, temperature, shortest_tau)
+                noise = _of_channel(campaign, run, channel, record, temperature, shortest_tau, robust)
             if noise is None:
                 reason = "empty" if record is None else "constant"
                 left_out.append(SilentChannel(run=run.name, channel=channel.name, reason=reason))
@@ -238,13 +242,14 @@ def _of_channel(
     record: RunningSum,
     temperature: RunningSum | None,
     shortest_tau: float,
+    robust: bool,
 ) -> ChannelNoise | None:
     """Return the noise of a channel; None where it is constant but for steps over gaps."""
     _refuse_short(record, shortest_tau, f"run '{run.name}', channel '{channel.name}'")
     variance = allan_variance(record)
     if not variance.variance[0] > 0:
         return None
-    seen = examined(record, temperature)
+    seen = examined(record, temperature, robust)
     band = seen.band(shortest_tau)
     estimate = estimate_terms(band.likelihood)
     own = seen.own_rate
@@ -279,6 +284,7 @@ def _of_channel(
         misfit=misfits(octave_fits(band.likelihood, estimate.full)),
         repetition=seen.repetition,
         outliers=seen.outliers,
+        contamination=seen.contamination,
         temperature=seen.temperature,
         lines=list(seen.lines),
         gaps=list(band.gaps),

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.fft import dct
 
 from imubayes.foundations.tail_probabilities import binomial_survival, chi2_survival
+from imubayes.noise_analysis.contamination import Contamination, without_contamination
 from imubayes.noise_analysis.cosine_spectra import NoiseTerm, cosine_statistics
 from imubayes.noise_analysis.described_band import SLOW, Cause, DescribedBand, described_band, withheld_terms
 from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
@@ -283,6 +284,7 @@ class Examination:
     cleaned: RunningSum
     repetition: Repetition | None
     outliers: OutlyingSamples | None
+    contamination: Contamination | None
     temperature: TemperatureDrift | None
     lines: tuple[SpectralLine, ...]
     change: SuddenChange | None
@@ -325,20 +327,24 @@ class Examination:
         return SLOW if broad else ()
 
 
-def examined(record: RunningSum, temperature: RunningSum | None = None) -> Examination:
+def examined(record: RunningSum, temperature: RunningSum | None = None, robust: bool = False) -> Examination:
     """Return a record without what is no noise.
 
     Parameters
     ----------
     temperature : recorded beside it, K.
+    robust : whether stretches that are no rest are left out.
     """
     own_rate, repetition = at_own_rate(record)
     cleaned, outliers = without_outliers(own_rate)
-    drift = None
+    drift = contamination = None
+    if robust:
+        cleaned, contamination = without_contamination(cleaned)
     if temperature is not None:
         cleaned, drift = without_temperature(cleaned, temperature)
     cleaned, lines = without_lines(cleaned)
-    return Examination(own_rate, cleaned, repetition, outliers, drift, lines, sudden_change(cleaned))
+    change = sudden_change(cleaned)
+    return Examination(own_rate, cleaned, repetition, outliers, contamination, drift, lines, change)
 
 
 def unequal_levels(record: RunningSum, likelihood: NoiseLikelihood, best: Maximum) -> float:
