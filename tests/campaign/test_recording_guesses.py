@@ -29,6 +29,7 @@ NAMED = {
     "gFy": ("ay", "g"), "accSmooth[1] (m/s/s)": ("ay", "m/s^2"), "ay [g]": ("ay", "g"), "gx_dps": ("gx", "deg/s"),
     "x_mean (g)": ("ax", "g"), "angular_velocity.z": ("gz", ""), "ustime": ("time_s", "us"), "a_z": ("az", ""),
     "T [°C]": ("temperature_degC", "degC"), "rotationRate.x(rad/s)": ("gx", "rad/s"), "acc_x_mg": ("ax", "mg"),
+    "SampleTimeFine": ("time_s", "100us"),
     "#timestamp [ns]": ("time_s", "ns"), "TimeUS": ("time_s", "us"), "imu.temperature": ("temperature_degC", ""),
 }  # fmt: skip
 OTHERS = (

@@ -147,7 +147,8 @@ def beside_noise(noise: ChannelNoise) -> list[str]:
     """Return a sentence for each finding."""
     return [
         *_of_repetition(noise), *_of_outliers(noise), *_of_contamination(noise), *_of_temperature(noise),
-        *_of_lines(noise), *_of_change(noise), *_of_filter(noise), *_of_gaps(noise), *_of_levels(noise), *_of_rounding(noise),
+        *_of_lines(noise), *_of_change(noise), *_of_filter(noise), *_of_gaps(noise), *_of_levels(noise),
+        *_of_rounding(noise),
     ]  # fmt: skip
 
 

@@ -203,8 +203,8 @@ def _without_names(
         return replace(table, faults=(Issue(names, topic.where, "as many names as data fields", state),))
     if not alone and topic.name and not hinted_kind(topic, recording):
         return table
-    read = [place for place, column in enumerate(topic.columns) if column.unit != "text"]
     try:
+        read = _numeric(topic, names, state)
         layout = infer_layout(read_columns(recording, topic, read), hinted_kind(topic, recording), topic.where, names)
     except InputError as error:
         return replace(table, faults=error.issues)
@@ -215,6 +215,15 @@ def _without_names(
     if options.sample_rate_hz is not None and TIME not in stated:
         columns.pop(TIME, None)
     return replace(table, columns=columns, evidence=layout.evidence)
+
+
+def _numeric(topic: Topic, names: str, state: str) -> list[int]:
+    """Return the columns without text, which must stand first: they are told by their number."""
+    read = [place for place, column in enumerate(topic.columns) if column.unit != "text"]
+    if read != list(range(len(read))):
+        text = f"{names}, and text stands before or between its numbers"
+        raise input_error(text, topic.where, "columns of numbers, text behind them", state)
+    return read
 
 
 def _by_name(

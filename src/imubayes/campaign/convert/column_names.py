@@ -46,7 +46,7 @@ GYRO_UNITS = {
     "deg": InputUnit("deg/s", 1.0, True),
     "count": InputUnit("rad/s"),
 }
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "100us": 1e-4, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 TEMPERATURE_UNITS = ("degC", "K", "degF")
 _WORDS_OF_TIME = (DATE, CLOCK, "stamp")  # what a text table holds in words is read as seconds
 
@@ -127,6 +127,12 @@ class ColumnRole:
     exact: bool = False
 
 
+# Names that do not say what their unit is: Physics Toolbox, Xsens.
+_OF_PROGRAMS = {f"gF{axis}": ColumnRole(f"a{axis}", "g") for axis in _AXES} | {
+    "SampleTimeFine": ColumnRole(TIME, "100us")
+}
+
+
 def unit_named(word: str) -> str:
     """Return the unit that is written in any usual spelling; empty where it is none that a recording has."""
     plain = word.strip().strip("[](){}").replace("²", "2").replace("⁻", "-").replace("¹", "1")
@@ -159,8 +165,8 @@ def role_of(name: str, stated_unit: str = "") -> ColumnRole | None:
         return ColumnRole(TIME if stated_unit == "stamp" else stated_unit, "s")
     if name in _TARGETS:
         return ColumnRole(name, unit_named(stated_unit) or _own_unit(name), (), True)
-    if re.fullmatch("gF[xyz]", name):  # Physics Toolbox
-        return ColumnRole(f"a{name[-1]}", "g")
+    if name in _OF_PROGRAMS:
+        return _OF_PROGRAMS[name]
     index = _INDEX.search(name)
     bare = name[: index.start()] + name[index.end() :] if index else name
     bracketed = [unit for found in _BRACKETED.findall(bare) if (unit := unit_named(found))]

@@ -39,7 +39,7 @@ class ConvertOptions:
     sample_rate_hz: float | None = None
     """Sampling rate; the samples are taken as even, whatever times were recorded."""
     time_unit: str = ""
-    """Unit of the time column: s, ms, us, ns, min or h."""
+    """Unit of the time column: s, ms, us, ns, 100us, min or h."""
     clock: str = ""
     """recorded: times as they are; even: samples evenly spaced at the mean rate; by default even where they arrive in
     packets."""
@@ -51,7 +51,7 @@ class ConvertOptions:
     """Column of the run table → column of the recording, by name or by number from 1; a minus sign before it turns it
     round."""
     delimiter: str | None = None
-    """comma, semicolon, tab or space; by default detected."""
+    """comma, semicolon, tab, bar or space; by default detected."""
     gravity_m_s2: float | None = None
     """Measured gravity of the site."""
     latitude_deg: float | None = None

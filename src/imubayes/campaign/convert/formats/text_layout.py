@@ -16,7 +16,7 @@ from imubayes.campaign.convert.column_names import is_unit
 from imubayes.campaign.convert.formats.cell_values import CellKind, has_decimal_comma, is_number, kind_of
 from imubayes.foundations.errors import input_error
 
-DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
+DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": None}
 # A sign of numpy.savetxt, MATLAB, C and others before a line that is not data.
 COMMENT_SIGN = re.compile(r"\s*(#+|%+|!+|\*+|;+|//+|--+(?![\d.])) *")
 _MOST_LINES = 300  # among which the first numbers are sought
@@ -134,7 +134,7 @@ def split_cells(line: str, separator: str | None) -> list[str]:
 
 def _separator(line: str) -> tuple[str | None, bool]:
     """Return the delimiter of a line, and whether commas in it are decimal signs."""
-    mark = next((mark for mark in "\t;" if mark in line.rstrip()), None)
+    mark = next((mark for mark in "\t;|" if mark in line.rstrip()), None)
     if mark is None and "," in line:
         words = line.split()
         if len(words) > 1 and sum(map(has_decimal_comma, words)) > len(words) / 2:
