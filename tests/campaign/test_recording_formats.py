@@ -207,6 +207,8 @@ def test_what_cannot_be_read_lists_what_was_found(tmp_path: Path) -> None:
     assert "--column ax=NAME" in issue.remedy
     for name, content, text in (
         ("flight.bbl", b"H Product:Blackbox flight data recorder\nH \0\1", "blackbox_decode"),
+        ("log.mf4", b"MDF     4.10    \0\0", "an MDF file"),
+        ("table.xlsx", b"PK\x03\x04\x14\0\x06\0[Content_Types].xml", "save the sheet as CSV"),
         ("picture", b"\x89PNG\r\n\x1a\n\0\0\0", "of no known kind"),
     ):
         (tmp_path / name).write_bytes(content)

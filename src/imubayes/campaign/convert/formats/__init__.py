@@ -9,7 +9,17 @@ from imubayes.campaign.convert.recording import SourceRecording
 from imubayes.foundations.errors import closest_first, input_error
 
 _HEAD = 4096
-_BLACKBOX = b"H Product:Blackbox"
+# Beginning of a file → what it is, and how it becomes one that is read.
+_ELSEWHERE = (
+    (
+        b"H Product:Blackbox",
+        "a Betaflight blackbox log",
+        "blackbox_decode --unit-rotation deg/s --unit-acceleration m/s2 LOG, and convert the CSV",
+    ),
+    (b"MDF     ", "an MDF file", "export its channels as CSV or Parquet, such as `asammdf` does"),
+    (b"PK\x03\x04", "an archive or a spreadsheet", "unpack it, or save the sheet as CSV"),
+    (b"\xd0\xcf\x11\xe0", "a spreadsheet", "save the sheet as CSV"),
+)
 
 _BY_CONTENT: tuple[tuple[str, Callable[[bytes], bool], Callable[[Path], SourceRecording]], ...] = (
     ("Parquet", lambda head: head.startswith(parquet.MAGIC), parquet.ParquetRecording),
@@ -48,12 +58,10 @@ def open_recording(file: Path, delimiter: str | None = None) -> SourceRecording:
     for _, fits, reader in _BY_CONTENT:
         if fits(head):
             return reader(file)
-    if head.startswith(_BLACKBOX):
-        raise input_error(
-            "the file is a Betaflight blackbox log, which is not decoded here", str(file),
-            "its CSV, with columns time (us), gyroADC[0], accSmooth[0]",
-            "decode it: blackbox_decode --unit-rotation deg/s --unit-acceleration m/s2 LOG, and convert the CSV",
-        )  # fmt: skip
+    for sign, kind, remedy in _ELSEWHERE:
+        if head.startswith(sign):
+            what = f"the file is {kind}, which is not decoded here"
+            raise input_error(what, str(file), "a text table of it, or another format", remedy)
     if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff", b"\x1f\x8b", b"BZh", b"\xfd7zXZ")):
         kinds = ", ".join(name for name, _, _ in _BY_CONTENT)
         raise input_error(

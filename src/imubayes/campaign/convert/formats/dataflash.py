@@ -1,6 +1,7 @@
 """ArduPilot DataFlash logs, binary and text, by pymavlink."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -57,9 +58,9 @@ class DataFlashLog(SourceRecording):
     def _messages(self, *kinds: str) -> Iterator[Any]:
         opened: Any = None
         try:
-            opened = (reader.DFReader_binary if self._binary else reader.DFReader_text)(str(self.file))
-            while (message := opened.recv_match(type=list(kinds or _SENSORS))) is not None:
-                yield message
+            with closing((reader.DFReader_binary if self._binary else reader.DFReader_text)(str(self.file))) as opened:
+                while (message := opened.recv_match(type=list(kinds or _SENSORS))) is not None:
+                    yield message
         except ModuleNotFoundError:
             raise needs_package(self.file, "ArduPilot DataFlash", "pymavlink") from None
         except Exception as error:  # pymavlink raises whatever a damaged byte leads to

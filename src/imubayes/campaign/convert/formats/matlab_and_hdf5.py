@@ -1,4 +1,4 @@
-"""MATLAB files of versions 4 to 7.2, by SciPy; HDF5 files, and MATLAB files of version 7.3, which are HDF5."""
+"""MATLAB files of versions 5 to 7.2, by SciPy; HDF5 files, and MATLAB files of version 7.3, which are HDF5."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
