@@ -125,6 +125,11 @@ class DescribedBand:
         """Whether a filter shapes the spectrum."""
         return self.cut(Cause.FILTER) is not None or (self.roll_off is not None and self.roll_off.significant)
 
+    @property
+    def growth(self) -> float:
+        """Factor by which a roll-off that was fitted beside widens the interval of white noise."""
+        return 1.0 if self.roll_off is None else self.roll_off.growth
+
     def cut(self, cause: Cause) -> Gap | None:
         """Return the octaves left out for a cause."""
         return next((gap for gap in self.gaps if gap.cause is cause), None)

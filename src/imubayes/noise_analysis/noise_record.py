@@ -39,6 +39,7 @@ from imubayes.noise_analysis.spectral_lines import SpectralLine
 PROCEDURE = "static_record"
 _TEMPERATURE = "temperature_degC"
 LEAST_SAMPLES = 256
+_CORRELATION_TIME = "correlation_time"
 _LEAST_CONSECUTIVE = 2  # samples between gaps, on average; with half of the samples missing at random they are two
 _EXPONENTS = {NoiseTerm.QUANTISATION: 2, NoiseTerm.WHITE: 0, NoiseTerm.FLICKER: -1, NoiseTerm.RANDOM_WALK: -2}
 _HOUR = 3600.0
@@ -257,12 +258,10 @@ def _of_channel(
     share = own.resolution**2 / 12 / float(variance.variance[0])
     withheld = seen.withheld(band, estimate, share)
     levels = unequal_levels(seen.cleaned, band.likelihood, estimate.full)
-    growth = levels * (1.0 if band.roll_off is None else band.roll_off.growth)
-    white, removed = without_rounding(widened(estimate.of(NoiseTerm.WHITE), growth), estimate, own)
+    white, removed = without_rounding(widened(estimate.of(NoiseTerm.WHITE), levels * band.growth), estimate, own)
     estimates = [white if term.term is NoiseTerm.WHITE else term for term in estimate.estimates]
     kept = _stated(estimate, withheld)
-    names = [*map(str, estimate.determined), "correlation_time"]
-    markov = NoiseTerm.MARKOV in estimate.determined and NoiseTerm.MARKOV not in withheld
+    stated = [[*map(str, estimate.determined), _CORRELATION_TIME][place] for place in kept]
     return ChannelNoise(
         run=run.name,
         channel=channel.name,
@@ -276,8 +275,8 @@ def _of_channel(
         converged=estimate.full.converged,
         terms=[_term(term, channel, campaign.site.gravity, withheld.get(term.term)) for term in estimates],
         correlation_time_s=finite(estimate.correlation_time),
-        correlation_time_sd_s=finite(estimate.correlation_time_sd) if markov else None,
-        correlated_terms=[names[place] for place in kept],
+        correlation_time_sd_s=finite(estimate.correlation_time_sd) if _CORRELATION_TIME in stated else None,
+        correlated_terms=stated,
         correlation=estimate.correlation[np.ix_(kept, kept)].tolist(),
         undecided=[term for term in estimate.undecided if term not in withheld],
         alternatives=[pair for pair in estimate.alternatives if not set(pair) & set(withheld)],

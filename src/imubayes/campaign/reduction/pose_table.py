@@ -11,7 +11,7 @@ import numpy as np
 
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, unturned
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, fit_magnitude
-from imubayes.campaign.reduction.static_poses import body_vectors
+from imubayes.campaign.reduction.static_poses import angle_between, body_vectors
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
@@ -19,6 +19,7 @@ from imubayes.foundations.errors import input_error
 LEAST_MEANS = 4
 # About the median of the rows, which takes a bias out: far beyond Earth rate and what g-sensitivity leaves, rad/s.
 _AT_REST = np.radians(5.0)
+LEAST_APART = 10.0  # deg between some two poses
 
 
 def reduce_means(
@@ -36,7 +37,7 @@ def reduce_means(
     Raises
     ------
     InputError
-        if channels are missing, or there are fewer than four poses.
+        if channels are missing, there are fewer than four poses, or all are of one attitude.
     """
     rows = len(numbers["samples"])
     unknown = np.full(rows, np.nan)
@@ -52,6 +53,7 @@ def reduce_means(
         )
     force, rate = body_vectors(np.where(np.isfinite(readings), readings, 0.0), channels, file)
     _refuse_turning(rate[np.isfinite(readings).all(axis=1)], file)
+    _refuse_one_attitude(force[complete], file)
     force, scatter = force[complete], _scatter(numbers, channels, heavy)[complete]
     fit = fit_magnitude(force, gravity, scatter)
     flagged = fit.outliers
@@ -80,6 +82,17 @@ def _refuse_turning(rate: np.ndarray, file: Path) -> None:
             str(file),
             f"means of poses at rest, or the raw log of a free tumble; rates within {np.degrees(_AT_REST):.3g} deg/s",
             "correct the procedure of the run, or give the raw log: the poses are found in it",
+        )
+
+
+def _refuse_one_attitude(force: np.ndarray, file: Path) -> None:
+    apart = float(np.rad2deg(angle_between(force, force[:1]).max()))
+    if not apart > LEAST_APART:
+        raise input_error(
+            f"the {len(force)} poses are all of one attitude, within {apart:.2g} deg",
+            str(file),
+            "poses in different attitudes, each with |f| = g",
+            "turn the unit from pose to pose, or correct the procedure of the run",
         )
 
 
