@@ -133,3 +133,16 @@ def test_parts_of_a_record_are_joined_and_others_are_runs_of_their_own(tmp_path:
     again = table(tmp_path / "again", ROWS, names)
     both = read_recordings([again, table(tmp_path / "other", ROWS, names)]).campaign
     assert [entry["name"] for entry in both.document["run"]] == ["recording-1", "recording-2"]
+
+
+def test_a_record_at_rest_is_told_by_its_attitude(tmp_path: Path) -> None:
+    time = np.arange(0, 900, 0.1)
+    warm = 40 * np.sin(np.pi * time / 900)
+    noise = np.random.default_rng(9).normal(0, 0.01, (len(time), 6))
+    force = np.c_[np.full(len(time), 0.1), 0.002 * warm, 9.8 + 0.012 * warm]
+    rows = np.c_[time, force + noise[:, :3], noise[:, 3:], 20 + warm]
+    for columns, procedure in ((rows, "thermal_ramp"), (rows[:, :7], "static_record")):
+        names = " ".join(("time_s", *NAMES, "temp")[: columns.shape[1]])
+        made = read_recordings([table(tmp_path / "log", columns, names)]).campaign
+        assert made.document["run"][0]["procedure"] == procedure
+        assert "s in one attitude" in made.guesses["procedure"]

@@ -18,6 +18,7 @@ _SHOWN = 3  # first values of each column
 _MOST_MEANS = 20_000  # rows of a table of pose means
 _TURN = np.deg2rad(4.0)  # between the directions of most rows and the next, in a table of pose means
 _STILL = 0.05  # scatter of a face relative to g
+_TILTED, _DRIFTED = 0.03, 0.15  # of f across and along itself, relative to g, that is no motion yet
 _LEAST_FACES = 4
 _MEAN_AND_SCATTER = (np.nanmean, np.nanstd)
 
@@ -231,7 +232,12 @@ def still_seconds(run: RecordedRun) -> float:
     if count < 4:
         return 0.0
     means = np.array([part.mean(axis=0) for part in np.array_split(values, count)])
-    size = float(np.linalg.norm(np.median(means, axis=0)))
-    moved = float(np.abs(means - np.median(means, axis=0)).max())
-    still = moved < _STILL * size if names[0] in ACCELEROMETERS else moved < 20 * float(np.median(values.std(axis=0)))
+    usual = np.median(means, axis=0)
+    moved = means - usual
+    if names[0] in ACCELEROMETERS:  # a bias that drifts with temperature may change |f| more than a turn would
+        along = usual / (np.linalg.norm(usual) + 1e-300)
+        across = np.linalg.norm(moved - np.outer(moved @ along, along), axis=1).max()
+        still = across < _TILTED * np.linalg.norm(usual) and np.abs(moved).max() < _DRIFTED * np.linalg.norm(usual)
+    else:
+        still = np.abs(moved).max() < 20 * float(np.median(values.std(axis=0)))
     return float(run.columns[TIME][-1] - run.columns[TIME][0]) if still else 0.0
