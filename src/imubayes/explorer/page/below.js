@@ -1,6 +1,6 @@
 // The tabs at the bottom: tree of models, estimates with what a preview moves, and the commands of every click.
 
-import { digits, el, fill } from "./dom.js";
+import { compact, digits, el, fill } from "./dom.js";
 import { drawKnowledge } from "./knowledge.js";
 import { show, told, view } from "./state.js";
 
@@ -38,13 +38,13 @@ function models(panel, actions) {
     el("td", { class: "left" }, "\u2003".repeat(line.depth), line.depth ? "└ " : "",
       el("button", { class: "plain", "data-key": `model-${line.id}`, "aria-current": line.id === view.model ? "true" : null, disabled: !line.taken, title: line.note || line.folder, onclick: () => show({ model: line.id, ticked: [] }) }, line.name || line.title),
       line.taken ? "" : " ✕ not taken"),
-    el("td", {}, line.chi2 && line.dof ? (line.chi2 / line.dof).toFixed(2) : "–"),
+    el("td", {}, line.chi2 && line.dof ? (line.chi2 < 99 * line.dof ? (line.chi2 / line.dof).toFixed(2) : compact(line.chi2 / line.dof)) : "–"),
     el("td", {}, digits(line.delta_chi2.predicted)), el("td", {}, digits(line.delta_chi2.observed)),
     el("td", {}, line.gain),
     units.map((unit) => el("td", {}, size(line.rms[unit], unit))),
     el("td", {}, line.selected ? "● selected" : line.taken ? el("button", { class: "plain", "data-key": `select-${line.id}`, onclick: () => actions.select(line.id) }, "○ select") : ""),
     el("td", {}, el("button", { class: "plain", "data-key": `note-${line.id}`, title: line.note || "name and note", onclick: () => actions.note(line) }, line.note ? "✎ note" : "✎"))));
-  const head = ["χ²/n", "Δχ² predicted", "observed", "Δ elpd", ...units.map((unit) => `residual / ${unit === "deg/s" ? "deg/h" : unit === "g" ? "µg" : unit}`), "", ""];
+  const head = ["χ²/n", "Δχ² predicted", "observed", "Δ elpd", ...units.map((unit) => `rms / ${unit === "deg/s" ? "deg/h" : unit === "g" ? "µg" : unit}`), "", ""];
   const effects = (told.facts?.effects ?? []).map((effect) => el("span", { class: "chip" }, effect,
     el("button", { class: "plain", "data-key": `remove-${effect}`, title: `remove ${effect}, and refit`, "aria-label": `remove ${effect}`, onclick: () => actions.remove(effect) }, "×")));
   fill(panel,

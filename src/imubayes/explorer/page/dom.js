@@ -32,6 +32,19 @@ export function digits(value, count = 3) {
   return value.toFixed(places).replace("-", "−");
 }
 
+// A ratio in few signs: 0.8, 46, 8.2k, 5.5M.
+export function compact(value) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  if (value < 999.5) return value.toFixed(value < 9.95 ? 1 : 0);
+  const [size, sign] = value < 999500 ? [value / 1e3, "k"] : [value / 1e6, "M"];
+  return `${size.toFixed(size < 9.95 ? 1 : 0)}${sign}`;
+}
+
+// A long name keeps both ends, by which names of runs differ.
+export function shortened(name, most) {
+  return name.length <= most ? name : `${name.slice(0, Math.ceil((most - 1) / 2))}…${name.slice(name.length - Math.floor((most - 1) / 2))}`;
+}
+
 export function probability(value) {
   if (value === null || value === undefined) return "–";
   if (value > 0.999) return "> 0.999";

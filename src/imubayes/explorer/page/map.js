@@ -1,6 +1,6 @@
 // χ² per reading of every run and channel: where the model fails; a cell selects its readings.
 
-import { digits, el, fill, heat } from "./dom.js";
+import { compact, digits, el, fill, heat, shortened } from "./dom.js";
 import { show, told, view } from "./state.js";
 
 let fitted = false;
@@ -16,7 +16,7 @@ export function drawMap(place) {
   const head = el("tr", {}, el("th", { class: "run" }, "run"), facts.channels.map((channel) => el("th", {},
     el("button", { "data-key": `channel-${channel}`, onclick: () => show({ channel, brushes: [{ channels: [channel], runs: [] }] }), title: `select channel ${channel}` }, channel))));
   const rows = facts.runs.map((run) => el("tr", {},
-    el("th", { class: "run" }, el("button", { "data-key": `run-${run}`, title: `select run ${run}`, onclick: () => show({ brushes: [{ channels: [], runs: [run] }] }) }, run)),
+    el("th", { class: "run" }, el("button", { "data-key": `run-${run}`, title: `select run ${run}`, onclick: () => show({ brushes: [{ channels: [], runs: [run] }] }) }, shortened(run, 18))),
     facts.channels.map((channel) => {
       const found = known.get(JSON.stringify([run, channel]));
       return el("td", {}, found ? cellButton(found[0], expected ? expected[found[1]] : null) : null);
@@ -30,7 +30,7 @@ export function drawMap(place) {
 
 function cellButton(cell, expected) {
   const chi2 = fitted && expected === null ? cell.fitted ?? cell.chi2 : expected ?? cell.chi2;
-  const ratio = chi2 / cell.n, { back, text } = heat(ratio), words = ratio < 9.95 ? ratio.toFixed(1) : digits(ratio, 2);
+  const ratio = chi2 / cell.n, { back, text } = heat(ratio), words = compact(ratio);
   const marked = view.brushes.some((brush) => !brush.x && matches(brush.channels, cell.channel) && matches(brush.runs, cell.run));
   const names = ["cell", marked && "marked", expected !== null && "previewed", cell.channel === view.channel && "shown"];
   return el("button", {
