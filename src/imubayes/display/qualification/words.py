@@ -125,7 +125,11 @@ def with_digits(
 ) -> tuple[str, ...]:
     """Return numbers, u the second of them, with the digits that u deserves; or that they are withheld, and why."""
     if error is not None and error.digits == 0:
-        return "withheld", f"needs {significant(error.draws_needed, 2)} × the draws", *(MORE_DRAWS for _ in values[2:])
+        return (
+            "withheld",
+            f"needs {significant(error.draws_needed + 0.05, 2)} × the draws",
+            *(MORE_DRAWS for _ in values[2:]),
+        )
     return tuple(rounded(values, uncertainty * (1 if error is None or error.digits == 2 else 10)))
 
 
