@@ -7,7 +7,7 @@ from urllib.parse import quote, unquote
 import pytest
 from explore_client import settled, wait_for
 from selenium import webdriver
-from selenium.common.exceptions import WebDriverException
+from selenium.common.exceptions import StaleElementReferenceException, WebDriverException
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
@@ -56,7 +56,16 @@ class Page:
         return self.run(f"document.querySelector({json.dumps(selector)})?.textContent ?? ''")
 
     def click(self, selector: str) -> None:
-        self.driver.find_element(By.CSS_SELECTOR, selector).click()
+        """Click what is there; a panel that was drawn anew meanwhile has another element in its place."""
+
+        def clicked() -> bool:
+            try:
+                self.driver.find_element(By.CSS_SELECTOR, selector).click()
+            except StaleElementReferenceException:
+                return False
+            return True
+
+        wait_for(clicked)
 
     def press(self, *keys: str) -> None:
         ActionChains(self.driver).send_keys(*keys).perform()
@@ -127,9 +136,8 @@ def test_a_brush_of_residuals_ranks_their_causes(fresh):
 
 
 def test_a_cell_of_the_map_selects_and_a_cause_is_previewed(fresh):
-    cell = fresh.driver.find_element(By.CSS_SELECTOR, '[data-key="cell-rate-z-up-gz"]')
-    before = float(cell.text)
-    cell.click()
+    before = float(fresh.text('[data-key="cell-rate-z-up-gz"]'))
+    fresh.click('[data-key="cell-rate-z-up-gz"]')
     fresh.wait("document.querySelector('#selection-sentence')?.textContent.startsWith('12 readings')")
     fresh.click(f'[id="tick-{HIDDEN}"]')
     fresh.wait("document.querySelector('#preview-sentence')")

@@ -14,8 +14,30 @@ export function el(tag, attributes = {}, ...children) {
   return made;
 }
 
+// While a button of the pointer is down nothing is replaced: what is pressed and what is let go are one element.
+let pressed = false;
+const waiting = new Map();
+
+addEventListener("pointerdown", () => { pressed = true; }, true);
+for (const name of ["pointerup", "pointercancel", "blur"]) {
+  addEventListener(name, (event) => {
+    if (name === "blur" && event.target !== window) return; // of an element, not of the page
+    pressed = false;
+    setTimeout(() => {
+      const late = [...waiting];
+      waiting.clear();
+      for (const [place, children] of late) fill(place, ...children);
+    });
+  }, true);
+}
+
 // Replaces what is in an element; the focus stays on what has the same data-key.
 export function fill(place, ...children) {
+  if (pressed) {
+    waiting.set(place, children);
+    return;
+  }
+  waiting.delete(place);
   const key = place.contains(document.activeElement) ? document.activeElement.dataset.key : undefined;
   const top = place.scrollTop;
   place.replaceChildren(...children.flat().filter((child) => child !== null && child !== undefined && child !== false));
