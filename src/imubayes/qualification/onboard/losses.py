@@ -21,6 +21,7 @@ from typing import Literal
 
 import numpy as np
 
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
 from imubayes.noise_analysis.noise_densities import NoiseDensity
 from imubayes.noise_analysis.noise_record import StaticNoise
