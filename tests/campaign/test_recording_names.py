@@ -8,7 +8,9 @@ import pytest
 from tumble_files import NAMES, tumble_log
 
 from imubayes.campaign import load_campaign
+from imubayes.campaign.convert import convert
 from imubayes.campaign.convert.column_choice import choose_tables
+from imubayes.campaign.convert.column_names import role_of
 from imubayes.campaign.convert.formats import open_recording
 from imubayes.campaign.convert.options import read_options
 from imubayes.campaign.convert.recorded_runs import recorded_runs
@@ -72,7 +74,7 @@ def test_names_among_other_lines_and_with_another_delimiter(tmp_path: Path) -> N
     file = table(tmp_path / "c", ",".join(NAMES), VALUES[:, :6], ",")
     file.write_text("\n".join(f"{line}," if n else line for n, line in enumerate(file.read_text().splitlines())))
     np.testing.assert_allclose(read(file)[0]["gz"], VALUES[:, 5], atol=1e-6)
-    stated = {name: f"{place}" for place, name in enumerate(NAMES, 2)}
+    stated = {name: f"{place}" for place, name in enumerate(NAMES, 1)}
     file = table(tmp_path / "d", "time,1,2,3,4,5,6", np.c_[TIMES, VALUES[:, 1:7]], ",")
     assert len(read(file, columns=stated | {"time_s": "time"}, sample_rate_hz=None)[0]["ax"]) == len(VALUES)
 
@@ -134,3 +136,72 @@ def test_savetxt_is_converted_and_told(tmp_path: Path, capsys: pytest.CaptureFix
     np.savetxt(tmp_path / "log", values, header=" ".join(NAMES))
     assert run([*map(str, command), "--out", str(tmp_path / "d")]) == 2
     assert not (tmp_path / "d").exists()
+
+
+UNITS = ["[m/s^2]", "[m/s^2]", "[m/s^2]", "[rad/s]", "[rad/s]", "[rad/s]"]
+STATED = [f"{name} {unit}" for name, unit in zip(NAMES, UNITS, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("heading", "options", "text"),
+    [
+        ([*STATED[:3], "gx (rpm)", "gy (rpm)", "gz (rpm)"], {}, "unit 'rpm' of gx is not known"),
+        (["time [0.1 ms]", *STATED], {"sample_rate_hz": None}, r"unit '0\.1 ms' of time_s is not known"),
+        (STATED, {"columns": {"ay": "az [m/s^2]"}}, "would be ay and az"),
+    ],
+)
+def test_what_names_and_units_leave_open_is_refused(tmp_path: Path, heading: list[str], options: dict, text: str):
+    rows = VALUES[:, :6] if len(heading) == 6 else np.c_[1e4 * TIMES, VALUES[:, :6]]
+    with pytest.raises(InputError, match=text):
+        read(table(tmp_path / "log", ",".join(heading), rows, ","), **options)
+
+
+@pytest.mark.parametrize(
+    ("heading", "options", "text"),
+    [
+        (STATED, {"accel_unit": "g"}, r"are in m/s\^2, and g is asked for"),
+        (["ax [g]", "ay [g]", "az [g]", *STATED[3:]], {}, "g, which is 9.8"),
+    ],
+)
+def test_units_that_option_or_gravity_contradict_are_refused(
+    tmp_path: Path, heading: list[str], options: dict, text: str
+):
+    rows = np.tile([0.1, -0.2, 9.81, 0.001, 0.002, 0.003], (600, 1)) + 1e-4 * np.random.default_rng(1).normal(
+        size=(600, 6)
+    )
+    file = table(tmp_path / "log.csv", ",".join(heading), rows, ",")
+    given = {"sample_rate_hz": 10.0, "procedure": "static_record", "latitude_deg": 48.0} | options
+    with pytest.raises(InputError, match=text):
+        convert([file], tmp_path / "out", **given)
+
+
+def test_velocities_and_angles_are_no_channels(tmp_path: Path) -> None:
+    velocity = table(
+        tmp_path / "v", ",".join([f"velocity_{axis} [m/s]" for axis in "xyz"] + STATED[3:]), VALUES[:, :6], ","
+    )
+    assert not {"ax", "ay", "az"} & set(read(velocity)[0])
+    angle = table(tmp_path / "a", ",".join(STATED[:3] + [f"angle_{axis} [deg]" for axis in "xyz"]), VALUES[:, :6], ",")
+    assert not {"gx", "gy", "gz"} & set(read(angle)[0])
+
+
+def test_an_empty_last_cell_of_the_first_row_shifts_no_name(tmp_path: Path) -> None:
+    """A table with row names that have no heading: one name less than fields, and the first row ends with nothing."""
+    rows = np.c_[np.arange(len(VALUES)), VALUES[:, :7]]
+    file = table(tmp_path / "log", ",".join([*STATED, "temperature [degC]"]), rows, ",")
+    lines = file.read_text().splitlines()
+    lines[1] = ",".join([*lines[1].split(",")[:7], ""])
+    file.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="7 names stand above 8 data fields"):
+        read(file)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("temp_F", "degF"), ("temperature_K", "K"), ("temp [raw]", None), ("temps", None), ("accel_f", "")],
+)
+def test_units_at_the_end_of_a_name(name: str, unit: str | None) -> None:
+    role = role_of(name)
+    if name == "accel_f":
+        assert role is None  # an accelerometer without an axis
+    else:
+        assert (role and role.unit) == unit

@@ -98,8 +98,16 @@ def _unit(table: ChosenTable, time: np.ndarray, options: ConvertOptions) -> tupl
     since = [unit for unit, factor in _RATES.items() if _EPOCH[0] < start * factor < _EPOCH[1]]
     if since:
         return since[0], f"{start:.10g} is a time since 1970 in {since[0]}"
-    step = float(np.mean(np.abs(np.diff(filled)))) if len(filled) > 1 else 0.0
-    return _unit_of_step(step, bool((filled[:1000] % 1 == 0).all()), f"{table.topic.where}, column of the time")
+    return _unit_of_step(
+        _mean_step(filled), bool((filled[:1000] % 1 == 0).all()), f"{table.topic.where}, column of the time"
+    )
+
+
+def _mean_step(time: np.ndarray) -> float:
+    """Return the mean of the steps forward without pauses; packets stay in."""
+    step = np.diff(time)
+    step = step[step > 0]
+    return float(np.mean(step[step <= 50 * np.quantile(step, 0.95)])) if len(step) else 0.0
 
 
 def _unit_of_step(step: float, whole: bool, where: str) -> tuple[str, str]:

@@ -7,13 +7,16 @@ from typing import NoReturn
 import numpy as np
 
 from imubayes.campaign.convert.column_names import (
+    ACCEL_UNITS,
     ACCELEROMETERS,
     CLOCK,
     DATE,
+    GYRO_UNITS,
     GYROS,
     SIX,
     TEMPERATURE,
     TIME,
+    TIME_UNITS,
     UNKNOWN_AXES,
     ColumnRole,
     quantity_of,
@@ -161,8 +164,53 @@ def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, al
         columns = stated | _by_name(topic, roles, stated)
     except InputError as error:
         return replace(table, columns=stated, faults=error.issues)
-    columns, left = _beside(topic, roles, columns)
-    return replace(table, columns=columns, left=left)
+    return _checked(replace(table, columns=columns), roles, options)
+
+
+def _checked(table: ChosenTable, roles: Sequence[ColumnRole | None], options: ConvertOptions) -> ChosenTable:
+    """Return a table with what stands beside its channels, and what speaks against its columns."""
+    topic = table.topic
+    columns, left = _beside(topic, roles, table.columns)
+    unknown = {target: role.unknown for target, column in columns.items() if (role := roles[column.position])}
+    if unknown.get(TEMPERATURE):
+        left += (f"the unit '{unknown[TEMPERATURE]}' of the temperature is not known: it is not read",)
+        columns = {target: column for target, column in columns.items() if target != TEMPERATURE}
+    faults = [*_unknown_units(topic, columns, unknown, options), *_read_twice(topic, columns)]
+    return replace(table, columns=columns, left=left, faults=tuple(faults))
+
+
+def _unknown_units(
+    topic: Topic, columns: Mapping[str, ChosenColumn], unknown: Mapping[str, str], options: ConvertOptions
+) -> list[Issue]:
+    """Return one issue for each kind of column whose unit is stated in a way that is not known, and by no option."""
+    by_option = (
+        ("accel-unit", ACCELEROMETERS, options.accel_unit, ACCEL_UNITS),
+        ("gyro-unit", GYROS, options.gyro_unit, GYRO_UNITS),
+        ("time-unit", (TIME,), options.time_unit or str(options.sample_rate_hz or ""), TIME_UNITS),
+    )
+    return [
+        Issue(
+            f"the unit '{unknown[found[0]]}' of {found[0]} is not known", topic.where, ", ".join(allowed),
+            f"correct it in the recording, or state the unit with --{option}",
+        )
+        for option, targets, stated, allowed in by_option
+        if not stated and (found := [target for target in targets if target in columns and unknown.get(target)])
+    ]  # fmt: skip
+
+
+def _read_twice(topic: Topic, columns: Mapping[str, ChosenColumn]) -> list[Issue]:
+    """Return an issue where one column would be two channels."""
+    by_place: dict[int, list[str]] = {}
+    for target, column in columns.items():
+        by_place.setdefault(column.position, []).append(target)
+    return [
+        Issue(
+            f"column {place + 1} '{topic.names[place]}' would be {' and '.join(targets)}", topic.where,
+            "one column for each channel", f"state the column of {targets[-1]} as well: --column {targets[-1]}=NAME",
+        )
+        for place, targets in by_place.items()
+        if len(targets) > 1
+    ][:1]  # fmt: skip
 
 
 def _stated(topic: Topic, target: str, source: str | int, roles: Sequence[ColumnRole | None]) -> ChosenColumn:

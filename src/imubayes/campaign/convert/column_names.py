@@ -6,7 +6,7 @@ quantity, one the axis, one perhaps a statistic or a unit.  What is left over te
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from imubayes.foundations.covariates import recorded_columns
 
@@ -96,13 +96,15 @@ _NEITHER = _words(
     "mag magn magnetometer magnetic compass baro barometer gps gnss quat quaternion euler roll pitch yaw cov covariance"
     " var variance position pos gravity grav bias true ref reference nominal target ideal set max min error err user"
     " altitude lat lon latitude longitude integral delta setpoint clipping clip status free orientation linearacc"
+    " angle angles inclination tilt heading attitude speed"
 )
 _MEAN, _SCATTER = _words("mean avg average median means"), _words("std sd stdev stddev sigma")
 _TIMES = _words("t time times timestamp timestamps ts stamp elapsed ustime mstime utc unixtime epoch loggingtime")
-_TEMPERATURES = {"temp", "temperature", "tmp", "temps", "temperatures"}
+_TEMPERATURES = {"temp", "temperature", "tmp", "temperatures"}  # `temps` is a time in French
 _COUNTERS = _words("counter count cnt seq sequence packet packetcounter sample index idx frame")
 _AXES = ("x", "y", "z")
 _DULL = _ACCEL | _GYRO | _MEAN | _SCATTER | {*_AXES, "axis", "angular", "velocity", "linear", "specific", "force"}
+_NO_UNIT = _DULL | _words("raw filtered filt cal calibrated uncal uncalibrated body imu sensor lpf text")
 _TARGETS = {*SIX, *(f"{name}_sd" for name in SIX), *recorded_columns(), SAMPLES}
 _JOINED = re.compile(r"(a|f|acc|accel|g|gyr|gyro|w|omega|rate)([xyz])")
 _INDEX, _BRACKETED = re.compile(r"\[(\d)\]"), re.compile(r"[\[({]([^\])}]*)[\])}]")
@@ -119,12 +121,14 @@ class ColumnRole:
     unit : key of the units of its quantity; empty where neither name nor recording states it.
     group : the words of the name that say nothing known; columns of one sensor share them.
     exact : whether the name is the target itself.
+    unknown : what stands in the place of the unit and is none.
     """
 
     target: str
     unit: str = ""
     group: tuple[str, ...] = ()
     exact: bool = False
+    unknown: str = ""
 
 
 # Names that do not say what their unit is: Physics Toolbox, Xsens.
@@ -161,6 +165,16 @@ def role_of(name: str, stated_unit: str = "") -> ColumnRole | None:
     name : as the recording writes it.
     stated_unit : as the recording states it beside the name.
     """
+    role = _known_role(name, stated_unit)
+    if role is None or (role.target == TEMPERATURE and "raw" in words_of(name)):
+        return None
+    if role.unit:
+        return role
+    unknown = [text.strip() for text in (stated_unit, *_BRACKETED.findall(_INDEX.sub("", name))) if _is_unknown(text)]
+    return replace(role, unknown=unknown[0]) if unknown else role
+
+
+def _known_role(name: str, stated_unit: str) -> ColumnRole | None:
     if stated_unit in _WORDS_OF_TIME:
         return ColumnRole(TIME if stated_unit == "stamp" else stated_unit, "s")
     if name in _TARGETS:
@@ -179,6 +193,11 @@ def role_of(name: str, stated_unit: str = "") -> ColumnRole | None:
     if index is not None:
         return _channel(words, "xyz"[int(index[1]) : int(index[1]) + 1], unit)
     return _beside(words, unit) or _channel(*_apart(words), unit)
+
+
+def _is_unknown(text: str) -> bool:
+    """Tell whether what stands in the place of a unit is none that is known, and no word beside it."""
+    return bool(text.strip()) and not is_unit(text) and not set(words_of(text)) <= _NO_UNIT
 
 
 def quantity_of(words: set[str], unit: str) -> str:
@@ -206,10 +225,20 @@ def _without_ending(words: list[str]) -> tuple[list[str], str]:
     for *ending, unit in sorted(_ENDINGS, key=len, reverse=True):
         if len(core) > len(ending) and core[-len(ending) :] == ending:
             return core[: -len(ending)] + axis, unit
-    if len(core) > 1 and (unit := unit_named(core[-1])) and core[-1] not in ("f", "h", "k"):
-        per_second = {"rad": "rad/s", "deg": "deg/s"} if set(core) & _GYRO else {}  # PX4 writes gyro_rad for rad/s
-        return core[:-1] + axis, per_second.get(unit, unit)
-    return words, ""
+    unit = _last_unit(core)
+    return (core[:-1] + axis, unit) if unit else (words, "")
+
+
+def _last_unit(words: list[str]) -> str:
+    """Return the unit that is the last of several words; f, h and k are one only of a temperature."""
+    if len(words) < 2:
+        return ""
+    last, warm = words[-1], bool(set(words) & _TEMPERATURES)
+    if len(last) == 1 and last in "fhk":
+        return unit_named(last.upper()) if warm and last != "h" else ""
+    unit = unit_named(last)
+    per_second = {"rad": "rad/s", "deg": "deg/s"} if set(words) & _GYRO else {}  # PX4 writes gyro_rad for rad/s
+    return per_second.get(unit, unit)
 
 
 def _beside(words: list[str], unit: str) -> ColumnRole | None:
@@ -239,6 +268,7 @@ def _channel(words: list[str], letters: str, unit: str) -> ColumnRole | None:
     known = set(words)
     quantity = quantity_of(known, unit) or ("g" if "g" in known and unit not in ACCEL_UNITS else "")
     group = tuple(word for word in words if word not in _DULL)
-    if len(letters) != 1 or (group and not quantity) or (known >= {"linear", "velocity"} and quantity != "g"):
+    velocity = "velocity" in known and quantity != "g"  # not angular; its unit would make it an increment
+    if len(letters) != 1 or (group and not quantity) or velocity:
         return None
     return ColumnRole(f"{quantity or '?'}{letters}{'_sd' if known & _SCATTER else ''}", unit, group)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign.convert.column_names import ACCEL_UNITS, ACCELEROMETERS, GYRO_UNITS, GYROS, TIME
+from imubayes.campaign.convert.column_names import ACCEL_UNITS, ACCELEROMETERS, GYRO_UNITS, GYROS, SIX, TIME
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.convert.raw_counts import LEAST_TURNS, estimate_gyros, find_poses
 from imubayes.campaign.convert.unnamed_columns import rest_means, unit_of_gravity
@@ -19,6 +19,7 @@ _PER_RADIAN = {"rad/s": 1.0, "deg/s": 57.29578, "mrad/s": 1000.0, "mdeg/s": 5729
 _NEAR = 0.25  # of a unit; the next is a factor of 17 away
 _MOST_SAMPLES = 300_000
 _FEW_COUNTS = 20
+_LEAST_G, _MOST_G = 0.6, 1.6  # what bias and scale factor leave of g at rest
 _LARGEST_BIAS = 1.0  # rad/s
 
 
@@ -61,6 +62,7 @@ def find_units(
     force = [columns[name] for name in ACCELEROMETERS if name in columns]
     if not accel and force:
         accel, guesses["accel_unit"] = _of_accelerometers(np.stack(force, axis=1), where)
+    _refuse_no_gravity(accel, force, where)
     gyro = _stated("gyro_unit", options.gyro_unit, GYROS, columns, stated, where)
     if not gyro and any(name in columns for name in GYROS):
         gyro, guesses["gyro_unit"] = _of_gyros(columns, accel, where)
@@ -73,6 +75,13 @@ def _stated(
 ) -> str:  # fmt: skip
     own = {stated[name] for name in names if name in columns and stated.get(name)}
     allowed = ACCEL_UNITS if option == "accel_unit" else GYRO_UNITS
+    if given and own - {given}:
+        raise input_error(
+            f"the columns {' '.join(names)} are in {' and '.join(sorted(own))}, and {given} is asked for",
+            where,
+            "the unit that the recording states, or no statement",
+            f"leave out --{option.replace('_', '-')} (or {option} of the mapping), or correct the recording",
+        )
     if given or not own:
         return given
     if len(own) > 1 or not own <= set(allowed):
@@ -82,9 +91,35 @@ def _stated(
     return own.pop()
 
 
+def _refuse_no_gravity(unit: str, force: list[np.ndarray], where: str) -> None:
+    """Raise InputError where three accelerometers read at rest what is not g in their unit."""
+    known = ACCEL_UNITS.get(unit)
+    if len(force) != 3 or known is None or known.increment or unit == "count":
+        return
+    values = np.stack(force, axis=1)
+    gravity = known.scale * (9.81 if known.per == "m/s^2" else 1.0)
+    # At rest, or in each row where a row is a pose.
+    sizes = [float(np.nanmedian(np.linalg.norm(part, axis=1))) for part in (rest_means(values), values) if len(part)]
+    if sizes and not any(_LEAST_G < size / gravity < _MOST_G for size in sizes):
+        size, in_g = sizes[0], sizes[0] / gravity
+        raise input_error(
+            f"at rest the accelerometers read |f| = {size:.4g} {unit}, which is {in_g:.4g} g",
+            where,
+            "about 1 g at rest",
+            "correct the unit (header, --accel-unit or mapping), or state the columns: --column ax=NAME …",
+        )
+
+
 def _of_accelerometers(force: np.ndarray, where: str) -> tuple[str, str]:
     rest = rest_means(force)
     unit, size = unit_of_gravity(force, rest) if force.shape[1] == 3 else ("", float(np.median(np.abs(rest))))
+    if unit == "mg" and _rivals_of_mg(force, size):
+        raise input_error(
+            f"the unit of the accelerometers is not known: |f| = {size:.5g} at rest is g in mg, cm/s^2 or counts",
+            where,
+            "g is 1000 mg or 980.7 cm/s^2; counts of 1024 per g are common",
+            "state it: --accel-unit mg, cm/s^2 or count",
+        )
     if unit:
         return unit, f"|f| = {size:.5g} at rest is g in {unit}"
     if _whole(force):
@@ -97,6 +132,12 @@ def _of_accelerometers(force: np.ndarray, where: str) -> tuple[str, str]:
     )
 
 
+def _rivals_of_mg(force: np.ndarray, size: float) -> bool:
+    """Tell whether |f| is nearer to g in cm/s², or in the counts of a common converter, than to 1000 mg."""
+    rivals = [980.665, *([1024.0] if _whole(force) else [])]
+    return min(abs(size - rival) for rival in rivals) < abs(size - 1000.0)
+
+
 def _whole(values: np.ndarray) -> bool:
     """Tell whether readings are whole numbers, and not few of them, as those of a converter."""
     part = values[:1000][np.isfinite(values[:1000]).all(axis=1)]
@@ -105,15 +146,14 @@ def _whole(values: np.ndarray) -> bool:
 
 def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, where: str) -> tuple[str, str]:
     """Return the unit of the gyros by the turns between poses; without turns, that of the other SI unit."""
-    names, turned = [*ACCELEROMETERS, *GYROS, TIME], ""
-    if all(name in columns for name in names):
-        per_radian, turned = _per_radian({name: columns[name] for name in names}, where)
-        near = [unit for unit, size in _PER_RADIAN.items() if abs(per_radian / size - 1) < _NEAR]
-        if near:
-            return near[0], f"turns between poses integrate to {per_radian:.4g} {near[0].split('/')[0]} per radian"
-    rate = np.stack([columns[name] for name in GYROS if name in columns], axis=1)
-    if _whole(rate):
+    names, rate = (*SIX, TIME), np.stack([columns[name] for name in GYROS if name in columns], axis=1)
+    known = all(name in columns for name in names)
+    per_radian, turned = _per_radian({name: columns[name] for name in names}, where) if known else (0.0, "")
+    if _whole(rate):  # counts may have nearly the scale of a unit
         return "count", f"whole numbers{turned}"
+    near = [unit for unit, size in _PER_RADIAN.items() if abs(per_radian / size - 1) < _NEAR]
+    if near:
+        return near[0], f"turns between poses integrate to {per_radian:.4g} {near[0].split('/')[0]} per radian"
     size = float(np.median(np.linalg.norm(rest_means(rate), axis=1)))
     if accel == "m/s^2" and not turned and size < _LARGEST_BIAS:
         return "rad/s", (

@@ -19,6 +19,7 @@ from imubayes.foundations.errors import input_error
 LEAST_MEANS = 4
 # About the median of the rows, which takes a bias out: far beyond Earth rate and what g-sensitivity leaves, rad/s.
 _AT_REST = np.radians(5.0)
+_LARGEST_BIAS = np.radians(30.0)
 LEAST_APART = 10.0  # deg between some two poses
 
 
@@ -75,10 +76,14 @@ def reduce_means(
 
 def _refuse_turning(rate: np.ndarray, file: Path) -> None:
     """Raise InputError where rows, with rates (n, 3) in rad/s, are no poses at rest."""
-    about = np.linalg.norm(rate - np.median(rate, axis=0), axis=1) if len(rate) else np.zeros(1)
-    if about.max() > _AT_REST:
+    if not len(rate):
+        return
+    usual = np.median(rate, axis=0)
+    about, size = float(np.linalg.norm(rate - usual, axis=1).max()), float(np.linalg.norm(usual))
+    if about > _AT_REST or size > _LARGEST_BIAS:
+        what = f"differ by up to {np.degrees(about):.3g}" if about > _AT_REST else f"are about {np.degrees(size):.3g}"
         raise input_error(
-            f"the rates of the rows differ by up to {np.degrees(about.max()):.3g} deg/s: these are no static poses",
+            f"the rates of the rows {what} deg/s: these are no static poses",
             str(file),
             f"means of poses at rest, or the raw log of a free tumble; rates within {np.degrees(_AT_REST):.3g} deg/s",
             "correct the procedure of the run, or give the raw log: the poses are found in it",

@@ -9,7 +9,7 @@ from enum import StrEnum
 _EMPTY = {"", "nan", "na", "n/a", "null", "none", "-"}
 _DATE = re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4})")
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)")
-_STAMP = re.compile(r"\d{4}-?\d{2}-?\d{2}[T_ ]\d{2}.*")
+_STAMP = re.compile(r"\d{4}[-/]?\d{2}[-/]?\d{2}[T_ ]\d{2}.*")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
 
@@ -75,7 +75,7 @@ def seconds_of_clock(cell: str) -> float:
 
 def seconds_of_stamp(cell: str) -> float:
     """Return the seconds from 1970 of a date and time in ISO 8601; without a zone it is taken as UTC."""
-    stamp = datetime.fromisoformat(cell.strip().replace("_", "T").replace(",", "."))
+    stamp = datetime.fromisoformat(cell.strip().replace("_", "T").replace(",", ".").replace("/", "-"))
     return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
 
 

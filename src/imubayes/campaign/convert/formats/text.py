@@ -54,6 +54,7 @@ class TextRecording(SourceRecording):
         """Yield rows; a damaged line is a row of NaN, and more than a few are refused."""
         layout, self._damaged, self._lines = self.layout, [], 0
         kinds = layout.tags.get(topic.name, layout.kinds)
+        self._refuse_text(topic, kinds, positions)
         plain = not layout.tags and not layout.decimal_comma and all(kinds[k] is CellKind.NUMBER for k in positions)
         with open_text(self.file, layout.encoding) as stream:
             lines = islice(enumerate(stream, 1), layout.first - 1, None)
@@ -71,6 +72,17 @@ class TextRecording(SourceRecording):
         places = ", ".join(str(number) for number, _ in self._damaged[:5]) + (", …" if len(self._damaged) > 5 else "")
         what = "1 damaged line is" if len(self._damaged) == 1 else f"{len(self._damaged)} damaged lines are"
         return (f"{self.file.name}: {what} left out of {self._lines} (line {places}): {self._damaged[0][1]}",)
+
+    def _refuse_text(self, topic: Topic, kinds: Sequence[CellKind], positions: Sequence[int]) -> None:
+        for place in positions:
+            if kinds[place] is CellKind.TEXT:
+                name = topic.columns[place].name or str(place + 1)
+                raise input_error(
+                    f"column '{name}' holds text that is no number, date or time of day",
+                    f"{self.file}:{self.layout.first}",
+                    "numbers, h:m:s, or a date and time in ISO 8601",
+                    "write it so; or leave the column out: a time may be replaced by --sample-rate-hz",
+                )
 
     def _comment(self, line: str) -> bool:
         sign = COMMENT_SIGN.match(line)

@@ -85,7 +85,8 @@ def find_layout(file: Path, delimiter: str | None) -> TextLayout:
             continue
         sample = [point(split_cells(text, separator)) for _, text in lines[index : index + _SAMPLE]]
         tags = _tags(sample)
-        width = len(_without_trailing(cells))
+        # A last cell that is empty is no column only where it is empty in every line.
+        width = max(len(_without_trailing(row)) for row in sample if len(row) == len(cells))
         heading, names, units = _heading(lines[:index], separator, {len(cells), width})
         width = len(cells) if len(names) == len(cells) else width
         kinds = tuple(kind_of([row[place] for row in sample if place < len(row)]) for place in range(width))
@@ -169,9 +170,11 @@ def _heading(
     """
     units: tuple[str, ...] = ()
     for number, line in reversed(lines):
-        for mark in dict.fromkeys((separator, "\t", ";", ",", None)):
+        # Names may be delimited otherwise than numbers, but not within a cell.
+        others = () if separator and separator in line else ("\t", ";", ",", None)
+        for mark in dict.fromkeys((separator, *others)):
             cells = split_cells(_without_sign(line, mark), mark)
-            for names in (cells, _without_trailing(cells)):
+            for names in (cells, _without_trailing(cells), cells[1:] if _says_units(cells) else []):
                 if len(names) not in widths:
                     continue
                 if not units and all(is_unit(name) for name in names if name) and any(names):
@@ -184,6 +187,10 @@ def _heading(
         return 0, (), ()
     names = split_cells(_without_sign(lines[-1][1], separator), separator)
     return lines[-1][0], tuple(names), ()
+
+
+def _says_units(cells: Sequence[str]) -> bool:
+    return cells[0].rstrip(":").lower() in ("unit", "units")
 
 
 def _without_sign(line: str, separator: str | None) -> str:
