@@ -6,7 +6,7 @@ from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.document import Block, ReportTable
 from imubayes.display.qualification.first_page import limits_table
 from imubayes.display.qualification.result_sections import mounting_section, result_section
-from imubayes.display.qualification.words import interval_text, stated
+from imubayes.display.qualification.words import chance, interval_text, stated
 from imubayes.qualification.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
 from imubayes.qualification.report_record import (
     Conformity,
@@ -94,6 +94,21 @@ def test_what_one_page_withholds_no_other_states(page):
         assert number not in withheld
     assert "withheld" not in known
     assert ("-22.4 ± 1.8" if page == "limits" else "0.93") in known.replace("−", "-")
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "said"),
+    [
+        (1.0, 6e-5, "> 0.9999"),
+        (0.99995, 0.0, "> 0.9999"),
+        (0.9997, 2e-4, "0.9997"),
+        (0.9141, 3e-3, "0.914"),
+        (0.9997, 3e-3, "> 0.999"),
+        (0.0, 6e-5, "< 0.0001"),
+    ],
+)
+def test_no_probability_is_one_or_above_it(value, error, said):
+    assert chance(value, error) == said
 
 
 def test_an_estimate_without_posterior_says_so():

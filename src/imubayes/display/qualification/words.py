@@ -1,5 +1,6 @@
 """The words of the report for outcomes, rules, obstacles and verdicts, and its numbers as text."""
 
+import math
 from collections.abc import Sequence
 
 from imubayes.criticism.explanations import Verdict
@@ -52,6 +53,8 @@ WITHHELD_NUMBER = (
 _NO_POSTERIOR: dict[record.NumberWithheld, str] = {
     "not_converged": "no convergence", "no_draws": "no draws", "monte_carlo_error": "too few draws",
 }  # fmt: skip
+# Decimals of a probability, at most.
+_MOST_DECIMALS = 4
 _RULES: dict[RuleName, str] = {
     "simple_acceptance": "simple acceptance",
     "guard_band": "guard band",
@@ -140,14 +143,22 @@ def interval_text(found: record.ReportedEstimate) -> str:
 
 
 def probability_text(found: record.Probability | None) -> Text:
-    """Return a probability with its Monte Carlo error, or why it is withheld."""
+    """Return a probability, or why it is withheld."""
     if found is None:
         return Text(NO_NUMBER)
     if found.value is None:
         assert found.withheld is not None, "a value is withheld for a reason"
         return Text(WITHHELD[found.withheld], "bad")
-    value, error = rounded((found.value, found.monte_carlo_error), found.monte_carlo_error * 10)
-    return Text(f"{value} ± {error}")
+    return Text(chance(found.value, found.monte_carlo_error))
+
+
+def chance(value: float, error: float) -> str:
+    """Return a probability to the digit that its Monte Carlo error begins at, four decimals at most; never 0 or 1."""
+    decimals = min(_MOST_DECIMALS, max(1, -math.floor(math.log10(error)))) if error > 0 else _MOST_DECIMALS
+    least = 10.0**-decimals
+    if value > 1 - least:
+        return f"> {1 - least:.{decimals}f}"
+    return f"{value:.{decimals}f}" if value >= least else f"< {least:.{decimals}f}"
 
 
 def risk_text(risk: float | None) -> str:
