@@ -299,8 +299,14 @@ format = 1
 number = "2026-0117"
 date = 2026-11-20
 
+accreditation = "Accredited as D-K"
+
 [certificate.laboratory]
 name = "Example Laboratory"
+
+[[certificate.standard]]
+name = "dividing head"
+valid_until = 2026-01-01
 """
 
 
@@ -334,7 +340,13 @@ def test_a_certificate_has_two_pages_its_date_and_what_is_missing(result, tmp_pa
     for text in ("Calibration certificate 2026-0117", "Example Laboratory", "Missing from this certificate"):
         assert text in said
     assert "Uncertainty budgets" not in said
-    assert {each.item for each in record.missing} >= {"method", "standards", "signatories", "customer_name"}
+    missing = len(record.missing)
+    assert {each.item for each in record.missing} >= {"method", "signatories", "customer_name", "expired"}
+    first, _, rest = said.partition("Limits of the specification")
+    assert f"ISO/IEC 17025 requires {missing} items more" in first
+    assert "2026-01-01: expired" in rest
+    assert "Accredited as D-K" not in said
+    assert f"1 g = {record.subject.gravity_m_s2:.6f} m/s²" in said
     assert record.budgets is not None, "the record has everything"
 
 

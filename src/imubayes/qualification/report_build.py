@@ -15,6 +15,7 @@ import polars as pl
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import shown
+from imubayes.foundations.units import to_si
 from imubayes.loop.model_history import Tree
 from imubayes.qualification import report_estimates as estimates
 from imubayes.qualification import report_record as record
@@ -32,7 +33,7 @@ from imubayes.qualification.report_pictures import (
 )
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.standard_quantities import digital_unit, standard_symbol
-from imubayes.qualification.taken_as_exact import TakenAsExact
+from imubayes.qualification.taken_as_exact import TakenAsExact, is_normal_gravity
 from imubayes.qualification.unit_under_test import TestedUnit
 from imubayes.results.change_records import read_diagnosis
 from imubayes.results.fit_file import software
@@ -63,6 +64,8 @@ def subject_of(campaign: Campaign, result: Result) -> subject.Subject:
         latitude_deg=math.degrees(site.latitude),
         height_m=site.height,
         gravity_m_s2=site.gravity,
+        gravity_is_normal=is_normal_gravity(site),
+        gravity_uncertainty_ug=_in(site.gravity_uncertainty, to_si("ug", site.gravity)),
         channels=tuple(
             subject.ReportedChannel(
                 name=channel.name,

@@ -52,7 +52,14 @@ class ReportedRun(Record):
 
 
 class Subject(Record):
-    """Unit, campaign, site and equipment."""
+    """Unit, campaign, site and equipment.
+
+    Attributes
+    ----------
+    gravity_m_s2 : the unit g of this report.
+    gravity_is_normal : whether it is that of the ellipsoid at latitude and height, which nobody measured at the site.
+    gravity_uncertainty_ug : its standard uncertainty; None where the campaign states none.
+    """
 
     serial: str
     grade: str | None
@@ -60,6 +67,8 @@ class Subject(Record):
     latitude_deg: float
     height_m: float
     gravity_m_s2: float
+    gravity_is_normal: bool = False
+    gravity_uncertainty_ug: float | None = None
     channels: tuple[ReportedChannel, ...]
     tables: tuple[ReportedTable, ...]
     mountings: tuple[ReportedMounting, ...]

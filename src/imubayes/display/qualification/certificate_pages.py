@@ -2,9 +2,18 @@
 
 from collections.abc import Iterator, Sequence
 
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, texts
-from imubayes.qualification.certificate import Certificate, Environment, Missing, MissingItem, Party
+from imubayes.display.numbers_and_labels import pretty, significant
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
+from imubayes.qualification.certificate import (
+    Certificate,
+    Environment,
+    MeasurementStandard,
+    Missing,
+    MissingItem,
+    Party,
+)
 from imubayes.qualification.report_record import QualificationReport
+from imubayes.qualification.taken_as_exact import GRAVITY
 
 _NOT_STATED = "not stated"
 _MISSING: dict[MissingItem, str] = {
@@ -49,23 +58,19 @@ def _party(found: Party) -> str:
 
 
 def certificate_section(report: QualificationReport) -> Iterator[Block]:
-    """Return method, traceability, conditions, statements and signatures; nothing without a certificate block."""
+    """Return method, traceability, conditions, statements and signatures; without a block the unit g alone."""
     found = report.certificate
     if found is None:
+        yield Paragraph(unit_g_text(report))
         return
     yield Heading("Method, traceability and conditions")
     yield Paragraph(
         f"Method: {found.method or _NOT_STATED}." + (f" Deviations: {found.deviations}." * bool(found.deviations))
     )
     if found.standard:
-        rows = [
-            texts(each.name, each.serial or "–", each.certificate or _NOT_STATED, each.issued_by or "–",
-                  str(each.valid_until or _NOT_STATED))
-            for each in found.standard
-        ]  # fmt: skip
-        head = ("standard", "serial number", "certificate", "issued by", "valid until")
-        yield ReportTable("Standards used", head, rows, (0, 1, 2, 3, 4))
+        yield _standards_table(report, found.standard)
     yield Paragraph(f"Conditions: {_conditions(found.environment)}. Adjustment: {found.adjustment or 'none was made'}.")
+    yield Paragraph(unit_g_text(report))
     yield Paragraph(
         "The results relate only to the item calibrated, at the time and under the conditions of the calibration. The "
         "expanded uncertainty U is the standard uncertainty times the coverage factor k, which for the posterior of "
@@ -74,11 +79,46 @@ def certificate_section(report: QualificationReport) -> Iterator[Block]:
     )
     if found.remarks:
         yield Paragraph(f"Remarks: {found.remarks}")
-    if found.accreditation:
+    if found.accreditation and not report.missing:
         yield Paragraph(found.accreditation)
     if found.signatory:
         rows = [texts(each.name, each.function or "–", "", "") for each in found.signatory]
         yield ReportTable("Authorised by", ("name", "function", "date", "signature"), rows, (0, 1, 2, 3))
+
+
+def _standards_table(report: QualificationReport, standards: Sequence[MeasurementStandard]) -> ReportTable:
+    expired = {each.of for each in report.missing if each.item == "expired"}
+    rows = [
+        texts(each.name, each.serial or "–", each.certificate or _NOT_STATED, each.issued_by or "–",
+              _validity(each, each.name in expired))
+        for each in standards
+    ]  # fmt: skip
+    head = ("standard", "serial number", "certificate", "issued by", "valid until")
+    return ReportTable("Standards used", head, rows, (0, 1, 2, 3, 4))
+
+
+def _validity(standard: MeasurementStandard, expired: bool) -> Text:
+    until = str(standard.valid_until or _NOT_STATED)
+    return Text(f"{until}: expired", "bad") if expired else Text(until)
+
+
+def unit_g_text(report: QualificationReport) -> str:
+    """Return what 1 g stands for in this document, where it comes from, and its standard uncertainty."""
+    subject = report.subject
+    place = f"{subject.latitude_deg:.4g}°, {subject.height_m:.4g} m"
+    source = "normal gravity" if subject.gravity_is_normal else "gravity as the campaign states it"
+    taken = next((each for each in report.exact.inputs if each.effect == GRAVITY), None)
+    if subject.gravity_uncertainty_ug is not None:
+        known = f"; u = {significant(subject.gravity_uncertainty_ug, 2)} µg, stated"
+    elif any(effect.name == GRAVITY for effect in report.provenance.effects):
+        known = "; its error is a parameter of the model"
+    elif taken is not None:
+        known = f"; u = {significant(taken.size, 2)} {pretty(taken.unit)}, assumed" + (
+            "" if taken.included else " and not in U"
+        )
+    else:
+        known = ""
+    return f"1 g = {subject.gravity_m_s2:.6f} m/s² ({source} at {place}{known})."
 
 
 def _conditions(found: Environment) -> str:

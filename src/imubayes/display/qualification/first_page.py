@@ -2,17 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 
-from imubayes.display.numbers_and_labels import pretty, significant
+from imubayes.display.numbers_and_labels import counted, pretty, significant
 from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Banner, ReportTable, Text, texts
-from imubayes.qualification.budget_parts import QuantityBudget
 from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,
     QualificationReport,
     ReportedConvergence,
 )
-from imubayes.qualification.taken_as_exact import ExactInput
 
 
 def banner(report: QualificationReport) -> Banner:
@@ -46,7 +44,7 @@ def alarms(report: QualificationReport) -> list[str]:
     """Return what stands against the use of the numbers, most serious first; also where there is no specification."""
     convergence, adequacy = report.convergence, report.adequacy
     if not convergence.converged:
-        return [words.OBSTACLES["not_converged"] + f" {convergence.message}"]
+        return [words.OBSTACLES["not_converged"] + f" {convergence.message}", *_incomplete(report)]
     found = []
     if adequacy.verdict is None:
         found.append(words.OBSTACLES["not_diagnosed"])
@@ -57,7 +55,17 @@ def alarms(report: QualificationReport) -> list[str]:
     if adequacy.prior_conflicts:
         names = words.enumerated([conflict.name for conflict in adequacy.prior_conflicts], 4)
         found.append(f"Priors and data disagree for {names}: see model adequacy.")
-    return found
+    return [*found, *_incomplete(report)]
+
+
+def _incomplete(report: QualificationReport) -> list[str]:
+    """Return that what ISO/IEC 17025 requires of a certificate is missing; nothing where nothing is."""
+    if report.certificate is None or not report.missing:
+        return []
+    named = counted(len(report.missing), "item")
+    return [
+        f"This is no certificate of an accredited laboratory: ISO/IEC 17025 requires {named} more, listed at the end."
+    ]
 
 
 def facts(report: QualificationReport) -> list[tuple[str, str]]:
@@ -137,62 +145,6 @@ def components_of(report: QualificationReport) -> dict[str, str]:
         for each in report.standards
         if each.vector
     }
-
-
-# Inputs that the model takes as exact, so many at most on the first page, and the ratio of uncertainties from which on.
-_MOST_EXACT, _MATTERS = 6, 1.1
-
-
-_Exact = tuple[float, ExactInput, str]
-
-
-def _worst_exact(inputs: Sequence[ExactInput], budgets: Mapping[str, QuantityBudget]) -> list[_Exact]:
-    """Return for each effect its worst parameter: ratio of uncertainties, parameter, and the quantity that it moves."""
-    effects: dict[str, _Exact] = {}
-    for each in inputs:
-        for shift in each.shifts:
-            u = budgets[shift.name].standard_uncertainty if shift.name in budgets else 0.0
-            alone = u**2 - (shift.value**2 if each.included else 0.0)
-            ratio = (1 + shift.value**2 / alone) ** 0.5 if alone > 0 else 1.0
-            if ratio > (effects[each.effect][0] if each.effect in effects else _MATTERS):
-                effects[each.effect] = ratio, each, shift.name
-    return sorted(effects.values(), key=lambda found: -found[0])[:_MOST_EXACT]
-
-
-def _exact_row(each: ExactInput, symbol: str, budget: QuantityBudget, ratio: float) -> tuple[Text, ...]:
-    whole = budget.standard_uncertainty * (1 if each.included else ratio)
-    return texts(
-        each.effect.replace("_", " "),
-        f"{significant(each.size, 2)} {pretty(each.unit)}",
-        "stated" if each.stated else "plausible",
-        Text("yes" if each.included else "no", "" if each.included else "weak"),
-        Text(symbol, formula=True),
-        f"{significant(whole / ratio, 2)} → {significant(whole, 2)}",
-        pretty(budget.unit),
-    )
-
-
-def exact_table(report: QualificationReport) -> ReportTable | None:
-    """Return what the model takes as exact of site and equipment, with what it does; None where nothing matters."""
-    budgets = {} if report.budgets is None else {each.name: each for each in report.budgets.quantities}
-    symbols = {each.members[0]: each.symbol for each in report.standards if len(each.members) == 1}
-    symbols |= {each.name: each.symbol for each in report.standards}
-    rows = [
-        _exact_row(each, symbols[name] + "[" + name.partition("[")[2], budgets[name], ratio)
-        for ratio, each, name in _worst_exact(report.exact.inputs, {n: b for n, b in budgets.items() if n in symbols})
-    ]
-    if not rows:
-        return None
-    head = ("taken as exact", "standard uncertainty", "", "in U", "moves most", "u without → with", "unit")
-    return ReportTable(
-        "Site and equipment that the model takes as exact",
-        head,
-        rows,
-        (0, 1, 2, 3, 4, 6),
-        "Uncertainties that the campaign states, and that of normal gravity, are in every U of this document; the "
-        "others are in none. State them in the campaign (0 where exact), or take the effect into the model. No limit "
-        "passes that all of them together could cross.",
-    )
 
 
 def _where(limit: LimitOutcome) -> str:

@@ -27,11 +27,11 @@ from imubayes.display.qualification.document import (
     ReportDocument,
     ReportTable,
 )
+from imubayes.display.qualification.exact_tables import included_table, omissions, omitted_note, omitted_table
 from imubayes.display.qualification.first_page import (
     alarms,
     banner,
     components_of,
-    exact_table,
     facts,
     limits_table,
     risk_table,
@@ -132,7 +132,8 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
     conformity = report.conformity
     if conformity is not None and conformity.limits:
         yield limits_table(conformity.limits, components_of(report))
-    yield exact_table(report)
+    yield included_table(report)
+    yield omitted_table(omissions(report))
     if conformity is None:  # then the quantities themselves are what is certified
         yield from result_sections.standards_section(report)
     else:
@@ -159,10 +160,11 @@ def _results(report: QualificationReport) -> Iterator[Block | None]:
     yield Heading("Errors of the unit")
     nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
     yield unit_drawings.error_drawings(pictures) or nothing
-    yield from result_sections.mounting_section(report.mounting_angles)
+    omitted = omissions(report)
+    yield from result_sections.mounting_section(report.mounting_angles, omitted_note(omitted, "angle"))
     yield unit_drawings.mounting_drawings(pictures)
     yield unit_drawings.angle_drawings(pictures)
-    yield from result_sections.combination_section(report.combinations)
+    yield from result_sections.combination_section(report.combinations, omitted_note(omitted, "combination"))
     yield from result_sections.converter_section(report.thermal_linearity, report.results)
     if report.conformity is not None and report.conformity.limits:
         yield risk_table(report.conformity.limits)

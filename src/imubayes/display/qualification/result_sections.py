@@ -6,6 +6,7 @@ from imubayes.display.fit_quality_tables import members_text, symbol_text
 from imubayes.display.numbers_and_labels import NO_NUMBER, percent, pretty, rounded, significant, value_and_sd
 from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
+from imubayes.display.qualification.exact_tables import omissions, omitted_note
 from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.inference.identifiability import ProcedureShare
 from imubayes.qualification import report_record as record
@@ -13,6 +14,10 @@ from imubayes.qualification import report_record as record
 _CONVERTER = "converter_"
 _UNMEASURED = "Not measured: known from priors, or fixed by the model"
 _TOGETHER = "Determined combinations"
+_STANDARD_NOTE = (
+    "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage; estimate [95 % interval] where the posterior is "
+    f"not symmetric. u: standard uncertainty. Term: where it stands in the model equation. {words.WITHHELD_NUMBER}"
+)
 _REASONS = {
     "not_in_model": "not in the model",
     "undetectable": "these runs cannot show it",
@@ -31,8 +36,10 @@ def standards_section(report: record.QualificationReport) -> Iterator[Block]:
             "P (accelerometers) are the input, output and third axis of each channel; f and a are specific force, "
             "Ω is rate."
         )
-    for standard in dict.fromkeys(each.standard for each in report.standards):
-        yield _standard_table(standard, [each for each in report.standards if each.standard == standard])
+    found = list(dict.fromkeys(each.standard for each in report.standards))
+    for standard in found:
+        note = _STANDARD_NOTE + omitted_note(omissions(report), "standard") if standard == found[-1] else ""
+        yield _standard_table(standard, [each for each in report.standards if each.standard == standard], note)
     together = _determined_together(report)
     if together:
         yield Paragraph(f"Much better determined together than by themselves: {together}; see {_TOGETHER}.")
@@ -49,7 +56,7 @@ def _determined_together(report: record.QualificationReport) -> str:
     return words.enumerated([f"{each.symbol}[{each.label}]" for each in named]) if named else ""
 
 
-def _standard_table(standard: str, own: Sequence[record.StandardEstimate]) -> ReportTable:
+def _standard_table(standard: str, own: Sequence[record.StandardEstimate], note: str) -> ReportTable:
     rows, before = [], ""
     for each in own:
         new = each.key != before
@@ -68,15 +75,7 @@ def _standard_table(standard: str, own: Sequence[record.StandardEstimate]) -> Re
             )
         )
     head = ("symbol", "quantity", "channel", "y ± U", "k", "u", "unit", "term")
-    return ReportTable(
-        standard,
-        head,
-        rows,
-        (0, 1, 2, 6, 7),
-        "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage; estimate and 95 % interval where the "
-        "posterior is not symmetric. u: standard uncertainty. Term: where it stands in the model equation. "
-        f"{words.WITHHELD_NUMBER}",
-    )
+    return ReportTable(standard, head, rows, (0, 1, 2, 6, 7), note)
 
 
 def _not_estimated(lines: Sequence[record.NotEstimated]) -> ReportTable:
@@ -108,8 +107,8 @@ def _not_estimated(lines: Sequence[record.NotEstimated]) -> ReportTable:
     )
 
 
-def mounting_section(angles: Sequence[record.MountingAngle]) -> Iterator[Block]:
-    """Return the true mounting angles and what determined them."""
+def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") -> Iterator[Block]:
+    """Return the true mounting angles and what determined them; `omitted` says what their uncertainties omit."""
     if not angles:
         return
     rows = []
@@ -131,7 +130,7 @@ def mounting_section(angles: Sequence[record.MountingAngle]) -> Iterator[Block]:
         "negative. "
         "Determined by: the procedure that alone would leave the smallest uncertainty, with that uncertainty, and how "
         "many times smaller it is with all runs together; a dash stands where the angle is not linear enough in the "
-        f"parameters for a share by procedure. {words.WITHHELD_NUMBER}"
+        f"parameters for a share by procedure. {words.WITHHELD_NUMBER}{omitted}"
     )
     runs = [
         f"{mounting}: {words.enumerated(next(each.runs for each in angles if each.mounting == mounting))}"
@@ -160,8 +159,8 @@ def _determined_by(
     return f"{alone}; all runs {significant(gain, 2)} × better" if gain > 1.05 else alone
 
 
-def combination_section(combinations: Sequence[record.ReportedCombination]) -> Iterator[Block]:
-    """Return what the data determine of quantities that they do not determine by themselves."""
+def combination_section(combinations: Sequence[record.ReportedCombination], omitted: str = "") -> Iterator[Block]:
+    """Return what the data determine together alone; `omitted` says what the uncertainties omit."""
     if not combinations:
         return
     rows = []
@@ -180,7 +179,7 @@ def combination_section(combinations: Sequence[record.ReportedCombination]) -> I
         "their priors or are strongly correlated; use the combination, not the sum of the single estimates with "
         "their uncertainties. Each member counts in its own unit. Symbols are those of the standard of the test; a "
         "combination without one was found from the information in the data. Determined by: as for mounting angles. "
-        f"{words.WITHHELD_NUMBER}"
+        f"{words.WITHHELD_NUMBER}{omitted}"
     )
     table = ReportTable("What the runs determine together", head, rows, (0, 1, 5, 7), note)
     yield Heading(_TOGETHER)
@@ -240,7 +239,7 @@ def result_section(report: record.QualificationReport) -> Iterator[Block]:
         "u: standard uncertainty, the standard deviation of the joint posterior (GUM, type A and B combined). Digits "
         "are those that the Monte Carlo error leaves (JCGM 101, 7.9). From data: 1 − posterior variance / prior "
         "variance on the scale on which the prior is normal; a quantity below 50 % was not measured. "
-        f"{words.WITHHELD_NUMBER}"
+        f"{words.WITHHELD_NUMBER}{omitted_note(omissions(report), 'result')}"
     )
     yield Heading("Result table")
     tables: dict[str, list[record.ResultLine]] = {}

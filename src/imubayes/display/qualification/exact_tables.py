@@ -1,0 +1,175 @@
+"""What the model takes as exact of site and equipment: what of it is in every U, and what U omits of each quantity."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from imubayes.display.numbers_and_labels import pretty, ratio_text, significant
+from imubayes.display.qualification.document import ReportTable, Text, texts
+from imubayes.qualification.report_record import QualificationReport, ReportedEstimate
+from imubayes.qualification.taken_as_exact import ExactInput
+
+# Included inputs are told from this ratio of uncertainties on; what U omits from the ratio at which U would be wrong in
+# its rounding (EA-4/02, 6.3).
+_MATTERS, _OMITTED = 1.1, 1.05
+# Share of the omitted variance, by each effect alone, from which on an effect is named as its cause.
+_CAUSE = 0.1
+
+Kind = Literal["standard", "angle", "combination", "result"]
+_KINDS: dict[Kind, str] = {
+    "standard": "", "angle": "true mounting angles", "combination": "determined combinations",
+    "result": "others of the result table",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Omission:
+    """A quantity whose stated uncertainty omits contributions of what the model takes as exact.
+
+    Attributes
+    ----------
+    kind, symbol, label : table that has it, symbol of the standards, and its name there.
+    ratio : uncertainty with the omitted contributions over the stated one.
+    uncertainty, unit : the stated standard uncertainty.
+    causes : inputs that contribute, effect by effect, the largest first.
+    """
+
+    kind: Kind
+    symbol: str
+    label: str
+    ratio: float
+    uncertainty: float
+    unit: str
+    causes: tuple[ExactInput, ...]
+
+
+def included_table(report: QualificationReport) -> ReportTable | None:
+    """Return what is taken as exact and is in every U, with what it does; None where nothing of it matters."""
+    budgets = {} if report.budgets is None else {each.name: each for each in report.budgets.quantities}
+    symbols = {each.members[0]: each.symbol for each in report.standards if len(each.members) == 1}
+    symbols |= {each.name: each.symbol for each in report.standards}
+    worst: dict[str, tuple[float, ExactInput, str]] = {}
+    for each in report.exact.included:
+        for shift in (shift for shift in each.shifts if shift.name in budgets and shift.name in symbols):
+            alone = budgets[shift.name].standard_uncertainty ** 2 - shift.value**2
+            ratio = (1 + shift.value**2 / alone) ** 0.5 if alone > 0 else 1.0
+            if ratio > (worst[each.effect][0] if each.effect in worst else _MATTERS):
+                worst[each.effect] = ratio, each, shift.name
+    rows = []
+    for ratio, each, name in sorted(worst.values(), key=lambda found: -found[0]):
+        u = budgets[name].standard_uncertainty
+        rows.append(
+            texts(
+                _named(each),
+                f"{significant(each.size, 2)} {pretty(each.unit)}",
+                "stated" if each.stated else "assumed",
+                Text(f"{symbols[name]}[{name.partition('[')[2]}", formula=True),
+                f"{significant(u / ratio, 2)} → {significant(u, 2)}",
+                pretty(budgets[name].unit),
+            )
+        )
+    if not rows:
+        return None
+    head = ("taken as exact", "standard uncertainty", "", "moves most", "u without → with", "unit")
+    note = "Uncertainties that the campaign states, and that of normal gravity, are in every U of this document."
+    return ReportTable("Site and equipment that the model takes as exact, in U", head, rows, (0, 1, 2, 3, 5), note)
+
+
+def omissions(report: QualificationReport) -> list[Omission]:
+    """Return the stated quantities whose U omits what would widen it by a twentieth and more."""
+    budgets = {} if report.budgets is None else {each.name: each for each in report.budgets.quantities}
+    omitted = {each.name: each.value for each in report.exact.unstated}
+    found, seen = [], set[str]()
+    for kind, symbol, label, line, names in _stated(report):
+        name = next((each for each in names if each in omitted), None)
+        u = line.standard_uncertainty
+        if name is None or not u or line.withheld is not None or seen.intersection(names):
+            continue
+        seen.update(names)
+        own = budgets[name].standard_uncertainty if name in budgets else u
+        ratio = (1 + (omitted[name] / own) ** 2) ** 0.5 if own > 0 else 1.0
+        if ratio > _OMITTED:
+            causes = _causes(report.exact.inputs, name)
+            found.append(Omission(kind, symbol, label, ratio, u, line.unit, causes))
+    return found
+
+
+def _stated(report: QualificationReport) -> Iterator[tuple[Kind, str, str, ReportedEstimate, tuple[str, ...]]]:
+    """Yield what the document states: table, symbol, label, estimate, and the names that it may have."""
+    for each in report.standards:
+        members = each.members if len(each.members) == 1 else ()
+        yield "standard", each.symbol, each.label, each, (each.name, *members)
+    for angle in report.mounting_angles:
+        yield "angle", "", f"{angle.channel},{angle.mounting}", angle, (angle.name,)
+    for combination in report.combinations:
+        yield "combination", "", combination.name, combination, (combination.name,)
+    for line in report.results:
+        yield "result", "", line.name, line, (line.name,)
+
+
+def _causes(inputs: Sequence[ExactInput], name: str) -> tuple[ExactInput, ...]:
+    """Return an input of each effect that causes what U omits of a quantity, the largest effect first."""
+    effects: dict[str, tuple[float, ExactInput]] = {}
+    for each in (each for each in inputs if not each.included and each.shift(name)):
+        before = effects[each.effect][0] if each.effect in effects else 0.0
+        effects[each.effect] = before + each.shift(name) ** 2, each
+    whole = sum(variance for variance, _ in effects.values())
+    ordered = sorted(effects.values(), key=lambda found: -found[0])
+    return tuple(each for variance, each in ordered if variance >= _CAUSE * whole)
+
+
+def omitted_table(found: Sequence[Omission]) -> ReportTable | None:
+    """Return what U omits, a row for each quantity or table with its worst; None where it omits nothing."""
+    groups: dict[tuple[Kind, str, str], list[Omission]] = {}
+    for each in found:
+        groups.setdefault((each.kind, each.symbol, each.unit), []).append(each)
+    rows = []
+    for (kind, symbol, unit), own in groups.items():
+        worst = max(own, key=lambda each: each.ratio)
+        causes = dict.fromkeys(_input_text(cause) for each in own for cause in each.causes)
+        rows.append(
+            texts(
+                Text(symbol, formula=True) if symbol else _KINDS[kind],
+                _factors(own) if kind == "standard" else _range(own),
+                f"{significant(worst.uncertainty, 2)} → {significant(worst.uncertainty * worst.ratio, 2)}",
+                pretty(unit),
+                ", ".join(causes),
+            )
+        )
+    if not rows:
+        return None
+    head = ("quantity", "U would be multiplied by", "worst: u → u with them", "unit", "omitted")
+    note = (
+        "Known contributions that no u and no U of this document contains, from site and equipment that the model "
+        "takes as exact: all of them together, where they widen U by a twentieth and more. The size is a standard "
+        "uncertainty that is plausible, as the campaign states none. State it in the campaign (0 where exact), or take "
+        "the effect into the model. No limit passes that all of them together could cross."
+    )
+    return ReportTable("Contributions that U omits", head, rows, (0, 1, 3, 4), note)
+
+
+def omitted_note(found: Sequence[Omission], kind: Kind) -> str:
+    """Return what U omits in one table, as a sentence for its note; empty where it omits nothing."""
+    own = [each for each in found if each.kind == kind]
+    if not own:
+        return ""
+    names = _factors(own) if kind != "standard" else ", ".join(dict.fromkeys(each.symbol for each in own))
+    return f" u and U omit known contributions (first page), which would multiply them: {names}."
+
+
+def _factors(found: Sequence[Omission]) -> str:
+    return "; ".join(f"{each.label} × {ratio_text(each.ratio)}" for each in found)
+
+
+def _range(found: Sequence[Omission]) -> str:
+    ratios = sorted(each.ratio for each in found)
+    ends = dict.fromkeys(f"× {ratio_text(each)}" for each in (ratios[0], ratios[-1]))
+    return f"{len(found)}: {' … '.join(ends)}"
+
+
+def _named(each: ExactInput) -> str:
+    return each.effect.replace("_", " ")
+
+
+def _input_text(each: ExactInput) -> str:
+    return f"{_named(each)} ({significant(each.size, 2)} {pretty(each.unit)})"

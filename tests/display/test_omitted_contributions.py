@@ -1,0 +1,103 @@
+"""What every U contains of site and equipment that a model takes as exact, and what it omits, is on the first page."""
+
+import math
+
+import pytest
+
+from imubayes.display.qualification.document import ReportTable
+from imubayes.display.qualification.exact_tables import included_table, omissions, omitted_note, omitted_table
+from imubayes.display.qualification.result_sections import combination_section
+from imubayes.qualification.budget_parts import QuantityBudget, UncertaintyBudgets
+from imubayes.qualification.report_record import (
+    MountingAngle,
+    QualificationReport,
+    ReportedCombination,
+    ResultLine,
+    StandardEstimate,
+)
+from imubayes.qualification.taken_as_exact import ExactInput, QuantityShift, TakenAsExact
+
+BIAS, ANGLE, SUM, SEAT = "accel_bias.bias[ax]", "mounting_angle[ax,up]", "a[ax]+b[up]", "table_axis_tilt.x[rate]"
+U = 0.5
+# What all parameters together do to each quantity that is in no uncertainty, in units of u.
+JOINT = {BIAS: 1.0, ANGLE: 3.0, SUM: 0.2, SEAT: math.sqrt(3.0)}
+
+
+def shifts(sizes: dict[str, float]) -> tuple[QuantityShift, ...]:
+    return tuple(QuantityShift(name=name, value=U * size) for name, size in sizes.items())
+
+
+def exact_input(effect: str, sizes: dict[str, float], included: bool) -> ExactInput:
+    return ExactInput(
+        effect=effect, parameter=f"{effect}.x[t]", source="table", unit="arcsec", size=5.0, left=5.0, stated=included,
+        included=included, shifts=shifts(sizes),
+    )  # fmt: skip
+
+
+def report(withheld: bool = False) -> QualificationReport:
+    stated = {"estimate": 1.0, "standard_uncertainty": U, "d_si": None}
+    angle = stated | {"withheld": "monte_carlo_error"} if withheld else stated
+    standard = {"key": "accel_bias", "symbol": "K_0", "quantity": "bias", "standard": "IEEE Std 1293", "term": "K_0"}
+    names = (BIAS, ANGLE, SUM, SEAT)
+    budgets = [QuantityBudget.model_construct(name=name, unit="ug", standard_uncertainty=U) for name in names]
+    return QualificationReport.model_construct(
+        standards=(
+            StandardEstimate(name="accel_bias[ax]", unit="ug", label="ax", members=(BIAS,), **standard, **stated),
+        ),
+        mounting_angles=(
+            MountingAngle(
+                name=ANGLE, unit="deg", channel="ax", mounting="up", nominal=0, deviation=None, evidence=(), runs=(),
+                **angle,
+            ),
+        ),
+        combinations=(
+            ReportedCombination(
+                name=SUM, unit="arcsec", standard=False, quantities=("a[ax]", "b[up]"), weights=(1.0, 1.0), constant=0,
+                middle_of="", evidence=(), procedures=(), **stated,
+            ),
+        ),
+        results=tuple(ResultLine(name=name, unit="arcsec", kind="parameter", **stated) for name in (BIAS, SEAT)),
+        budgets=UncertaintyBudgets.model_construct(quantities=tuple(budgets)),
+        exact=TakenAsExact(
+            inputs=(
+                exact_input("gravity_anomaly", {BIAS: 0.8}, included=True),
+                exact_input("encoder_harmonic", JOINT, included=False),
+                exact_input("table_wobble", {BIAS: 0.1, ANGLE: 5.0}, included=False),
+            ),
+            unstated=shifts(JOINT),
+        ),
+    )  # fmt: skip
+
+
+def rows(table: ReportTable | None) -> list[tuple[str, ...]]:
+    return [] if table is None else [tuple(cell.text for cell in row) for row in table.rows]
+
+
+def test_every_stated_quantity_that_omits_something_has_its_factor():
+    """The factor is that of all parameters together, √(1 + (omitted/u)²), and a quantity stands once."""
+    found = {each.label: each.ratio for each in omissions(report())}
+    assert found == pytest.approx({"ax": math.sqrt(2), "ax,up": math.sqrt(10), SEAT: 2.0})
+    bias, angles, others = rows(omitted_table(omissions(report())))
+    assert bias == ("K_0", "ax × 1.41", "0.50 → 0.71", "µg", "encoder harmonic (5.0 arcsec)")
+    assert angles[0] == "true mounting angles"
+    assert angles[-1].startswith("table wobble (5.0 arcsec), encoder")
+    assert others[:2] == ("others of the result table", "1: × 2.00")
+    assert omitted_note(omissions(report()), "angle").endswith("ax,up × 3.16.")
+    assert omitted_note(omissions(report()), "combination") == ""
+
+
+def test_what_is_withheld_has_no_factor_and_nothing_omitted_is_no_table():
+    assert {each.label for each in omissions(report(withheld=True))} == {"ax", SEAT}
+    assert omitted_table([]) is None
+
+
+def test_what_is_in_every_uncertainty_is_told_apart():
+    ((effect, size, stated, moved, change, _),) = rows(included_table(report()))
+    assert (effect, size, stated, moved) == ("gravity anomaly", "5.0 arcsec", "stated", "K_0[ax]")
+    assert change == "0.30 → 0.50"
+
+
+def test_the_note_of_a_table_has_what_its_uncertainties_omit():
+    said = " u and U omit this."
+    (table,) = [block for block in combination_section(report().combinations, said) if isinstance(block, ReportTable)]
+    assert table.note.endswith(said)
