@@ -4,9 +4,16 @@ import pytest
 
 from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.document import Block, ReportTable
-from imubayes.display.qualification.first_page import limits_table
+from imubayes.display.qualification.first_page import limits_table, risk_table
 from imubayes.display.qualification.result_sections import mounting_section, result_section
-from imubayes.display.qualification.words import chance, interval_text, stated
+from imubayes.display.qualification.words import (
+    chance,
+    interval_text,
+    more_draws_text,
+    reference_temperature,
+    stated,
+    value_text,
+)
 from imubayes.qualification.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
 from imubayes.qualification.report_record import (
     Conformity,
@@ -18,6 +25,7 @@ from imubayes.qualification.report_record import (
     ReportedEstimate,
     ResultLine,
 )
+from imubayes.qualification.report_subject import Provenance, ReportedEffect
 
 NAME, U = "accel_quadratic.quadratic[az]", 0.93
 VALUES = {"estimate": -22.44, "standard_uncertainty": U, "low": -24.2, "high": -20.6}
@@ -73,10 +81,16 @@ def text(blocks: list[Block]) -> str:
     )
 
 
-def test_the_row_says_why_and_which_command_gives_it():
+def test_the_row_says_why_and_the_terminal_which_command_gives_it():
+    """A command has no place in a certificate."""
     estimate, u, _, _ = stated(line(0))
-    assert (estimate, u) == ("withheld", "needs 2.6 × the draws")
-    assert interval_text(line(0)) == "imubayes fit … --until-digits 1"
+    assert (estimate, u) == ("withheld", "too few draws")
+    assert interval_text(line(0)) == "–"
+    said = more_draws_text(report(0))
+    assert "1 number" in said
+    assert "2.6 × the draws" in said
+    assert "--until-digits 1" in said
+    assert more_draws_text(report(2)) == ""
     assert stated(line(1))[:2] == ("-22.4", "0.9")
 
 
@@ -116,7 +130,7 @@ def test_an_estimate_without_posterior_says_so():
     assert stated(none)[1] == "no convergence"
 
 
-def test_a_mounting_angle_that_is_withheld_names_the_command():
+def test_a_mounting_angle_that_is_withheld_says_so():
     angle = MountingAngle.model_validate(
         {
             "name": "mounting_angle[gx,flat]", "unit": "deg", "d_si": None, **VALUES, "monte_carlo": error(0),
@@ -126,4 +140,50 @@ def test_a_mounting_angle_that_is_withheld_names_the_command():
     )  # fmt: skip
     (table,) = [block for block in mounting_section([angle]) if isinstance(block, ReportTable)]
     assert "withheld" in text([table])
-    assert "--until-digits 1" in table.note
+    assert "too few draws" in table.note
+    assert "--until-digits" not in table.note
+
+
+def test_a_deviation_is_the_difference_of_the_angles_as_they_are_printed():
+    angle = MountingAngle.model_validate(
+        {
+            "name": "mounting_angle[gx,pyramid]", "unit": "deg", "d_si": None, "estimate": 54.7165237,
+            "standard_uncertainty": 2.9e-6, "monte_carlo": error(2), "channel": "gx", "mounting": "pyramid",
+            "nominal": 54.73561032, "deviation": 54.7165237 - 54.73561032, "evidence": (), "runs": (),
+        }
+    )  # fmt: skip
+    (table,) = [block for block in mounting_section([angle]) if isinstance(block, ReportTable)]
+    nominal, true, _, deviation = (cell.text.replace("−", "-") for cell in table.rows[0][2:6])
+    assert len(nominal) == len(true)
+    assert (float(true) - float(nominal)) * 3600 == pytest.approx(float(deviation), abs=0.01)
+
+
+def test_an_interval_that_is_not_symmetric_stands_in_brackets():
+    skewed = {"interval": "shortest", "low": 12.0, "high": 131.0, "estimate": 41.0, "standard_uncertainty": 32.0}
+    assert value_text(line(2).model_copy(update={**skewed, "expanded_uncertainty": 60.0})) == "41 [12; 131]"
+
+
+def test_decisions_and_risks_have_symbol_and_channel():
+    named = limit(2).model_copy(update={"symbol": "K_2", "label": "az"})
+    quantity, channel = risk_table([named]).rows[0][:2]
+    assert (quantity.text, quantity.formula, channel.text) == ("K_2", True, "az")
+
+
+@pytest.mark.parametrize(
+    ("reference", "said"), [("25 °C", "25 (T_ref)"), ("25 °C, 20 °C of gyro_bias_temperature", "T_ref")]
+)
+def test_a_limit_at_the_reference_temperature_says_which_it_is(reference, said):
+    assert limits_table([limit(2)], None, reference).rows[0][3].text == said
+
+
+def test_the_reference_temperature_is_that_of_the_effects():
+    def of(**stated: float) -> str:
+        effects = [
+            ReportedEffect(name=name, channels=None, prior={}, options={"reference_degC": value})
+            for name, value in stated.items()
+        ]
+        made = Provenance.model_construct(effects=tuple(effects))
+        return reference_temperature(QualificationReport.model_construct(provenance=made))
+
+    assert of() == of(gyro_bias_temperature=25.0) == "25 °C"
+    assert of(gyro_bias_temperature=20.0) == "25 °C, 20 °C of gyro_bias_temperature"

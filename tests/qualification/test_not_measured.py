@@ -5,8 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imubayes.criticism.diagnosis_record import Diagnosis, RankedEffect
+from imubayes.criticism.explanations import CoefficientEstimate
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
-from imubayes.qualification.report_estimates import _not_measured, standard_estimates
+from imubayes.qualification.report_estimates import _not_measured, _screened, standard_estimates
+from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES
 from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.qualification.unit_under_test import TestedUnit, with_standards
 from imubayes.results.summary import Quantity
@@ -49,3 +52,20 @@ def test_priors_and_nominal_values_are_not_measured():
     assert all(each.reason == "not_measured" and each.labels == ("gx",) for each in listed.values())
     assert listed["S"].from_data is None
     assert listed["D_IO"].from_data == pytest.approx(0.02)
+
+
+def test_a_quantity_has_the_one_step_estimate_of_its_own_coefficient_alone():
+    """D_IO is not d_ss of the same effect, and f(I) is no coefficient."""
+    of = {each.key: each for each in STANDARD_QUANTITIES}
+    known = ("gyro_g2_sensitivity.d_ss", "gyro_g2_sensitivity.d_io", "gyro_scale_cubic.cubic")
+    lines = [
+        RankedEffect(
+            effect=name.partition(".")[0], channels=("gx",), probability=0.1, delta_chi2=1.0, shape={}, log_odds=0.0,
+            coefficients=(CoefficientEstimate(name=f"{name}[gx]", value=1.0, sd=0.1, unit="x"),),
+        )
+        for name in known
+    ]  # fmt: skip
+    found = Diagnosis(verdict="adequate", result="", ranking=tuple(lines))
+    assert [each.name for each in _screened(of["gyro_g2_sensitivity_io"], found)] == ["gyro_g2_sensitivity.d_io[gx]"]
+    assert _screened(of["gyro_g2_sensitivity_oo"], found) == ()
+    assert _screened(of["nonlinearity"], found) == ()

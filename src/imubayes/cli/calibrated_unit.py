@@ -243,11 +243,14 @@ def report(
 
         found = make_report(result, spec, certificate=certificate, annexes=annex, out=out, progress=tell)
     from imubayes.display.qualification.first_page import alarms, banner
+    from imubayes.display.qualification.words import more_draws_text
 
     said = banner(found)
     print(f"{said.word}: {said.sentence}")
     for line in alarms(found):
         print(line)
+    if remedy := more_draws_text(found):
+        print(remedy)
     for file in out:
         print(f"written: {file}")
     if any(file.suffix.lower() == ".pdf" for file in out):

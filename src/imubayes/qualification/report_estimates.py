@@ -277,12 +277,14 @@ def _why_missing(
 
 
 def _screened(quantity: StandardQuantity, diagnosis: Diagnosis | None) -> tuple[record.ScreenedCoefficient, ...]:
-    if diagnosis is None:
+    """Return what the diagnosis estimated of the coefficient that the quantity is; nothing for what it is not alone."""
+    if diagnosis is None or not quantity.family:
         return ()
     found: dict[str, record.ScreenedCoefficient] = {}
     for line in diagnosis.ranking:
         for each in line.coefficients if line.effect in quantity.effects else ():
-            if each.value is not None and each.sd is not None and each.name not in found:
+            own = each.name.partition("[")[0] == quantity.family and each.name not in found
+            if own and each.value is not None and each.sd is not None:
                 found[each.name] = record.ScreenedCoefficient(
                     name=each.name, value=each.value, standard_uncertainty=each.sd, unit=each.unit
                 )

@@ -7,7 +7,6 @@ from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, significant
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
 from imubayes.display.qualification.quantity_drawings import bar_drawings, correlation_drawing
-from imubayes.display.qualification.words import MORE_DRAWS
 from imubayes.qualification import budget_parts as parts
 from imubayes.qualification.decision_rules import ADDS_UP
 from imubayes.qualification.report_record import QualificationReport
@@ -194,7 +193,7 @@ def _budget_table(budget: parts.QuantityBudget, first: bool, withheld: bool) -> 
 def _caption(budget: parts.QuantityBudget, withheld: bool) -> str:
     """Return what a budget is of, with u, k and U where they are stated."""
     if withheld:
-        return f"{budget.name}: u, k and U withheld, as the draws leave no digit ({MORE_DRAWS})"
+        return f"{budget.name}: u, k and U withheld: too few draws"
     u, unit = significant(budget.standard_uncertainty, 2), pretty(budget.unit)
     degrees = "= ∞" if budget.degrees_of_freedom is None else _degrees(budget.degrees_of_freedom)
     degrees = degrees if degrees.startswith((">", "=")) else f"= {degrees}"

@@ -1,6 +1,6 @@
 """What the model takes as exact of site and equipment: what of it is in every U, and what U omits of each quantity."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -48,15 +48,9 @@ def included_table(report: QualificationReport) -> ReportTable | None:
     budgets = {} if report.budgets is None else {each.name: each for each in report.budgets.quantities}
     symbols = {each.members[0]: each.symbol for each in report.standards if len(each.members) == 1}
     symbols |= {each.name: each.symbol for each in report.standards}
-    worst: dict[str, tuple[float, ExactInput, str]] = {}
-    for each in report.exact.included:
-        for shift in (shift for shift in each.shifts if shift.name in budgets and shift.name in symbols):
-            alone = budgets[shift.name].standard_uncertainty ** 2 - shift.value**2
-            ratio = (1 + shift.value**2 / alone) ** 0.5 if alone > 0 else 1.0
-            if ratio > (worst[each.effect][0] if each.effect in worst else _MATTERS):
-                worst[each.effect] = ratio, each, shift.name
+    shown = {name: budget.standard_uncertainty for name, budget in budgets.items() if name in symbols}
     rows = []
-    for ratio, each, name in sorted(worst.values(), key=lambda found: -found[0]):
+    for ratio, each, name in _worst_included(report.exact.included, shown):
         u = budgets[name].standard_uncertainty
         rows.append(
             texts(
@@ -73,6 +67,20 @@ def included_table(report: QualificationReport) -> ReportTable | None:
     head = ("taken as exact", "standard uncertainty", "", "moves most", "u without → with", "unit")
     note = "Uncertainties that the campaign states, and that of normal gravity, are in every U of this document."
     return ReportTable("Site and equipment that the model takes as exact, in U", head, rows, (0, 1, 2, 3, 5), note)
+
+
+def _worst_included(
+    inputs: Sequence[ExactInput], uncertainties: Mapping[str, float]
+) -> list[tuple[float, ExactInput, str]]:
+    """Return for each effect its worst parameter: ratio of uncertainties, parameter, and the quantity that it moves."""
+    worst: dict[str, tuple[float, ExactInput, str]] = {}
+    for each in inputs:
+        for shift in (shift for shift in each.shifts if shift.name in uncertainties):
+            alone = uncertainties[shift.name] ** 2 - shift.value**2
+            ratio = (1 + shift.value**2 / alone) ** 0.5 if alone > 0 else 1.0
+            if ratio > (worst[each.effect][0] if each.effect in worst else _MATTERS):
+                worst[each.effect] = ratio, each, shift.name
+    return sorted(worst.values(), key=lambda found: -found[0])
 
 
 def omissions(report: QualificationReport) -> list[Omission]:

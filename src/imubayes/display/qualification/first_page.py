@@ -63,9 +63,7 @@ def _incomplete(report: QualificationReport) -> list[str]:
     if report.certificate is None or not report.missing:
         return []
     named = counted(len(report.missing), "item")
-    return [
-        f"This is no certificate of an accredited laboratory: ISO/IEC 17025 requires {named} more, listed at the end."
-    ]
+    return [f"No certificate of an accredited laboratory: ISO/IEC 17025 requires {named} more, listed at the end."]
 
 
 def facts(report: QualificationReport) -> list[tuple[str, str]]:
@@ -83,26 +81,29 @@ def facts(report: QualificationReport) -> list[tuple[str, str]]:
         ("Procedures", ", ".join(name.replace("_", " ") for name in procedures)),
         ("Channels", ", ".join(f"{channel.name} ({channel.kind})" for channel in subject.channels)),
         ("Model", f"{report.provenance.model}, {len(report.provenance.effects)} effects"),
-        ("Evaluation", _evaluation(report.convergence, method, report.interval)),
+        ("Evaluation", _evaluation(report.convergence, method)),
         ("Converged", "yes" if report.convergence.converged else "NO"),
         ("Model adequacy", words.VERDICTS[verdict] if verdict is not None else "NOT DIAGNOSED"),
     ]
 
 
-def _evaluation(convergence: ReportedConvergence, method: str, interval: str) -> str:
-    return f"{method}, {convergence.draws} draws; {interval}s" if convergence.draws else "none: there are no draws"
+def _evaluation(convergence: ReportedConvergence, method: str) -> str:
+    return f"{method}, {convergence.draws} draws" if convergence.draws else "none: there are no draws"
 
 
 def _day(start: str) -> str:
     return start.partition("T")[0].partition(" ")[0]
 
 
-def limits_table(limits: Sequence[LimitOutcome], components: Mapping[str, str] | None = None) -> ReportTable:
+def limits_table(
+    limits: Sequence[LimitOutcome], components: Mapping[str, str] | None = None, reference: str = ""
+) -> ReportTable:
     """Return every limit with y ± U, conformance probability and decision.
 
     Parameters
     ----------
     components : quantity that is the length of a vector → its components as text.
+    reference : T_ref, which holds where a limit has no range of temperatures.
     """
     rows = []
     for limit in limits:
@@ -110,10 +111,10 @@ def limits_table(limits: Sequence[LimitOutcome], components: Mapping[str, str] |
         along = (components or {}).get(limit.name)
         rows.append(
             texts(
-                Text(limit.symbol or limit.name, formula=limit.symbol not in ("", limit.name.partition("[")[0])),
+                _symbol(limit),
                 limit.label,
                 words.limits_text(limit),
-                _where(limit),
+                _where(limit, reference),
                 words.value_text(limit) + (f" ({along})" if along else ""),
                 words.factor_text(limit),
                 pretty(limit.unit),
@@ -127,11 +128,16 @@ def limits_table(limits: Sequence[LimitOutcome], components: Mapping[str, str] |
         rows,
         (0, 1, 2, 3, 6, 8),
         "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage, at the temperature of the range at which "
-        "the quantity is worst; where the posterior is not symmetric, estimate and 95 % interval. Of a direction error "
+        "the quantity is worst; where the posterior is not symmetric, estimate [95 % interval]. Of a direction error "
         "Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a range y "
-        "contains hysteresis and lag, U the scatter between runs. p_c: conformance probability over the whole range "
+        "contains hysteresis and lag, U the scatter between runs; at T_ref both are of the mean over the runs. p_c: conformance "
+        "probability over the whole range "
         "(JCGM 106).",
     )
+
+
+def _symbol(limit: LimitOutcome) -> Text:
+    return Text(limit.symbol or limit.name, formula=limit.symbol not in ("", limit.name.partition("[")[0]))
 
 
 def components_of(report: QualificationReport) -> dict[str, str]:
@@ -147,9 +153,9 @@ def components_of(report: QualificationReport) -> dict[str, str]:
     }
 
 
-def _where(limit: LimitOutcome) -> str:
+def _where(limit: LimitOutcome, reference: str) -> str:
     if limit.temperature_range is None:
-        return "reference"
+        return f"{reference.removesuffix(' °C')} (T_ref)" if reference.count("°C") == 1 else "T_ref"
     low, high = limit.temperature_range
     worst = "" if limit.temperature is None else f", worst {limit.temperature:g}"
     return f"{low:g} … {high:g}{worst}"
@@ -172,7 +178,8 @@ def risk_table(limits: Sequence[LimitOutcome]) -> ReportTable:
     known = any(limit.global_consumer_risk is not None for limit in limits)
     rows = [
         texts(
-            limit.name,
+            _symbol(limit),
+            limit.label,
             words.rule_text(limit),
             "–" if limit.guard_band is None else f"{significant(limit.guard_band)} {pretty(limit.unit)}",
             words.chance(limit.conformance.from_draws, limit.conformance.monte_carlo_error),
@@ -183,14 +190,14 @@ def risk_table(limits: Sequence[LimitOutcome]) -> ReportTable:
         )
         for limit in limits
     ]
-    head = ["quantity", "rule", "guard band w", "conformance, draws", "conformance, quadrature"]
+    head = ["quantity", "channel", "rule", "guard band w", "conformance, draws", "conformance, quadrature"]
     head += ["consumer’s risk", "producer’s risk"]
     head += ["global consumer’s risk", "global producer’s risk"] if known else []
     return ReportTable(
         "Decision rules and risks",
         head,
         rows,
-        (0, 1),
+        (0, 1, 2),
         "Specific risks (JCGM 106, 9.3): of delivering a unit that does not conform where it is accepted, and of "
         "rejecting one that does where it is not. Every probability is found twice, from the posterior draws and by "
         "quadrature over a distribution fitted to them; where the two differ by more than their errors allow, it is "

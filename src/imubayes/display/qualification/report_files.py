@@ -15,7 +15,7 @@ from typing import Literal, get_args
 from markupsafe import Markup, escape
 
 from imubayes.display.layout import render
-from imubayes.display.qualification import model_sections, result_sections, unit_drawings
+from imubayes.display.qualification import model_sections, result_sections, unit_drawings, words
 from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.calibration_xml import covariance_file, dcc_file
 from imubayes.display.qualification.certificate_pages import certificate_facts, certificate_section, missing_section
@@ -131,7 +131,7 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
     """Yield the blocks in order; None for a drawing that has nothing to show."""
     conformity = report.conformity
     if conformity is not None and conformity.limits:
-        yield limits_table(conformity.limits, components_of(report))
+        yield limits_table(conformity.limits, components_of(report), words.reference_temperature(report))
     yield included_table(report)
     yield omitted_table(omissions(report))
     if conformity is None:  # then the quantities themselves are what is certified

@@ -15,8 +15,8 @@ _CONVERTER = "converter_"
 _UNMEASURED = "Not measured: known from priors, or fixed by the model"
 _TOGETHER = "Determined combinations"
 _STANDARD_NOTE = (
-    "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage; estimate [95 % interval] where the posterior is "
-    f"not symmetric. u: standard uncertainty. Term: where it stands in the model equation. {words.WITHHELD_NUMBER}"
+    "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage; estimate [95 % interval] where the posterior "
+    f"is not symmetric. u: standard uncertainty. Term: where it stands in the model equation. {words.WITHHELD_NUMBER}"
 )
 _REASONS = {
     "not_in_model": "not in the model",
@@ -32,9 +32,11 @@ def standards_section(report: record.QualificationReport) -> Iterator[Block]:
     if report.standards:
         yield Paragraph(
             "Each quantity is computed for every draw of the joint posterior, so that its uncertainty contains all "
-            "others. Temperatures are relative to 25 °C unless the model says otherwise. I, O, S (gyros) and I, O, "
-            "P (accelerometers) are the input, output and third axis of each channel; f and a are specific force, "
-            "Ω is rate."
+            "others. Biases and scale factors are the means over the runs at T_ref = "
+            f"{words.reference_temperature(report)}. A limit over a range of temperatures is another measurand under the "
+            "same symbol: the value at the worst temperature of the range, with hysteresis, lag and the scatter between "
+            "runs. I, O, S (gyros) and I, O, P (accelerometers) are the input, output and third axis of each channel; f "
+            "and a are specific force, Ω is rate."
         )
     found = list(dict.fromkeys(each.standard for each in report.standards))
     for standard in found:
@@ -82,7 +84,8 @@ def _not_estimated(lines: Sequence[record.NotEstimated]) -> ReportTable:
     rows = []
     for each in lines:
         screened = "; ".join(
-            f"{c.name.partition('.')[2]} {' ± '.join(value_and_sd(c.value, c.standard_uncertainty))} {pretty(c.unit)}"
+            f"{c.name.partition('[')[2].removesuffix(']')}: "
+            f"{words.beside(*value_and_sd(c.value, c.standard_uncertainty))} {pretty(c.unit)}"
             for c in each.screened[:1]
         )
         reason = _REASONS[each.reason] + (f" (needs {', '.join(each.needs)})" if each.needs else "")
@@ -117,7 +120,7 @@ def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") 
         shift = "–" if each.deviation is None else _deviation(each)
         rows.append(
             texts(
-                each.mounting, each.channel, f"{each.nominal:.4f}", estimate, u,
+                each.mounting, each.channel, _like(each.nominal, estimate), estimate, u,
                 shift, percent(each.from_data) + ("" if each.measured else ", not measured"),
                 _determined_by(each.evidence, each.standard_uncertainty, 3600.0, "arcsec")
             )
@@ -140,6 +143,12 @@ def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") 
     yield ReportTable("Angles to the axis of rotation", head, rows, (0, 1, 7), note)
     yield Paragraph("Runs in each mounting:")
     yield Items(runs)
+
+
+def _like(value: float, written: str) -> str:
+    """Return a value with the decimals of a number as it is written; four where there is none."""
+    number, _, decimals = written.partition(".")
+    return f"{value:.{len(decimals) if decimals.isdigit() else 4 * (not number.isdigit())}f}"
 
 
 def _deviation(angle: record.MountingAngle) -> str:

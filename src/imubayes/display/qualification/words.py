@@ -4,8 +4,9 @@ import math
 from collections.abc import Sequence
 
 from imubayes.criticism.explanations import Verdict
-from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, rounded, significant
+from imubayes.display.numbers_and_labels import NO_NUMBER, counted, pretty, rounded, significant
 from imubayes.display.qualification.document import Mood, Text
+from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.qualification import report_record as record
 from imubayes.qualification.conformity import Obstacle
 from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
@@ -45,10 +46,8 @@ WITHHELD: dict[Withheld, str] = {
     "disagreement": "withheld: the two methods disagree",
     "too_few_draws": "withheld: too few effective draws",
 }
-MORE_DRAWS = "imubayes fit … --until-digits 1"
 WITHHELD_NUMBER = (
-    "Withheld: twice the Monte Carlo error exceeds half a unit of the first digit of u (JCGM 101, 7.9); so many times "
-    f"the draws are needed (`{MORE_DRAWS}`)."
+    "Withheld: too few draws; twice the Monte Carlo error exceeds half a unit of the first digit of u (JCGM 101, 7.9)."
 )
 _NO_POSTERIOR: dict[record.NumberWithheld, str] = {
     "not_converged": "no convergence", "no_draws": "no draws", "monte_carlo_error": "too few draws",
@@ -94,7 +93,7 @@ Stated = record.ReportedEstimate | record.LimitOutcome
 
 
 def value_text(found: Stated) -> str:
-    """Return what is stated of a quantity: y ± U; y with both ends of its interval where this is not symmetric."""
+    """Return what is stated of a quantity: y ± U; y [low; high], its interval, where this is not symmetric."""
     error, u = found.monte_carlo, found.standard_uncertainty
     if found.estimate is None or u is None:
         why = found.withheld if isinstance(found, record.ReportedEstimate) else None
@@ -106,7 +105,7 @@ def value_text(found: Stated) -> str:
     expanded = found.expanded_uncertainty or 1.96 * u
     step = expanded * (1 if error.expanded_digits == 2 else 10)
     y, whole, low, high = rounded((found.estimate, expanded, found.low, found.high), step)
-    return f"{y} ± {whole}" if found.interval == "symmetric" else f"{y}, {low} … {high}"
+    return f"{y} ± {whole}" if found.interval == "symmetric" else f"{y} [{low}; {high}]"
 
 
 def factor_text(found: Stated) -> str:
@@ -118,9 +117,35 @@ def factor_text(found: Stated) -> str:
     return found.interval or NO_NUMBER
 
 
+def more_draws_text(report: record.QualificationReport) -> str:
+    """Return how many numbers are withheld for too few draws and what gives them; empty where none is."""
+    lines = (*report.results, *report.mounting_angles, *report.standards, *report.combinations)
+    errors = [line.monte_carlo for line in (*lines, *report.thermal_linearity) if line.withheld == "monte_carlo_error"]
+    needed = max((error.draws_needed for error in errors if error is not None), default=0.0)
+    if not errors:
+        return ""
+    return (
+        f"note: too few draws for {counted(len(errors), 'number')}, withheld; {significant(needed + 0.05, 2)} × the "
+        "draws are needed: `imubayes fit … --until-digits 1` draws until none is withheld"
+    )
+
+
+def reference_temperature(report: record.QualificationReport) -> str:
+    """Return T_ref of the thermal effects of the model with its unit; each by effect where they differ."""
+    stated = {
+        effect.name: effect.options["reference_degC"]
+        for effect in report.provenance.effects
+        if "reference_degC" in effect.options
+    }
+    if len(set(stated.values()) | {REFERENCE_TEMPERATURE}) == 1:
+        return f"{REFERENCE_TEMPERATURE:g} °C"
+    others = (f"{value:g} °C of {name}" for name, value in stated.items() if value != REFERENCE_TEMPERATURE)
+    return f"{REFERENCE_TEMPERATURE:g} °C, {', '.join(others)}"
+
+
 def beside(estimate: str, u: str) -> str:
-    """Return an estimate with its uncertainty, or why they are withheld."""
-    return f"{estimate} ± {u}" if u[0].isdigit() else f"{estimate}: {u}"
+    """Return an estimate with its standard uncertainty, or why they are withheld."""
+    return f"{estimate} (u = {u})" if u[0].isdigit() else f"{estimate}: {u}"
 
 
 def with_digits(
@@ -128,11 +153,7 @@ def with_digits(
 ) -> tuple[str, ...]:
     """Return numbers, u the second of them, with the digits that u deserves; or that they are withheld, and why."""
     if error is not None and error.digits == 0:
-        return (
-            "withheld",
-            f"needs {significant(error.draws_needed + 0.05, 2)} × the draws",
-            *(MORE_DRAWS for _ in values[2:]),
-        )
+        return ("withheld", _NO_POSTERIOR["monte_carlo_error"], *(NO_NUMBER for _ in values[2:]))
     return tuple(rounded(values, uncertainty * (1 if error is None or error.digits == 2 else 10)))
 
 
