@@ -15,8 +15,10 @@ from imubayes.display.qualification.document import (
     ReportDocument,
     ReportTable,
     Text,
+    without_empty_columns,
 )
 from imubayes.display.qualification.pdf_file import _blocks, breakable, missing_characters, shown_by_code_points
+from imubayes.display.qualification.report_files import html_page
 from imubayes.foundations.errors import InputError
 from imubayes.qualification.certificate import Certificate, missing_items, read_certificate
 from imubayes.qualification.specification import read_specification
@@ -128,6 +130,8 @@ def test_numbers_have_nothing_in_them(number):
     assert breakable(f"gyro_misalignment.toward_o[gz,flat] = {number}").endswith(f" = {number}")
     assert "\u200b" in breakable("gyro_misalignment.toward_o[gz,flat]")
     assert breakable("gx,gy") == "gx,gy"
+    symbols = "guard band, w = 1.65 u, for D_F, K_oo and ΔK_1"
+    assert breakable(symbols) == symbols
 
 
 def test_figures_are_numbered_and_cells_are_plain():
@@ -150,3 +154,18 @@ def test_characters_without_a_font_are_found():
     assert missing_characters("Gerät-Ü7 测试 №1 µg/g² ≤ Θ") == ["测", "试"]
     # Nothing has a private character: it stands as its code point.
     assert shown_by_code_points("A\ue123B") in ((), ("\ue123",))
+
+
+def test_symbols_in_prose_have_subscripts_and_names_and_commands_stay():
+    blocks = (Items(["for D_F, ΔK_1/K_1 and γ (2 limits), gyro_bias of run_a: `d_ss x`"]),)
+    page = html_page(ReportDocument("t", "s", Banner("", "", ""), (), (), blocks))
+    for text in ("for D<sub>F</sub>, ΔK<sub>1</sub>/K<sub>1</sub> and γ", "gyro_bias of run_a: <code>d_ss x</code>"):
+        assert text in page
+
+
+def test_an_empty_column_is_left_out():
+    made = ReportTable(
+        "t", ("symbol", "a", "b"), [[Text(""), Text("1"), Text("")], [Text(""), Text("2"), Text("3")]], (0, 2)
+    )
+    shown = without_empty_columns(made)
+    assert (shown.head, shown.left) == (["a", "b"], (1,))

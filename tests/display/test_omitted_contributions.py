@@ -81,7 +81,7 @@ def test_every_stated_quantity_that_omits_something_has_its_factor():
     assert bias == ("K_0", "ax × 1.41", "0.50 → 0.71", "µg", "encoder harmonic (5.0 arcsec)")
     assert angles[0] == "true mounting angles"
     assert angles[-1].startswith("table wobble (5.0 arcsec), encoder")
-    assert others[:2] == ("others of the result table", "1: × 2.00")
+    assert others[:2] == ("others of the result table", "× 2.00 (1, see there)")
     assert omitted_note(omissions(report()), "angle").endswith("ax,up × 3.16.")
     assert omitted_note(omissions(report()), "combination") == ""
 

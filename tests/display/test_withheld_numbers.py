@@ -187,3 +187,13 @@ def test_the_reference_temperature_is_that_of_the_effects():
 
     assert of() == of(gyro_bias_temperature=25.0) == "25 °C"
     assert of(gyro_bias_temperature=20.0) == "25 °C, 20 °C of gyro_bias_temperature"
+
+
+@pytest.mark.parametrize(
+    ("expanded", "digits", "said"),
+    [(0.343, 1, "0.4"), (0.304, 1, "0.3"), (0.363, 1, "0.4"), (9.49, 1, "10"), (0.343, 2, "0.34")],
+)
+def test_rounding_takes_no_more_than_a_twentieth_of_the_expanded_uncertainty(expanded, digits, said):
+    """EA-4/02, 6.3."""
+    found = limit(digits).model_copy(update={"expanded_uncertainty": expanded})
+    assert value_text(found).partition(" ± ")[2] == said

@@ -1,11 +1,19 @@
 """Section on uncertainty budgets: what contributes to each uncertainty, and what would narrow it first."""
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
 
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, significant
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
+from imubayes.display.qualification.document import (
+    Block,
+    Heading,
+    Items,
+    Paragraph,
+    ReportTable,
+    Text,
+    texts,
+    without_empty_columns,
+)
 from imubayes.display.qualification.quantity_drawings import bar_drawings, correlation_drawing
 from imubayes.qualification import budget_parts as parts
 from imubayes.qualification.decision_rules import ADDS_UP
@@ -185,7 +193,7 @@ def _budget_table(budget: parts.QuantityBudget, first: bool, withheld: bool) -> 
         if budget.components
         else ""
     )
-    return _without_empty_columns(
+    return without_empty_columns(
         ReportTable(caption, head, rows, (0, 1, 2, 3, 5), " ".join([_TABLE_NOTE if first else "", note]).strip())
     )
 
@@ -200,17 +208,6 @@ def _caption(budget: parts.QuantityBudget, withheld: bool) -> str:
     return (
         f"{budget.name}: u = {u} {unit}, ν {degrees}, k = {budget.coverage_factor:.2f}, "
         f"U = {significant(budget.expanded_uncertainty, 2)} {unit}"
-    )
-
-
-def _without_empty_columns(table: ReportTable) -> ReportTable:
-    """Return a table without empty columns, such as the unit of an input where all inputs are runs."""
-    used = [column for column in range(len(table.head)) if any(row[column].text for row in table.rows)]
-    return replace(
-        table,
-        head=[table.head[column] for column in used],
-        rows=[tuple(row[column] for column in used) for row in table.rows],
-        left=tuple(place for place, column in enumerate(used) if column in table.left),
     )
 
 

@@ -8,7 +8,7 @@ outlines.
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import matplotlib as mpl
@@ -88,6 +88,17 @@ class ReportTable:
     left: Sequence[int] = (0,)
     note: str = ""
     type: Literal["table"] = "table"
+
+
+def without_empty_columns(table: ReportTable) -> ReportTable:
+    """Return a table without empty columns, such as the unit of an input where all inputs are runs."""
+    used = [column for column in range(len(table.head)) if any(row[column].text for row in table.rows)]
+    return replace(
+        table,
+        head=[table.head[column] for column in used],
+        rows=[tuple(row[column] for column in used) for row in table.rows],
+        left=tuple(place for place, column in enumerate(used) if column in table.left),
+    )
 
 
 @dataclass(frozen=True)

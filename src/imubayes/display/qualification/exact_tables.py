@@ -171,8 +171,8 @@ def _factors(found: Sequence[Omission]) -> str:
 
 def _range(found: Sequence[Omission]) -> str:
     ratios = sorted(each.ratio for each in found)
-    ends = dict.fromkeys(f"× {ratio_text(each)}" for each in (ratios[0], ratios[-1]))
-    return f"{len(found)}: {' … '.join(ends)}"
+    ends = dict.fromkeys(ratio_text(each) for each in (ratios[0], ratios[-1]))
+    return f"× {' … '.join(ends)} ({len(found)}, see there)"
 
 
 def _named(each: ExactInput) -> str:

@@ -29,8 +29,9 @@ typst: Any = lazy_loader.load("typst")
 # where a row of the longest texts, with the gap beside each, fits the page.
 _NARROW, _WIDEST, _GAP, _PAGE = 24, 60, 2, 125
 _BREAK = "\u200b"
-# Names of quantities may break at their dots, underscores and brackets; a number has none before a letter.
-_PART_OF_NAME = re.compile(r"(?<=[A-Za-z\]])([._\[,])(?=[A-Za-z])")
+# Names of quantities may break at their dots, underscores and brackets; a number has none before a letter, and a symbol
+# of one letter, D_F, stays whole.  The template makes a break of the mark and keeps it out of the text.
+_PART_OF_NAME = re.compile(r"(?<=[A-Za-z\]])([.\[,]|_(?<=[A-Za-z]{2}_))(?=[A-Za-z])")
 _SHAPES = "DejaVu"
 
 

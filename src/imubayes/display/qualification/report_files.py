@@ -87,13 +87,19 @@ def _formula(text: str) -> Markup:
 
 def _breakable(text: str) -> Markup:
     """Return the text of a cell, escaped, whose names may break between their parts, and hashes anywhere."""
-    parts = re.sub(r"(?<=[a-z])\.(?=[a-z])", ".<wbr>", str(escape(text))).replace("[", "<wbr>[")
+    parts = re.sub(r"(?<=[a-z])\.(?=[a-z])", ".<wbr>", _symbols(str(escape(text)))).replace("[", "<wbr>[")
     return Markup(re.sub(r"(\w{16})(?=\w{24})", r"\1<wbr>", parts))
 
 
 def _prose(text: str) -> Markup:
-    """Return prose with its commands, which stand between backticks, set as code; everything else is escaped."""
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+    """Return prose, its commands between backticks set as code, its symbols with subscripts, all else escaped."""
+    parts = re.split(r"`([^`]+)`", str(escape(text)))
+    return Markup("".join(f"<code>{part}</code>" if place % 2 else _symbols(part) for place, part in enumerate(parts)))
+
+
+def _symbols(text: str) -> str:
+    """Return escaped text with the subscripts of symbols of one letter, ``D_F``, ``ΔK_1``; names stay as they are."""
+    return re.sub(r"\b(Δ?[^\W\d_])_(\w{1,3})\b(?!\[)", r"\1<sub>\2</sub>", text)
 
 
 def _anchor(heading: str) -> str:
@@ -132,8 +138,8 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
     conformity = report.conformity
     if conformity is not None and conformity.limits:
         yield limits_table(conformity.limits, components_of(report), words.reference_temperature(report))
-    yield included_table(report)
     yield omitted_table(omissions(report))
+    yield included_table(report)
     if conformity is None:  # then the quantities themselves are what is certified
         yield from result_sections.standards_section(report)
     else:

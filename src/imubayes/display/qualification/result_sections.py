@@ -5,7 +5,16 @@ from collections.abc import Iterator, Sequence
 from imubayes.display.fit_quality_tables import members_text, symbol_text
 from imubayes.display.numbers_and_labels import NO_NUMBER, percent, pretty, rounded, significant, value_and_sd
 from imubayes.display.qualification import words
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
+from imubayes.display.qualification.document import (
+    Block,
+    Heading,
+    Items,
+    Paragraph,
+    ReportTable,
+    Text,
+    texts,
+    without_empty_columns,
+)
 from imubayes.display.qualification.exact_tables import omissions, omitted_note
 from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.inference.identifiability import ProcedureShare
@@ -33,10 +42,10 @@ def standards_section(report: record.QualificationReport) -> Iterator[Block]:
         yield Paragraph(
             "Each quantity is computed for every draw of the joint posterior, so that its uncertainty contains all "
             "others. Biases and scale factors are the means over the runs at T_ref = "
-            f"{words.reference_temperature(report)}. A limit over a range of temperatures is another measurand under the "
-            "same symbol: the value at the worst temperature of the range, with hysteresis, lag and the scatter between "
-            "runs. I, O, S (gyros) and I, O, P (accelerometers) are the input, output and third axis of each channel; f "
-            "and a are specific force, Ω is rate."
+            f"{words.reference_temperature(report)}. A limit over a range of temperatures is another measurand under "
+            "the same symbol: the value at the worst temperature of the range, with hysteresis, lag and the scatter "
+            "between runs. I, O, S (gyros) and I, O, P (accelerometers) are the input, output and third axis of each "
+            "channel; f and a are specific force, Ω is rate."
         )
     found = list(dict.fromkeys(each.standard for each in report.standards))
     for standard in found:
@@ -190,7 +199,7 @@ def combination_section(combinations: Sequence[record.ReportedCombination], omit
         "combination without one was found from the information in the data. Determined by: as for mounting angles. "
         f"{words.WITHHELD_NUMBER}{omitted}"
     )
-    table = ReportTable("What the runs determine together", head, rows, (0, 1, 5, 7), note)
+    table = without_empty_columns(ReportTable("What the runs determine together", head, rows, (0, 1, 5, 7), note))
     yield Heading(_TOGETHER)
     yield table
 

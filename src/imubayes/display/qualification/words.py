@@ -10,6 +10,7 @@ from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.qualification import report_record as record
 from imubayes.qualification.conformity import Obstacle
 from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
+from imubayes.qualification.marginal import last_digit
 
 OUTCOMES: dict[Outcome, tuple[str, Mood]] = {
     "pass": ("PASS", "good"),
@@ -52,6 +53,8 @@ WITHHELD_NUMBER = (
 _NO_POSTERIOR: dict[record.NumberWithheld, str] = {
     "not_converged": "no convergence", "no_draws": "no draws", "monte_carlo_error": "too few draws",
 }  # fmt: skip
+# Share of U that is left of it by rounding, at least.
+_LEAST_WRITTEN = 0.95
 # Decimals of a probability, at most.
 _MOST_DECIMALS = 4
 _RULES: dict[RuleName, str] = {
@@ -104,8 +107,16 @@ def value_text(found: Stated) -> str:
         return ": ".join(with_digits((), u, error))
     expanded = found.expanded_uncertainty or 1.96 * u
     step = expanded * (1 if error.expanded_digits == 2 else 10)
-    y, whole, low, high = rounded((found.estimate, expanded, found.low, found.high), step)
+    y, whole, low, high = rounded((found.estimate, _not_below(expanded, step), found.low, found.high), step)
     return f"{y} ± {whole}" if found.interval == "symmetric" else f"{y} [{low}; {high}]"
+
+
+def _not_below(expanded: float, step: float) -> float:
+    """Return what U is rounded from: more than it where rounding would take over a twentieth of it (EA-4/02, 6.3)."""
+    written = float(rounded((expanded,), step)[0])
+    if written >= _LEAST_WRITTEN * expanded:
+        return expanded
+    return written + 10.0 ** last_digit(step, 2)
 
 
 def factor_text(found: Stated) -> str:
