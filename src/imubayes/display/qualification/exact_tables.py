@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from imubayes.display.fit_quality_tables import members_text
 from imubayes.display.numbers_and_labels import pretty, ratio_text, significant
 from imubayes.display.qualification.document import ReportTable, Text, texts
 from imubayes.qualification.report_record import QualificationReport, ReportedEstimate
@@ -17,7 +18,7 @@ _CAUSE = 0.1
 
 Kind = Literal["standard", "angle", "combination", "result"]
 _KINDS: dict[Kind, str] = {
-    "standard": "", "angle": "true mounting angles", "combination": "determined combinations",
+    "standard": "", "angle": "true mounting angles", "combination": "combinations",
     "result": "others of the result table",
 }  # fmt: skip
 
@@ -110,7 +111,7 @@ def _stated(report: QualificationReport) -> Iterator[tuple[Kind, str, str, Repor
     for angle in report.mounting_angles:
         yield "angle", "", f"{angle.channel},{angle.mounting}", angle, (angle.name,)
     for combination in report.combinations:
-        yield "combination", "", combination.name, combination, (combination.name,)
+        yield "combination", "", members_text(combination), combination, (combination.name,)
     for line in report.results:
         yield "result", "", line.name, line, (line.name,)
 
@@ -162,7 +163,7 @@ def omitted_note(found: Sequence[Omission], kind: Kind) -> str:
     if not own:
         return ""
     names = _factors(own) if kind != "standard" else ", ".join(dict.fromkeys(each.symbol for each in own))
-    return f" u and U omit known contributions (first page), which would multiply them: {names}."
+    return f" Known contributions that u and U omit, by their factor on both (first page): {names}."
 
 
 def _factors(found: Sequence[Omission]) -> str:
