@@ -157,7 +157,7 @@ def test_numbers_are_in_d_si_units_with_their_coverage():
     assert other.find(f".//{{{SI}}}expandedMU") is not None
     # A posterior that is not symmetric has its interval in words.
     assert angle.find(f".//{{{SI}}}expandedMU") is None
-    assert "3.0 … 7.0" in "".join(angle.itertext())
+    assert "[3.0; 7.0]" in "".join(angle.itertext())
     text = "".join(root.itertext())
     assert "K_9[ax] in ug" in text, "what is left out is named"
     assert "测试 <customer>" in text

@@ -163,7 +163,7 @@ def omitted_note(found: Sequence[Omission], kind: Kind) -> str:
     if not own:
         return ""
     names = _factors(own) if kind != "standard" else ", ".join(dict.fromkeys(each.symbol for each in own))
-    return f" Known contributions that u and U omit, by their factor on both (first page): {names}."
+    return f" Known contributions would multiply u and U, which omit them (first page): {names}."
 
 
 def _factors(found: Sequence[Omission]) -> str:
