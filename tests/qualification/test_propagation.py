@@ -12,6 +12,7 @@ from imubayes.foundations.errors import InputError
 
 normal, between = InputQuantity.normal, InputQuantity.between
 ROOT = math.sqrt(3)
+PAIR = [normal("a", 10, 1), normal("b", 20, 1)]
 
 
 def of_sum(**inputs: np.ndarray) -> np.ndarray:
@@ -231,7 +232,16 @@ def test_readings_are_of_type_a_with_their_degrees_of_freedom():
         (lambda: imubayes.propagate(lambda y: y, [normal("x", 0, 1)]), "does not take the inputs x"),
         (lambda: imubayes.propagate(lambda x: x, [normal("x", 0, 1)] * 2), "'x' is repeated"),
         (lambda: imubayes.propagate(lambda x: (x, x), [normal("x", 0, 1)]), "returns 2 outputs"),
-        (lambda: imubayes.propagate(lambda x: "no", [normal("x", 0, 1)]), "no array of numbers"),
+        (lambda: imubayes.propagate(lambda x: "no", [normal("x", 0, 1)]), "no real numbers"),
+        (lambda: imubayes.propagate(lambda x: np.sqrt(x + 0j), [normal("x", 9, 1)]), "no real numbers"),
+        (lambda: imubayes.propagate(lambda x: 0.1, [normal("x", 0, 1)]), "one number for 4 values"),
+        (lambda: imubayes.propagate(lambda a, b: np.mean([a, b]), PAIR), "one number for 4 values"),
+        (lambda: imubayes.budget(lambda a, b: np.linalg.norm([a, b]), PAIR), "one number for 4 values"),
+        (lambda: imubayes.propagate(lambda a, b: np.outer(a, b), PAIR), "4 × 4 for 4 values"),
+        (lambda: imubayes.budget(lambda a, b: a - a.mean() + b, PAIR), "when it is evaluated with others"),
+        (lambda: imubayes.propagate(lambda a, b: np.cumsum(a) + b, PAIR), "when it is evaluated with others"),
+        (lambda: imubayes.propagate(lambda x: math.sin(x), [normal("x", 0, 1)]), "does not take arrays"),
+        (lambda: imubayes.propagate(lambda x: x if x > 0 else -x, [normal("x", 0, 1)]), "does not take arrays"),
         (lambda: imubayes.propagate(lambda x: np.log(x), [normal("x", 5, 3)]), "not finite"),
         (lambda: imubayes.budget(lambda x, y: x + y, [normal("x", 0, 1), between("y", 0, 1)],
                                  correlation={("x", "y"): 0.5}), "not normal"),
@@ -276,3 +286,9 @@ def test_conformity_of_a_propagated_output_is_that_of_its_draws():
     assert decided.outcome == "pass"
     specific = imubayes.conformity(found, upper=0.9, rule="specific_risk", probability=0.001)
     assert specific.outcome == "fail"
+
+
+def test_an_output_that_does_not_vary_is_known_exactly():
+    found = imubayes.propagate(lambda x: np.full_like(x, 0.1), [normal("x", 0, 1)])
+    assert (found.value, found.uncertainty, found.stable) == (pytest.approx(0.1, abs=1e-15), 0.0, True)
+    assert found.interval == (0.1, 0.1)

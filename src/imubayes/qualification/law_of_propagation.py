@@ -27,6 +27,9 @@ Correlations = Mapping[tuple[str, str], float]
 # Step of the differences in standard uncertainties, at which errors of rounding and of the order are both below 1e-8.
 _STEP = 0.1
 
+# Every element is an equation of its own: what goes over all of them is a statistic of the draws.
+_ELEMENTWISE = "operations element by element: (a + b)/2 for np.mean([a, b]), np.hypot for norm, np.full_like for 0.1"
+
 
 @dataclass(frozen=True)
 class GumLine:
@@ -109,6 +112,7 @@ def bound_equation(
     """Return an equation with its inputs; parameters and errors as of `propagate`."""
     equation = BoundEquation(function, tuple(inputs), tuple(names), _correlation_matrix(inputs, correlation or {}))
     _check(equation, probability)
+    _check_elements(equation)
     return equation
 
 
@@ -123,15 +127,26 @@ class BoundEquation:
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Return the outputs (n, K) for values of the inputs (n, N)."""
-        found = self.function(**{each.name: values[:, k] for k, each in enumerate(self.inputs)})
+        count, taken = len(values), {each.name: values[:, k] for k, each in enumerate(self.inputs)}
+        try:
+            found = self.function(**taken)
+        except (TypeError, ValueError) as error:
+            raise _wrong(f"does not take arrays: {error}", f"{_ELEMENTWISE}; np.where instead of if") from error
         outputs = found if isinstance(found, list | tuple) else (found,)
-        count = len(values)
         if len(outputs) != len(self.names):
             raise _wrong(f"returns {len(outputs)} outputs", f"{len(self.names)}: {', '.join(self.names)}")
-        try:
-            return np.stack([np.broadcast_to(np.asarray(one, dtype=float), (count,)) for one in outputs], axis=1)
-        except (TypeError, ValueError) as error:
-            raise _wrong("returns no array of numbers of the shape of its inputs", f"({count},) for each") from error
+        columns = []
+        for one in outputs:
+            column = np.asarray(one)
+            if column.dtype.kind not in "biuf":
+                raise _wrong(f"returns no real numbers but {column.dtype}", f"({count},) real numbers for each output")
+            if column.shape != (count,):
+                shape = " × ".join(map(str, column.shape)) or "one number"
+                raise _wrong(
+                    f"returns {shape} for {count} values of each input", f"({count},) for each; {_ELEMENTWISE}"
+                )
+            columns.append(column.astype(float))
+        return np.stack(columns, axis=1)
 
     def sampled(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Return draws of the outputs, (count, K)."""
@@ -198,6 +213,20 @@ def _check(equation: BoundEquation, probability: float) -> None:
         raise _wrong(f"does not take the inputs {', '.join(names)}: {error}", "a parameter for each input") from error
     except ValueError:  # a function of C, which has no signature
         pass
+
+
+def _check_elements(equation: BoundEquation) -> None:
+    """Raise InputError where an output depends on the other values that are evaluated with it."""
+    x, u = (np.array([getattr(each, part) for each in equation.inputs]) for part in ("value", "uncertainty"))
+    points = x + np.outer([0.0, _STEP, -2 * _STEP, 3 * _STEP], u)
+    with np.errstate(all="ignore"):
+        together, alone = equation(points), np.concatenate([equation(point[None]) for point in points])
+        known = np.isfinite(together) & np.isfinite(alone)
+        together, alone = np.where(known, together, 0.0), np.where(known, alone, 0.0)
+        # A sum in another order, or an iteration that ends elsewhere, is the same value.
+        allowed = 1e-9 * np.abs(alone).max(axis=0) + 1e-6 * np.ptp(alone, axis=0)
+    if (np.abs(together - alone) > allowed).any():
+        raise _wrong("gives another output for a value when it is evaluated with others", _ELEMENTWISE)
 
 
 def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[GumBudget, ...]:

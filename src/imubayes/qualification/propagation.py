@@ -177,9 +177,12 @@ def propagate(
 
 def _statistics(draws: np.ndarray, tails: np.ndarray) -> np.ndarray:
     """Return mean, standard deviation and both ends of the interval of draws (M, K), shape (4, K)."""
-    return np.concatenate(
-        [draws.mean(axis=0)[None], draws.std(axis=0, ddof=1)[None], np.quantile(draws, tails, axis=0)]
-    )
+    return np.concatenate([draws.mean(axis=0)[None], _deviation(draws)[None], np.quantile(draws, tails, axis=0)])
+
+
+def _deviation(draws: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of draws (M, …) of each output; 0 where they are the same, without rounding."""
+    return np.asarray((draws - draws[0]).std(axis=0, ddof=1))
 
 
 def _is_stable(blocks: np.ndarray, digits: Digits) -> bool:
@@ -194,7 +197,7 @@ def _is_stable(blocks: np.ndarray, digits: Digits) -> bool:
 def _output(name: str, draws: np.ndarray, gum: GumBudget, probability: float, digits: Digits) -> OutputQuantity:
     ordered = np.sort(draws)
     low, high = (float(end) for end in np.quantile(ordered, [(1 - probability) / 2, (1 + probability) / 2]))
-    u = float(draws.std(ddof=1))
+    u = float(_deviation(draws))
     tolerance = numerical_tolerance(u, digits) if u > 0 else 0.0
     apart = max(abs(gum.value - gum.expanded_uncertainty - low), abs(gum.value + gum.expanded_uncertainty - high))
     return OutputQuantity(
