@@ -292,3 +292,13 @@ def test_an_output_that_does_not_vary_is_known_exactly():
     found = imubayes.propagate(lambda x: np.full_like(x, 0.1), [normal("x", 0, 1)])
     assert (found.value, found.uncertainty, found.stable) == (pytest.approx(0.1, abs=1e-15), 0.0, True)
     assert found.interval == (0.1, 0.1)
+
+
+def test_degrees_of_freedom_are_those_of_the_variance_with_its_correlations():
+    values = [0, 1, 2, 1.5]
+    inputs = [normal("a", 10, 3), normal("b", 10, 3), InputQuantity.readings("z", values)]
+    (found,) = imubayes.budget(lambda a, b, z: a - b + z, inputs, correlation={("a", "b"): 0.99})
+    of_readings = np.var(values, ddof=1) / 4
+    nu = (2 * 9 * 0.01 + of_readings) ** 2 / (of_readings**2 / 3)
+    assert found.degrees_of_freedom == pytest.approx(nu, rel=1e-6)
+    assert found.coverage_factor == pytest.approx(stats.t(math.floor(nu)).ppf(0.975))

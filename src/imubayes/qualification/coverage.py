@@ -78,10 +78,14 @@ def coverage_factor(degrees: float) -> float:
     return float(special.stdtrit(degrees, one_sided)) * math.sqrt((degrees - 2) / degrees)
 
 
-def effective_degrees(contributions: np.ndarray, degrees: np.ndarray) -> float:
-    """Return ν of a sum of variances by Welch–Satterthwaite (GUM G.4.1); infinite where all are."""
+def effective_degrees(contributions: np.ndarray, degrees: np.ndarray, variance: float | None = None) -> float:
+    """Return ν of a sum of variances by Welch–Satterthwaite (GUM G.4.1); infinite where all are.
+
+    `variance` is that of the sum where some of the parts, with infinite ν, are correlated.
+    """
+    whole = float(np.sum(contributions)) if variance is None else variance
     sum_of_squares = float(np.sum(contributions**2 / degrees))
-    return float(np.sum(contributions) ** 2 / sum_of_squares) if sum_of_squares > 0 else float("inf")
+    return whole**2 / sum_of_squares if sum_of_squares > 0 else math.inf
 
 
 def coverage_of(marginal: Marginal, known: KnownUncertainty | None = None) -> Coverage:

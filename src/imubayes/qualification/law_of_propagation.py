@@ -5,8 +5,7 @@ Of first order it has the sensitivities ∂f/∂xᵢ (GUM 5.1.2, and 5.2.2 for c
     Σᵢⱼ (½ fᵢⱼ² + fᵢ fᵢⱼⱼ) u²(xᵢ) u²(xⱼ),    y₂ = f(x) + ½ Σᵢ fᵢᵢ u²(xᵢ),
 
 which hold for independent normal inputs (GUM 5.1.2, note).  Effective degrees of freedom are those of
-Welch–Satterthwaite (G.4.1); with correlated inputs, for which that is not defined, they are those of the independent
-part alone.  Derivatives are central differences over a part of each standard uncertainty, of fourth order.
+Welch–Satterthwaite (G.4.1) with the whole variance: inputs that are correlated have infinitely many.  Derivatives are central differences over a part of each standard uncertainty, of fourth order.
 """
 
 import inspect
@@ -247,7 +246,7 @@ def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[Gum
         first = float(c @ covariance @ c)
         beyond = float(np.sum((0.5 * second[:, :, k] ** 2 + c[:, None] * third[:, :, k]) * np.outer(u**2, u**2)))
         curved = 0.5 * float(np.diag(second[:, :, k]) @ u**2)
-        nu = effective_degrees((c * u) ** 2, degrees)
+        nu = effective_degrees((c * u) ** 2, degrees, first)
         # GUM G.4.1, note: k of the next lower whole number.
         whole = nu if math.isinf(nu) else max(math.floor(nu + 1e-9), 1.0)
         factor = float(special.ndtri((1 + probability) / 2) if math.isinf(nu) else special.stdtrit(
