@@ -148,6 +148,38 @@ def test_what_came_along_removes_nothing_elsewhere(result, tmp_path):
     assert not (result / "notes").exists()
 
 
+@pytest.mark.parametrize("kind", ["folder", "file", "nothing"])
+def test_a_link_in_place_of_a_change_takes_nothing_from_where_it_leads(result, tmp_path, kind):
+    elsewhere = tmp_path / "elsewhere"
+    if kind == "folder":
+        elsewhere.mkdir()
+        (elsewhere / "mine").write_text("mine")
+    elif kind == "file":
+        elsewhere.write_text("mine")
+    (result / ".committed").symlink_to(elsewhere)
+    for step in (lambda: read_result(result), lambda: add_to(result, BUDGETS, "{}\n")):
+        with pytest.raises(InputError, match=r"\.committed is not a folder") as caught:
+            step()
+        assert caught.value.issues[0].where == str(result / ".committed")
+    assert kind != "folder" or (elsewhere / "mine").read_text() == "mine"
+    (result / ".committed").unlink()
+    assert read_result(result).summary.sampled
+
+
+def test_a_folder_in_the_way_of_a_change_is_named(place, result, monkeypatch):
+    shutil.copytree(place / "new", result / ".committed")
+    (result / ".committed" / ".removed").write_text("\0".join((POSTERIOR, DIAGNOSIS)))
+    (result / SUMMARY).unlink()
+    (result / SUMMARY).mkdir()
+    monkeypatch.setattr("imubayes.foundations.files.PATIENCE", 0.0)
+    with pytest.raises(InputError, match="a folder is in the way") as caught:
+        read_result(result)
+    assert caught.value.issues[0].where == str(result / SUMMARY)
+    assert "move" in caught.value.issues[0].remedy
+    (result / SUMMARY).rmdir()
+    assert which(result, place) == "new"
+
+
 def _first_half(folder: Path) -> None:
     file = folder / RESIDUALS
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])

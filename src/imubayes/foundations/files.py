@@ -7,6 +7,7 @@ A place is locked through an open file: the lock ends with its process, however 
 means nothing.
 """
 
+import errno
 import fcntl
 import glob
 import json
@@ -161,10 +162,10 @@ def complete_change(folder: Path, last: str) -> None:
     Raises
     ------
     InputError
-        where that process does not end, or this one may not write.
+        where that process does not end, this one may not write, or something else is in the way.
     """
     committed, until = folder / _COMMITTED, time.monotonic() + PATIENCE
-    while committed.is_dir():
+    while _is_change(committed):
         try:
             with only_writer(folder):
                 _put_in_place(committed, last)
@@ -177,10 +178,30 @@ def complete_change(folder: Path, last: str) -> None:
                 raise _incomplete(folder, error) from error
 
 
+def _is_change(committed: Path) -> bool:
+    """Tell whether there is a change; a link, which would move the files of another place, is refused."""
+    if committed.is_symlink() or committed.is_file():
+        raise input_error(
+            f"{committed.name} is not a folder: no process of imubayes made it",
+            str(committed),
+            "a folder with the files of a change, or nothing",
+            "remove it",
+        )
+    return committed.is_dir()
+
+
 def _incomplete(folder: Path, error: OSError) -> InputError:
+    target = Path(error.filename2 or error.filename or folder)
+    if error.errno in (errno.EISDIR, errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+        return input_error(
+            "the last change of this folder was interrupted and cannot be completed: a folder is in the way",
+            str(target),
+            "a file, or nothing",
+            "move that folder elsewhere; the change is kept until then",
+        )
     return input_error(
         f"the last change of this folder was interrupted and cannot be completed: {error.strerror or error}",
-        str(error.filename2 or error.filename or folder),
+        str(target),
         "a folder that this process may write to",
         "run the command as a user who may write there; the change is kept until then",
     )
