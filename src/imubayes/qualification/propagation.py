@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.records import Presented
 from imubayes.qualification.coverage import shortest_interval
 from imubayes.qualification.input_quantities import InputQuantity
@@ -155,9 +156,11 @@ def propagate(
     ------
     InputError
         for inputs that the equation does not take, repeated names, correlations that are none, and an equation that
-        returns something else.
+        returns something else; and for an input of two degrees of freedom or fewer, whose distribution has no standard
+        deviation (JCGM 101, 6.4.9.4): `budget` takes it.
     """
     equation = bound_equation(function, inputs, names, correlation, probability)
+    _check_deviations(equation.inputs)
     random = np.random.default_rng(seed)
     size = max(_BLOCK, math.ceil(100 / (1 - probability)))
     blocks: list[np.ndarray] = []
@@ -173,6 +176,21 @@ def propagate(
         _output(name, own, gum, probability, digits) for name, own, gum in zip(names, draws.T, budgets, strict=True)
     )
     return Propagated(found, draws, probability, stable)
+
+
+def _check_deviations(inputs: Sequence[InputQuantity]) -> None:
+    issues = [
+        Issue(
+            f"the distribution of {each.degrees_of_freedom:g} degrees of freedom has no standard deviation",
+            f"input quantity '{each.name}'",
+            "more than 2 degrees of freedom: four readings or more",
+            "add readings, state a pooled standard uncertainty with its degrees of freedom, or use budget",
+        )
+        for each in inputs
+        if each.distribution == "t" and each.uncertainty > 0 and each.degrees_of_freedom <= 2
+    ]
+    if issues:
+        raise InputError(issues)
 
 
 def _statistics(draws: np.ndarray, tails: np.ndarray) -> np.ndarray:
