@@ -1,5 +1,6 @@
 """Published examples of the GUM and its supplements through the public functions; values as printed there."""
 
+import inspect
 import math
 
 import numpy as np
@@ -241,6 +242,8 @@ def test_readings_are_of_type_a_with_their_degrees_of_freedom():
         (lambda: imubayes.budget(lambda a, b: a - a.mean() + b, PAIR), "when it is evaluated with others"),
         (lambda: imubayes.propagate(lambda a, b: np.cumsum(a) + b, PAIR), "when it is evaluated with others"),
         (lambda: imubayes.propagate(lambda x: math.sin(x), [normal("x", 0, 1)]), "does not take arrays"),
+        (lambda: imubayes.propagate(lambda x: x, [InputQuantity.readings("x", [1.0, 2.0, 4.0])]), "standard deviation"),
+        (lambda: imubayes.propagate(lambda x: x, [normal("x", 0, 1, 1.5)]), "standard deviation"),
         (lambda: imubayes.propagate(lambda x: x if x > 0 else -x, [normal("x", 0, 1)]), "does not take arrays"),
         (lambda: imubayes.propagate(lambda x: np.log(x), [normal("x", 5, 3)]), "not finite"),
         (lambda: imubayes.budget(lambda x, y: x + y, [normal("x", 0, 1), between("y", 0, 1)],
@@ -250,6 +253,13 @@ def test_readings_are_of_type_a_with_their_degrees_of_freedom():
         (lambda: imubayes.conformity((0.0, 1.0), lower=2, upper=1), "crossed"),
         (lambda: imubayes.conformity((0.0, -1.0), upper=1), "u = -1"),
         (lambda: imubayes.conformity((0.0, 1.0), upper=1, rule="global_risk"), "global risk"),
+        (lambda: inspect.unwrap(imubayes.conformity)([10.5, 8.0], upper=12), "a list"),
+        (lambda: inspect.unwrap(imubayes.conformity)((10.5, 8.0, 3.0), upper=12), "3 numbers"),
+        (lambda: imubayes.conformity(np.array([10.5, 8.0]), upper=12), "2 draws"),
+        (lambda: imubayes.conformity(np.arange(399.0), upper=12), "399 draws"),
+        (lambda: imubayes.conformity(np.full(1000, 0.1), upper=12), "all the same"),
+        (lambda: imubayes.conformity(np.ones((500, 2)), upper=12), "500 × 2"),
+        (lambda: inspect.unwrap(imubayes.conformity)("10.5", upper=12), "a str"),
     ],
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:invalid value encountered in log")

@@ -72,7 +72,8 @@ def conformity(
 
     Parameters
     ----------
-    measured : what `propagate` found; or estimate and standard uncertainty of a normal quantity; or draws of it.
+    measured : what `propagate` found; or (estimate, standard uncertainty) of a normal quantity;
+        or draws of it, shape (S,), 400 or more.
     lower, upper : limits.
     rule : of the decision: simple_acceptance, guard_band (w = 1.65 u), ilac_g8_non_binary (w = U),
         conformance_probability, specific_risk, or global_risk, which needs a production.
@@ -86,6 +87,7 @@ def conformity(
     InputError
         for limits that are crossed or none, a rule that there is not, and a global risk without a production.
     """
+    _check_measured(measured)
     _check(lower, upper, rule, production)
     tolerance = rules.ToleranceInterval(lower, upper)
     estimate = _estimate(measured, tolerance, output)
@@ -132,13 +134,32 @@ def _estimate(measured: Measured, tolerance: rules.ToleranceInterval, output: st
         below = rules.normal_survival(-ends)
         p = float(below[1] - below[0])
         return rules.MeasuredValue(value, u, coverage_factor(math.inf) * u, rules.compared(p, p, 0.0))
-    draws = _draws(measured, output) if isinstance(measured, Propagated) else np.asarray(measured, dtype=float).ravel()
-    if len(draws) < 2 or not np.isfinite(draws).all() or not draws.std() > 0:
-        raise input_error("the draws are too few, not finite or all the same", "measured", "finite draws", "correct it")
+    draws = _draws(measured, output) if isinstance(measured, Propagated) else np.asarray(measured, dtype=float)
+    if not np.isfinite(draws).all() or not np.ptp(draws) > 0:
+        raise input_error("the draws are not finite or all the same", "measured", "finite draws", "correct it")
     marginal = Marginal(draws, float(len(draws)))
     stated = coverage_of(marginal)
     p_c = rules.conformance_probability(marginal, tolerance)
     return rules.MeasuredValue(stated.estimate, stated.standard, stated.expanded, p_c)
+
+
+def _check_measured(measured: object) -> None:
+    """Raise InputError for what is none of the three: two numbers may be (y, u) as well as two draws."""
+    if isinstance(measured, Propagated):
+        return
+    if isinstance(measured, tuple):
+        what = "" if len(measured) == 2 else f"{len(measured)} numbers"
+    elif isinstance(measured, np.ndarray):
+        shape = " × ".join(map(str, measured.shape))
+        known = measured.dtype.kind in "biuf" and measured.ndim == 1 and len(measured) >= rules.LEAST_EFFECTIVE
+        what = "" if known else f"an array of {shape} draws of the type {measured.dtype}"
+    else:
+        what = f"a {type(measured).__name__}"
+    if what:
+        allowed = (
+            f"what propagate found; (estimate, standard uncertainty); or {rules.LEAST_EFFECTIVE:.0f} draws or more"
+        )
+        raise input_error(f"{what} is no measured value", "measured", allowed, "give one of these")
 
 
 def _draws(found: Propagated, output: str) -> np.ndarray:
