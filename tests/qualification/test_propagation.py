@@ -222,6 +222,10 @@ def test_readings_are_of_type_a_with_their_degrees_of_freedom():
     assert repr(found).startswith("<Propagated y = 9.99")
 
 
+def decided(**arguments) -> imubayes.ConformityStatement:
+    return imubayes.conformity((0.0, 1.0), **{"upper": 3.0, **arguments})
+
+
 @pytest.mark.parametrize(
     ("made", "what"),
     [
@@ -255,6 +259,19 @@ def test_readings_are_of_type_a_with_their_degrees_of_freedom():
         (lambda: imubayes.conformity((0.0, 1.0), upper=1, rule="global_risk"), "global risk"),
         (lambda: inspect.unwrap(imubayes.conformity)([10.5, 8.0], upper=12), "a list"),
         (lambda: inspect.unwrap(imubayes.conformity)((10.5, 8.0, 3.0), upper=12), "3 numbers"),
+        (lambda: decided(rule="conformance_probability", probability=5.0), "probability = 5"),
+        (lambda: decided(rule="specific_risk", probability=0.0), "probability = 0"),
+        (lambda: decided(factor=-10.0), "factor = -10"),
+        (lambda: decided(width=math.nan), "width = nan"),
+        (lambda: decided(factor=1.0, width=1.0), "a factor or a width"),
+        (lambda: decided(rule="simple_acceptance", width=1.0), "no guard band to set"),
+        (lambda: decided(rule="conformance_probability", factor=2.0), "no guard band to set"),
+        (lambda: decided(probability=0.9), "no probability to set"),
+        (lambda: decided(production=(math.nan, 1.0)), "mean = nan"),
+        (lambda: decided(production=(0.0, 0.0)), "sd = 0"),
+        (lambda: decided(production=(0.0, math.inf)), "sd = inf"),
+        (lambda: decided(lower=math.nan), "nan"),
+        (lambda: decided(lower=math.inf), "no limits"),
         (lambda: imubayes.conformity(np.array([10.5, 8.0]), upper=12), "2 draws"),
         (lambda: imubayes.conformity(np.arange(399.0), upper=12), "399 draws"),
         (lambda: imubayes.conformity(np.full(1000, 0.1), upper=12), "all the same"),

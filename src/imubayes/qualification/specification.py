@@ -30,6 +30,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from imubayes.campaign.toml_documents import Ledger, read_document
+from imubayes.foundations.errors import Issue
 from imubayes.qualification.certificate import Certificate
 from imubayes.qualification.decision_rules import COVERAGE, GUARD_FACTOR, DecisionRule, RuleName
 
@@ -106,7 +107,7 @@ def read_specification(file: str | Path) -> tuple[SpecificationFile, Ledger]:
     document.ledger.stop_if_any()
     found = document.entry
     assert found is not None, "an invalid document has issues"
-    _check_rule(found.rule, ("rule",), document.ledger)
+    document.ledger.issues += issues_of_rule(found.rule, document.ledger.where("rule"))
     for place, limit in enumerate(found.limit):
         _check_limit(limit, place, found.rule, document.ledger)
     document.ledger.stop_if_any()
@@ -133,7 +134,7 @@ def _check_limit(limit: LimitEntry, place: int, common: RuleEntry, ledger: Ledge
             "exchange or correct the temperatures",
         )
     if limit.rule is not None:
-        _check_rule(limit.rule, (*where, "rule"), ledger)
+        ledger.issues += issues_of_rule(limit.rule, ledger.where(*where, "rule"))
     if (limit.rule or common).name == "global_risk" and limit.production is None:
         ledger.add(
             f"the rule of '{limit.quantity}' is a global risk, which depends on the units that are tested",
@@ -143,15 +144,19 @@ def _check_limit(limit: LimitEntry, place: int, common: RuleEntry, ledger: Ledge
         )
 
 
-def _check_rule(rule: RuleEntry, where: tuple[str | int, ...], ledger: Ledger) -> None:
+def issues_of_rule(rule: RuleEntry, where: str) -> list[Issue]:
+    """Return what is wrong with a rule: what it does not use must not be set."""
+    issues = []
     if rule.factor is not None and rule.width is not None:
-        ledger.add("a guard band has a factor or a width", where, "factor or width", "leave one out")
+        issues.append(Issue("a guard band has a factor or a width", where, "factor or width", "leave one out"))
     if (rule.factor is not None or rule.width is not None) and rule.name != "guard_band":
-        ledger.add(f"the rule {rule.name} has no guard band to set", where, 'name = "guard_band"', "leave it out")
-    takes = rule.name in ("conformance_probability", "specific_risk", "global_risk")
-    if rule.probability is not None and not takes:
-        allowed = "conformance_probability, specific_risk, global_risk"
-        ledger.add(f"the rule {rule.name} has no probability to set", where, allowed, "leave it out")
+        what = f"the rule {rule.name} has no guard band to set"
+        issues.append(Issue(what, where, 'name = "guard_band"', "leave it out"))
+    takes = ("conformance_probability", "specific_risk", "global_risk")
+    if rule.probability is not None and rule.name not in takes:
+        what = f"the rule {rule.name} has no probability to set"
+        issues.append(Issue(what, where, ", ".join(takes), "leave it out"))
+    return issues
 
 
 def rule_of(entry: RuleEntry, factor: float = 1.0) -> DecisionRule:

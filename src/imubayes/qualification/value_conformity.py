@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
-from imubayes.foundations.errors import closest_first, input_error
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.records import Presented
 from imubayes.qualification import decision_rules as rules
 from imubayes.qualification.coverage import coverage_factor, coverage_of
 from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.propagation import Propagated
+from imubayes.qualification.specification import ProductionEntry, RuleEntry, issues_of_rule, rule_of
 
 Measured = Propagated | tuple[float, float] | np.ndarray
 
@@ -85,14 +87,15 @@ def conformity(
     Raises
     ------
     InputError
-        for limits that are crossed or none, a rule that there is not, and a global risk without a production.
+        for what is no measured value, limits that are crossed or none, a rule that there is not, what the rule does not
+        use or may not be, and a global risk without a production.
     """
     _check_measured(measured)
     _check(lower, upper, rule, production)
     tolerance = rules.ToleranceInterval(lower, upper)
     estimate = _estimate(measured, tolerance, output)
     chosen = _rule(rule, factor, width, probability)
-    made = None if production is None else rules.Production(*production)
+    made = None if production is None else _production(production)
     decision = rules.applied(chosen, estimate, tolerance, made)
     accepted = rules.acceptance_interval(chosen, estimate.standard, tolerance, decision)
     overall = None if made is None else rules.global_risks(made, estimate.standard, tolerance, accepted)
@@ -117,11 +120,37 @@ def conformity(
 def _rule(
     name: rules.RuleName, factor: float | None, width: float | None, probability: float | None
 ) -> rules.DecisionRule:
-    """Return the rule with the defaults of a specification."""
-    default = rules.COVERAGE if name == "conformance_probability" else 1 - rules.COVERAGE
+    """Return the rule as a specification would state it, with the guard band of a specification without a rule."""
     if name == "guard_band" and factor is None and width is None:
         factor = rules.GUARD_FACTOR
-    return rules.DecisionRule(name, factor, width, default if probability is None else probability)
+    entry = _entry(RuleEntry, name=name, factor=factor, width=width, probability=probability)
+    issues = issues_of_rule(entry, "conformity")
+    if issues:
+        raise InputError(issues)
+    return rule_of(entry)
+
+
+def _production(stated: tuple[float, float]) -> rules.Production:
+    if len(stated) != 2:
+        allowed = "(mean, standard deviation) of the units tested"
+        raise input_error(f"{len(stated)} numbers are no production", "production", allowed, "correct it")
+    entry = _entry(ProductionEntry, mean=stated[0], sd=stated[1])
+    return rules.Production(entry.mean, entry.sd)
+
+
+def _entry[Entry: BaseModel](record: type[Entry], **stated: str | float | None) -> Entry:
+    """Return an entry of a specification with these values; raises InputError for those that it does not allow."""
+    # Numbers of NumPy are numbers too.
+    given = {key: float(value) if isinstance(value, np.number) else value for key, value in stated.items()}
+    try:
+        return record.model_validate(given)
+    except ValidationError as error:
+        issues = [
+            Issue(f"{key} = {fault['input']}", f"conformity, {key}", fault["msg"], "correct it")
+            for fault in error.errors(include_url=False)
+            for key in (".".join(map(str, fault["loc"])),)
+        ]
+        raise InputError(issues) from error
 
 
 def _estimate(measured: Measured, tolerance: rules.ToleranceInterval, output: str) -> rules.MeasuredValue:
@@ -180,5 +209,3 @@ def _check(lower: float, upper: float, rule: str, production: tuple[float, float
     if rule == "global_risk" and production is None:
         allowed = "(mean, standard deviation) of the units tested"
         raise input_error("a global risk depends on the units that are tested", "production", allowed, "state it")
-    if production is not None and not production[1] > 0:
-        raise input_error("the production does not vary", "production", "a standard deviation above 0", "correct it")
