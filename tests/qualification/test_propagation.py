@@ -329,3 +329,43 @@ def test_degrees_of_freedom_are_those_of_the_variance_with_its_correlations():
     nu = (2 * 9 * 0.01 + of_readings) ** 2 / (of_readings**2 / 3)
     assert found.degrees_of_freedom == pytest.approx(nu, rel=1e-6)
     assert found.coverage_factor == pytest.approx(stats.t(math.floor(nu)).ppf(0.975))
+
+
+def second_order(equation, *inputs, **given) -> tuple[float | None, float | None]:
+    (found,) = imubayes.budget(equation, inputs, **given)
+    return found.second_order_value, found.second_order_uncertainty
+
+
+def test_no_second_order_where_its_series_does_not_converge():
+    """The sine of 0 ± 1 has the standard deviation √((1 − e⁻²)/2) = 0.66: the third derivative takes all of it."""
+    assert second_order(lambda x: np.sin(x), normal("x", 0, 1)) == (None, None)
+    assert second_order(lambda x: np.sin(x), normal("x", 0, 3)) == (None, None)
+    assert second_order(lambda x: np.sin(x), normal("x", 0, 0.3)) == pytest.approx(
+        (0, math.sqrt(-math.expm1(-0.18) / 2)), rel=0.01
+    )
+    (found,) = imubayes.budget(lambda x: np.sin(x), [normal("x", 0, 1)])
+    assert "does not converge" in str(found)
+
+
+@pytest.mark.parametrize(("value", "u"), [(9.19263177e9, 1e-4), (9.80665, 1e-9), (-1e6, 1e-8), (0.0, 1e-12)])
+def test_rounding_of_a_large_estimate_is_no_curvature(value, u):
+    (found,) = imubayes.budget(lambda x: 2 * x, [normal("x", value, u)])
+    assert found.uncertainty == pytest.approx(2 * u, rel=1e-3)
+    assert found.second_order_value == pytest.approx(2 * value, rel=1e-12)
+    assert found.second_order_uncertainty == pytest.approx(2 * u, rel=5e-3)
+
+
+# Products of correlated normal quantities: E = μ_a μ_b + r u_a u_b, and the variance of Bohrnstedt and Goldberger.
+@pytest.mark.parametrize("r", [0.9, -0.5, 1.0, 0.0])
+def test_second_order_of_correlated_inputs(r):
+    inputs = normal("a", 2, 1), normal("b", 3, 0.5), normal("c", 1, 0.2)
+    found = second_order(lambda a, b, c: a * b + c, *inputs, correlation={("a", "b"): r})
+    covariance = r * 0.5
+    variance = 4 * 0.25 + 9 + 2 * 6 * covariance + 0.25 + covariance**2 + 0.04
+    assert found == pytest.approx((7 + covariance, math.sqrt(variance)), rel=1e-5)
+
+
+def test_second_order_of_paired_draws():
+    pair = np.random.default_rng(1).multivariate_normal([2.0, 2.0], [[1.0, 0.9], [0.9, 1.0]], 20_000)
+    inputs = InputQuantity.from_draws("a", pair[:, 0]), InputQuantity.from_draws("b", pair[:, 1])
+    assert second_order(lambda a, b: a * b, *inputs) == pytest.approx((4.9, 4.124), rel=0.02)

@@ -48,11 +48,13 @@ def budget_sheet(found: GumBudget) -> Sheet:
     ]  # fmt: skip
     head = ("input", "x", "u(x)", "distribution", "type", "ν", "∂f/∂x", "|∂f/∂x| u(x)", "share")
     y, u, half = rounded((found.value, found.uncertainty, found.expanded_uncertainty), found.uncertainty)
-    second = rounded((found.second_order_value, found.second_order_uncertainty), found.second_order_uncertainty)
+    second = "the series of second order does not converge"
+    if found.second_order_value is not None and found.second_order_uncertainty is not None:
+        with_it = rounded((found.second_order_value, found.second_order_uncertainty), found.second_order_uncertainty)
+        second = f"with the terms of second order {found.name} = {with_it[0]}, u = {with_it[1]}"
     note = (
         f"{found.name} = {y}, u = {u}, ν = {_degrees(found.degrees_of_freedom)}, k = {found.coverage_factor:.3g}, "
-        f"U = {half} ({100 * found.probability:g} %); with the terms of second order {found.name} = {second[0]}, "
-        f"u = {second[1]}."
+        f"U = {half} ({100 * found.probability:g} %); {second}."
     )
     return Sheet(f"Budget of {found.name}", head, rows, (0, 3, 4), note=note)
 

@@ -2,10 +2,12 @@
 
 Of first order it has the sensitivities ∂f/∂xᵢ (GUM 5.1.2, and 5.2.2 for correlated inputs); of second order the terms
 
-    Σᵢⱼ (½ fᵢⱼ² + fᵢ fᵢⱼⱼ) u²(xᵢ) u²(xⱼ),    y₂ = f(x) + ½ Σᵢ fᵢᵢ u²(xᵢ),
+    Σᵢⱼ (½ fᵢⱼ² + fᵢ fᵢⱼⱼ),    y₂ = f(x) + ½ Σᵢ fᵢᵢ,
 
-which hold for independent normal inputs (GUM 5.1.2, note).  Effective degrees of freedom are those of
-Welch–Satterthwaite (G.4.1) with the whole variance: inputs that are correlated have infinitely many.  Derivatives are central differences over a part of each standard uncertainty, of fourth order.
+of normal inputs, with derivatives along independent scores zᵢ: x + L z, L Lᵀ the covariance, where zᵢ = xᵢ/u(xᵢ) for
+independent inputs (GUM 5.1.2, note).  They are withheld where they would take half the variance or more.  Effective
+degrees of freedom are those of Welch–Satterthwaite (G.4.1) with the whole variance: inputs that are correlated have
+infinitely many.  Derivatives are central differences over a part of each standard uncertainty, of fourth order.
 """
 
 import inspect
@@ -61,7 +63,8 @@ class GumBudget(Presented):
     ----------
     name : of the output.
     value, uncertainty : estimate f(x), and standard uncertainty of first order, correlations included.
-    second_order_value, second_order_uncertainty : with the terms of second order.
+    second_order_value, second_order_uncertainty : with the terms of second order; None where they are no
+        correction, because their series does not converge.
     degrees_of_freedom : ν_eff.
     probability, coverage_factor, expanded_uncertainty : p, k from ν_eff, and U = k u of first order.
     lines : contributions, in the order of the inputs.
@@ -70,8 +73,8 @@ class GumBudget(Presented):
     name: str
     value: float
     uncertainty: float
-    second_order_value: float
-    second_order_uncertainty: float
+    second_order_value: float | None
+    second_order_uncertainty: float | None
     degrees_of_freedom: float
     probability: float
     coverage_factor: float
@@ -232,26 +235,27 @@ def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[Gum
     """Return the budget of each output."""
     inputs = equation.inputs
     x, u = (np.array([getattr(each, part) for each in inputs]) for part in ("value", "uncertainty"))
-    jacobian, second, third = _derivatives(equation, x, u)
     covariance = equation.correlation * np.outer(u, u)
     for j, one in enumerate(inputs):
         for k, other in enumerate(inputs[:j]):
             if one.draws is not None and other.draws is not None and len(one.draws) == len(other.draws):
                 covariance[j, k] = covariance[k, j] = float(np.cov(one.draws, other.draws, ddof=0)[0, 1])
     degrees = np.array([each.degrees_of_freedom for each in inputs])
-    values = equation(x[None])[0]
+    values, jacobian = equation(x[None])[0], _sensitivities(equation, x, u)
+    second = _second_order(equation, x, _directions(covariance), jacobian)
     found = []
     for k, name in enumerate(equation.names):
         c = jacobian[:, k]
-        first = float(c @ covariance @ c)
-        beyond = float(np.sum((0.5 * second[:, :, k] ** 2 + c[:, None] * third[:, :, k]) * np.outer(u**2, u**2)))
-        curved = 0.5 * float(np.diag(second[:, :, k]) @ u**2)
+        first = max(float(c @ covariance @ c), 0.0)
+        curved, beyond = (float(part[k]) for part in second)
+        # Terms that take most of the variance, or are not finite, are followed by others that matter as much.
+        converges = math.isfinite(curved) and first + beyond >= first / 2
         nu = effective_degrees((c * u) ** 2, degrees, first)
         # GUM G.4.1, note: k of the next lower whole number.
         whole = nu if math.isinf(nu) else max(math.floor(nu + 1e-9), 1.0)
         factor = float(special.ndtri((1 + probability) / 2) if math.isinf(nu) else special.stdtrit(
             whole, (1 + probability) / 2))  # fmt: skip
-        uncertainty = math.sqrt(max(first, 0.0))
+        uncertainty = math.sqrt(first)
         lines = tuple(
             GumLine(
                 each.name, each.value, each.uncertainty, each.distribution, each.type, each.degrees_of_freedom,
@@ -262,31 +266,69 @@ def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[Gum
         )  # fmt: skip
         found.append(
             GumBudget(
-                name, float(values[k]), uncertainty, float(values[k]) + curved, math.sqrt(max(first + beyond, 0.0)),
-                nu, probability, factor, factor * uncertainty, lines,
+                name, float(values[k]), uncertainty, float(values[k]) + curved if converges else None,
+                math.sqrt(first + beyond) if converges else None, nu, probability, factor, factor * uncertainty, lines,
             )
         )  # fmt: skip
     return tuple(found)
 
 
-def _derivatives(equation: BoundEquation, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return fᵢ (N, K), fᵢⱼ (N, N, K) and fᵢⱼⱼ (N, N, K) at x; 0 for inputs without uncertainty."""
-    count, size = len(x), len(equation.names)
-    steps = _STEP * u
-    rows = np.eye(count) * steps
-    stencil = np.array([[1, -8, 8, -1], [-2, -1, 1, 2]])
+def _directions(covariance: np.ndarray) -> np.ndarray:
+    """Return what a unit of each of M independent scores changes in the inputs, (M, N): Lᵀ with L Lᵀ = covariance."""
+    u = np.sqrt(np.diag(covariance))
+    if np.array_equal(covariance, np.diag(u**2)):
+        return np.diag(u)[u > 0]
+    scale = np.where(u > 0, u, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = values > 1e-12 * values.max()
+    return (vectors[:, kept] * np.sqrt(values[kept])).T * u
 
-    def slope(about: np.ndarray, i: int) -> np.ndarray:
-        """Return the derivative by input i at points (n, N), shape (n, K)."""
-        points = about[:, None] + stencil[1][None, :, None] * rows[i]
-        values = equation(points.reshape(-1, count)).reshape(len(about), 4, size)
-        return np.einsum("s,nsk->nk", stencil[0] / (12 * steps[i]), values)
 
-    first, second, third = np.zeros((count, size)), *np.zeros((2, count, count, size))
-    for i in np.flatnonzero(u):
-        first[i] = slope(x[None], int(i))[0]
-        for j in np.flatnonzero(u):
-            near = slope(x + np.outer([-2, -1, 0, 1, 2], rows[j]), int(i))
-            second[i, j] = np.array([1, -8, 0, 8, -1]) @ near / (12 * steps[j])
-            third[i, j] = np.array([-1, 16, -30, 16, -1]) @ near / (12 * steps[j] ** 2)
-    return first, second, third
+def _steps(about: np.ndarray, changes: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the steps of the differences in units of the changes (M, N), shape (M,).
+
+    They are wider where rounding of the inputs, as the weights (N,) take it into the output, would be seen in them: in
+    third derivatives below 1e-5, in slopes below 1e-3.
+    """
+    rounding = np.max(np.where(changes != 0, np.finfo(float).eps * np.abs(about * weights), 0.0), axis=1)
+    moved = np.linalg.norm(changes * weights, axis=1)
+    ratio = np.divide(rounding, moved, out=np.zeros_like(moved), where=moved > 0)
+    return np.maximum(_STEP, np.maximum(np.cbrt(1e6 * ratio), 1e3 * ratio))
+
+
+_STENCIL = np.array([[1, -8, 8, -1], [-2, -1, 1, 2]])
+
+
+def _slope(equation: BoundEquation, about: np.ndarray, change: np.ndarray, step: float) -> np.ndarray:
+    """Return the derivative along a change (N,) of the inputs at points (n, N), shape (n, K)."""
+    points = about[:, None] + _STENCIL[1][None, :, None] * (step * change)
+    values = equation(points.reshape(-1, about.shape[1])).reshape(len(about), 4, -1)
+    return np.einsum("s,nsk->nk", _STENCIL[0] / (12 * step), values)
+
+
+def _sensitivities(equation: BoundEquation, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return ∂f/∂xᵢ at x, shape (N, K); 0 for inputs without uncertainty."""
+    found, changes = np.zeros((len(x), len(equation.names))), np.diag(u)
+    for i, step in enumerate(_steps(x, changes, np.ones(len(x)))):
+        if u[i] > 0:
+            found[i] = _slope(equation, x[None], changes[i], float(step))[0] / u[i]
+    return found
+
+
+def _second_order(
+    equation: BoundEquation, x: np.ndarray, changes: np.ndarray, jacobian: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the second order adds to value and variance, each (K,), by derivatives along independent scores."""
+    size, count = len(changes), len(equation.names)
+    slopes, second, third = np.zeros((size, count)), *np.zeros((2, size, size, count))
+    steps = _steps(x, changes, np.abs(jacobian).max(axis=1))
+    for i, step in enumerate(steps):
+        slopes[i] = _slope(equation, x[None], changes[i], step)[0]
+        for j, other in enumerate(steps):
+            near = _slope(equation, x + np.outer([-2, -1, 0, 1, 2], other * changes[j]), changes[i], step)
+            second[i, j] = np.array([1, -8, 0, 8, -1]) @ near / (12 * other)
+            third[i, j] = np.array([-1, 16, -30, 16, -1]) @ near / (12 * other**2)
+    return (
+        0.5 * np.einsum("iik->k", second),
+        0.5 * np.einsum("ijk,ijk->k", second, second) + np.einsum("ik,ijk->k", slopes, third),
+    )
