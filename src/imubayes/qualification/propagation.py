@@ -2,7 +2,8 @@
 
 The Monte Carlo method of JCGM 101 draws blocks of M = max(10⁴, 100/(1 − p)) values of the inputs and applies the
 equation, until twice the standard deviation of the averages over the blocks of estimate, standard uncertainty and both
-ends of the interval is below the numerical tolerance of the digits asked for (7.9.4).  Several outputs are drawn
+ends of the interval is below the numerical tolerance of the digits asked for (7.9.4).  The same is asked of the draws
+that inputs are given by, of which there are no more.  Several outputs are drawn
 together (JCGM 102, 7); their covariance is that of the draws, and a region of probability p is the ellipsoid of the
 factor k_p about the mean, or the box of the half-widths k_q u (7.7).
 
@@ -11,7 +12,7 @@ Beside it stands the law of propagation (`imubayes.qualification.law_of_propagat
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +22,7 @@ from imubayes.foundations.records import Presented
 from imubayes.qualification.coverage import shortest_interval
 from imubayes.qualification.input_quantities import InputQuantity
 from imubayes.qualification.law_of_propagation import (
+    BoundEquation,
     Correlations,
     Equation,
     GumBudget,
@@ -66,13 +68,16 @@ class Propagated(Presented):
     outputs : of the equation, in its order.
     draws : shape (S, K), of the K outputs.
     probability : of the coverage intervals.
-    stable : whether the draws are as many as the digits ask for; False where the most draws were reached.
+    stable : whether the draws are as many as the digits ask for; False where the most draws were reached, or
+        where those that an input is given by are too few.
+    effective : number of draws, or of those of the input that is given by the fewest.
     """
 
     outputs: tuple[OutputQuantity, ...]
     draws: np.ndarray
     probability: float
     stable: bool
+    effective: int
 
     def __getitem__(self, name: str) -> OutputQuantity:
         """Return an output by name."""
@@ -171,11 +176,14 @@ def propagate(
         sums.append(_statistics(blocks[-1], tails))
         stable = len(blocks) >= _FEWEST_BLOCKS and _is_stable(np.array(sums), digits)
     draws = np.concatenate(blocks)
+    given = [len(each.draws) for each in equation.inputs if each.draws is not None and each.uncertainty > 0]
+    if stable and given:
+        stable = _is_stable(_by_parts_of_draws(equation, min(given), size, tails, seed), digits)
     budgets = budgets_of_outputs(equation, probability)
     found = tuple(
         _output(name, own, gum, probability, digits) for name, own, gum in zip(names, draws.T, budgets, strict=True)
     )
-    return Propagated(found, draws, probability, stable)
+    return Propagated(found, draws, probability, stable, min([len(draws), *given]))
 
 
 def _check_deviations(inputs: Sequence[InputQuantity]) -> None:
@@ -201,6 +209,26 @@ def _statistics(draws: np.ndarray, tails: np.ndarray) -> np.ndarray:
 def _deviation(draws: np.ndarray) -> np.ndarray:
     """Return the standard deviation of draws (M, …) of each output; 0 where they are the same, without rounding."""
     return np.asarray((draws - draws[0]).std(axis=0, ddof=1))
+
+
+def _by_parts_of_draws(equation: BoundEquation, fewest: int, size: int, tails: np.ndarray, seed: int) -> np.ndarray:
+    """Return the statistics (h, 4, K) from h parts of the draws that inputs are given by, one after the other.
+
+    All else is drawn as for the other parts: what differs is due to these draws.  Neighbours stay together, because
+    those of a chain are correlated.
+    """
+    parts = min(_FEWEST_BLOCKS, max(fewest // 2, 2))
+    found = []
+    for part in range(parts):
+        inputs = tuple(
+            each if each.draws is None else replace(each, draws=each.draws[part * many : (part + 1) * many])
+            for each in equation.inputs
+            for many in (0 if each.draws is None else len(each.draws) // parts,)
+        )
+        most = max(len(each.draws) for each in inputs if each.draws is not None)
+        drawn = replace(equation, inputs=inputs).sampled(max(size, 4 * most), np.random.default_rng(seed))
+        found.append(_statistics(drawn, tails))
+    return np.array(found)
 
 
 def _is_stable(blocks: np.ndarray, digits: Digits) -> bool:
