@@ -369,3 +369,38 @@ def test_second_order_of_paired_draws():
     pair = np.random.default_rng(1).multivariate_normal([2.0, 2.0], [[1.0, 0.9], [0.9, 1.0]], 20_000)
     inputs = InputQuantity.from_draws("a", pair[:, 0]), InputQuantity.from_draws("b", pair[:, 1])
     assert second_order(lambda a, b: a * b, *inputs) == pytest.approx((4.9, 4.124), rel=0.02)
+
+
+@pytest.mark.parametrize(("count", "digits", "stable"), [(20, 2, False), (20, 1, False), (40_000, 1, True)])
+def test_the_draws_of_an_input_are_as_many_as_its_output_rests_on(count, digits, stable):
+    drawn = InputQuantity.from_draws("x", np.random.default_rng(3).normal(size=count))
+    found = imubayes.propagate(lambda x, b: x + b, [drawn, normal("b", 0, 0.1)], digits=digits)
+    assert found.stable is stable
+    assert found.effective == min(count, len(found.draws))
+    assert ("TOO FEW" in str(found)) is not stable
+    decided = imubayes.conformity(found, upper=2.0, rule="conformance_probability", probability=0.9)
+    assert (decided.outcome == "withheld") is not stable
+    # What contributes little may be known from few draws.
+    little = imubayes.propagate(lambda x, b: 1e-3 * x + b, [drawn, normal("b", 0, 1.0)], digits=1)
+    assert little.stable
+
+
+# Exactly known distributions that no sinh-arcsinh normal resembles; p_c in closed form.
+@pytest.mark.parametrize(
+    ("inputs", "upper", "p"),
+    [
+        ([between("a", 0, 1)], 0.97, 0.97),
+        ([between("a", -1, 1, "arcsine")], 0.95, 1 - math.acos(0.95) / math.pi),
+        ([between("a", 0, 1), between("b", 0, 1)], 1.8, 1 - 0.2**2 / 2),
+    ],
+)
+def test_conformance_of_an_output_that_is_not_normal_is_stated(inputs, upper, p):
+    found = imubayes.propagate(of_sum, inputs, digits=1)
+    rule = {"upper": upper, "rule": "conformance_probability"}
+    clear = imubayes.conformity(found, **rule, probability=0.5)
+    assert clear.outcome == "pass"
+    assert clear.conformance == pytest.approx(p, abs=3e-3)
+    assert imubayes.conformity(found, **rule, probability=0.999).outcome == "fail"
+    close = imubayes.conformity(found, **rule, probability=clear.conformance)
+    assert close.outcome == "withheld"
+    assert close.conformance is None

@@ -255,8 +255,9 @@ class Decision:
 
 def decide(rule: DecisionRule, estimate: MeasuredValue, tolerance: ToleranceInterval) -> Decision:
     """Return the outcome of a rule for one quantity; `withheld` where it needs a probability that is withheld."""
-    if rule.name in ("conformance_probability", "specific_risk"):
-        outcome = _by_probability(rule, estimate.conformance.value)
+    least = least_conformance(rule)
+    if least is not None:
+        outcome = _by_probability(least, estimate.conformance.value)
         return Decision(outcome, None, "probability" if outcome == "withheld" else None)
     guard = rule.guard(estimate)
     if rule.name == "ilac_g8_non_binary":
@@ -264,10 +265,10 @@ def decide(rule: DecisionRule, estimate: MeasuredValue, tolerance: ToleranceInte
     return Decision("pass" if _within(estimate.value, tolerance.guarded(guard)) else "fail", guard)
 
 
-def _by_probability(rule: DecisionRule, conformance: float | None) -> Outcome:
+def _by_probability(least: float, conformance: float | None) -> Outcome:
     if conformance is None:
         return "withheld"
-    return "pass" if conformance >= _least_conformance(rule) else "fail"
+    return "pass" if conformance >= least else "fail"
 
 
 def _non_binary(value: float, tolerance: ToleranceInterval, guard: float) -> Outcome:
@@ -295,16 +296,16 @@ def acceptance_interval(
     """
     if rule.name == "ilac_g8_non_binary":
         return tolerance
-    if rule.name in ("conformance_probability", "specific_risk"):
-        width = _guard_of_probability(_least_conformance(rule), standard, tolerance)
-    else:
-        width = decision.guard_band
+    least = least_conformance(rule)
+    width = decision.guard_band if least is None else _guard_of_probability(least, standard, tolerance)
     accepted = None if width is None else tolerance.guarded(width)
     return None if accepted is None or accepted.lower > accepted.upper else accepted
 
 
-def _least_conformance(rule: DecisionRule) -> float:
-    assert rule.probability is not None, "a rule on probabilities has one"
+def least_conformance(rule: DecisionRule) -> float | None:
+    """Return the p_c with which a rule on it accepts; None for other rules."""
+    if rule.probability is None or rule.name not in ("conformance_probability", "specific_risk"):
+        return None
     return rule.probability if rule.name == "conformance_probability" else 1 - rule.probability
 
 

@@ -93,8 +93,8 @@ def conformity(
     _check_measured(measured)
     _check(lower, upper, rule, production)
     tolerance = rules.ToleranceInterval(lower, upper)
-    estimate = _estimate(measured, tolerance, output)
     chosen = _rule(rule, factor, width, probability)
+    estimate = _estimate(measured, tolerance, output, chosen)
     made = None if production is None else _production(production)
     decision = rules.applied(chosen, estimate, tolerance, made)
     accepted = rules.acceptance_interval(chosen, estimate.standard, tolerance, decision)
@@ -153,7 +153,9 @@ def _entry[Entry: BaseModel](record: type[Entry], **stated: str | float | None) 
         raise InputError(issues) from error
 
 
-def _estimate(measured: Measured, tolerance: rules.ToleranceInterval, output: str) -> rules.MeasuredValue:
+def _estimate(
+    measured: Measured, tolerance: rules.ToleranceInterval, output: str, rule: rules.DecisionRule
+) -> rules.MeasuredValue:
     if isinstance(measured, tuple):
         value, u = (float(each) for each in measured)
         if not (math.isfinite(value) and math.isfinite(u) and u > 0):
@@ -166,10 +168,29 @@ def _estimate(measured: Measured, tolerance: rules.ToleranceInterval, output: st
     draws = _draws(measured, output) if isinstance(measured, Propagated) else np.asarray(measured, dtype=float)
     if not np.isfinite(draws).all() or not np.ptp(draws) > 0:
         raise input_error("the draws are not finite or all the same", "measured", "finite draws", "correct it")
-    marginal = Marginal(draws, float(len(draws)))
+    if isinstance(measured, Propagated):
+        marginal = Marginal(draws, float(measured.effective))
+        p_c = _conformance_of_draws(marginal, tolerance, rule)
+    else:
+        marginal = Marginal(draws, float(len(draws)))
+        p_c = rules.conformance_probability(marginal, tolerance)
     stated = coverage_of(marginal)
-    p_c = rules.conformance_probability(marginal, tolerance)
     return rules.MeasuredValue(stated.estimate, stated.standard, stated.expanded, p_c)
+
+
+def _conformance_of_draws(
+    marginal: Marginal, tolerance: rules.ToleranceInterval, rule: rules.DecisionRule
+) -> rules.ProbabilityByTwoMethods:
+    """Return p_c of a distribution that the draws define, withheld where their error spans the bound of the rule.
+
+    The equation may have any distribution: that a fitted one differs from it tells nothing of the draws.
+    """
+    p = float(np.mean(tolerance.contains(marginal.draws)))
+    error = rules.fraction_error(p, marginal.effective)
+    allowed = rules.RISK_ERRORS * error
+    bound = rules.least_conformance(rule)
+    few = marginal.effective < rules.LEAST_EFFECTIVE or (bound is not None and abs(p - bound) <= allowed)
+    return rules.ProbabilityByTwoMethods(p, p, error, allowed, "too_few_draws" if few else None)
 
 
 def _check_measured(measured: object) -> None:
