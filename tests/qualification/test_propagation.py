@@ -259,6 +259,16 @@ def decided(**arguments) -> imubayes.ConformityStatement:
         (lambda: imubayes.conformity((0.0, 1.0), upper=1, rule="global_risk"), "global risk"),
         (lambda: inspect.unwrap(imubayes.conformity)([10.5, 8.0], upper=12), "a list"),
         (lambda: inspect.unwrap(imubayes.conformity)((10.5, 8.0, 3.0), upper=12), "3 numbers"),
+        (lambda: imubayes.propagate(lambda x: (x, x), [normal("x", 0, 1)], names=("y", "y")), "'y' is repeated"),
+        (lambda: imubayes.budget(lambda x: (), [normal("x", 0, 1)], names=()), "no outputs"),
+        (lambda: imubayes.propagate(lambda x: x, [normal("x", 0, 1)])["q"], "no output 'q'"),
+        (lambda: imubayes.budget(lambda x: np.log(x), [normal("x", 0, 0.1)]), "not finite"),
+        (lambda: imubayes.budget(lambda x: np.sqrt(x), [normal("x", 0, 1)]), "not finite"),
+        (lambda: between("x", 0, 1, degrees_of_freedom=0), "0 degrees of freedom"),
+        (lambda: between("x", 0, 1, degrees_of_freedom=math.nan), "nan degrees of freedom"),
+        (lambda: inspect.unwrap(imubayes.propagate)(lambda x: x, [normal("x", 0, 1)], digits=0), "digits = 0"),
+        (lambda: imubayes.propagate(lambda x: x, [normal("x", 0, 1)], most_draws=10), "most_draws = 10"),
+        (lambda: imubayes.budget(lambda a, b: a + b, PAIR, correlation={("a", "b"): 0.5, ("b", "a"): -0.5}), "twice"),
         (lambda: decided(rule="conformance_probability", probability=5.0), "probability = 5"),
         (lambda: decided(rule="specific_risk", probability=0.0), "probability = 0"),
         (lambda: decided(factor=-10.0), "factor = -10"),
@@ -279,7 +289,7 @@ def decided(**arguments) -> imubayes.ConformityStatement:
         (lambda: inspect.unwrap(imubayes.conformity)("10.5", upper=12), "a str"),
     ],
 )  # fmt: skip
-@pytest.mark.filterwarnings("ignore:invalid value encountered in log")
+@pytest.mark.filterwarnings("ignore:(invalid value|divide by zero) encountered in (log|sqrt)")
 def test_what_is_no_input_or_equation_is_refused_in_four_parts(made, what):
     with pytest.raises(InputError) as caught:
         made()
@@ -404,3 +414,19 @@ def test_conformance_of_an_output_that_is_not_normal_is_stated(inputs, upper, p)
     close = imubayes.conformity(found, **rule, probability=clear.conformance)
     assert close.outcome == "withheld"
     assert close.conformance is None
+
+
+def test_regions_of_outputs_that_hang_together_or_do_not_vary():
+    """Of x and 2x and a constant there is one dimension: both factors are those of one normal quantity."""
+    inputs = [normal("x", 0, 1)]
+    found = imubayes.propagate(lambda x: (x, 2 * x, np.full_like(x, 0.1)), inputs, names=("a", "b", "c"), digits=1)
+    assert found.ellipsoid_factor == pytest.approx(1.96, abs=0.02)
+    assert found.box_factor == pytest.approx(1.96, abs=0.02)
+    exact = imubayes.propagate(lambda x: np.full_like(x, 0.1), inputs)
+    assert (exact.ellipsoid_factor, exact.box_factor) == (0.0, 0.0)
+
+
+def test_no_more_draws_than_asked_for():
+    found = imubayes.propagate(lambda x: x, [normal("x", 0, 1)], probability=0.99999, most_draws=100_000, digits=1)
+    assert len(found.draws) <= 100_000
+    assert not found.stable, "each block is to hold 100/(1 − p) draws (JCGM 101, 7.9.4)"

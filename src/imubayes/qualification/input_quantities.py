@@ -98,7 +98,8 @@ class InputQuantity:
         Raises
         ------
         InputError
-            for limits that are crossed or not finite, and an upper side or inexact limits that are none.
+            for limits that are crossed or not finite, and an upper side, inexact limits or degrees of freedom that
+            are none.
         """
         half = (high - low) / 2
         if not (math.isfinite(half) and half > 0):
@@ -107,6 +108,8 @@ class InputQuantity:
             raise _error(name, f"limits known to ± {inexact:g}", "0 … half their distance, for a rectangular one")
         if not 0 <= top <= 1:
             raise _error(name, f"the upper side {top:g} of a trapezoid", "0 … 1")
+        if not degrees_of_freedom > 0:
+            raise _error(name, f"{degrees_of_freedom:g} degrees of freedom", "a number above 0, or math.inf")
         if distribution == "trapezoidal":
             u = half * math.sqrt((1 + top**2) / 6)
         else:

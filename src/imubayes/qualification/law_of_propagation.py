@@ -183,6 +183,8 @@ def _correlation_matrix(inputs: Sequence[InputQuantity], correlation: Correlatio
         where = f"correlation ('{first}', '{second}')"
         if not {first, second} <= places.keys() or first == second:
             issues.append(Issue("it is not of two inputs", where, ", ".join(places), "name two inputs"))
+        elif correlation.get((second, first), value) != value:
+            issues.append(Issue("it is given twice with other values", where, "one value", "leave one out"))
         elif not -1 <= value <= 1:
             issues.append(Issue(f"it is {value:g}", where, "-1 … 1", "correct it"))
         elif any(inputs[places[name]].distribution != "normal" for name in (first, second)):
@@ -209,6 +211,10 @@ def _check(equation: BoundEquation, probability: float) -> None:
     if repeated or not names:
         what = f"the name '{repeated[0]}' is repeated" if repeated else "there are no inputs"
         raise input_error(what, "inputs", "one or more, each with its own name", "correct them")
+    repeated = sorted({name for name in equation.names if equation.names.count(name) > 1})
+    if repeated or not equation.names:
+        what = f"the name '{repeated[0]}' is repeated" if repeated else "there are no outputs"
+        raise input_error(what, "names", "one or more, each with its own name", "correct them")
     try:
         inspect.signature(equation.function).bind(**dict.fromkeys(names))
     except TypeError as error:
@@ -242,6 +248,9 @@ def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[Gum
                 covariance[j, k] = covariance[k, j] = float(np.cov(one.draws, other.draws, ddof=0)[0, 1])
     degrees = np.array([each.degrees_of_freedom for each in inputs])
     values, jacobian = equation(x[None])[0], _sensitivities(equation, x, u)
+    if not (np.isfinite(values).all() and np.isfinite(jacobian).all()):
+        allowed = "an equation with a value and a slope there"
+        raise _wrong("or its slope is not finite at the estimates of its inputs", allowed)
     second = _second_order(equation, x, _directions(covariance), jacobian)
     found = []
     for k, name in enumerate(equation.names):

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.records import Presented
 from imubayes.qualification.coverage import shortest_interval
 from imubayes.qualification.input_quantities import InputQuantity
@@ -32,7 +32,7 @@ from imubayes.qualification.law_of_propagation import (
 from imubayes.qualification.marginal import Digits, numerical_tolerance
 
 Interval = tuple[float, float]
-_BLOCK, _FEWEST_BLOCKS = 10_000, 10
+_BLOCK, _FEWEST_BLOCKS, _FEWEST_DRAWS = 10_000, 10, 1000
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,12 @@ class Propagated(Presented):
     effective: int
 
     def __getitem__(self, name: str) -> OutputQuantity:
-        """Return an output by name."""
-        return next(each for each in self.outputs if each.name == name)
+        """Return an output by name; raises InputError where there is none of it."""
+        found = next((each for each in self.outputs if each.name == name), None)
+        if found is None:
+            allowed = closest_first(name, [each.name for each in self.outputs])
+            raise input_error(f"there is no output '{name}'", "output", allowed, "name one of them")
+        return found
 
     @property
     def value(self) -> float:
@@ -121,15 +125,22 @@ class Propagated(Presented):
     @cached_property
     def ellipsoid_factor(self) -> float:
         """k_p: the ellipsoid (y − ȳ)ᵀ V⁻¹ (y − ȳ) ≤ k_p² holds the probability (JCGM 102, 7.7.2)."""
-        about = self.draws - self.draws.mean(axis=0)
-        lengths = np.sum(np.linalg.solve(np.linalg.cholesky(self.covariance), about.T) ** 2, axis=0)
+        about = self._scaled
+        # Outputs that hang together lie in a space of fewer dimensions.
+        inverse = np.linalg.pinv(about.T @ about / (len(about) - 1), rcond=1e-12, hermitian=True)
+        lengths = np.sum(about @ inverse * about, axis=1)
         return float(np.sqrt(np.quantile(lengths, self.probability)))
 
     @cached_property
     def box_factor(self) -> float:
         """k_q: the box ȳ ± k_q u holds the probability (JCGM 102, 7.7.3)."""
-        about = np.abs(self.draws - self.draws.mean(axis=0)) / self.draws.std(axis=0, ddof=1)
-        return float(np.quantile(about.max(axis=1), self.probability))
+        return float(np.quantile(np.abs(self._scaled).max(axis=1), self.probability))
+
+    @cached_property
+    def _scaled(self) -> np.ndarray:
+        """Draws about their mean in standard uncertainties, (S, K); 0 for an output that does not vary."""
+        u = _deviation(self.draws)
+        return np.where(u > 0, (self.draws - self.draws.mean(axis=0)) / np.where(u > 0, u, 1.0), 0.0)
 
 
 def propagate(
@@ -154,7 +165,7 @@ def propagate(
     correlation : pair of names → correlation of two normal inputs.
     probability : of the coverage intervals.
     digits : significant digits of the standard uncertainty that are to be stable, 1 or 2.
-    most_draws : after which it ends at the latest.
+    most_draws : after which it ends at the latest, 1000 or more.
     seed : of the draws.
 
     Raises
@@ -166,15 +177,20 @@ def propagate(
     """
     equation = bound_equation(function, inputs, names, correlation, probability)
     _check_deviations(equation.inputs)
+    if digits not in (1, 2):
+        raise input_error(f"digits = {digits}", "digits", "1 or 2", "correct it")
+    if most_draws < _FEWEST_DRAWS:
+        raise input_error(f"most_draws = {most_draws}", "most_draws", f"{_FEWEST_DRAWS} or more", "correct it")
     random = np.random.default_rng(seed)
-    size = max(_BLOCK, math.ceil(100 / (1 - probability)))
+    needed = max(_BLOCK, math.ceil(100 / (1 - probability)))
+    size = min(needed, most_draws // _FEWEST_BLOCKS)
     blocks: list[np.ndarray] = []
     sums: list[np.ndarray] = []
     stable, tails = False, np.array([(1 - probability) / 2, (1 + probability) / 2])
     while not stable and (len(blocks) < _FEWEST_BLOCKS or (len(blocks) + 1) * size <= most_draws):
         blocks.append(equation.sampled(size, random))
         sums.append(_statistics(blocks[-1], tails))
-        stable = len(blocks) >= _FEWEST_BLOCKS and _is_stable(np.array(sums), digits)
+        stable = size == needed and len(blocks) >= _FEWEST_BLOCKS and _is_stable(np.array(sums), digits)
     draws = np.concatenate(blocks)
     given = [len(each.draws) for each in equation.inputs if each.draws is not None and each.uncertainty > 0]
     if stable and given:

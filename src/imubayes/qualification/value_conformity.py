@@ -214,10 +214,9 @@ def _check_measured(measured: object) -> None:
 
 def _draws(found: Propagated, output: str) -> np.ndarray:
     names = [each.name for each in found.outputs]
-    if (output and output not in names) or (not output and len(names) > 1):
-        what = f"there is no output '{output}'" if output else "the equation has several outputs"
-        raise input_error(what, "output", closest_first(output, names), "name one of them")
-    return found.draws[:, names.index(output) if output else 0]
+    if not output and len(names) > 1:
+        raise input_error("the equation has several outputs", "output", ", ".join(names), "name one of them")
+    return found.draws[:, found.outputs.index(found[output]) if output else 0]
 
 
 def _check(lower: float, upper: float, rule: str, production: tuple[float, float] | None) -> None:
