@@ -148,6 +148,29 @@ def test_what_came_along_removes_nothing_elsewhere(result, tmp_path):
     assert not (result / "notes").exists()
 
 
+@pytest.mark.parametrize("read", [checked, lambda folder: added(folder, DIAGNOSIS)], ids=["fit", "added"])
+def test_a_result_replaced_while_it_is_checked_is_read_anew(place, result, monkeypatch, read):
+    """The manifest is that of the old result, and its files are looked at when they are those of the new one."""
+    unpatched, manifests = folder_files._read, []
+
+    def replaced_after(folder: Path):
+        found = unpatched(folder)
+        manifests.append(found)
+        if len(manifests) == 1:
+            with replacing_result(folder, 0) as scratch:
+                for name in (SUMMARY, RESIDUALS):
+                    shutil.copyfile(place / "new" / name, scratch / name)
+        return found
+
+    monkeypatch.setattr(folder_files, "_read", replaced_after)
+    found = read(result)
+    assert found is None or found.identity == unpatched(place / "new").identity
+    assert content(result) == content(place / "new")
+    (result / SUMMARY).write_text("altered")
+    with pytest.raises(InputError, match=r"summary\.json has"):
+        read(result)
+
+
 @pytest.mark.parametrize("kind", ["folder", "file", "nothing"])
 def test_a_link_in_place_of_a_change_takes_nothing_from_where_it_leads(result, tmp_path, kind):
     elsewhere = tmp_path / "elsewhere"

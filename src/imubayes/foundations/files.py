@@ -178,6 +178,11 @@ def complete_change(folder: Path, last: str) -> None:
                 raise _incomplete(folder, error) from error
 
 
+def changing(folder: Path) -> bool:
+    """Tell whether the files of a committed change are being put in place, or wait for it."""
+    return (folder / _COMMITTED).exists()
+
+
 def _is_change(committed: Path) -> bool:
     """Tell whether there is a change; a link, which would move the files of another place, is refused."""
     if committed.is_symlink() or committed.is_file():

@@ -11,7 +11,7 @@ result.
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -20,7 +20,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationError
 
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
-from imubayes.foundations.files import PATIENCE, complete_change, only_writer, replacing_files, write_text
+from imubayes.foundations.files import PATIENCE, changing, complete_change, only_writer, replacing_files, write_text
 from imubayes.foundations.records import Record
 from imubayes.model.model_file import read_model, trust_files
 
@@ -173,15 +173,27 @@ def checked(folder: Path) -> Manifest:
     InputError
         where there is no result, or one that is truncated, altered, mixed, or older than manifests.
     """
-    complete(folder)
-    issues = missing(folder)
-    if issues:
-        raise InputError(issues)
-    manifest = _read(folder)
-    issues = [issue for file in manifest.fit if (issue := _fault(folder, file, AGAIN)) is not None]
-    if issues:
-        raise InputError(issues)
-    return manifest
+    return _settled(folder, lambda manifest: _faults(folder, manifest.fit, AGAIN))
+
+
+def _settled(folder: Path, faults: Callable[[Manifest], list[Issue]]) -> Manifest:
+    """Return the manifest of a result without faults; raises InputError with the faults of one that nobody replaces.
+
+    A process that puts files in place while they are looked at leaves another manifest, and is looked at again.
+    """
+    before = None
+    while True:
+        complete(folder)
+        issues = missing(folder)
+        if issues:
+            raise InputError(issues)
+        manifest = _read(folder)
+        issues = faults(manifest)
+        if not issues:
+            return manifest
+        if manifest == before and not changing(folder):
+            raise InputError(issues)
+        before = manifest
 
 
 def added(folder: Path, name: str) -> Path | None:
@@ -192,17 +204,19 @@ def added(folder: Path, name: str) -> Path | None:
     InputError
         as for `checked`, and where such a file is there that is altered or of another fit.
     """
-    manifest, file = checked(folder), folder / name
-    listed = next((each for each in manifest.added if each.name == name), None)
+    file = folder / name
     remedy = f"run `imubayes {BY_OTHER_COMMANDS.get(name, 'fit')}` again, or remove the file"
-    if listed is None:
-        if not file.exists():
-            return None
-        raise input_error(f"{name} is not of this result", str(file), f"the files that {MANIFEST} lists", remedy)
-    issue = _fault(folder, listed, remedy)
-    if issue is not None:
-        raise InputError(issue)
-    return file
+
+    def faults(manifest: Manifest) -> list[Issue]:
+        listed = [each for each in manifest.added if each.name == name]
+        found = _faults(folder, manifest.fit, AGAIN) or _faults(folder, listed, remedy)
+        if not found and not listed and file.exists():
+            allowed = f"the files that {MANIFEST} lists"
+            found = [Issue(f"{name} is not of this result", str(file), allowed, remedy)]
+        return found
+
+    manifest = _settled(folder, faults)
+    return file if any(each.name == name for each in manifest.added) else None
 
 
 @contextmanager
@@ -264,6 +278,10 @@ def _read(folder: Path) -> Manifest:
         return Manifest.model_validate_json(file.read_bytes())
     except (OSError, ValidationError) as error:
         raise InputError(damaged(file, error)) from error
+
+
+def _faults(folder: Path, listed: Iterable[KeptFile], remedy: str) -> list[Issue]:
+    return [issue for file in listed if (issue := _fault(folder, file, remedy)) is not None]
 
 
 def _fault(folder: Path, listed: KeptFile, remedy: str) -> Issue | None:
