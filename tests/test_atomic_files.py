@@ -1,8 +1,10 @@
 """What a process that died left behind is removed by the next one; what a living one writes stays."""
 
 import os
+import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -49,3 +51,33 @@ def test_an_error_leaves_what_was_there(tmp_path):
     with pytest.raises(RuntimeError):
         fail()
     assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [("file", "old")]
+
+
+@pytest.mark.parametrize("writing", [replacing, new_folder])
+def test_threads_do_not_remove_what_the_other_writes(tmp_path, writing: Callable[[Path], AbstractContextManager[Path]]):
+    """The second thread begins and ends while the first one writes."""
+    target = tmp_path / "out"
+
+    def write(text: str) -> None:
+        with writing(target) as scratch:
+            file = scratch / "file" if scratch.is_dir() else scratch
+            file.write_text(text)
+            if text == "first":
+                second = threading.Thread(target=write, args=("second",))
+                second.start()
+                second.join()
+                assert file.read_text() == "first"
+                (shutil.rmtree if target.is_dir() else os.remove)(target)
+
+    write("first")
+    file = target / "file" if target.is_dir() else target
+    assert file.read_text() == "first"
+    assert [each.name for each in tmp_path.iterdir()] == ["out"]
+
+
+def test_the_leftover_of_a_thread_of_a_dead_process_goes(tmp_path, dead):
+    left, living = (tmp_path / f".out.{process}.140062.part" for process in (dead, os.getppid()))
+    left.write_text("half")
+    living.write_text("half")
+    write_text(tmp_path / "out", "whole")
+    assert (left.exists(), living.exists()) == (False, True)

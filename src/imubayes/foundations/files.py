@@ -50,9 +50,9 @@ def replacing(file: Path, durable: bool = False) -> Iterator[Path]:
 
 
 def _scratch_of(place: Path) -> Path:
-    """Return a free name beside a place; what a process that died left there is removed."""
-    scratch = place.with_name(f".{place.name}.{os.getpid()}.part")
-    leftover = re.compile(rf"\.{re.escape(place.name)}\.(\d+)\.part")
+    """Return a free name beside a place, of this thread; what a process that died left there is removed."""
+    scratch = place.with_name(f".{place.name}.{os.getpid()}.{threading.get_ident()}.part")
+    leftover = re.compile(rf"\.{re.escape(place.name)}\.(\d+)(?:\.\d+)?\.part")
     for found in place.parent.glob(f".{glob.escape(place.name)}.*.part"):
         by = leftover.fullmatch(found.name)
         if by is not None and (found == scratch or not _alive(int(by.group(1)))):
