@@ -241,11 +241,7 @@ def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[Gum
     """Return the budget of each output."""
     inputs = equation.inputs
     x, u = (np.array([getattr(each, part) for each in inputs]) for part in ("value", "uncertainty"))
-    covariance = equation.correlation * np.outer(u, u)
-    for j, one in enumerate(inputs):
-        for k, other in enumerate(inputs[:j]):
-            if one.draws is not None and other.draws is not None and len(one.draws) == len(other.draws):
-                covariance[j, k] = covariance[k, j] = float(np.cov(one.draws, other.draws, ddof=0)[0, 1])
+    covariance = _covariance(equation, u)
     degrees = np.array([each.degrees_of_freedom for each in inputs])
     values, jacobian = equation(x[None])[0], _sensitivities(equation, x, u)
     if not (np.isfinite(values).all() and np.isfinite(jacobian).all()):
@@ -260,10 +256,7 @@ def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[Gum
         # Terms that take most of the variance, or are not finite, are followed by others that matter as much.
         converges = math.isfinite(curved) and first + beyond >= first / 2
         nu = effective_degrees((c * u) ** 2, degrees, first)
-        # GUM G.4.1, note: k of the next lower whole number.
-        whole = nu if math.isinf(nu) else max(math.floor(nu + 1e-9), 1.0)
-        factor = float(special.ndtri((1 + probability) / 2) if math.isinf(nu) else special.stdtrit(
-            whole, (1 + probability) / 2))  # fmt: skip
+        factor = _coverage_factor(nu, probability)
         uncertainty = math.sqrt(first)
         lines = tuple(
             GumLine(
@@ -280,6 +273,24 @@ def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[Gum
             )
         )  # fmt: skip
     return tuple(found)
+
+
+def _covariance(equation: BoundEquation, u: np.ndarray) -> np.ndarray:
+    """Return the covariance of the inputs, (N, N), that of paired draws included."""
+    found = equation.correlation * np.outer(u, u)
+    for j, one in enumerate(equation.inputs):
+        for k, other in enumerate(equation.inputs[:j]):
+            if one.draws is not None and other.draws is not None and len(one.draws) == len(other.draws):
+                found[j, k] = found[k, j] = float(np.cov(one.draws, other.draws, ddof=0)[0, 1])
+    return found
+
+
+def _coverage_factor(nu: float, probability: float) -> float:
+    """Return k of the next lower whole number of degrees of freedom (GUM G.4.1, note)."""
+    one_sided = (1 + probability) / 2
+    if math.isinf(nu):
+        return float(special.ndtri(one_sided))
+    return float(special.stdtrit(max(math.floor(nu + 1e-9), 1.0), one_sided))
 
 
 def _directions(covariance: np.ndarray) -> np.ndarray:

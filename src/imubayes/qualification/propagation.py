@@ -159,7 +159,7 @@ def propagate(
     Parameters
     ----------
     function : the equation: takes the inputs by name, as arrays of one shape, and returns an array of that shape, or a
-        sequence of such arrays, one for each output.
+        sequence of such arrays, one for each output, computed element by element.
     inputs : independent, but for `correlation` and for inputs of as many draws as each other.
     names : of the outputs.
     correlation : pair of names → correlation of two normal inputs.
