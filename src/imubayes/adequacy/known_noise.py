@@ -29,10 +29,10 @@ from imubayes.adequacy.projection import Projection
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.tail_probabilities import LEAST_P, f_survival, normal_survival
+from imubayes.inference.conditional_precision import run_means
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.effect_registry import EffectClass
-from imubayes.model.noise_covariance import group_sum, noise_distribution, whitener
 from imubayes.model.problem import Problem
 from imubayes.noise.components import EntryNoise, Noise, SeriesNoise, SharedNoise, SlowNoise, WhiteNoise
 from imubayes.parameters.declarations import Parameter
@@ -365,7 +365,7 @@ def _between_runs(projection: Projection) -> dict[int, _ScaleEstimate]:
     apart = projection.offsets_apart
     fitted, strata = projection.fitted, apart.strata
     problem, h = fitted.model.problem, fitted.h
-    precision, shared = map(np.asarray, _of_means(problem, h))
+    precision, shared = map(np.asarray, run_means(problem, h))
     channel = fitted.model.entries.channel[projection.turn.members[:, 0]]
     squares, found = strata.sums(apart.residual**2), {}
     for place in np.flatnonzero(strata.between).tolist():
@@ -375,13 +375,6 @@ def _between_runs(projection: Projection) -> dict[int, _ScaleEstimate]:
             whole = floor + float(np.mean(shared[groups]))
             found[int(strata.channel[place])] = _ScaleEstimate(whole * float(squares[place]) / freedom, freedom, floor)
     return found
-
-
-@kept
-def _of_means(problem: Problem, h: Float[Array, " H"]) -> tuple[Float[Array, " G"], Float[Array, " G"]]:
-    """Return of the mean of each group the precision within its run, and the variance that its rows share."""
-    precision = group_sum(whitener(problem, h).direction ** 2, problem.observations)
-    return precision, noise_distribution(problem, h).shared_variance
 
 
 def _white_noise(problem: Problem, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -205,6 +205,11 @@ class Tumble:
     coning: np.ndarray
     flagged: np.ndarray
 
+    @property
+    def turns(self) -> int:
+        """Number of transitions; 0 for pose means."""
+        return len(self.start)
+
 
 @dataclass(frozen=True)
 class Run:

@@ -242,6 +242,17 @@ def refuse_existing(file: Path, but: Callable[[bytes], bool] = lambda content: F
     )
 
 
+def refuse_occupied(out: Path) -> None:
+    """Raise an `InputError` if the folder is not empty, or is a file."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise input_error(
+            f"'{out}' exists and is not an empty folder",
+            str(out),
+            "a folder that does not exist yet, or an empty one",
+            "choose another name, or remove the folder first",
+        )
+
+
 _LOCK = ".lock"
 _PAUSE = 0.05
 _held: set[tuple[Path, int]] = set()

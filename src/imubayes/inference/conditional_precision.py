@@ -129,10 +129,17 @@ def _small_and_correlated(problem: Problem) -> bool:
 
 
 @kept
+def run_means(problem: Problem, h: Float[Array, " H"]) -> tuple[Float[Array, " G"], Float[Array, " G"]]:
+    """Return of the mean of each run and channel the precision within the run, and the variance its rows share."""
+    precision = group_sum(whitener(problem, h).direction ** 2, problem.observations)
+    return precision, noise_distribution(problem, h).shared_variance
+
+
+@kept
 def mean_variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
     """Return the variance of the mean of each run and channel, shared variance included; ∞ where all is masked."""
-    information = group_sum(whitener(problem, h).direction ** 2, problem.observations)
-    return noise_distribution(problem, h).shared_variance + 1 / information
+    precision, shared = run_means(problem, h)
+    return shared + 1 / precision
 
 
 def _classes(problem: Problem, h: Float[Array, " H"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

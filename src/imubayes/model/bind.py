@@ -413,7 +413,7 @@ def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> Mo
     """Return the model with the unknowns of the procedures themselves, and of temperatures that are stated as such."""
     tumbles = [run.tumble for run in campaign.runs if run.tumble is not None]
     names = list(_IMPLIED_BY_POSES) if tumbles else []
-    names += _IMPLIED_BY_TURNS if any(len(tumble.start) for tumble in tumbles) else ()
+    names += _IMPLIED_BY_TURNS if any(tumble.turns for tumble in tumbles) else ()
     names += _IMPLIED_BY_SERVO if servo_runs(campaign) else ()
     listed = {effect.name for effect in spec.effects}
     names += _temperature_errors(listed, campaign, registry)

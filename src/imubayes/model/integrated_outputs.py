@@ -108,7 +108,7 @@ def bind_transitions(assembly: Assembly) -> Transitions | None:
 def _with_turns(campaign: Campaign) -> list[tuple[int, Tumble]]:
     """Return the tumbles that have turns between their poses, with the number of their run."""
     tumbles = [(index, run.tumble) for index, run in enumerate(campaign.runs) if run.tumble is not None]
-    return [(index, tumble) for index, tumble in tumbles if len(tumble.start)]
+    return [(index, tumble) for index, tumble in tumbles if tumble.turns]
 
 
 def _padded(arrays: list[np.ndarray], steps: int) -> np.ndarray:

@@ -24,13 +24,12 @@ import numpy as np
 import tomlkit
 
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
-from imubayes.campaign.convert import refuse_occupied
 from imubayes.campaign.equipment import ANGLE
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, Issue, closest_first
-from imubayes.foundations.files import new_folder
+from imubayes.foundations.files import new_folder, refuse_occupied
 from imubayes.model.bind import Model, bind
 from imubayes.model.derived_quantities import derived_quantities
 from imubayes.model.model_file import read_carried_model

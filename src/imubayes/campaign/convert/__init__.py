@@ -24,12 +24,11 @@ from imubayes.campaign.convert.formats import open_recording
 from imubayes.campaign.convert.mapping_file import MAPPING_FILE, mapping_text, read_mapping
 from imubayes.campaign.convert.options import ConvertOptions, read_options
 from imubayes.campaign.convert.recorded_runs import recorded_runs
+from imubayes.campaign.convert.recording import BLOCK_ROWS
 from imubayes.foundations.errors import InputError, input_error
-from imubayes.foundations.files import new_folder
+from imubayes.foundations.files import new_folder, refuse_occupied
 
 __all__ = ["ConvertOptions", "convert", "read_recordings", "write_campaign"]
-
-_BLOCK = 1 << 16  # rows that are written at once
 
 
 def write_campaign(
@@ -70,23 +69,12 @@ def write_campaign(
             )
 
 
-def refuse_occupied(out: Path) -> None:
-    """Raise an `InputError` if the folder is not empty, or is a file."""
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise input_error(
-            f"'{out}' exists and is not an empty folder",
-            str(out),
-            "a folder that does not exist yet, or an empty one",
-            "choose another name, or remove the folder first",
-        )
-
-
 def _write_csv(file: Path, columns: Mapping[str, np.ndarray]) -> None:
     rows = len(next(iter(columns.values())))
     with file.open("wb") as stream:
         stream.write((",".join(columns) + "\n").encode())
-        for first in range(0, rows, _BLOCK):
-            part = {name: np.ascontiguousarray(values[first : first + _BLOCK]) for name, values in columns.items()}
+        for first in range(0, rows, BLOCK_ROWS):
+            part = {name: np.ascontiguousarray(values[first : first + BLOCK_ROWS]) for name, values in columns.items()}
             # A value that is not there is an empty cell.
             arrays = {name: pa.array(values, from_pandas=True) for name, values in part.items()}
             pacsv.write_csv(pa.table(arrays), stream, pacsv.WriteOptions(include_header=False))

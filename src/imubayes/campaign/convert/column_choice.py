@@ -152,11 +152,9 @@ def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, al
         try:
             stated[target] = _stated(topic, target, source, roles)
         except InputError as error:
-            faults += [issue for issue in error.issues if alone or len(options.columns) > len(stated)]
+            faults += error.issues
     if faults and (alone or stated):
         return replace(table, columns=stated, faults=tuple(faults))
-    if faults:
-        stated = {}
     if not topic.named:
         return _without_names(table, stated, options, alone)
     roles = [_resolved(role, topic, recording) for role in roles]

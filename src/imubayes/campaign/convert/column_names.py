@@ -105,7 +105,8 @@ _COUNTERS = _words("counter count cnt seq sequence packet packetcounter sample i
 _AXES = ("x", "y", "z")
 _DULL = _ACCEL | _GYRO | _MEAN | _SCATTER | {*_AXES, "axis", "angular", "velocity", "linear", "specific", "force"}
 _NO_UNIT = _DULL | _words("raw filtered filt cal calibrated uncal uncalibrated body imu sensor lpf text")
-_TARGETS = {*SIX, *(f"{name}_sd" for name in SIX), *recorded_columns(), SAMPLES}
+TARGETS = (*SIX, *recorded_columns(), *(f"{name}_sd" for name in SIX), SAMPLES)
+"""Columns of a run table, which a column of a recording can become."""
 _JOINED = re.compile(r"(a|f|acc|accel|g|gyr|gyro|w|omega|rate)([xyz])")
 _INDEX, _BRACKETED = re.compile(r"\[(\d)\]"), re.compile(r"[\[({]([^\])}]*)[\])}]")
 _PARTS = re.compile(r"[A-Z]+(?![a-zµ])|[A-Z]?[a-zµ°ωº]+|\d+|[A-Zω]")
@@ -120,14 +121,12 @@ class ColumnRole:
     target : column of a run table, `?x` for an axis of an unknown quantity, or what a clock is made of.
     unit : key of the units of its quantity; empty where neither name nor recording states it.
     group : the words of the name that say nothing known; columns of one sensor share them.
-    exact : whether the name is the target itself.
     unknown : what stands in the place of the unit and is none.
     """
 
     target: str
     unit: str = ""
     group: tuple[str, ...] = ()
-    exact: bool = False
     unknown: str = ""
 
 
@@ -177,8 +176,8 @@ def role_of(name: str, stated_unit: str = "") -> ColumnRole | None:
 def _known_role(name: str, stated_unit: str) -> ColumnRole | None:
     if stated_unit in _WORDS_OF_TIME:
         return ColumnRole(TIME if stated_unit == "stamp" else stated_unit, "s")
-    if name in _TARGETS:
-        return ColumnRole(name, unit_named(stated_unit) or _own_unit(name), (), True)
+    if name in TARGETS:
+        return ColumnRole(name, unit_named(stated_unit) or _own_unit(name))
     if name in _OF_PROGRAMS:
         return _OF_PROGRAMS[name]
     index = _INDEX.search(name)

@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from imubayes.campaign.convert.column_names import ACCEL_UNITS, GYRO_UNITS, SIX, TIME_UNITS
+from imubayes.campaign.convert.column_names import ACCEL_UNITS, GYRO_UNITS, TARGETS, TIME_UNITS
 from imubayes.campaign.convert.formats.text_layout import DELIMITERS
-from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import InputError, Issue, closest_first
 from imubayes.procedures import PROCEDURES
 
@@ -126,14 +125,13 @@ def _three(key: str, value: Any, issues: list[Issue]) -> Any:
 
 
 def _targets(columns: Mapping[str, str | int]) -> list[Issue]:
-    allowed = (*SIX, *recorded_columns(), *(f"{name}_sd" for name in SIX), "samples")
     return [
         Issue(
             f"'{target}' is not a column of a run table",
             "option columns",
-            closest_first(target, allowed, most=12),
+            closest_first(target, TARGETS, most=12),
             "write NAME=COLUMN with a name from the list",
         )
         for target in columns
-        if target not in allowed
+        if target not in TARGETS
     ]

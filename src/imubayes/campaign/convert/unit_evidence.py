@@ -12,14 +12,14 @@ import numpy as np
 from imubayes.campaign.convert.column_names import ACCEL_UNITS, ACCELEROMETERS, GYRO_UNITS, GYROS, SIX, TIME
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.convert.raw_counts import LEAST_TURNS, estimate_gyros, find_poses
-from imubayes.campaign.convert.unnamed_columns import rest_means, unit_of_gravity
+from imubayes.campaign.convert.unnamed_columns import GRAVITY, READ, rest_means, unit_of_gravity
+from imubayes.campaign.reduction.static_poses import LEAST_G, MOST_G
 from imubayes.foundations.errors import InputError, input_error
 
 _PER_RADIAN = {"rad/s": 1.0, "deg/s": 57.29578, "mrad/s": 1000.0, "mdeg/s": 57295.78}
 _NEAR = 0.25  # of a unit; the next is a factor of 17 away
 _MOST_SAMPLES = 300_000
 _FEW_COUNTS = 20
-_LEAST_G, _MOST_G = 0.6, 1.6  # what bias and scale factor leave of g at rest
 _LARGEST_BIAS = 1.0  # rad/s
 
 
@@ -59,10 +59,12 @@ def find_units(
     """
     guesses: dict[str, str] = {}
     accel = _stated("accel_unit", options.accel_unit, ACCELEROMETERS, columns, stated, where)
-    force = [columns[name] for name in ACCELEROMETERS if name in columns]
-    if not accel and force:
-        accel, guesses["accel_unit"] = _of_accelerometers(np.stack(force, axis=1), where)
-    _refuse_no_gravity(accel, force, where)
+    names = [name for name in ACCELEROMETERS if name in columns]
+    force = np.stack([columns[name][:READ] for name in names], axis=1) if names else np.zeros((0, 0))
+    if accel:
+        _refuse_no_gravity(accel, force, where)
+    elif names:
+        accel, guesses["accel_unit"] = _of_accelerometers(force, where)
     gyro = _stated("gyro_unit", options.gyro_unit, GYROS, columns, stated, where)
     if not gyro and any(name in columns for name in GYROS):
         gyro, guesses["gyro_unit"] = _of_gyros(columns, accel, where)
@@ -91,16 +93,15 @@ def _stated(
     return own.pop()
 
 
-def _refuse_no_gravity(unit: str, force: list[np.ndarray], where: str) -> None:
+def _refuse_no_gravity(unit: str, force: np.ndarray, where: str) -> None:
     """Raise InputError where three accelerometers read at rest what is not g in their unit."""
     known = ACCEL_UNITS.get(unit)
-    if len(force) != 3 or known is None or known.increment or unit == "count":
+    if force.shape[1] != 3 or known is None or known.increment or unit == "count":
         return
-    values = np.stack(force, axis=1)
-    gravity = known.scale * (9.81 if known.per == "m/s^2" else 1.0)
+    gravity = known.scale * GRAVITY[known.per]
     # At rest, or in each row where a row is a pose.
-    sizes = [float(np.nanmedian(np.linalg.norm(part, axis=1))) for part in (rest_means(values), values) if len(part)]
-    if sizes and not any(_LEAST_G < size / gravity < _MOST_G for size in sizes):
+    sizes = [float(np.nanmedian(np.linalg.norm(part, axis=1))) for part in (rest_means(force), force) if len(part)]
+    if sizes and not any(LEAST_G < size / gravity < MOST_G for size in sizes):
         size, in_g = sizes[0], sizes[0] / gravity
         raise input_error(
             f"at rest the accelerometers read |f| = {size:.4g} {unit}, which is {in_g:.4g} g",

@@ -19,7 +19,7 @@ _NEAR_GRAVITY = 0.12  # largest bias and scale factor error together, relative t
 _WINDOW = 50  # samples, of which the mean is at rest where their scatter is small
 _QUIET = 0.3  # share of the windows that rest, at least
 _STILL = 10.0  # deg/s is more than the bias of a gyro; in rad/s it is any rate by hand
-_READ = 400_000  # samples that are looked at
+READ = 400_000  # samples that are looked at
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def rest_means(values: np.ndarray) -> np.ndarray:
     ----------
     values : shape (N, columns), any units; NaN where empty.
     """
-    values = values[:_READ]
+    values = values[:READ]
     values = values[np.isfinite(values).all(axis=1)]
     count = len(values) // _WINDOW
     if count < 4:
@@ -66,13 +66,13 @@ def unit_of_gravity(values: np.ndarray, rest: np.ndarray) -> tuple[str, float]:
     values, rest : all rows, and `rest_means` of them, shape (N, 3) and (n, 3).
     """
     at_rest = gravity_unit(rest)
-    single = gravity_unit(values[:_READ][np.isfinite(values[:_READ]).all(axis=1)]) if not at_rest[0] else at_rest
+    single = gravity_unit(values[:READ][np.isfinite(values[:READ]).all(axis=1)]) if not at_rest[0] else at_rest
     return single if single[0] else at_rest
 
 
 def is_clock(values: np.ndarray) -> bool:
     """Tell whether a column never goes back by more than a reset, and mostly forward."""
-    step = np.diff(values[np.isfinite(values)][:_READ])
+    step = np.diff(values[np.isfinite(values)][:READ])
     return len(step) > 1 and float(np.mean(step > 0)) > 0.5 and float(np.mean(step < 0)) < 0.01
 
 
@@ -95,7 +95,7 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str) -> Guess
     clock = next((place for place in (0, width - 1) if width > 3 and is_clock(np.asarray(values[:, place]))), None)
     channels = [place for place in range(width) if place != clock]
     triples = [channels[k : k + 3] for k in range(0, len(channels) - 2, 3)]
-    rest = rest_means(np.asarray(values[:_READ]))
+    rest = rest_means(np.asarray(values[:READ]))
     heavy = [(triple, *unit_of_gravity(values[:, triple], rest[:, triple])) for triple in triples]
     if len(channels) == 3:
         found = _of_three(heavy[0], kind)
@@ -143,7 +143,7 @@ def _increments(
     """Return the layout of PSINS: three angle increments, three velocity increments that are g times the step, time."""
     if clock is None or len(triples) != 2:
         return None
-    step = float(np.median(np.diff(values[:_READ, clock])))
+    step = float(np.median(np.diff(values[:READ, clock])))
     unit, size = gravity_unit(rest[:, triples[1]] / step) if step > 0 else ("", 0.0)
     if unit != "m/s^2":
         return None
@@ -162,7 +162,7 @@ def _three(names: tuple[str, ...], triple: list[int]) -> dict[str, int]:
 def _small(rest: np.ndarray, values: np.ndarray) -> bool:
     """Tell whether three columns are near zero at rest, as those of a gyro: in size, or beside what they read else."""
     size = float(np.median(np.linalg.norm(rest, axis=1)))
-    return size < _STILL and size < max(1.0, 0.5 * float(np.quantile(np.abs(values[:_READ]), 0.999)))
+    return size < _STILL and size < max(1.0, 0.5 * float(np.quantile(np.abs(values[:READ]), 0.999)))
 
 
 def _told(triple: list[int], unit: str, size: float) -> str:

@@ -16,6 +16,8 @@ import scipy  # loads its parts when they are first used
 from imubayes.campaign.reduction import Limits, clipping_note
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, MagnitudeFit, fit_magnitude
 from imubayes.campaign.reduction.static_poses import (
+    LEAST_G,
+    MOST_G,
     MOST_ROTATION,
     Pose,
     Recording,
@@ -338,20 +340,24 @@ def _notes(
     return tuple(notes)
 
 
+def wrong_acceleration_unit(means: np.ndarray, gravity: float, file: Path) -> list[Finding]:
+    """Return a finding where |f| of static poses, shape (n, 3) in m/s², is far from g."""
+    slope = float(np.median(np.linalg.norm(means, axis=1))) / gravity
+    if LEAST_G < slope < MOST_G:
+        return []
+    return [
+        Finding(
+            "acceleration_unit", "error", "",
+            f"in the static poses the accelerometers indicate {slope:.4g} g by their nominal scale",
+            f"{file}, accelerometer columns", "about 1 g", "correct scale, per or offset of the accelerometers",
+        )
+    ]  # fmt: skip
+
+
 def _findings(recording: Recording, detection: Detection, gravity: float, file: Path) -> list[Finding]:
     """Return findings of a wrong unit: |f| far from g, or gyro angles far from the changes of attitude."""
     means = pose_means(recording.force, detection.poses)
-    slope = float(np.median(np.linalg.norm(means, axis=1))) / gravity
-    found = []
-    if not 0.6 < slope < 1.6:
-        found.append(
-            Finding(
-                "acceleration_unit", "error", "",
-                f"in the static poses the accelerometers indicate {slope:.4g} g by their nominal scale",
-                f"{file}, accelerometer columns", "about 1 g", "correct scale, per or offset of the accelerometers",
-            )
-        )  # fmt: skip
-    shares = []
+    found, shares = wrong_acceleration_unit(means, gravity, file), []
     for (before, f), (after, h) in pairwise(zip(detection.poses, means, strict=True)):
         angle = angle_between(f, h)
         if recording.turns and angle > 0.3 and not broken_turn(recording, before.stop - 1, after.start):

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.reduction.free_tumble import ReducedTumble, unturned
+from imubayes.campaign.reduction.free_tumble import ReducedTumble, unturned, wrong_acceleration_unit
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, fit_magnitude
 from imubayes.campaign.reduction.static_poses import angle_between, body_vectors
-from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
 
@@ -69,9 +68,12 @@ def reduce_means(
         f"row {row + 1} excluded as disturbed: |f| − g is {residual:.2g} m/s²"
         for row, residual in zip(np.flatnonzero(complete)[flagged], fit.residual[flagged], strict=True)
     ]
-    slope = float(np.median(np.linalg.norm(force, axis=1))) / gravity
-    found = () if 0.6 < slope < 1.6 else (_wrong_unit(slope, file),)
-    return ReducedTumble({name: values[kept] for name, values in numbers.items()}, tumble, tuple(notes), found)
+    return ReducedTumble(
+        {name: values[kept] for name, values in numbers.items()},
+        tumble,
+        tuple(notes),
+        tuple(wrong_acceleration_unit(force, gravity, file)),
+    )
 
 
 def _refuse_turning(rate: np.ndarray, file: Path) -> None:
@@ -109,11 +111,3 @@ def _scatter(numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], hea
     return np.sqrt(np.mean([np.broadcast_to(sd, numbers["samples"].shape) ** 2 for sd in each], axis=0)) / np.sqrt(
         np.maximum(numbers["samples"], 1.0)
     )
-
-
-def _wrong_unit(slope: float, file: Path) -> Finding:
-    return Finding(
-        "acceleration_unit", "error", "",
-        f"in the static poses the accelerometers indicate {slope:.4g} g by their nominal scale",
-        f"{file}, accelerometer columns", "about 1 g", "correct scale, per or offset of the accelerometers",
-    )  # fmt: skip

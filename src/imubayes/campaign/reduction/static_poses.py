@@ -102,6 +102,7 @@ MOST_ROTATION = np.deg2rad(2.0)  # by the gyros, within a window: the unit was n
 TURN = np.deg2rad(30.0)  # a rotation beyond is meant: what is before and after it are two poses
 SAME_POSE = np.deg2rad(0.5)
 SAME_POSE_GAP_SECONDS = 5.0
+LEAST_G, MOST_G = 0.6, 1.6  # what bias and scale factor leave of g at rest; another unit is further away
 
 
 @dataclass(frozen=True)

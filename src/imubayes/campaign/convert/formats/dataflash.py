@@ -56,7 +56,6 @@ class DataFlashLog(SourceRecording):
             yield np.array(rows)
 
     def _messages(self, *kinds: str) -> Iterator[Any]:
-        opened: Any = None
         try:
             with closing((reader.DFReader_binary if self._binary else reader.DFReader_text)(str(self.file))) as opened:
                 while (message := opened.recv_match(type=list(kinds or _SENSORS))) is not None:
@@ -65,9 +64,6 @@ class DataFlashLog(SourceRecording):
             raise needs_package(self.file, "ArduPilot DataFlash", "pymavlink") from None
         except Exception as error:  # pymavlink raises whatever a damaged byte leads to
             raise damaged(self.file, "DataFlash", error) from None
-        finally:
-            if opened is not None:
-                opened.close()
 
 
 def _unit(field: str) -> str:

@@ -9,7 +9,6 @@ import numpy as np
 from imubayes.campaign.convert.formats.cell_values import VALUE, CellKind
 from imubayes.campaign.convert.formats.text_layout import (
     COMMENT_SIGN,
-    TextLayout,
     find_layout,
     open_text,
 )
@@ -133,6 +132,3 @@ class TextRecording(SourceRecording):
 
 def _unit(kind: CellKind) -> str:
     return {CellKind.NUMBER: "", CellKind.TEXT: "text"}.get(kind, kind.value)
-
-
-__all__ = ["TextLayout", "TextRecording"]
