@@ -126,3 +126,16 @@ def test_a_few_damaged_lines_are_left_out_and_counted(tmp_path: Path, delimiter:
     with pytest.raises(InputError, match="3 of ") as refused:
         read_recordings([tmp_path / "log"], accel_unit="m/s^2", gyro_unit="rad/s")
     assert refused.value.issues[0].where.endswith(":701")
+
+
+@pytest.mark.parametrize("empty", ["readings", "either"])
+def test_rows_without_time_and_reading_are_refused(tmp_path: Path, empty: str) -> None:
+    """All channels empty, or times and readings in alternate rows."""
+    rows = ["time_s,ax,ay,az"]
+    for n in range(60):
+        with_time = empty == "readings" or n % 2 == 0
+        rows.append(f"{0.01 * n:.2f},,," if with_time else ",0.1,0.2,9.8")
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join(rows) + "\n")
+    with pytest.raises(InputError, match="no row has"):
+        read_recordings([log], accel_unit="m/s^2", time_unit="s", rows="samples")

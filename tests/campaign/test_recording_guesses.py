@@ -146,3 +146,15 @@ def test_a_record_at_rest_is_told_by_its_attitude(tmp_path: Path) -> None:
         made = read_recordings([table(tmp_path / "log", columns, names)]).campaign
         assert made.document["run"][0]["procedure"] == procedure
         assert "s in one attitude" in made.guesses["procedure"]
+
+
+def test_a_temperature_of_a_lower_rate_and_an_empty_cell_change_no_procedure(tmp_path: Path) -> None:
+    """A unit at rest over 30 K: the temperature in every third row, one cell of an accelerometer empty."""
+    force = np.array([0.1, -0.2, 9.81]) + 1e-3 * np.random.default_rng(1).normal(size=(6000, 3))
+    warmth = np.linspace(20.0, 50.0, len(force))
+    lines = ["time_s,ax,ay,az,temperature_degC"]
+    for n, (x, y, z) in enumerate(force):
+        lines.append(f"{0.01 * n:.2f},{x:.5f},{'' if n == 17 else f'{y:.5f}'},{z:.5f},{'' if n % 3 else warmth[n]}")
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    read = read_recordings([tmp_path / "log.csv"], accel_unit="m/s^2")
+    assert [run["procedure"] for run in read.campaign.document["run"]] == ["thermal_ramp"]

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from imubayes.campaign.convert import ConvertOptions, read_recordings
 from imubayes.campaign.convert.mapping_file import MAPPING_FILE
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.files import refuse_occupied
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ def convert(
     if files and str(files[0]) in _FORMER_KINDS and not files[0].exists():
         print(f"note: '{files[0]}' is not needed: the kind is found in the content")
         files = files[1:]
+    if out is not None:
+        refuse_occupied(out)  # before a long recording is read
     read = read_recordings(files, out.name if out else "", mapping, **given)
     for note in read.campaign.document["notes"]:
         print(f"note: {note}")

@@ -118,20 +118,22 @@ def run(arguments: Sequence[str] | None = None) -> int:
 def _telling_what_is_not_kept() -> Iterator[None]:
     """Print what could not be kept, one line for each folder, after what a command prints."""
     lines: dict[Path, str] = {}
-    with warnings.catch_warnings():
-        others = warnings.showwarning
+    try:
+        with warnings.catch_warnings():
+            others = warnings.showwarning
 
-        def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
-            if isinstance(message, NotKept):
-                lines.setdefault(message.folder, f"warning: {message}")
-            else:
-                others(message, category, *where)
+            def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
+                if isinstance(message, NotKept):
+                    lines.setdefault(message.folder, f"warning: {message}")
+                else:
+                    others(message, category, *where)
 
-        warnings.simplefilter("always", NotKept)
-        warnings.showwarning = show
-        yield
-    for line in lines.values():
-        print(line.translate(_CONTROL), file=sys.stderr)
+            warnings.simplefilter("always", NotKept)
+            warnings.showwarning = show
+            yield
+    finally:  # also where the command fails after it
+        for line in lines.values():
+            print(line.translate(_CONTROL), file=sys.stderr)
 
 
 def _refuse(*issues: Issue) -> int:

@@ -124,7 +124,9 @@ def _procedure(run: RecordedRun, options: ConvertOptions) -> tuple[str, str]:
     seconds = still_seconds(run)
     if not seconds:
         return "free_tumble", ""
-    warmed = float(np.ptp(run.columns[TEMPERATURE])) if TEMPERATURE in run.columns else 0.0
+    warmth = run.columns.get(TEMPERATURE, np.zeros(1))
+    warmth = warmth[np.isfinite(warmth)]
+    warmed = float(np.ptp(warmth)) if len(warmth) else 0.0
     if warmed > _WARMED:
         return "thermal_ramp", f"{seconds:.4g} s in one attitude, over {warmed:.3g} degC"
     return "static_record", f"{seconds:.4g} s in one attitude"

@@ -48,8 +48,14 @@ class Clock:
     notes: tuple[str, ...]
 
 
-def read_clock(table: ChosenTable, values: Mapping[str, np.ndarray], options: ConvertOptions) -> Clock | None:
+def read_clock(
+    table: ChosenTable, values: Mapping[str, np.ndarray], filled: np.ndarray, options: ConvertOptions
+) -> Clock | None:
     """Return the clock of a table; None where it has none.
+
+    Parameters
+    ----------
+    filled : which rows have a reading, shape (N,).
 
     Raises
     ------
@@ -59,7 +65,6 @@ def read_clock(table: ChosenTable, values: Mapping[str, np.ndarray], options: Co
     rows = len(next(iter(values.values())))
     rate = options.sample_rate_hz or (table.topic.rate_hz if TIME not in values else None)
     channels = [values[name] for name in SIX if name in values]
-    filled = np.any([np.isfinite(column) for column in channels], axis=0)
     lost = _dropped(values.get(COUNTER), filled)
     if rate is not None:
         return Clock(np.arange(rows)[filled] / rate, filled, "", "", lost)
@@ -73,6 +78,9 @@ def read_clock(table: ChosenTable, values: Mapping[str, np.ndarray], options: Co
     else:
         return None
     keep = filled & np.isfinite(raw)
+    if not keep.any():
+        what, remedy = "no row has both a time and a reading", "state the columns of time and channels"
+        raise input_error(what, table.topic.where, "rows with both", remedy)
     time, wrapped = _unwrapped(raw[keep], factor)
     late = time < np.maximum.accumulate(time)
     if late.mean() > _OUT_OF_ORDER:
@@ -219,7 +227,7 @@ def _even(time: np.ndarray, gaps: np.ndarray) -> np.ndarray:
     interval, even = covariance / variance, np.empty(len(time))
     for start, stop in stretches:
         even[start:stop] = time[start:stop].mean() + interval * (index[start:stop] - index[start:stop].mean())
-    return np.asarray(_increasing(even))
+    return _increasing(even)
 
 
 def _increasing(time: np.ndarray) -> np.ndarray:

@@ -66,14 +66,17 @@ def recorded_runs(tables: Sequence[ChosenTable], options: ConvertOptions) -> tup
 
 def _part(table: ChosenTable, options: ConvertOptions) -> RecordedRun:
     values = values_of(table)
-    clock = read_clock(table, values, options)
+    filled = np.any([np.isfinite(values[name]) for name in SIX if name in values], axis=0)
+    if not filled.any():
+        remedy = "state the column of each channel, such as --column ax=NAME"
+        raise input_error("no row has a reading", table.topic.where, "numbers in the columns of the channels", remedy)
+    clock = read_clock(table, values, filled, options)
     units = {name: column.unit for name, column in table.columns.items() if column.unit}
     note = _understood(table, values)
     others = {name: column for name, column in values.items() if name not in (TIME, DATE, CLOCK, COUNTER)}
     guesses = {"columns": table.evidence} if table.evidence else {}
     left = (*table.left, *table.recording.notes())
     if clock is None:
-        filled = np.any([np.isfinite(values[name]) for name in SIX if name in values], axis=0)
         kept = others if filled.all() else {name: column[filled] for name, column in others.items()}
         return RecordedRun(kept, units, (note, *left), guesses)
     kept = others if clock.keep.all() else {name: column[clock.keep] for name, column in others.items()}
@@ -198,10 +201,10 @@ def _told_rows(part: RecordedRun, options: ConvertOptions, tables: Sequence[Chos
 
 def _pose_means(columns: Columns) -> bool:
     """Tell whether the rows are means of poses: the direction of f changes from row to row, and |f| does not."""
-    if not all(name in columns for name in ACCELEROMETERS):
+    if not all(name in columns for name in ACCELEROMETERS) or not 4 <= len(columns["ax"]) <= _MOST_MEANS:
         return False
     force = np.stack([columns[name] for name in ACCELEROMETERS], axis=1)
-    if not 4 <= len(force) <= _MOST_MEANS or not np.isfinite(force).all():
+    if not np.isfinite(force).all():
         return False
     norm = np.linalg.norm(force, axis=1)
     if not norm.all() or np.quantile(np.abs(norm / np.median(norm) - 1), 0.95) > 0.15:
@@ -231,13 +234,13 @@ def still_seconds(run: RecordedRun) -> float:
     count = min(200, len(values) // 50)
     if count < 4:
         return 0.0
-    means = np.array([part.mean(axis=0) for part in np.array_split(values, count)])
-    usual = np.median(means, axis=0)
+    means = np.array([np.nanmean(part, axis=0) for part in np.array_split(values, count)])
+    usual = np.nanmedian(means, axis=0)
     moved = means - usual
     if names[0] in ACCELEROMETERS:  # a bias that drifts with temperature may change |f| more than a turn would
         along = usual / (np.linalg.norm(usual) + 1e-300)
         across = np.linalg.norm(moved - np.outer(moved @ along, along), axis=1).max()
         still = across < _TILTED * np.linalg.norm(usual) and np.abs(moved).max() < _DRIFTED * np.linalg.norm(usual)
     else:
-        still = np.abs(moved).max() < 20 * float(np.median(values.std(axis=0)))
+        still = np.abs(moved).max() < 20 * float(np.median(np.nanstd(values, axis=0)))
     return float(run.columns[TIME][-1] - run.columns[TIME][0]) if still else 0.0
