@@ -112,6 +112,20 @@ def test_there_is_no_decision_on_what_the_data_do_not_determine(tmp_path, ends):
     assert found.decision.outcome in ("pass", "fail")
 
 
+@pytest.mark.parametrize("name", ["global_risk", "specific_risk", "conformance_probability"])
+def test_an_exact_quantity_of_a_production_needs_no_guard_band(tmp_path, name):
+    """Without an uncertainty a unit is accepted where it conforms: no risk, and a guard band is not divided by zero."""
+    known = quantities()
+    exact = {**known.draws, "gyro_bias.bias[gx]": np.full(SIZE, 5.0)}
+    ends = 'lower = -10\nupper = 10\nunit = "deg/h"\nproduction = { mean = 0, sd = 8 }'
+    text = f'[rule]\nname = "{name}"\n' + limit("gyro_bias.bias[gx]", ends)
+    (found,) = outcome(tmp_path, text, replace(UNIT, quantities=replace(known, draws=exact)))
+    assert found.decision.withheld == "not_determined"
+    assert found.overall is not None
+    for risk in (found.overall.consumer, found.overall.producer):
+        assert (risk.from_draws, risk.from_quadrature) == (0.0, pytest.approx(0.0, abs=1e-12))
+
+
 @pytest.mark.parametrize(("size", "outcome_with_it"), [(0.1, "pass"), (3.0, "withheld")])
 def test_no_unit_passes_that_equipment_taken_as_exact_could_put_beyond_a_limit(tmp_path, size, outcome_with_it):
     """5 ± 0.5 deg/h is well inside ± 7.5; with 3 deg/h of the equipment it is not, and nobody knows."""

@@ -311,6 +311,8 @@ def least_conformance(rule: DecisionRule) -> float | None:
 
 def _guard_of_probability(least: float, standard: float, tolerance: ToleranceInterval) -> float | None:
     """Return w such that p_c of a normal posterior is the least one at a distance w inside a limit; None for none."""
+    if not standard > 0:
+        return 0.0
 
     def lacking(width: float) -> float:
         inside, across = width / standard, (tolerance.upper - tolerance.lower - width) / standard
@@ -385,7 +387,8 @@ def _by_quadrature(
     def joint(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         density = np.exp(-0.5 * ((values - production.mean) / production.sd) ** 2)
         density = density / (production.sd * math.sqrt(2 * math.pi))
-        upper, lower = (normal_survival((values - limit) / standard) for limit in (accepted.upper, accepted.lower))
+        with np.errstate(divide="ignore"):  # without an uncertainty the probability of acceptance is a step
+            upper, lower = (normal_survival((values - limit) / standard) for limit in (accepted.upper, accepted.lower))
         acceptance = np.maximum(upper - lower, 0.0)
         return density * acceptance, density * (1 - acceptance)
 
@@ -411,6 +414,8 @@ def guard_for_risk(
 
     A negative guard band, which accepts beyond the limits, is not considered.
     """
+    if not standard > 0:
+        return 0.0
 
     def excess(factor: float) -> float:
         return _by_quadrature(production, standard, tolerance, tolerance.guarded(factor * standard))[0] - target
