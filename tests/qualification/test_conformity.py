@@ -9,6 +9,7 @@ import pytest
 
 from imubayes.foundations.errors import InputError
 from imubayes.qualification.conformity import conformity, overall_outcome, resolved_limits
+from imubayes.qualification.coverage import KnownUncertainty
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.temperature_range import ThermalModel
@@ -161,6 +162,29 @@ def test_bias_over_a_temperature_range(tmp_path):
     assert found.estimate.standard == pytest.approx(math.hypot(0.5, 0.3), rel=0.03)
     exact = 0.5 * (1 + math.erf(1 / math.hypot(0.5, 0.3) / math.sqrt(2)))
     assert found.conformance.value == pytest.approx(exact, abs=0.006)
+
+
+def test_a_range_that_moves_nothing_leaves_length_and_known_uncertainty_as_they_are(tmp_path):
+    """Bias of gy and an angle have no thermal terms: what is stated of them is the same with a range as without."""
+    known, angle = quantities(), "gyro_misalignment_total[gx]"
+    vector = np.random.default_rng(8).normal([3.0, 4.0], 2.0, (SIZE, 2))
+    entries = {**known.entries, angle: Quantity(name=angle, unit="arcsec")}
+    draws = {**known.draws, angle: np.linalg.norm(vector, axis=1)}
+    unit = replace(
+        UNIT,
+        quantities=PosteriorQuantities(entries, draws, dict.fromkeys(entries, float(SIZE))),
+        lengths={angle: 5.0},
+        known={"gyro_bias.bias[gy]": KnownUncertainty(0.502, 1e-4, 9.0)},
+    )
+    for text in (
+        limit(angle, 'upper = 12\nunit = "arcsec"'),
+        limit("gyro_bias.bias[gy]", 'lower = -10\nunit = "deg/h"'),
+    ):
+        (plain,), (over,) = (outcome(tmp_path, each, unit) for each in (text, text + "temperature_degC = [-10, 55]\n"))
+        assert over.stated == plain.stated
+        assert (over.estimate, over.decision) == (plain.estimate, plain.decision)
+    # The length of the mean vector: that of the draws is longer.
+    assert outcome(tmp_path, limit(angle, 'upper = 12\nunit = "arcsec"'), unit)[0].estimate.value == 5.0
 
 
 def with_memory(**parameters: tuple[str, float]) -> TestedUnit:

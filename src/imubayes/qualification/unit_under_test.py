@@ -45,7 +45,12 @@ class TestedUnit(UnitUnderTest):
     unstated: Mapping[str, float] = field(default_factory=dict)
 
     def coverage_at(self, name: str, marginal: Marginal) -> Coverage:
-        """Return what is stated of a quantity at one temperature; what was added moves no estimate."""
+        """Return what is stated of a quantity at one temperature; what was added moves no estimate.
+
+        Where the temperature changes nothing, that is what is stated of it everywhere.
+        """
+        if np.array_equal(marginal.draws, self.quantities.marginal(name).draws):
+            return self.coverage(name)
         added = self.added.get(name, 0.0)
         if not added or not marginal.sd > 0:
             return coverage_of(marginal)
