@@ -32,7 +32,6 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from imubayes.campaign.toml_documents import read_document
-from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Record
 
 Text = Annotated[str, Field(min_length=1, max_length=2000)]
@@ -141,8 +140,7 @@ def read_certificate(file: str | Path) -> Certificate:
     """
     document = read_document(Path(file), CertificateFile)
     document.ledger.stop_if_any()
-    if document.entry is None:
-        raise input_error("there is no certificate block", str(file), "[certificate]", "add it")
+    assert document.entry is not None, "an invalid document has issues"
     return document.entry.certificate
 
 

@@ -191,7 +191,8 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
     estimates = [_estimate(each, over) for each in stated]
     decisions = _decisions(limit, unit, values, estimates)
     worst = min(range(len(estimates)), key=lambda place: _rank(decisions[place], estimates[place], limit.tolerance))
-    estimate, decision, p = estimates[worst], decisions[worst], over.value
+    estimate, decision = estimates[worst], decisions[worst]
+    consumer, producer = rules.specific_risks(over.value, decision.outcome)
     production = limit.production
     return ConformityOfQuantity(
         limit=limit,
@@ -201,8 +202,8 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
         temperature=_temperature(limit, worst, len(estimates)),
         conformance=over,
         decision=decision,
-        consumer=1 - p if p is not None and decision.outcome in rules.ACCEPTED else None,
-        producer=p if p is not None and decision.outcome in rules.REJECTED else None,
+        consumer=consumer,
+        producer=producer,
         overall=None if production is None else _overall(production, estimate.standard, limit, decision),
     )
 
@@ -224,6 +225,8 @@ def _decisions(
     decisions = [rules.applied(limit.rule, each, limit.tolerance, limit.production) for each in estimates]
     if not is_measured(limit.quantity, unit.quantities.draws[name]):
         return [replace(decision, outcome="withheld", withheld="not_determined") for decision in decisions]
+    if not any(each.outcome in rules.ACCEPTED for each in decisions):
+        return decisions
     if _passes_with_exact(limit, values, unit.unstated.get(name, 0.0), unit.quantities.effective[name]):
         return decisions
     return [_without_pass(each) for each in decisions]

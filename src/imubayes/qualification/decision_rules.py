@@ -265,6 +265,16 @@ def decide(rule: DecisionRule, estimate: MeasuredValue, tolerance: ToleranceInte
     return Decision("pass" if _within(estimate.value, tolerance.guarded(guard)) else "fail", guard)
 
 
+def specific_risks(conformance: float | None, outcome: Outcome) -> tuple[float | None, float | None]:
+    """Return the specific risks (JCGM 106, 3.3.13–14): consumer's of an accepted unit, producer's of a rejected one.
+
+    Each is None where it does not apply, and both where p_c is withheld.
+    """
+    if conformance is None:
+        return None, None
+    return (1 - conformance if outcome in ACCEPTED else None), (conformance if outcome in REJECTED else None)
+
+
 def _by_probability(least: float, conformance: float | None) -> Outcome:
     if conformance is None:
         return "withheld"

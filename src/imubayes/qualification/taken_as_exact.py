@@ -26,7 +26,7 @@ from imubayes.foundations.records import Record
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import inverse_of_precision
 from imubayes.model.problem import prior_widths
-from imubayes.qualification.budget_parts import Source
+from imubayes.qualification.budget_parts import Source, posterior_covariance
 from imubayes.qualification.uncertainty_budget import SOURCES
 from imubayes.responses.candidate_effects import Coefficient, Response, candidate_responses, stated_size
 
@@ -191,7 +191,7 @@ def exact_equipment(fit: Fit) -> ExactEquipment:
     whole = np.concatenate([others, np.zeros((size, others.shape[1]))])
     along = basis.T @ whole
     rest = whole - basis @ along
-    covariance = inverse_of_precision(own.T @ own + np.diag(widths**-2.0)) if size else np.zeros((0, 0))
+    covariance = posterior_covariance(own, widths) if size else np.zeros((0, 0))
     parameters = tuple(each for each, _ in listed)
     included = np.array([each.stated or _is_unmeasured(each, fit.model.campaign) for each in parameters], dtype=bool)
     return ExactEquipment(parameters, included, np.linalg.solve(upper, along), rest.T @ rest, covariance)

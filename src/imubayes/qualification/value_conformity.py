@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.records import Presented
+from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.qualification import decision_rules as rules
 from imubayes.qualification.coverage import coverage_factor, coverage_of
 from imubayes.qualification.marginal import Marginal
@@ -99,7 +100,7 @@ def conformity(
     decision = rules.applied(chosen, estimate, tolerance, made)
     accepted = rules.acceptance_interval(chosen, estimate.standard, tolerance, decision)
     overall = None if made is None else rules.global_risks(made, estimate.standard, tolerance, accepted)
-    p = estimate.conformance.value
+    consumer, producer = rules.specific_risks(estimate.conformance.value, decision.outcome)
     return ConformityStatement(
         value=estimate.value,
         uncertainty=estimate.standard,
@@ -109,9 +110,9 @@ def conformity(
         outcome=decision.outcome,
         guard_band=decision.guard_band,
         acceptance=None if accepted is None else (accepted.lower, accepted.upper),
-        conformance=p,
-        consumer_risk=1 - p if p is not None and decision.outcome in rules.ACCEPTED else None,
-        producer_risk=p if p is not None and decision.outcome in rules.REJECTED else None,
+        conformance=estimate.conformance.value,
+        consumer_risk=consumer,
+        producer_risk=producer,
         global_consumer_risk=None if overall is None else overall.consumer.from_quadrature,
         global_producer_risk=None if overall is None else overall.producer.from_quadrature,
     )
@@ -162,7 +163,7 @@ def _estimate(
             allowed = "a finite estimate, and a standard uncertainty above 0"
             raise input_error(f"{value:g} with u = {u:g}", "measured", allowed, "correct it")
         ends = np.array([(tolerance.lower - value) / u, (tolerance.upper - value) / u])
-        below = rules.normal_survival(-ends)
+        below = normal_survival(-ends)
         p = float(below[1] - below[0])
         return rules.MeasuredValue(value, u, coverage_factor(math.inf) * u, rules.compared(p, p, 0.0))
     draws = _draws(measured, output) if isinstance(measured, Propagated) else np.asarray(measured, dtype=float)
