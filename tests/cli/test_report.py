@@ -16,10 +16,10 @@ from imubayes.criticism.explanations import Verdict
 from imubayes.display.qualification.report_files import html_page, report_document
 from imubayes.foundations.errors import InputError
 from imubayes.model import derived_quantities
-from imubayes.qualification import report_budgets, uncertainty_budget
+from imubayes.qualification import report_budgets, report_build, uncertainty_budget
 from imubayes.qualification.report_record import QualificationReport
 from imubayes.results.change_records import write_diagnosis
-from imubayes.results.result import read_result
+from imubayes.results.result import Result, read_result
 from kept_results import listed
 
 ROOT = Path(__file__).parents[2]
@@ -68,6 +68,8 @@ def test_an_adequate_unit_passes_and_the_page_is_made_from_the_record_alone(resu
     assert status == 0
     assert record.conformity is not None
     assert record.conformity.outcome == "pass"
+    kinds = {each.interval for each in record.results if each.interval is not None}
+    assert "equal-tailed" not in record.interval or kinds == {"equal-tailed"}
     # Every number of the page stands in the JSON file: the page made from the file is the same to the byte.
     assert html_page(report_document(record)) == page
     again = tmp_path / "again"
@@ -353,6 +355,19 @@ def test_a_certificate_has_two_pages_its_date_and_what_is_missing(result, tmp_pa
 def test_an_unknown_annex_is_refused(result, tmp_path):
     with pytest.raises(InputError, match="no annex 'budget'"):
         imubayes.report(result, annexes=["budget"], out=[tmp_path / "x.html"])
+
+
+def test_annexes_and_certificate_are_checked_before_anything_is_computed(result, tmp_path, monkeypatch):
+    def computed(_: Result) -> None:
+        raise AssertionError("the budgets are computed")
+
+    monkeypatch.setattr(report_build, "unit_with_budgets", computed)
+    file = tmp_path / "certificate.toml"
+    file.write_text("format = 1\n")
+    with pytest.raises(InputError, match="no annex 'budget'"):
+        imubayes.report(result, annexes=["budget"], out=[tmp_path / "x.html"])
+    with pytest.raises(InputError, match="no 'certificate'"):
+        imubayes.report(result, certificate=file)
 
 
 def test_an_unknown_ending_is_refused_before_anything_is_computed(result, tmp_path, capsys):

@@ -181,13 +181,14 @@ def report(
     files = [Path(file) for file in out]
     # The record alone needs nothing that draws.
     with progress_of(progress) as tell, report_files.places_held(files) if files else nullcontext():
+        chosen = report_files.known_annexes(annexes) if files else None
         tell("evaluating the posterior")
         found = report_of(result, specification, certificate)
         if sections:
             found = found.model_copy(update={"supplied": tuple(_supplied(each, found) for each in sections)})
         if files:
             tell("drawing")
-            report_files.write_report(found, files, report_files.known_annexes(annexes))
+            report_files.write_report(found, files, chosen)
     return found
 
 

@@ -58,12 +58,13 @@ def unit_with_budgets(result: Result) -> UnitWithBudgets:
     Those that the result folder keeps are taken where they are of this result; others are kept there.
     """
     kept = None if result.folder is None else _kept(result.folder)
-    if kept is None or kept.method != _METHOD:
-        kept = _computed(result)
+    if kept is not None and kept.method == _METHOD:
+        unit = unit_under_test(result, kept.exact)
+    else:
+        kept, unit = _computed(result)
         if result.folder is not None:
             with suppress(OSError, InputError):  # of a result that cannot be written to they are computed every time
                 add_to(result.folder, BUDGETS, kept.model_dump_json() + "\n", result.identity)
-    unit = unit_under_test(result, kept.exact)
     known = {each.name: _known(unit, each) for each in kept.budgets.quantities}
     return UnitWithBudgets(replace(unit, known=known), kept.budgets, kept.exact)
 
@@ -94,7 +95,8 @@ def _kept(folder: Path) -> KeptBudgets | None:
         return None
 
 
-def _computed(result: Result) -> KeptBudgets:
+def _computed(result: Result) -> tuple[KeptBudgets, TestedUnit]:
+    """Return the budgets of a result, and its unit with draws that contain what is taken as exact."""
     plain = unit_under_test(result)
     draws = plain.quantities.draws
     # The component along a nominal axis has no gradient there; the budgets of the misalignments say it all.
@@ -115,7 +117,7 @@ def _computed(result: Result) -> KeptBudgets:
     )
     matrix = budget_parts.CorrelationMatrix(names=arrays.names, rows=rows)
     budgets = budget_parts.UncertaintyBudgets(quantities=quantities, correlation=matrix)
-    return KeptBudgets(method=_METHOD, exact=exact, budgets=budgets)
+    return KeptBudgets(method=_METHOD, exact=exact, budgets=budgets), unit
 
 
 def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, budget.FunctionOfQuantities]:

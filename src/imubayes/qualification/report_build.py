@@ -170,10 +170,11 @@ def report_of(
     assert found.folder is not None, "a report is made of a result folder"
     diagnosis, tree = read_diagnosis(found.folder), _tree(found.folder)
     campaign = found.fit.model.campaign
+    block = certificate_of(specification, certificate)  # what is wrong with a file is told before all that takes long
     evaluated = unit_with_budgets(found) if found.converged else None
     unit = None if evaluated is None else evaluated.unit
     assessment = assess(found, specification, diagnosis, unit) if specification is not None else None
-    block, scope = certificate_of(specification, certificate), scope_of(campaign, found, diagnosis)
+    scope = scope_of(campaign, found, diagnosis)
     angles, standards = estimates.mounting_angles(found, unit), estimates.standard_estimates(unit)
     return record.QualificationReport(
         subject=subject_of(campaign, found),

@@ -244,9 +244,9 @@ def not_estimated(
     campaign = result.fit.model.campaign
     kinds = {channel.kind for channel in campaign.channels}
     in_model = {effect.name for effect in result.fit.model.spec.effects}
-    found = list(_not_measured(standards))
+    found, known = list(_not_measured(standards)), {each.key for each in standards}
     for quantity in STANDARD_QUANTITIES:
-        if quantity.kind not in kinds or draws_of_standard(quantity, unit):
+        if quantity.kind not in kinds or quantity.key in known:
             continue
         reason, needs = _why_missing(quantity, in_model, diagnosis)
         found.append(

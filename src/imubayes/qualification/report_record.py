@@ -24,7 +24,7 @@ from imubayes.qualification.standard_quantities import DigitalUnit, Standard
 from imubayes.qualification.taken_as_exact import TakenAsExact
 from imubayes.results.summary import NoiseViolation, RunSummary
 
-IntervalKind = Literal["95 % equal-tailed credible interval"]
+IntervalKind = Literal["95 % coverage interval, of the kind stated with each"]
 
 
 NumberWithheld = Literal["not_converged", "no_draws", "monte_carlo_error"]
@@ -431,7 +431,7 @@ class QualificationReport(Record):
 
     Attributes
     ----------
-    interval : kind of all coverage intervals.
+    interval : what every interval is; its kind, symmetric, equal-tailed or shortest, stands with each.
     conformity : None where no specification was given.
     exact : what the model takes as exact of site and equipment; what is included is in every uncertainty.
     budgets : None where the fit did not converge.
@@ -442,7 +442,7 @@ class QualificationReport(Record):
     """
 
     format: Literal[1] = 1
-    interval: IntervalKind = "95 % equal-tailed credible interval"
+    interval: IntervalKind = "95 % coverage interval, of the kind stated with each"
     subject: Subject
     provenance: Provenance
     convergence: ReportedConvergence
