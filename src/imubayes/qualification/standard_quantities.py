@@ -16,7 +16,7 @@ and has a D-SI form only where it is a count, a volt or an ampere.
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
 from typing import Literal
 
 import numpy as np
@@ -252,8 +252,13 @@ def _non_orthogonality(unit: UnitUnderTest, channel: Channel) -> list[StandardDr
     return found
 
 
-def _response_error(unit: UnitUnderTest, channel: Channel, input_: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return a gyro's error nonlinear in rate at inputs (n,) in deg/s: (S, n) in ppm·deg/s, and its parameters."""
+def _response_error(
+    unit: UnitUnderTest, channel: Channel, input_: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return a gyro's error nonlinear in rate at inputs (n,) in deg/s, in ppm·deg/s.
+
+    It is the product of K ≤ 3 coefficients, (S, K), with the shapes that they multiply, (K, n); and their names.
+    """
     known = unit.quantities.draws
     terms = {
         f"gyro_scale_asymmetry.asymmetry[{channel.name}]": np.abs(input_),
@@ -262,24 +267,27 @@ def _response_error(unit: UnitUnderTest, channel: Channel, input_: np.ndarray) -
     }
     found = {name: shape for name, shape in terms.items() if name in known}
     if not found:
-        return np.zeros((0, len(input_))), ()
-    return sum((known[name][:, None] * shape[None, :] for name, shape in found.items()), np.zeros(())), tuple(found)
+        return np.zeros((0, 0)), np.zeros((0, len(input_))), ()
+    return np.stack([known[name] for name in found], axis=1), np.stack(list(found.values())), tuple(found)
 
 
 def _least_squares_line(values: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return slope and intercept of straight lines through values (S, n) at x (n,), shape (2, S)."""
+    """Return slope and intercept of straight lines through values (K, n) at x (n,), shape (2, K)."""
     return np.linalg.lstsq(np.stack([x, np.ones_like(x)], axis=1), values.T)[0]
 
 
 def _nonlinearity(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
     """Return the largest deviation from the least-squares line over the rates that were run, in ppm of the largest."""
     rates = unit.inputs.get(channel.name, np.zeros(1))
-    error, members = _response_error(unit, channel, rates)
+    coefficients, shapes, members = _response_error(unit, channel, rates)
     full_scale = float(np.abs(rates).max())
     if not members or len(rates) < 3:  # two points are on a line
         return []
-    slope, intercept = _least_squares_line(error, rates)
-    deviation = np.abs(error - slope[:, None] * rates - intercept[:, None]).max(axis=1)
+    # The line is linear in the error: what the lines of the shapes leave is that of every draw.
+    slope, intercept = _least_squares_line(shapes, rates)
+    rest = shapes - slope[:, None] * rates - intercept[:, None]
+    # Rate by rate: all draws at all rates would be a gigabyte.
+    deviation = reduce(np.maximum, (np.abs(coefficients @ at_rate) for at_rate in rest.T))
     return [StandardDraws(channel.name, "ppm", deviation / full_scale, members)]
 
 
@@ -292,11 +300,13 @@ def _asymmetry(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
     forward, reverse = rates[rates >= -rest], rates[rates <= rest]
     if not low < -rest < rest < high or min(len(forward), len(reverse)) < 2:
         return []
-    (above, members), (below, _) = (_response_error(unit, channel, rates) for rates in (forward, reverse))
+    (coefficients, above, members), (_, below, _) = (
+        _response_error(unit, channel, rates) for rates in (forward, reverse)
+    )
     if not members:
         return []
-    difference = _least_squares_line(above, forward)[0] - _least_squares_line(below, reverse)[0]
-    return [StandardDraws(channel.name, "ppm", difference, members)]
+    slopes = _least_squares_line(above, forward)[0] - _least_squares_line(below, reverse)[0]
+    return [StandardDraws(channel.name, "ppm", coefficients @ slopes, members)]
 
 
 _STANDARDS: dict[SensorKind, Standard] = {"gyro": "IEEE Std 952", "accelerometer": "IEEE Std 1293"}
