@@ -75,9 +75,7 @@ class InputQuantity:
         InputError
             for fewer than two readings, or readings that are not finite.
         """
-        known = np.asarray(values, dtype=float).ravel()
-        if len(known) < 2 or not np.isfinite(known).all():
-            raise _error(name, f"{len(known)} readings, or some that are not finite", "two finite readings or more")
+        known = _finite(name, values, "readings")
         u = float(known.std(ddof=1)) / math.sqrt(len(known))
         return cls.normal(name, float(known.mean()), u, len(known) - 1.0, "A")
 
@@ -127,9 +125,7 @@ class InputQuantity:
         InputError
             for fewer than two draws, or draws that are not finite.
         """
-        known = np.asarray(draws, dtype=float).ravel()
-        if len(known) < 2 or not np.isfinite(known).all():
-            raise _error(name, f"{len(known)} draws, or some that are not finite", "two finite draws or more")
+        known = _finite(name, draws, "draws")
         return cls(name, float(known.mean()), float(known.std()), "draws", "A", draws=known)
 
     def sampled(self, scores: np.ndarray, random: np.random.Generator) -> np.ndarray:
@@ -148,6 +144,14 @@ class InputQuantity:
             return self.value + width * (2 * second - 1)
         top = self.top if self.distribution == "trapezoidal" else 0.0
         return self.value + half / 2 * ((1 + top) * (2 * first - 1) + (1 - top) * (2 * second - 1))
+
+
+def _finite(name: str, values: Sequence[float] | np.ndarray, what: str) -> np.ndarray:
+    """Return two or more finite values, (n,); raises InputError for others."""
+    known = np.asarray(values, dtype=float).ravel()
+    if len(known) < 2 or not np.isfinite(known).all():
+        raise _error(name, f"{len(known)} {what}, or some that are not finite", f"two finite {what} or more")
+    return known
 
 
 def _error(name: str, what: str, allowed: str) -> Exception:

@@ -207,14 +207,11 @@ def _check(equation: BoundEquation, probability: float) -> None:
     names = [each.name for each in equation.inputs]
     if not 0 < probability < 1:
         raise input_error(f"the probability {probability:g}", "probability", "between 0 and 1", "correct it")
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated or not names:
-        what = f"the name '{repeated[0]}' is repeated" if repeated else "there are no inputs"
-        raise input_error(what, "inputs", "one or more, each with its own name", "correct them")
-    repeated = sorted({name for name in equation.names if equation.names.count(name) > 1})
-    if repeated or not equation.names:
-        what = f"the name '{repeated[0]}' is repeated" if repeated else "there are no outputs"
-        raise input_error(what, "names", "one or more, each with its own name", "correct them")
+    for where, of, given in (("inputs", "inputs", names), ("names", "outputs", equation.names)):
+        repeated = sorted({name for name in given if given.count(name) > 1})
+        if repeated or not given:
+            what = f"the name '{repeated[0]}' is repeated" if repeated else f"there are no {of}"
+            raise input_error(what, where, "one or more, each with its own name", "correct them")
     try:
         inspect.signature(equation.function).bind(**dict.fromkeys(names))
     except TypeError as error:
