@@ -95,9 +95,14 @@ def missing_characters(text: str) -> list[str]:
 
 
 @cache
+def _system_fonts() -> tuple[str, ...]:
+    return tuple(sorted(findSystemFonts()))
+
+
+@cache
 def _system_font(character: str) -> str | None:
     """Return a font file of the system that has a character, the first by name; None where there is none."""
-    return next((font for font in sorted(findSystemFonts()) if ord(character) in _characters_of(font)), None)
+    return next((font for font in _system_fonts() if ord(character) in _characters_of(font)), None)
 
 
 @cache

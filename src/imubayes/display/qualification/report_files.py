@@ -9,6 +9,7 @@ The HTML page has no script and no link to anything outside; pictures are inline
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -27,7 +28,7 @@ from imubayes.display.qualification.document import (
     ReportDocument,
     ReportTable,
 )
-from imubayes.display.qualification.exact_tables import included_table, omissions, omitted_note, omitted_table
+from imubayes.display.qualification.exact_tables import Omission, included_table, omissions, omitted_note, omitted_table
 from imubayes.display.qualification.first_page import (
     alarms,
     banner,
@@ -138,10 +139,11 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
     conformity = report.conformity
     if conformity is not None and conformity.limits:
         yield limits_table(conformity.limits, components_of(report), words.reference_temperature(report))
-    yield omitted_table(omissions(report))
+    omitted = omissions(report)
+    yield omitted_table(omitted)
     yield included_table(report)
     if conformity is None:  # then the quantities themselves are what is certified
-        yield from result_sections.standards_section(report)
+        yield from result_sections.standards_section(report, omitted_note(omitted, "standard"))
     else:
         yield Heading("Conformity to the specification")
         yield Paragraph(f"Specification “{conformity.specification}”, SHA-256 {conformity.sha256}.")
@@ -149,24 +151,25 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
     yield from certificate_section(report)
     for each in report.supplied:
         yield from result_sections.supplied_section(each)
-    made: dict[Annex, Callable[[QualificationReport], Iterator[Block | None]]] = {
-        "results": _results, "budgets": budget_section, "evidence": _evidence,
-    }  # fmt: skip
+    made: dict[Annex, Callable[[], Iterator[Block | None]]] = {
+        "results": partial(_results, report, omitted),
+        "budgets": partial(budget_section, report),
+        "evidence": partial(_evidence, report, omitted),
+    }
     chosen: list[Annex] = [each for each in ANNEXES if each in annexes]
     for letter, annex in zip("ABC", chosen, strict=False):
         yield Heading(f"Annex {letter}: {_TITLES[annex]}", 1)
-        yield from made[annex](report)
+        yield from made[annex]()
     yield from missing_section(report.missing)
 
 
-def _results(report: QualificationReport) -> Iterator[Block | None]:
+def _results(report: QualificationReport, omitted: Sequence[Omission]) -> Iterator[Block | None]:
     pictures = report.pictures
     if report.conformity is not None:
-        yield from result_sections.standards_section(report)
+        yield from result_sections.standards_section(report, omitted_note(omitted, "standard"))
     yield Heading("Errors of the unit")
     nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
     yield unit_drawings.error_drawings(pictures) or nothing
-    omitted = omissions(report)
     yield from result_sections.mounting_section(report.mounting_angles, omitted_note(omitted, "angle"))
     yield unit_drawings.mounting_drawings(pictures)
     yield unit_drawings.angle_drawings(pictures)
@@ -177,13 +180,13 @@ def _results(report: QualificationReport) -> Iterator[Block | None]:
     yield from model_sections.scope_section(report.scope)
 
 
-def _evidence(report: QualificationReport) -> Iterator[Block | None]:
+def _evidence(report: QualificationReport, omitted: Sequence[Omission]) -> Iterator[Block | None]:
     yield from model_sections.adequacy_section(report.adequacy)
     if report.pictures.worst is not None:
         yield unit_drawings.worst_drawing(report.pictures.worst)
     yield from model_sections.convergence_section(report.convergence)
     yield from model_sections.left_out_section(report.left_out)
-    yield from result_sections.result_section(report)
+    yield from result_sections.result_section(report, omitted_note(omitted, "result"))
     yield forest_drawings(report.results)
     yield from model_sections.equipment_section(report.subject)
     yield from model_sections.provenance_section(report.provenance)

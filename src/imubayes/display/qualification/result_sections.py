@@ -15,7 +15,6 @@ from imubayes.display.qualification.document import (
     texts,
     without_empty_columns,
 )
-from imubayes.display.qualification.exact_tables import omissions, omitted_note
 from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.inference.identifiability import ProcedureShare
 from imubayes.qualification import report_record as record
@@ -35,8 +34,11 @@ _REASONS = {
 }
 
 
-def standards_section(report: record.QualificationReport) -> Iterator[Block]:
-    """Return the quantities of the standards, one table per standard, and those that were not estimated."""
+def standards_section(report: record.QualificationReport, omitted: str = "") -> Iterator[Block]:
+    """Return the quantities of the standards, one table per standard, and those that were not estimated.
+
+    `omitted` says which contributions their U omits.
+    """
     yield Heading("Quantities of the standards")
     if report.standards:
         yield Paragraph(
@@ -49,7 +51,7 @@ def standards_section(report: record.QualificationReport) -> Iterator[Block]:
         )
     found = list(dict.fromkeys(each.standard for each in report.standards))
     for standard in found:
-        note = _STANDARD_NOTE + omitted_note(omissions(report), "standard") if standard == found[-1] else ""
+        note = _STANDARD_NOTE + omitted if standard == found[-1] else ""
         yield _standard_table(standard, [each for each in report.standards if each.standard == standard], note)
     together = _determined_together(report)
     if together:
@@ -250,14 +252,14 @@ def _delta_k_table(lines: Sequence[record.ThermalLinearity]) -> ReportTable:
     return ReportTable("Thermal linearity: Δk of each input", head, rows, (0, 1), note)
 
 
-def result_section(report: record.QualificationReport) -> Iterator[Block]:
-    """Return the full result table."""
+def result_section(report: record.QualificationReport, omitted: str = "") -> Iterator[Block]:
+    """Return the full result table; `omitted` says which contributions its u omits."""
     axes = [line for line in report.results if channel_of_component(line.name) is not None]
     note = (
         "u: standard uncertainty, the standard deviation of the joint posterior (GUM, type A and B combined). Digits "
         "are those that the Monte Carlo error leaves (JCGM 101, 7.9). From data: 1 − posterior variance / prior "
         "variance on the scale on which the prior is normal; a quantity below 50 % was not measured. "
-        f"{words.WITHHELD_NUMBER}{omitted_note(omissions(report), 'result')}"
+        f"{words.WITHHELD_NUMBER}{omitted}"
     )
     yield Heading("Result table")
     tables: dict[str, list[record.ResultLine]] = {}
