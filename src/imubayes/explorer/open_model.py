@@ -31,7 +31,7 @@ from imubayes.explorer.messages import (
     shown_table,
 )
 from imubayes.explorer.point_table import PointTable
-from imubayes.foundations.errors import input_error
+from imubayes.foundations.errors import input_error, kept_if_possible
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.tail_probabilities import chi2_survival
 from imubayes.results.change_records import write_diagnosis
@@ -179,7 +179,7 @@ def campaign_stamp(result: Result) -> tuple[tuple[str, int, int], ...]:
 
 
 def opened(name: str, result: Result, tell: Tell) -> OpenModel:
-    """Return a result diagnosed; the diagnosis is kept in its folder, as `imubayes diagnose` keeps it.
+    """Return a result diagnosed; the diagnosis is kept in its folder where it can be, as `imubayes diagnose` does.
 
     Raises
     ------
@@ -196,7 +196,8 @@ def opened(name: str, result: Result, tell: Tell) -> OpenModel:
             "mend what kept it from converging, and fit again",
         )  # fmt: skip
     found = explained.diagnosis()
-    write_diagnosis(folder, found, result.identity)
+    with kept_if_possible(folder):
+        write_diagnosis(folder, found, result.identity)
     tell("laying out the readings")
     view = LinearView(explained, result.summary)
     model = OpenModel(name, result, found, view, PointTable(result, view), campaign_stamp(result))

@@ -19,7 +19,7 @@ from imubayes.explorer.kept_session import ModelNote, read_session, write_sessio
 from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PreviewFacts
 from imubayes.explorer.open_model import OpenModel, opened, quoted
 from imubayes.explorer.worker import TaskOutcome, TaskProgress, Work, Worker
-from imubayes.foundations.errors import input_error
+from imubayes.foundations.errors import input_error, kept_if_possible
 from imubayes.foundations.files import write_text
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
@@ -205,8 +205,13 @@ class Session:
         """Keep the command of what was done."""
         with self._lock:
             self._kept = self._kept.with_command(command)
-            write_session(self.root, self._kept)
+            self._write()
         self.changed()
+
+    def _write(self) -> None:
+        """Write what is kept; it stays with the session where there is no right to write, or no room."""
+        with kept_if_possible(self.root.parent):
+            write_session(self.root, self._kept)
 
     def folder_for(self, model: OpenModel, word: str) -> Path:
         """Return a free folder beside a model for the one that follows it."""
@@ -306,14 +311,14 @@ class Session:
         folder = self.place_of(wanted.model)
         with self._lock:
             self._kept = self._kept.with_note(folder.name, ModelNote(name=wanted.name, note=wanted.note))
-            write_session(self.root, self._kept)
+            self._write()
         self.changed()
 
     def lock(self, wanted: LockWanted) -> None:
         """Lock an effect in or out, or free it."""
         with self._lock:
             self._kept = self._kept.with_lock(wanted.effect, wanted.lock)
-            write_session(self.root, self._kept)
+            self._write()
         self.changed()
 
     @property
