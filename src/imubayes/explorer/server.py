@@ -36,6 +36,7 @@ from imubayes.foundations.records import Record
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "txt": "text/plain", "svg": "image/svg+xml"}
 _ALIVE = 10.0
 """Seconds after which a stream without news says that the server is there."""
+_STILL_HERE = ": still here\n\n"
 
 
 class Faults(Record):
@@ -149,7 +150,7 @@ class _Answers:
         return StreamingResponse(self._states(request), media_type="text/event-stream")
 
     async def _states(self, request: Request) -> AsyncIterator[str]:
-        """Yield the state of the session, and again whenever it changes."""
+        """Yield the state of the session, and again whenever it changes; a tree that is damaged is looked at again."""
         loop, news = asyncio.get_running_loop(), asyncio.Event()
 
         def told() -> None:
@@ -159,13 +160,16 @@ class _Answers:
         try:
             while not await request.is_disconnected():
                 news.clear()
-                state = await run_in_threadpool(self.session.state)
-                yield f"data: {state.model_dump_json()}\n\n"
+                try:
+                    state = await run_in_threadpool(self.session.state)
+                    yield f"data: {state.model_dump_json()}\n\n"
+                except InputError:
+                    yield _STILL_HERE
                 try:
                     async with asyncio.timeout(_ALIVE):
                         await news.wait()
                 except TimeoutError:
-                    yield ": still here\n\n"
+                    yield _STILL_HERE
         finally:
             end()
 

@@ -8,6 +8,7 @@ import hashlib
 import shlex
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -25,10 +26,13 @@ from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
 from imubayes.loop.model_history import ChiSquareDrop, Tree, rms_by_unit
 from imubayes.results.change_records import ModelChange
+from imubayes.results.folder_files import MANIFEST
 from imubayes.results.history_tree import campaign_of, read_tree, select, shown_place
 from imubayes.results.result import Result, read_result
 
 _MOST_OPEN = 4
+_Marks = frozenset[tuple[str, int, int, int]]
+"""Manifests, with what tells that one was replaced."""
 
 
 class TreeLine(Record):
@@ -81,6 +85,7 @@ class Session:
         self.root, self._version = root, 0
         self._lock, self._listeners = threading.RLock(), list[Callable[[], None]]()
         self._open, self._kept = dict[str, OpenModel](), read_session(root)
+        self._read: tuple[Tree | None, _Marks] = None, frozenset()
         self.worker = Worker(self.changed)
 
     # ---- what windows are told ----
@@ -107,8 +112,17 @@ class Session:
         )  # fmt: skip
 
     def tree(self) -> Tree | None:
-        """Return the tree of models; None before there is a first one."""
-        return read_tree([self.root]) if (self.root / "manifest.json").is_file() else None
+        """Return the tree of models; None before there is a first one.
+
+        It is read again where a manifest beside one of its models has changed.
+        """
+        kept, marks = self._read
+        now = _marks(self.root, kept)
+        if now != marks or kept is None:
+            # The marks are those from before: what comes while it is read is read the next time.
+            kept = read_tree([self.root]) if (self.root / MANIFEST).is_file() else None
+            self._read = kept, now
+        return kept
 
     def _lines(self) -> Iterator[TreeLine]:
         tree = self.tree()
@@ -353,3 +367,14 @@ class Session:
 def id_of(place: str) -> str:
     """Return the name of a model on the page, from its folder."""
     return hashlib.sha256(str(Path(place).resolve()).encode()).hexdigest()[:12]
+
+
+def _marks(root: Path, tree: Tree | None) -> _Marks:
+    """Return the manifests of a tree, and those beside: a model that is added is written there."""
+    folders = {root.resolve().parent, *(Path(place).parent for place in (tree.nodes if tree is not None else ()))}
+    found = set[tuple[str, int, int, int]]()
+    for file in (file for folder in folders for file in folder.glob(f"*/{MANIFEST}")):
+        with suppress(FileNotFoundError):  # removed meanwhile
+            stat = file.stat()
+            found.add((str(file), stat.st_ino, stat.st_size, stat.st_mtime_ns))
+    return frozenset(found)
