@@ -3,16 +3,22 @@
 import asyncio
 import json
 import shutil
+import threading
 from collections.abc import AsyncGenerator
+from contextlib import suppress
 
 import pytest
+from explore_client import settled, wait_for
 from starlette.requests import Request
 
-from imubayes.explorer.messages import LockWanted
+from imubayes.explorer.kept_session import KeptSession
+from imubayes.explorer.messages import ChangeWanted, LockWanted
 from imubayes.explorer.open_model import opened
 from imubayes.explorer.server import _Answers
 from imubayes.explorer.session import Session
-from imubayes.foundations.errors import NotKept
+from imubayes.explorer.worker import TaskOutcome, Worker
+from imubayes.foundations.errors import InputError, NotKept
+from imubayes.foundations.progress import Tell
 from imubayes.results.history_tree import read_tree, select
 
 
@@ -86,3 +92,73 @@ def test_windows_stay_where_the_tree_is_damaged_and_go_on_once_it_is_mended(copi
     first, damaged, mended = asyncio.run(told())
     assert damaged.startswith(": ")
     assert json.loads(first.removeprefix("data: "))["tree"] == json.loads(mended.removeprefix("data: "))["tree"] != []
+
+
+def test_two_windows_that_ask_at_once_begin_one_change(explored, first, monkeypatch):
+    """Of changes that were all checked before the first was queued, one is taken."""
+    session, together, begun = explored.session, threading.Barrier(2, timeout=10), list[object]()
+    submit = session.worker.submit
+
+    def slowly(*told: object) -> object:
+        with suppress(threading.BrokenBarrierError):
+            together.wait(0.5)
+        return submit(*told)
+
+    monkeypatch.setattr(session.worker, "submit", slowly)
+
+    def ask() -> None:
+        with suppress(InputError):
+            begun.append(session.change(ChangeWanted(model=first, add=("gyro_scale_asymmetry",))))
+
+    windows = [threading.Thread(target=ask) for _ in range(2)]
+    for each in windows:
+        each.start()
+    for each in windows:
+        each.join()
+    for each in begun:
+        session.worker.cancel(each)
+    settled(explored)
+    assert len(begun) == 1
+
+
+def test_tasks_that_wait_are_told_however_many_there_are():
+    worker, go = Worker(lambda: None), threading.Event()
+
+    def work(tell: Tell) -> TaskOutcome:
+        go.wait(10)
+        return TaskOutcome("", ("done",))
+
+    for n in range(12):
+        worker.submit("open", f"open {n}", str(n), work)
+    assert [each.of for each in worker.tasks] == list(map(str, range(12)))
+    go.set()
+    wait_for(lambda: not worker.busy)
+    assert [each.of for each in worker.tasks] == list(map(str, range(4, 12)))
+
+
+def test_what_a_cancelled_task_has_written_is_told():
+    """Cancelled before it told what it wrote, and after: what was written is there."""
+    worker, at_work, go = Worker(lambda: None), threading.Event(), threading.Event()
+
+    def work(tell: Tell) -> TaskOutcome:
+        at_work.set()
+        go.wait(10)
+        worker.say(("Added: an effect.",))
+        tell("diagnosing")
+        return TaskOutcome("never", ())
+
+    number = worker.submit("change", "add an effect", "", work)
+    at_work.wait(10)
+    worker.cancel(number)
+    go.set()
+    wait_for(lambda: not worker.busy)
+    [task] = worker.tasks
+    assert (task.state, task.lines, task.made) == ("cancelled", ("Added: an effect.",), "")
+
+
+def test_a_script_selects_again_what_was_selected_before():
+    kept = KeptSession()
+    for command, again in (("diagnose a", False), ("select a", True), ("select b", True), ("diagnose a", False),
+                           ("select a", True), ("select a", True)):  # fmt: skip
+        kept = kept.with_command(command, again=again)
+    assert kept.commands == ("diagnose a", "select a", "select b", "select a")

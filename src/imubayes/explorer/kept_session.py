@@ -30,9 +30,12 @@ class KeptSession(Record):
     notes: dict[str, ModelNote] = {}
     locks: dict[str, Literal["in", "out"]] = {}
 
-    def with_command(self, command: str) -> "KeptSession":
-        """Return the same with a command after the others; one that stands there already is not repeated."""
-        if command in self.commands:
+    def with_command(self, command: str, *, again: bool = False) -> "KeptSession":
+        """Return the same with a command after the others.
+
+        What makes something is not repeated; what may be done `again`, such as a selection, only not at once.
+        """
+        if command in (self.commands[-1:] if again else self.commands):
             return self
         return self.model_copy(update={"commands": (*self.commands, command)})
 

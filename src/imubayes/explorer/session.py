@@ -16,6 +16,7 @@ from imubayes.api import add, export, fit, remove
 from imubayes.display.loop.change_report import change_lines
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.history import gain_text
+from imubayes.display.loop.selection_text import fitted_text
 from imubayes.explorer.kept_session import ModelNote, read_session, write_session
 from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PreviewFacts
 from imubayes.explorer.open_model import OpenModel, opened, quoted
@@ -154,11 +155,12 @@ class Session:
             if model in self._open:
                 self._open[model] = self._open.pop(model)
                 return self._open[model]
-            if any(each.kind == "open" and each.of == model and each.at_work for each in self.worker.tasks):
-                return None
-        folder = self.place_of(model)
-        self.worker.submit("open", f"open {folder.name}", model, lambda tell: self._opened(read_result(folder), tell))
-        return None
+            if not any(each.kind == "open" and each.of == model and each.at_work for each in self.worker.tasks):
+                folder = self.place_of(model)
+                self.worker.submit(
+                    "open", f"open {folder.name}", model, lambda tell: self._opened(read_result(folder), tell)
+                )
+            return None
 
     @property
     def open_models(self) -> tuple[OpenModel, ...]:
@@ -203,6 +205,7 @@ class Session:
         def work(tell: Tell) -> TaskOutcome:
             result = fit(campaign, model, self.root, sample=False, progress=tell)
             self.keep(f"{places} --no-sample")
+            self.worker.say((fitted_text(shown_place(str(self.root.resolve()))),))
             return self._opened(result, tell)
 
         self.worker.submit("fit", f"fit {campaign.name}", "", work)
@@ -215,10 +218,10 @@ class Session:
 
     # ---- changes ----
 
-    def keep(self, command: str) -> None:
-        """Keep the command of what was done."""
+    def keep(self, command: str, *, again: bool = False) -> None:
+        """Keep the command of what was done; see `KeptSession.with_command`."""
         with self._lock:
-            self._kept = self._kept.with_command(command)
+            self._kept = self._kept.with_command(command, again=again)
             self._write()
         self.changed()
 
@@ -245,18 +248,21 @@ class Session:
             where a change is at work already, the campaign is no longer what was fitted, or nothing is named.
         """
         model = self.require(wanted.model)
-        if any(each.kind == "change" and each.at_work for each in self.worker.tasks):
-            raise input_error("a change is at work already", "this session", "one change at a time",
-                              "wait for it, or cancel it")  # fmt: skip
         if not (wanted.add or wanted.remove or wanted.formula_of):
             raise input_error("no effect is named", "change", "effects to add or to remove", "choose one")
         self._refuse_changed_campaign(model)
         if wanted.formula_of:
-            what = f"add the formula of {wanted.formula_of}"
-            return self.worker.submit("change", what, model.id, self._adding_formula(model, wanted.formula_of))
-        word, effects = ("add", self._with_locked(wanted.add, model)) if wanted.add else ("remove", wanted.remove)
-        make = self._adding(model, effects, wanted.channels) if wanted.add else self._removing(model, effects)
-        return self.worker.submit("change", f"{word} {', '.join(effects)}", model.id, make)
+            what, make = f"add the formula of {wanted.formula_of}", self._adding_formula(model, wanted.formula_of)
+        elif wanted.add:
+            effects = self._with_locked(wanted.add, model)
+            what, make = f"add {', '.join(effects)}", self._adding(model, effects, wanted.channels)
+        else:
+            what, make = f"remove {', '.join(wanted.remove)}", self._removing(model, wanted.remove)
+        with self._lock:  # two windows may ask at once
+            if any(each.kind == "change" and each.at_work for each in self.worker.tasks):
+                raise input_error("a change is at work already", "this session", "one change at a time",
+                                  "wait for it, or cancel it")  # fmt: skip
+            return self.worker.submit("change", what, model.id, make)
 
     def _with_locked(self, effects: tuple[str, ...], model: OpenModel) -> tuple[str, ...]:
         """Return effects with those that are always added."""
@@ -318,7 +324,7 @@ class Session:
         """Make a model the selected one: the one that is exported."""
         folder = self.place_of(model)
         select(folder)
-        self.keep(f"imubayes history --select {quoted(folder)}")
+        self.keep(f"imubayes history --select {quoted(folder)}", again=True)
 
     def note(self, wanted: NoteWanted) -> None:
         """Keep a name and a note of a model."""

@@ -7,7 +7,7 @@ results are written as a whole at the end, so that nothing of it is left.
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,7 +18,7 @@ from imubayes.foundations.records import Record
 TaskState = Literal["waiting", "running", "cancelling", "done", "failed", "cancelled"]
 TaskKind = Literal["open", "fit", "change"]
 _AT_WORK: tuple[TaskState, ...] = ("waiting", "running", "cancelling")
-_TOLD_EVERY = 0.1
+_TOLD_EVERY, _ENDED_TOLD = 0.1, 8
 
 
 class CancelledError(Exception):
@@ -70,8 +70,7 @@ class Worker:
 
     def __init__(self, changed: Callable[[], None]):
         self._changed, self._queue = changed, queue.Queue[tuple[int, Work]]()
-        self._lock, self._tasks, self._began = threading.Lock(), dict[int, TaskProgress](), 0.0
-        self._cancelled = set[int]()
+        self._lock, self._tasks = threading.Lock(), dict[int, TaskProgress]()
         threading.Thread(target=self._run, name="explore-worker", daemon=True).start()
 
     @property
@@ -79,7 +78,7 @@ class Worker:
         """The tasks that wait or run, and the last that ended."""
         with self._lock:
             every = list(self._tasks.values())
-        return tuple(every[-8:])
+        return tuple(each for n, each in enumerate(every, 1) if each.at_work or n > len(every) - _ENDED_TOLD)
 
     @property
     def busy(self) -> bool:
@@ -97,18 +96,19 @@ class Worker:
 
     def cancel(self, number: int) -> None:
         """Stop a task at its next step; one that has ended stays as it is."""
-        if number in self._tasks and self._tasks[number].state in ("waiting", "running"):
-            self._cancelled.add(number)
-            self._update(number, state="cancelling")
+        self._update(number, ("waiting", "running"), state="cancelling")
 
     def say(self, lines: tuple[str, ...]) -> None:
-        """Tell what the task at work has brought so far."""
+        """Tell what the task at work has brought so far: it is there, even where the task is being cancelled."""
         for each in self.tasks:
-            if each.state == "running":
-                self._update(each.number, lines=lines)
+            if each.step:
+                self._update(each.number, ("running", "cancelling"), lines=lines)
 
-    def _update(self, number: int, **changes: object) -> None:
+    def _update(self, number: int, where: Sequence[TaskState] = _AT_WORK, /, **changes: object) -> None:
+        """Change a task that is in one of some states."""
         with self._lock:
+            if number not in self._tasks or self._tasks[number].state not in where:
+                return
             self._tasks[number] = self._tasks[number].model_copy(update=changes)
         self._changed()
 
@@ -118,11 +118,12 @@ class Worker:
             began = time.monotonic()
 
             def tell(text: str, number: int = number, began: float = began) -> None:
-                if number in self._cancelled:
+                task, seconds = self._tasks[number], time.monotonic() - began
+                if task.state == "cancelling":
                     raise CancelledError
-                seconds = time.monotonic() - began
-                if text != self._tasks[number].step or seconds - self._tasks[number].seconds > _TOLD_EVERY:
-                    self._update(number, state="running", step=text, seconds=seconds)
+                if text != task.step or seconds - task.seconds > _TOLD_EVERY:
+                    # One that is cancelled at this moment stays so, and ends at its next step.
+                    self._update(number, ("waiting", "running"), state="running", step=text, seconds=seconds)
 
             self._update(number, **self._ended(work, tell), seconds=time.monotonic() - began)
 

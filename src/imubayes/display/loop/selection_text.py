@@ -1,4 +1,4 @@
-"""What is said of selected readings and of previewed causes, in a sentence."""
+"""What is said of selected readings, of previewed causes and of a first fit, in a sentence."""
 
 from collections.abc import Sequence
 
@@ -51,3 +51,8 @@ def formula_text(found: ResidualFormula | None, channel: str) -> str:
         f"The residual of {channel} is {found.shape}; its first term leads in {percent(found.inclusion)} of resampled "
         f"runs.{near}"
     )
+
+
+def fitted_text(place: str) -> str:
+    """Return that a first model was fitted, and where its result is."""
+    return f"Fitted; the result is in {place}."

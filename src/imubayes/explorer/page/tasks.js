@@ -29,7 +29,8 @@ function ended(task) {
   if (task.state === "failed") {
     return el("div", {}, el("span", { class: "fault", role: "alert" }, `${task.what} failed\n${task.issues.join("\n")}`), close(() => tell({ dismissed: task.number })));
   }
-  const said = task.state === "cancelled" ? [`${task.what} was cancelled; nothing was written.`] : task.lines;
+  const cancelled = `${task.what} was cancelled; ${task.lines.length ? "what it had written stays." : "nothing was written."}`;
+  const said = task.state === "cancelled" ? [cancelled, ...task.lines] : task.lines;
   return said.length ? el("div", {}, el("span", { class: "said" }, said.join("\n")), close(() => tell({ dismissed: task.number }))) : null;
 }
 
