@@ -152,9 +152,9 @@ def test_the_report_states_every_component_with_its_uncertainty():
     )  # fmt: skip
     assert [cell.text for cell in table.rows[0]] == [
         "gx",
-        "1.00000 ± 0",
-        "0.00023 ± 0.00023",
-        "withheld: needs 3.0 × the draws",
+        "1.00000 (u = 0)",
+        "0.00023 (u = 0.00023)",
+        "withheld: too few draws",
     ]
 
 

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -16,6 +17,7 @@ from explore_client import settled
 
 from imubayes.api import add, diagnose
 from imubayes.cli.main import run
+from imubayes.criticism.evidence.free_forms import ChosenForm
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.display.loop.diagnosis_report import diagnosis_json
 from imubayes.display.loop.selection_text import selection_text
@@ -119,11 +121,13 @@ def test_an_offset_of_some_readings_alone_is_told_as_such(model):
         column += 6 * rows.root * chosen[rows.entry]
         model.view.explained.of.rows[k]._gram.clear()
         model.view.explained.of.rows[k]._kept.clear()
+        vars(model.view).pop("_scan", None)
         assert model.view.rank(chosen).offset > 0.9
     finally:
         column[:] = kept
         model.view.explained.of.rows[k]._gram.clear()
         model.view.explained.of.rows[k]._kept.clear()
+        vars(model.view).pop("_scan", None)
 
 
 def log_normal(residual: np.ndarray, covariance: np.ndarray) -> float:
@@ -132,7 +136,7 @@ def log_normal(residual: np.ndarray, covariance: np.ndarray) -> float:
     return float(-0.5 * white @ white - np.log(np.diag(lower)).sum() - 0.5 * len(residual) * np.log(2 * np.pi))
 
 
-def test_a_cause_of_some_rows_is_judged_as_dense_algebra_does(model):
+def test_a_cause_of_some_rows_is_judged_as_dense_algebra_does(model, monkeypatch):
     """Predictive densities of some rows given the others, with covariances of all rows: parameters, runs, cause."""
     view, of = model.view, model.view.explained.of
     at, problem = of.solved(view.explained.posterior.search.best(states_noise)).at, of.problem
@@ -176,6 +180,20 @@ def test_a_cause_of_some_rows_is_judged_as_dense_algebra_does(model):
                 by_rest.append(prior[-1] + log_normal(residual[~some], whole[np.ix_(~some, ~some)]))
         expected = np.logaddexp.reduce(prior) + np.logaddexp.reduce(by_all) - np.logaddexp.reduce(by_rest) - gain(base)
         assert found[effect] == pytest.approx(expected, abs=0.01 * abs(expected) + 0.01), effect
+    # A record that is wrong has one coefficient for all channels, which share parameters with the others.
+    run = view.fit.model.campaign.runs.index(next(e for e in view.fit.model.campaign.runs if e.name == "rate-z-up"))
+    wrong = [each for each in view.explained.posterior.search.forms if each.run == run and len(each.columns) > 1]
+    for form in {each.name: each for each in wrong if each.wrong is not None}.values():
+        told = ChosenForm(form, form.amplitudes[2], tuple(form.columns))
+        response, starts = np.zeros((total, told.width)), np.cumsum([0, *(len(rows.entry) for rows in problem.rows)])
+        for k, own in form.columns.items():
+            response[starts[k] : starts[k + 1], told.span(k)] = own.make()
+        with monkeypatch.context() as patched:
+            leading = SimpleNamespace(hypothesis=SimpleNamespace(form=told))
+            patched.setitem(vars(view.explained.posterior), "top", leading)
+            odds = view._form_odds(view._others(chosen))
+        expected = told.log_prior + gain(base + told.amplitude**2 * response @ response.T) - gain(base)
+        assert odds == pytest.approx(expected, abs=0.01 * abs(expected) + 0.01), form.name
     # Readings of one side alone do not tell an asymmetry from other causes; with the others they do.
     assert view.rank(chosen).causes[0].effect == HIDDEN
 

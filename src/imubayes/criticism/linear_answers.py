@@ -9,6 +9,7 @@ A preview is the least squares at the noise known beforehand that predicts Δχ�
 """
 
 import math
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,12 +18,11 @@ import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
 from imubayes.criticism.diagnose import ExplainedFit
-from imubayes.criticism.evidence.effect_variants import gain_of_coefficients
 from imubayes.criticism.evidence.free_forms import AMPLITUDES
 from imubayes.criticism.evidence.hypothesis import Solved
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED
-from imubayes.criticism.evidence.model_search import states_noise
-from imubayes.criticism.evidence.proposals import Screen, base_columns, conditional
+from imubayes.criticism.evidence.model_search import FormScan, states_noise
+from imubayes.criticism.evidence.proposals import Screen, conditional
 from imubayes.criticism.formula_search import ResidualFormula, find_formula
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import Tell
@@ -70,6 +70,7 @@ class LinearAnswers:
         observations, entries = self.fit.model.problem.observations, self.fit.model.entries
         self.entries = (np.asarray(observations.weight) > 0) & ~np.asarray(entries.closing)
         self._white: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._evidence = threading.Lock()  # it keeps the columns used last, which two threads must not do at once
 
     def prepare(self, tell: Tell) -> None:
         """Make ready what every question needs, so that the first one is answered as fast as the others."""
@@ -94,16 +95,24 @@ class LinearAnswers:
         return {n: gain for gain, n in self._screen.singles(conditional(self.explained.of, self._nothing))}
 
     def _others(self, chosen: np.ndarray) -> Solved:
-        """Return that nothing is missing by the rows that are not chosen: chosen ones have no weight."""
+        """Return that nothing is missing by the rows that are not chosen: chosen ones have no weight.
+
+        Channels without chosen rows stay as they are, with the Gram matrices that are there.
+        """
         of, at = self.explained.of, self._nothing.at
         weight = {
             k: at.weight.get(k, np.ones(len(of.problem.rows[k].entry))) * ~chosen[of.problem.rows[k].entry]
             for k in of.unit_of
+            if chosen[of.problem.rows[k].entry].any()
         }
-        return of.solved(replace(at, weight=weight), self._nothing.scale)
+        return of.solved(replace(at, weight={**at.weight, **weight}), self._nothing.scale)
 
     def rank(self, chosen: np.ndarray, without: Sequence[str] = ()) -> RowsRanking:
         """Return how probable single causes of chosen entries, (E,) bool, are; some effects left out."""
+        with self._evidence:
+            return self._ranked(chosen, without)
+
+    def _ranked(self, chosen: np.ndarray, without: Sequence[str]) -> RowsRanking:
         of, others = self.explained.of, self._others(chosen)
         by_rest = {n: gain for gain, n in self._screen.singles(conditional(of, others))}
         terms: dict[str, list[tuple[float, float, float]]] = {}
@@ -125,43 +134,31 @@ class LinearAnswers:
         rest = (None if each is None else math.exp(each - whole) for each in (form, offset))
         return RowsRanking(causes, math.exp(-whole), *rest)
 
+    @cached_property
+    def _scan(self) -> FormScan:
+        """What forms gain beside that nothing is missing, by all rows."""
+        return FormScan(self.explained.of, self._nothing)
+
     def _offset_odds(self, chosen: np.ndarray) -> float:
         """Return the log odds that the chosen rows of each channel are off by something of their own.
 
         With the prior probability and the amplitudes of the free forms of the evidence.
         """
-        of, at, found = self.explained.of, self._nothing.at, math.log(UNEXPECTED / 2)
+        of, found = self.explained.of, math.log(UNEXPECTED / 2)
         for k in of.unit_of:
-            rows, weight = of.problem.rows[k], at.weight.get(k)
+            rows = of.problem.rows[k]
             mask = chosen[rows.entry]
             if mask.any():
-                found += self._gain(self._nothing, k, of.whiten(at.hypothesis, (rows.root * mask)[:, None], k, weight))
+                gains = self._scan.grams([(rows.root * mask)[:, None]], k).gains(AMPLITUDES)
+                found += float(np.logaddexp.reduce(gains[0])) - math.log(len(AMPLITUDES))
         return found
 
     def _form_odds(self, others: Solved) -> float | None:
         """Return the log odds of the form, or wrong record, of the leading explanation; None without one."""
-        of, form = self.explained.of, self.explained.posterior.top.hypothesis.form
+        form = self.explained.posterior.top.hypothesis.form
         if form is None:
             return None
-
-        def gain(solved: Solved) -> float:
-            at, told = solved.at, (form.amplitude,)
-            columns = {k: of.form_columns(at.hypothesis, form, k, at.weight.get(k)) for k in form.channels}
-            return sum(self._gain(solved, k, each, told) for k, each in columns.items())
-
-        return form.log_prior + gain(self._nothing) - gain(others)
-
-    def _gain(self, solved: Solved, k: int, columns: np.ndarray, amplitudes: Sequence[float] = AMPLITUDES) -> float:
-        """Return the log evidence of whitened columns (n, C) of a channel beside a hypothesis, over its amplitudes."""
-        of, at = self.explained.of, solved.at
-        base, white = base_columns(of, at, k) / solved.scale[k], columns / solved.scale[k]
-        where = of.taking_part(k, at.columns, None)
-        through = white.T @ base[:, :-1]
-        own = white.T @ white - through @ solved.covariance[np.ix_(where, where)] @ through.T
-        right = white.T @ (base[:, -1] - base[:, :-1] @ solved.mean[where])
-        widths = np.repeat(np.array(amplitudes)[:, None], columns.shape[1], axis=1)
-        gains = gain_of_coefficients(own, right, widths, np.zeros(columns.shape[1], dtype=int))
-        return float(np.logaddexp.reduce(gains)) - math.log(len(amplitudes))
+        return form.log_prior + self._scan.exact(form) - FormScan(self.explained.of, others).exact(form)
 
     def formula(self, channel: str) -> ResidualFormula | None:
         """Return the simplest formula for what the model leaves of a channel; None where no term is worth its odds."""
@@ -170,10 +167,12 @@ class LinearAnswers:
             raise input_error(
                 f"no channel '{channel}'", "formula", closest_first(channel, names), "choose one of these"
             )
-        at, posterior = self._nothing.at, self.explained.posterior
-        return find_formula(
-            self.explained.of, at, at.scale, posterior.fitted, self.explained.known, names.index(channel)
-        )
+        posterior = self.explained.posterior
+        with self._evidence:
+            at = self._nothing.at
+            return find_formula(
+                self.explained.of, at, at.scale, posterior.fitted, self.explained.known, names.index(channel)
+            )
 
     # ---- what causes would do ----
 

@@ -31,7 +31,7 @@ _AT_ONCE = 160
 
 
 @dataclass(frozen=True)
-class _Grams:
+class FormGrams:
     """V (m, k, k) and u (m, k) of m forms on one channel, with their products with what takes part, (m, k, n)."""
 
     own: np.ndarray
@@ -72,7 +72,7 @@ class FormScan:
             if len(parts) > 1 and form.wrong is None:
                 quick += [_likeliest(form, (k,), part) for k, part in parts.items()]
         quick.sort(key=lambda each: -each[0])
-        exact = [(gain if len(form.channels) == 1 else self._exact(form), form) for gain, form in quick[:_AT_ONCE]]
+        exact = [(gain if len(form.channels) == 1 else self.exact(form), form) for gain, form in quick[:_AT_ONCE]]
         return sorted(exact, key=lambda each: -each[0])
 
     def _gains(self, forms: Sequence[FormHypothesis]) -> dict[tuple[int, int], np.ndarray]:
@@ -100,37 +100,37 @@ class FormScan:
             return
         for first in range(0, len(columns), _AT_ONCE):
             some = [each.make() for each in columns[first : first + _AT_ONCE]]
-            yield from self._grams(some, channel).gains(amplitudes)
+            yield from self.grams(some, channel).gains(amplitudes)
 
     def _white(self, columns: np.ndarray, channel: int) -> np.ndarray:
         at = self.at
         return self.of.whiten(at.hypothesis, columns, channel, at.weight.get(channel)) / self.scale[channel]
 
-    def _grams(self, columns: Sequence[np.ndarray], channel: int) -> _Grams:
+    def grams(self, columns: Sequence[np.ndarray], channel: int) -> FormGrams:
         """Return the Gram matrices of forms of one width on a channel."""
         k, width = channel, columns[0].shape[1]
         white = self._white(np.concatenate(columns, axis=1), k)
         apart = white.reshape(len(white), -1, width).transpose(1, 2, 0)
         across = (white.T @ self._through[k]).reshape(-1, width, self._root.shape[1])
-        return _Grams(apart @ apart.swapaxes(1, 2), (white.T @ self._residual[k]).reshape(-1, width), across)
+        return FormGrams(apart @ apart.swapaxes(1, 2), (white.T @ self._residual[k]).reshape(-1, width), across)
 
-    def _grams_of_runs(self, every: np.ndarray, channel: int) -> _Grams:
+    def _grams_of_runs(self, every: np.ndarray, channel: int) -> FormGrams:
         """Return the Gram matrices of forms of single runs that share columns; no noise reaches from run to run."""
         white, starts = self._white(every, channel), [start for start, _ in self.of.problem.rows[channel].series]
         beside, width = np.column_stack([white, self._residual[channel], self._through[channel]]), every.shape[1]
         joined = np.stack([np.add.reduceat(one[:, None] * beside, starts) for one in white.T], axis=1)
-        return _Grams(joined[:, :, :width], joined[:, :, width], joined[:, :, width + 1 :])
+        return FormGrams(joined[:, :, :width], joined[:, :, width], joined[:, :, width + 1 :])
 
-    def _exact(self, form: ChosenForm) -> float:
+    def exact(self, form: ChosenForm) -> float:
         """Return the gain of a form with its channels together, its prior probability included."""
         own, right = np.zeros((form.width, form.width)), np.zeros(form.width)
         across = np.zeros((form.width, self._root.shape[1]))
         for k in form.channels:
-            span, part = form.span(k), self._grams([form.form.columns[k].make()], k)
+            span, part = form.span(k), self.grams([form.form.columns[k].make()], k)
             own[span, span] += part.own[0]
             right[span] += part.right[0]
             across[span] += part.across[0]
-        whole = _Grams(own[None], right[None], across[None])
+        whole = FormGrams(own[None], right[None], across[None])
         return float(whole.gains([form.amplitude])[0, 0]) + form.log_prior
 
     def rows(self, wrong: WrongRows) -> Iterator[tuple[float, ChosenForm]]:
