@@ -1,5 +1,6 @@
 """A number that is withheld says why and what gives it, and is withheld wherever it would stand."""
 
+import numpy as np
 import pytest
 
 from imubayes.display.qualification.budget_sections import budget_section
@@ -8,6 +9,7 @@ from imubayes.display.qualification.first_page import limits_table, risk_table
 from imubayes.display.qualification.result_sections import mounting_section, result_section
 from imubayes.display.qualification.words import (
     chance,
+    digits_text,
     interval_text,
     more_draws_text,
     reference_temperature,
@@ -15,6 +17,9 @@ from imubayes.display.qualification.words import (
     value_text,
 )
 from imubayes.qualification.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
+from imubayes.qualification.coverage import KnownUncertainty, coverage_of
+from imubayes.qualification.marginal import Marginal
+from imubayes.qualification.report_estimates import monte_carlo_error
 from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,
@@ -92,6 +97,29 @@ def test_the_row_says_why_and_the_terminal_which_command_gives_it():
     assert "--until-digits 1" in said
     assert more_draws_text(report(2)) == ""
     assert stated(line(1))[:2] == ("-22.4", "0.9")
+
+
+@pytest.mark.parametrize(
+    ("draws", "u", "said", "digits"),
+    [
+        (4000, 50.0, ("-1234", "50", "-1234 ± 98"), 2),  # by JCGM 101 alone: 50 and 90, or 100
+        (4000, 0.16, ("-1234.00", "0.16", "-1234.00 ± 0.31"), 2),
+        (1000, 50.0, ("-1230", "50", "-1230 ± 100"), 1),
+    ],
+)
+def test_uncertainties_have_two_digits_where_the_draws_support_them(draws, u, said, digits):
+    """GUM 7.2.6, and the value to the same place; one digit is told by the name of the quantity."""
+    normal = np.random.default_rng(7).standard_normal(draws)
+    marginal = Marginal(-1234 + u * (normal - normal.mean()) / normal.std(), float(draws))
+    found = coverage_of(marginal, KnownUncertainty(u, 1e-4 * u))
+    made = ReportedEstimate(
+        name=NAME, unit="ug/g^2", d_si=None, estimate=found.estimate, standard_uncertainty=found.standard,
+        low=found.low, high=found.high, interval=found.shape, expanded_uncertainty=found.expanded,
+        monte_carlo=monte_carlo_error(found, marginal.effective),
+    )  # fmt: skip
+    assert (*stated(made)[:2], value_text(made)) == said
+    assert digits_text([made]).count(NAME) == 2 - digits
+    assert "two significant digits" in digits_text([made])
 
 
 @pytest.mark.parametrize("page", ["limits", "results", "budgets"])

@@ -217,6 +217,8 @@ def _likeliest(values: np.ndarray, weight: np.ndarray, sign: int) -> tuple[Fitte
 
 Statistic = Literal["mean", "sd", "low", "high"]
 Digits = Literal[1, 2]
+# Share of an uncertainty that rounding may change it by (EA-4/02 M, 6.3).
+_ROUNDING_SHARE = 0.05
 
 
 @dataclass(frozen=True)
@@ -250,6 +252,15 @@ def numerical_tolerance(uncertainty: float, digits: int) -> float:
 def draws_needed(errors: MonteCarloErrors, uncertainty: float, digits: Digits) -> float:
     """Return how many times the draws so many digits need: twice the largest Monte Carlo error is then δ."""
     return (2 * errors.largest / numerical_tolerance(uncertainty, digits)) ** 2
+
+
+def digits_stated(deserved: Literal[0, 1, 2], uncertainty: float, *errors: float) -> Literal[0, 1, 2]:
+    """Return the significant digits in which an uncertainty is stated: two (GUM 7.2.6) where its draws support these.
+
+    Rounding to one digit may change it by half.  So one stands only where twice a Monte Carlo error, of what is
+    written beside it or of itself, is more than rounding may change it by.
+    """
+    return 2 if deserved and 2 * max(errors) <= _ROUNDING_SHARE * uncertainty else deserved
 
 
 def digits_deserved(errors: MonteCarloErrors, uncertainty: float) -> DeservedDigits:

@@ -14,7 +14,7 @@ from imubayes.qualification.decision_rules import (
     ToleranceInterval,
     conformance_probability,
 )
-from imubayes.qualification.marginal import digits_deserved, draws_needed
+from imubayes.qualification.marginal import digits_deserved, digits_stated, draws_needed
 from imubayes.qualification.standard_quantities import (
     STANDARD_QUANTITIES,
     StandardDraws,
@@ -73,14 +73,15 @@ def _numbers(unit: TestedUnit, name: str) -> dict[str, Any]:
 def monte_carlo_error(stated: Coverage, effective: float) -> record.MonteCarloError:
     """Return the Monte Carlo errors of what is stated of a quantity that varies, and the digits that they leave."""
     deserved, errors = digits_deserved(stated.errors, stated.standard), stated.errors
+    of_expanded = digits_deserved(errors, stated.expanded).digits if deserved.digits else 0
     return record.MonteCarloError(
         estimate=errors.mean,
         standard_uncertainty=errors.sd,
         low=errors.low,
         high=errors.high,
         effective=effective,
-        digits=deserved.digits,
-        expanded_digits=digits_deserved(errors, stated.expanded).digits if deserved.digits else 0,
+        digits=digits_stated(deserved.digits, stated.standard, errors.mean, errors.sd),
+        expanded_digits=digits_stated(of_expanded, stated.expanded, errors.mean, errors.low, errors.high),
         tolerance=deserved.tolerance,
         worst=deserved.worst,
         draws_needed=draws_needed(errors, stated.standard, 1),

@@ -37,9 +37,10 @@ class MonteCarloError(Record):
     Attributes
     ----------
     effective : number of independent draws that carry as much information.
-    digits : significant digits of the standard uncertainty that these errors leave (JCGM 101, 7.9); 0: withheld.
-    expanded_digits : those of the expanded uncertainty.
-    tolerance : numerical tolerance δ of so many digits; of one digit where the number is withheld.
+    digits : significant digits in which the standard uncertainty is stated; 0 where these errors leave none (JCGM 101,
+        7.9), so that the number is withheld.
+    expanded_digits : those of the expanded uncertainty and of the ends of the interval.
+    tolerance : numerical tolerance δ of the digits that JCGM 101 grants; of one digit where the number is withheld.
     worst : what has the largest error.
     draws_needed : how many times the draws would leave one digit, about.
     """

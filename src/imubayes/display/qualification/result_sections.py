@@ -24,7 +24,7 @@ _UNMEASURED = "Not measured: known from priors, or fixed by the model"
 _TOGETHER = "Determined combinations"
 _STANDARD_NOTE = (
     "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage; estimate [95 % interval] where the posterior "
-    f"is not symmetric. u: standard uncertainty. Term: where it stands in the model equation. {words.WITHHELD_NUMBER}"
+    "is not symmetric. u: standard uncertainty. Term: where it stands in the model equation. "
 )
 _REASONS = {
     "not_in_model": "not in the model",
@@ -51,7 +51,7 @@ def standards_section(report: record.QualificationReport, omitted: str = "") -> 
         )
     found = list(dict.fromkeys(each.standard for each in report.standards))
     for standard in found:
-        note = _STANDARD_NOTE + omitted if standard == found[-1] else ""
+        note = _STANDARD_NOTE + words.digits_text(report.standards) + omitted if standard == found[-1] else ""
         yield _standard_table(standard, [each for each in report.standards if each.standard == standard], note)
     together = _determined_together(report)
     if together:
@@ -144,7 +144,7 @@ def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") 
         "negative. "
         "Determined by: the procedure that alone would leave the smallest uncertainty, with that uncertainty, and how "
         "many times smaller it is with all runs together; a dash stands where the angle is not linear enough in the "
-        f"parameters for a share by procedure. {words.WITHHELD_NUMBER}{omitted}"
+        f"parameters for a share by procedure. {words.digits_text(angles)}{omitted}"
     )
     runs = [
         f"{mounting}: {words.enumerated(next(each.runs for each in angles if each.mounting == mounting))}"
@@ -199,7 +199,7 @@ def combination_section(combinations: Sequence[record.ReportedCombination], omit
         "their priors or are strongly correlated; use the combination, not the sum of the single estimates with "
         "their uncertainties. Each member counts in its own unit. Symbols are those of the standard of the test; a "
         "combination without one was found from the information in the data. Determined by: as for mounting angles. "
-        f"{words.WITHHELD_NUMBER}{omitted}"
+        f"{words.digits_text(combinations)}{omitted}"
     )
     table = without_empty_columns(ReportTable("What the runs determine together", head, rows, (0, 1, 5, 7), note))
     yield Heading(_TOGETHER)
@@ -247,7 +247,7 @@ def _delta_k_table(lines: Sequence[record.ThermalLinearity]) -> ReportTable:
     note = (
         "Δk: relative difference between the thermal slope of an input and that of the input nearest 1 g. Where "
         "Δk is probably below the threshold, the temperature line measured at 1 g stands for all inputs; where it is "
-        f"above, each input needs its own line. {words.WITHHELD_NUMBER}"
+        f"above, each input needs its own line. {words.digits_text(lines)}"
     )
     return ReportTable("Thermal linearity: Δk of each input", head, rows, (0, 1), note)
 
@@ -256,10 +256,9 @@ def result_section(report: record.QualificationReport, omitted: str = "") -> Ite
     """Return the full result table; `omitted` says which contributions its u omits."""
     axes = [line for line in report.results if channel_of_component(line.name) is not None]
     note = (
-        "u: standard uncertainty, the standard deviation of the joint posterior (GUM, type A and B combined). Digits "
-        "are those that the Monte Carlo error leaves (JCGM 101, 7.9). From data: 1 − posterior variance / prior "
-        "variance on the scale on which the prior is normal; a quantity below 50 % was not measured. "
-        f"{words.WITHHELD_NUMBER}{omitted}"
+        "u: standard uncertainty, the standard deviation of the joint posterior (GUM, type A and B combined). From "
+        "data: 1 − posterior variance / prior variance on the scale on which the prior is normal; a quantity below "
+        f"50 % was not measured. {words.digits_text(report.results)}{omitted}"
     )
     yield Heading("Result table")
     tables: dict[str, list[record.ResultLine]] = {}

@@ -47,7 +47,7 @@ WITHHELD: dict[Withheld, str] = {
     "disagreement": "withheld: the two methods disagree",
     "too_few_draws": "withheld: too few effective draws",
 }
-WITHHELD_NUMBER = (
+_WITHHELD_NUMBER = (
     "Withheld: too few draws; twice the Monte Carlo error exceeds half a unit of the first digit of u (JCGM 101, 7.9)."
 )
 _NO_POSTERIOR: dict[record.NumberWithheld, str] = {
@@ -87,9 +87,12 @@ def stated(found: record.ReportedEstimate) -> tuple[str, str, str, str]:
         return NO_NUMBER, _NO_POSTERIOR[found.withheld or "no_draws"], NO_NUMBER, NO_NUMBER
     if found.exact:
         return rounded((found.estimate,), None)[0], "0", "", ""
-    values = (found.estimate, found.standard_uncertainty, found.low, found.high)
-    estimate, u, low, high = with_digits(values, found.standard_uncertainty, found.monte_carlo)
-    return estimate, u, low, high
+    u, error = found.standard_uncertainty, found.monte_carlo
+    estimate, written = with_digits((found.estimate, u), u, error)
+    if error is not None and error.digits == 0:
+        return estimate, written, NO_NUMBER, NO_NUMBER
+    low, high = rounded((found.low, found.high), _last_place(found))
+    return estimate, written, low, high
 
 
 Stated = record.ReportedEstimate | record.LimitOutcome
@@ -105,10 +108,24 @@ def value_text(found: Stated) -> str:
         return rounded((found.estimate,), None)[0]
     if error.digits == 0:
         return ": ".join(with_digits((), u, error))
-    expanded = found.expanded_uncertainty or 1.96 * u
-    step = expanded * (1 if error.expanded_digits == 2 else 10)
+    expanded, step = found.expanded_uncertainty or 1.96 * u, _last_place(found)
     y, whole, low, high = rounded((found.estimate, _not_below(expanded, step), found.low, found.high), step)
     return f"{y} ± {whole}" if found.interval == "symmetric" else f"{y} [{low}; {high}]"
+
+
+def _last_place(found: Stated) -> float:
+    """Return a number whose second digit has the last place of what is stated with U."""
+    expanded = found.expanded_uncertainty or 1.96 * (found.standard_uncertainty or 0.0)
+    return expanded * (10 if found.monte_carlo is not None and found.monte_carlo.expanded_digits == 1 else 1)
+
+
+def digits_text(lines: Sequence[Stated]) -> str:
+    """Return in how many digits u and U of a table are stated, those with one by name, and why others are withheld."""
+    errors = [(line.name, line.monte_carlo) for line in lines if line.monte_carlo is not None]
+    few = [name for name, error in errors if error.digits and 1 in (error.digits, error.expanded_digits)]
+    said = "u and U have two significant digits (GUM 7.2.6)"
+    said += f", and one where the Monte Carlo error supports no more: {enumerated(few)}." if few else "."
+    return f"{said} {_WITHHELD_NUMBER}" if any(not error.digits for _, error in errors) else said
 
 
 def _not_below(expanded: float, step: float) -> float:
