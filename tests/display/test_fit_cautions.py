@@ -6,11 +6,12 @@ import pytest
 import synthetic_results as made
 
 from imubayes.adequacy.adequacy_record import KnownNoiseFit, NoiseComparison, NoiseViolation
-from imubayes.display.fit_cautions import alarm_of, next_command, notices
+from imubayes.display.fit_cautions import alarm_of, exact_lines, next_command, notices
 from imubayes.display.fit_report import summary_html, summary_report
 from imubayes.display.layout import report_text
 from imubayes.inference.identifiability import ImplausibleEstimate, UnexplainedOutput
-from imubayes.results.summary import PriorScatter, Summary
+from imubayes.model.model_file import UncertainEquipment
+from imubayes.results.summary import DerivedSummary, PriorScatter, Summary
 
 GAIN = "injection_error.gain[ax]"
 VIOLATIONS = (
@@ -41,6 +42,31 @@ def test_the_last_lines_repeat_the_outcome(plain):
         "Converged, but the intervals cannot be trusted; the first line says why.",
         "The fit did not converge; the first line says why.",
     ]
+
+
+def test_what_the_intervals_take_as_exact_is_said_where_it_matters(plain):
+    gravity = UncertainEquipment(
+        effect="gravity_anomaly", parameter="gravity_anomaly.anomaly[all]", unit="ug", size=50.0, stated=False
+    )
+    rate = UncertainEquipment(
+        effect="table_rate_error", parameter="table_rate_error.rate_error[t]", unit="ppm", size=4.0, stated=True
+    )
+    scale = DerivedSummary(name="scale_factor[ax]", unit="pulse/s per g", mean=2e4, sd=0.2)
+
+    def said(exact, sd: float) -> str:
+        derived = (scale.model_copy(update={"sd": sd}),)
+        return " ".join(exact_lines(plain.model_copy(update={"exact": exact, "derived": derived})))
+
+    assert said((), 0.2) == ""
+    told = said((gravity,), 0.2)
+    assert "No uncertainty above contains gravity anomaly (u = 50 µg, assumed for normal gravity)" in told
+    assert "scale_factor[ax] has 10 ppm here, and 51 ppm with it" in told
+    assert said((gravity,), 20.0) == ""  # 1000 ppm: nothing that 50 ppm would change
+    stated = said((gravity, rate), 20.0)
+    assert "table rate error (u = 4.0 ppm, stated)" in stated
+    assert "gravity" not in stated
+    closing = " ".join(summary_report(plain.model_copy(update={"exact": (rate,)})).closing)
+    assert "table rate error" in closing
 
 
 def test_noise_that_contradicts_what_is_known_precedes_everything(plain):

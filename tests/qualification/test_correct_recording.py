@@ -11,6 +11,8 @@ import pytest
 from imubayes.api import correct, fit, onboard_constants
 from imubayes.campaign import load_campaign
 from imubayes.campaign.run_tables import RowBatch
+from imubayes.display.corrected_readings import correction_lines
+from imubayes.display.onboard.formats import heading
 from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
@@ -101,6 +103,29 @@ def test_a_recording_that_was_left_out_is_right_within_the_systematic_uncertaint
         assert np.abs(score).max() < 4, name
         # Fault planted: a tenth of the uncertainty would not cover the errors.
         assert np.abs(10 * score).max() > 4, name
+
+
+def test_gravity_that_nobody_measured_is_in_what_is_stated(result, tmp_path, monkeypatch):
+    """The campaign has normal gravity, u = 50 µg, taken as exact by the model: at rest all poses share its error."""
+    pl.DataFrame({**true_outputs(np.zeros((9, 3)), attitudes(9)), "samples": np.full(9, 10**8)}).write_csv(
+        tmp_path / "new.csv"
+    )
+    rests = {}
+    for name in ("with", "without"):
+        told = correction_lines(correct(result, tmp_path / "new.csv", tmp_path / "out.csv"))
+        constants = onboard_constants(result)
+        spread = pl.read_csv(tmp_path / "out.csv")["force_norm_systematic_sd_m_s2"].to_numpy()
+        rests[name] = spread, constants.sd("M[z,az]"), constants.sd("M[z,gz]"), told, heading(constants, ())
+        monkeypatch.setattr("imubayes.qualification.onboard.response.included_shifts", lambda fit: ())
+    (sd, scale, gyro, told, head), (own, own_scale, own_gyro, silent, bare) = rests.values()
+    assert np.sqrt(sd**2 - own**2) == pytest.approx(50e-6 * G, rel=0.05)
+    assert np.sqrt(scale**2 - own_scale**2) == pytest.approx(50e-6, rel=0.05)
+    assert gyro == pytest.approx(own_gyro, rel=1e-3)
+    named = "gravity anomaly (u = 50 µg, assumed for normal gravity), taken as exact by the model"
+    assert named in told[-1]
+    assert named in " ".join(head)
+    assert named not in " ".join((*silent, *bare))
+    assert result.summary.exact[0].size == 50
 
 
 def test_missing_cells_and_other_columns_are_kept(result, tmp_path):

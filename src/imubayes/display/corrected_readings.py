@@ -1,8 +1,10 @@
 """What was made of a corrected recording, in sentences."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
+from imubayes.display.fit_cautions import exact_text
 from imubayes.foundations.covariates import COVARIATES
+from imubayes.model.model_file import UncertainEquipment
 from imubayes.qualification.onboard.inputs_along_axes import CalibratedInputs
 from imubayes.qualification.onboard.record import UnexpressedEffect
 from imubayes.qualification.onboard.recording_files import CorrectedRecording
@@ -26,6 +28,11 @@ def left_in_lines(left_in: Iterable[UnexpressedEffect], uncertainty: str) -> lis
             said += f": up to {effect.size:.2g} ± {effect.sd:.1g} {_UNITS[effect.kind]} {where}; {uncertainty} has it"
         lines.append(said)
     return lines
+
+
+def taken_as_exact_lines(exact: Sequence[UncertainEquipment], uncertainty: str) -> list[str]:
+    """Return what the model takes as exact and an uncertainty contains nevertheless, as a line; none for nothing."""
+    return [f"note: {uncertainty} contains {exact_text(exact)}, taken as exact by the model"] * bool(exact)
 
 
 def beyond_lines(beyond: Mapping[str, int], ranges: Mapping[str, tuple[float, float]]) -> list[str]:
@@ -64,12 +71,14 @@ def correction_lines(found: CorrectedRecording) -> list[str]:
     lines += beyond_lines(tally.beyond, found.ranges)
     if found.slow_noise:
         lines.append(f"note: {', '.join(found.slow_noise)} is in neither uncertainty")
-    return [*lines, *left_in_lines(found.uncorrected, "the systematic uncertainty")]
+    uncertainty = "the systematic uncertainty"
+    return [*lines, *left_in_lines(found.uncorrected, uncertainty), *taken_as_exact_lines(found.exact, uncertainty)]
 
 
 def inputs_lines(found: CalibratedInputs, nothing_across: bool) -> list[str]:
     """Return what to know about inputs along the axes of channels, one sentence each."""
     lines = [*beyond_lines(found.beyond, found.ranges), *left_in_lines(found.left_in, "the uncertainty")]
+    lines += taken_as_exact_lines(found.exact, "the uncertainty")
     if found.left_in and not nothing_across:
         lines.append("note: each channel was treated alone; if there was no input across its axis, say --along-axes")
     return lines

@@ -14,7 +14,7 @@ from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, percent, pretty, relation, significant, value_and_sd
 from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival
 from imubayes.inference.identifiability import ImplausibleEstimate, PriorConflict, UnexplainedOutput
-from imubayes.model.model_file import SingleRunEffect
+from imubayes.model.model_file import GRAVITY, SingleRunEffect, UncertainEquipment
 from imubayes.results.summary import PriorScatter, RunSummary, Summary
 
 _WORDS = {
@@ -26,6 +26,8 @@ _WORDS = {
     "quantisation": "the output is quantised too coarsely for its noise",
 }
 _MOST_NAMED = 3
+# Ratio of uncertainties from which on what is taken as exact is told.
+_MATTERS = 1.1
 
 
 def violation_text(violations: Sequence[NoiseViolation]) -> str:
@@ -148,6 +150,45 @@ def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:
         f"{each.effect} is left out, with one run of {listed(each.channels, 4)}: uncertainties hold within that run "
         "and do not include repeatability from run to run, which more runs, or a prior of it in the model, would tell."
         for each in found
+    )
+
+
+def exact_text(found: Sequence[UncertainEquipment]) -> str:
+    """Return what is taken as exact and is not: each effect with its largest size, and where that comes from."""
+    largest = {each.effect: each for each in sorted(found, key=lambda each: each.size)}
+    return ", ".join(
+        f"{each.effect.replace('_', ' ')} (u = {significant(each.size, 2)} {pretty(each.unit)}, "
+        f"{'stated' if each.stated else 'assumed for normal gravity'})"
+        for each in largest.values()
+    )
+
+
+def exact_lines(summary: Summary) -> tuple[str, ...]:
+    """Return the line that says what the intervals take as exact of site and equipment; none where none matters.
+
+    An error of gravity is one of all accelerometer scale factors that were found from it.
+    """
+    gravity = next((each for each in summary.exact if each.effect == GRAVITY and not each.stated), None)
+    scales = [
+        (each.sd / abs(each.mean) * 1e6, each.name)
+        for each in summary.derived
+        if each.name.startswith("scale_factor[")
+        and each.unit.endswith((" per g", " per m/s^2"))
+        and each.mean
+        and each.sd
+    ]
+    own, name = min(scales, default=(math.inf, ""))
+    matters = gravity is not None and math.hypot(1, gravity.size / own) > _MATTERS
+    known = [each for each in summary.exact if each.stated or matters]
+    if not known:
+        return ()
+    effect = ""
+    if gravity is not None and matters:
+        whole = significant(math.hypot(own, gravity.size), 2)
+        effect = f" {name} has {significant(own, 2)} ppm here, and {whole} ppm with it where it was found from gravity."
+    return (
+        f"No uncertainty above contains {exact_text(known)}, taken as exact by the model; those of `imubayes report`, "
+        f"`export` and `apply` do.{effect}",
     )
 
 

@@ -11,7 +11,14 @@ from imubayes.display.classical_comparison import (
     decision_sheet,
     undetermined_sheet,
 )
-from imubayes.display.fit_cautions import alarm_of, chi2_text, conflict_sheet, disagreement_lines, notices
+from imubayes.display.fit_cautions import (
+    alarm_of,
+    chi2_text,
+    conflict_sheet,
+    disagreement_lines,
+    exact_lines,
+    notices,
+)
 from imubayes.display.layout import Report, Sheet, render
 from imubayes.display.loop.history import provenance_line
 from imubayes.display.numbers_and_labels import listed, percent
@@ -42,7 +49,7 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     )
     # A warning stands on the first line, above the first table; nothing comes before it.
     said, alarm = notices(summary), alarm_of(summary)
-    closings = (*weak, *disagreement_lines(summary), closing)
+    closings = (*weak, *disagreement_lines(summary), *exact_lines(summary), closing)
     if not alarm:
         return Report(said, sheets, closings)
     quiet = [sheet.changed(alarm="") if isinstance(sheet, Sheet) else sheet for sheet in sheets]

@@ -53,6 +53,27 @@ class SingleRunEffect(Record):
     channels: tuple[str, ...]
 
 
+GRAVITY = "gravity_anomaly"
+"""The effect that is an error of gravity."""
+
+
+class UncertainEquipment(Record):
+    """A parameter of equipment that is not exact, and that a model takes as exact.
+
+    Attributes
+    ----------
+    effect, parameter : what describes it, and its parameter as the model would name it.
+    unit, size : its standard uncertainty.
+    stated : whether the campaign states that; else it is the one that normal gravity has.
+    """
+
+    effect: str
+    parameter: str
+    unit: str
+    size: float
+    stated: bool
+
+
 @dataclass(frozen=True)
 class PriorCorrelation:
     """Correlation of the priors of noise parameters, of their logarithms where these are lognormal.

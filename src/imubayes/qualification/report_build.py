@@ -33,8 +33,9 @@ from imubayes.qualification.report_pictures import (
 )
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.standard_quantities import digital_unit, standard_symbol
-from imubayes.qualification.taken_as_exact import TakenAsExact, is_normal_gravity
+from imubayes.qualification.taken_as_exact import TakenAsExact
 from imubayes.qualification.unit_under_test import TestedUnit
+from imubayes.responses.uncertain_equipment import is_normal_gravity
 from imubayes.results.change_records import read_diagnosis
 from imubayes.results.fit_file import software
 from imubayes.results.folder_files import HISTORY, checked

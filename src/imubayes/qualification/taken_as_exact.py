@@ -13,26 +13,25 @@ uncertainty, and by normal gravity, which nobody measured.  The others are liste
 passes on a quantity that all of them together could put beyond its limit.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise_fit import whitened_rows
-from imubayes.foundations.campaign_data import Campaign, Site
-from imubayes.foundations.earth import normal_gravity
 from imubayes.foundations.records import Record
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import inverse_of_precision
+from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.problem import prior_widths
 from imubayes.qualification.budget_parts import Source, posterior_covariance
 from imubayes.qualification.uncertainty_budget import SOURCES
 from imubayes.responses.candidate_effects import Coefficient, Response, candidate_responses, stated_size
+from imubayes.responses.uncertain_equipment import uncertain_equipment
 
-GRAVITY = "gravity_anomaly"
-# Share of a standard uncertainty below which a shift is not kept: it would widen it by a hundredth of a per cent.
-_LEAST = 0.015
+LEAST_SHIFT = 0.015
+"""Share of a standard uncertainty below which a shift is not kept: it would widen it by a hundredth of a per cent."""
 
 
 class QuantityShift(Record):
@@ -140,10 +139,17 @@ class ExactEquipment:
             own[name] = float(np.sqrt(np.sum((rows @ self.covariance) * rows)))
             shifts[name] = along[0] if len(rows) == 1 else np.linalg.norm(along, axis=0)
             rest = np.sum((rows @ self.response @ whole) ** 2) - np.sum(shifts[name][self.included] ** 2)
-            if rest > (_LEAST * own[name]) ** 2:
+            if rest > (LEAST_SHIFT * own[name]) ** 2:
                 unstated.append(QuantityShift(name=name, value=float(np.sqrt(rest))))
         inputs = (self._input(k, float(np.linalg.norm(factor[k])), shifts, own) for k in range(len(sizes)))
         return TakenAsExact(inputs=tuple(each for each in inputs if each.shifts), unstated=tuple(unstated))
+
+    @property
+    def included_shifts(self) -> np.ndarray:
+        """What one standard deviation of each included parameter, beside those before it, does to z, (K, P)."""
+        precision = self.told + np.diag(np.array([each.size for each in self.parameters]) ** -2.0)
+        inside = self._factor(precision[np.ix_(self.included, self.included)])
+        return (self.response[:, self.included] @ inside).T
 
     @staticmethod
     def _factor(precision: np.ndarray) -> np.ndarray:
@@ -164,20 +170,20 @@ class ExactEquipment:
             shifts=tuple(
                 QuantityShift(name=name, value=float(values[place]))
                 for name, values in shifts.items()
-                if abs(values[place]) > _LEAST * own[name]
+                if abs(values[place]) > LEAST_SHIFT * own[name]
             ),
         )
 
 
-def is_normal_gravity(site: Site) -> bool:
-    """Tell whether gravity is that of the ellipsoid at latitude and height, which nobody measured at the site."""
-    return site.gravity == normal_gravity(site.latitude, site.height)
+def exact_equipment(fit: Fit, effects: Sequence[str] = tuple(SOURCES)) -> ExactEquipment:
+    """Return what the model of a fit takes as exact, linearised about its mode.
 
-
-def exact_equipment(fit: Fit) -> ExactEquipment:
-    """Return what the model of a fit takes as exact, linearised about its mode."""
+    Parameters
+    ----------
+    effects : that are looked at.
+    """
     problem, size = fit.model.problem, len(fit.z)
-    responses = candidate_responses(fit, only=tuple(SOURCES))
+    responses = candidate_responses(fit, only=tuple(effects))
     listed = [each for response in _first_shapes(responses.candidates) for each in _parameters(fit, response)]
     columns = [column for _, column in listed]
     joined = np.concatenate([responses.jacobian, np.reshape(columns, (len(columns), -1)).T], axis=1) if columns else (
@@ -193,13 +199,40 @@ def exact_equipment(fit: Fit) -> ExactEquipment:
     rest = whole - basis @ along
     covariance = posterior_covariance(own, widths) if size else np.zeros((0, 0))
     parameters = tuple(each for each, _ in listed)
-    included = np.array([each.stated or _is_unmeasured(each, fit.model.campaign) for each in parameters], dtype=bool)
+    uncertain = {each.parameter for each in uncertain_equipment(fit)}
+    included = np.array([each.coefficient.parameter.name in uncertain for each in parameters], dtype=bool)
     return ExactEquipment(parameters, included, np.linalg.solve(upper, along), rest.T @ rest, covariance)
 
 
-def _is_unmeasured(parameter: _Parameter, campaign: Campaign) -> bool:
-    """Tell whether a parameter is the error of a gravity that nobody measured."""
-    return parameter.effect == GRAVITY and is_normal_gravity(campaign.site)
+def included_shifts(fit: Fit) -> tuple[tuple[UncertainEquipment, np.ndarray], ...]:
+    """Return what is in uncertainties although a model takes it as exact, each with what one sd does to z, (P,)."""
+    listed = uncertain_equipment(fit)
+    if not listed or not len(fit.z):
+        return ()
+    exact = exact_equipment(fit, tuple({each.effect for each in listed}))
+    known = {each.parameter: each for each in listed}
+    names = [
+        each.coefficient.parameter.name for each, ours in zip(exact.parameters, exact.included, strict=True) if ours
+    ]
+    return tuple((known[name], shift) for name, shift in zip(names, exact.included_shifts, strict=True))
+
+
+def with_included(
+    draws: np.ndarray, shifts: Iterable[tuple[UncertainEquipment, np.ndarray]]
+) -> tuple[np.ndarray, tuple[UncertainEquipment, ...]]:
+    """Return draws (S, A) that contain what shifts them, each by its vector (A,) for one sd, and what of it matters."""
+    own, matters = draws.std(axis=0), []
+    for place, (each, shift) in enumerate(shifts):
+        if np.any(np.abs(shift) > LEAST_SHIFT * own):
+            matters.append(each)
+            draws = draws + np.outer(standard_draws(place, len(draws)), shift)
+    return draws, tuple(matters)
+
+
+def standard_draws(place: int, count: int) -> np.ndarray:
+    """Return draws with the mean 0 and the standard deviation 1, the same for the same input by its place; (count,)."""
+    normal = np.random.default_rng([20260501, place]).standard_normal(count)
+    return (normal - normal.mean()) / (normal.std() or 1.0)
 
 
 def _first_shapes(candidates: Sequence[Response]) -> Iterator[Response]:

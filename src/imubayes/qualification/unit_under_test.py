@@ -15,7 +15,7 @@ from imubayes.qualification.posterior_quantities import (
     with_combinations,
 )
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
-from imubayes.qualification.taken_as_exact import ExactInput, TakenAsExact
+from imubayes.qualification.taken_as_exact import ExactInput, TakenAsExact, standard_draws
 from imubayes.qualification.temperature_range import ThermalModel, thermal_model
 from imubayes.results.result import Result
 from imubayes.results.summary import Quantity, is_constant
@@ -108,10 +108,9 @@ def widened(known: PosteriorQuantities, exact: Sequence[ExactInput]) -> Posterio
     for place, each in enumerate(exact):
         for shift in each.shifts:
             if shift.name in draws:
-                # The same draws give the same report, and one parameter moves all quantities together.
-                normal = np.random.default_rng([20260501, place]).standard_normal(len(draws[shift.name]))
-                # It moves no estimate, and has its standard deviation exactly.
-                draws[shift.name] = draws[shift.name] + shift.value * (normal - normal.mean()) / normal.std()
+                # One parameter moves all quantities together, and no estimate.
+                moved = shift.value * standard_draws(place, len(draws[shift.name]))
+                draws[shift.name] = draws[shift.name] + moved
     for name, values in draws.items():
         share, before = entries[name].from_data, np.nanvar(known.draws[name])
         if share is not None and before > 0:

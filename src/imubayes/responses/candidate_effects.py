@@ -160,10 +160,7 @@ def candidate_responses(fitted: Fit, only: Sequence[str] = (), about: Linearisat
     ----------
     about : where candidates are linearised; those that it does not name at their nulls.
     """
-    acting, unobservable = _candidates(fitted)
-    if only:
-        acting = tuple(effect for effect in acting if effect.name in only)
-    return _linearised_with(fitted, acting, unobservable, about)
+    return _linearised_with(fitted, *lacking_effects(fitted, only), about)
 
 
 def _linearised_with(
@@ -248,13 +245,20 @@ def fitting_channels(member: EffectClass, campaign: Campaign) -> list[str]:
     return [channel.name for channel in campaign.channels if channel.kind in member.kinds]
 
 
-def _candidates(fitted: Fit) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[str, ...]]]:
-    """Return every effect that the model lacks, on the channels that lack it, and the effects that no run can show."""
+def lacking_effects(
+    fitted: Fit, only: Sequence[str] = ()
+) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[str, ...]]]:
+    """Return every effect that the model lacks, on the channels that lack it, and the effects that no run can show.
+
+    Parameters
+    ----------
+    only : names of the effects to look at; all where empty.
+    """
     model = fitted.model
     acting: list[BoundEffect] = []
     unobservable: dict[str, tuple[str, ...]] = {}
     for member in searchable(model.registry):
-        spec = _spec(member, fitted)
+        spec = _spec(member, fitted) if not only or member.name in only else None
         if spec is None:
             continue
         try:
@@ -363,11 +367,15 @@ def _linear(effect: BoundEffect) -> list[Parameter]:
 def _response(effect: BoundEffect, extended: _Extended, at: _Linearised, scan_place: int) -> Response:
     grid = extended.grid(effect)
     shape = grid[scan_place] if grid else {}
-    linear = _linear(effect)
-    places = [extended.places[parameter.name] for parameter in linear]
-    coefficients = tuple(
-        Coefficient(parameter, ",".join(parameter.label), parameter.typical, effect.declared[parameter.field].null)
-        for parameter in linear
-    )
-    factors = np.array([parameter.factor for parameter in linear])
+    coefficients = coefficients_of(effect)
+    places = [extended.places[each.parameter.name] for each in coefficients]
+    factors = np.array([each.parameter.factor for each in coefficients])
     return Response(ShapeScan(effect.name, shape), coefficients, at.columns(places) * factors)
+
+
+def coefficients_of(effect: BoundEffect) -> tuple[Coefficient, ...]:
+    """Return the coefficients of an effect."""
+    return tuple(
+        Coefficient(parameter, ",".join(parameter.label), parameter.typical, effect.declared[parameter.field].null)
+        for parameter in _linear(effect)
+    )

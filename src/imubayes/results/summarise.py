@@ -47,6 +47,7 @@ from imubayes.model.derived_quantities import DerivedQuantity, derived_jacobian
 from imubayes.procedures import declared_combinations
 from imubayes.procedures.converter_temperature import THRESHOLD
 from imubayes.procedures.fitted_terms import written
+from imubayes.responses.uncertain_equipment import uncertain_equipment
 from imubayes.results.fit_file import provenance
 from imubayes.results.stored_tables import Residuals
 from imubayes.results.summary import (
@@ -186,6 +187,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         prior_scatter=prior_scatter(fit),
         doubted_runs=doubted_runs(fit),
         left_out=model.left_out,
+        exact=uncertain_equipment(fit),
         parameters=parameters,
         derived=derived,
         runs=residuals.by_run_and_channel(),

@@ -22,7 +22,7 @@ from imubayes.inference.identifiability import (
     UnexplainedOutput,
     WeakDirection,
 )
-from imubayes.model.model_file import SingleRunEffect
+from imubayes.model.model_file import SingleRunEffect, UncertainEquipment
 
 _INTERVAL = (2.5, 97.5)
 # A quantity that varies by less than this share of itself varies by rounding.
@@ -214,6 +214,7 @@ class Summary(Record):
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
     doubted_runs : runs that the others do not predict at the noise known before the fit.
     left_out : effects between runs that one run of a channel cannot tell: not in the model, nor in the intervals.
+    exact : what the campaign says is not exact of site and equipment, and the model takes as exact: in no interval.
     combinations : what is determined of the members of weak directions.
     pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.
     """
@@ -239,6 +240,7 @@ class Summary(Record):
     prior_scatter: tuple[PriorScatter, ...] = ()
     doubted_runs: tuple[DoubtedRun, ...] = ()
     left_out: tuple[SingleRunEffect, ...] = ()
+    exact: tuple[UncertainEquipment, ...] = ()
     parameters: tuple[ParameterSummary, ...]
     derived: tuple[DerivedSummary, ...]
     runs: tuple[RunSummary, ...]

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from imubayes.display.fit_cautions import exact_text
 from imubayes.display.onboard.noise_yaml import KALIBR_NAMES, density_lines, yaml_number
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.units import BIAS_CONVENTION
@@ -70,7 +71,8 @@ def heading(constants: OnboardConstants, found: Sequence[Loss]) -> list[str]:
     lines = [
         f"Constants of {of}, model {constants.model}; imubayes {constants.version}.",
         f"Data {constants.data_sha256[:16]}, model {constants.model_sha256[:16]}.",
-        "Uncertainties: one standard deviation of the joint posterior.",
+        "Uncertainties: one standard deviation of the joint posterior"
+        + (f", with {exact_text(constants.exact)}, taken as exact by the model." if constants.exact else "."),
         BIAS_CONVENTION,
     ]
     if not constants.intervals_valid:

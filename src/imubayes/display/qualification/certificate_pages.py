@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from imubayes.display.numbers_and_labels import pretty, significant
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
+from imubayes.model.model_file import GRAVITY
 from imubayes.qualification.certificate import (
     Certificate,
     Environment,
@@ -13,7 +14,6 @@ from imubayes.qualification.certificate import (
     Party,
 )
 from imubayes.qualification.report_record import QualificationReport
-from imubayes.qualification.taken_as_exact import GRAVITY
 
 _NOT_STATED = "not stated"
 _MISSING: dict[MissingItem, str] = {

@@ -113,6 +113,7 @@ def onboard_constants(result: Result) -> onboard.OnboardConstants:
         covariance=_covariance(triads),
         not_determined=_not_determined(constants),
         weak_directions=summary.weak_directions,
+        exact=posterior.exact,
         unexpressed=unexpressed.unexpressed_effects(result, posterior, spans),
         slow_noise=noise.slow,
         conventions=onboard.CONVENTIONS,

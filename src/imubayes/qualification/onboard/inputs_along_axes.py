@@ -24,6 +24,7 @@ from imubayes.foundations.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
+from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.problem import Problem, values_of
 from imubayes.model.sensitive_axes import SensitivityInputs, acting_on, inputs_of
 from imubayes.qualification.onboard.correct_recording import (
@@ -35,6 +36,7 @@ from imubayes.qualification.onboard.correct_recording import (
 from imubayes.qualification.onboard.record import UnexpressedEffect
 from imubayes.qualification.onboard.response import TEMPERATURES, sensor_posterior, temperature_ranges
 from imubayes.qualification.onboard.unexpressed_effects import Acting, input_ranges, uncorrected_effects
+from imubayes.qualification.taken_as_exact import included_shifts, with_included
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import complete, draws_of, thinned
 
@@ -53,12 +55,14 @@ class CalibratedInputs:
     beyond : temperature → rows outside its calibrated range.
     ranges : temperature → calibrated range, °C.
     left_in : effects that are not taken out; what they may do is in both uncertainties.
+    exact : what the model takes as exact of site and equipment; it is in both uncertainties nevertheless.
     """
 
     table: pl.DataFrame
     beyond: Mapping[str, int]
     ranges: Mapping[str, tuple[float, float]]
     left_in: tuple[UnexpressedEffect, ...]
+    exact: tuple[UncertainEquipment, ...] = ()
 
 
 def inputs_along_axes(
@@ -96,7 +100,8 @@ def inputs_along_axes(
         kind: np.stack([_numbers(readings, channel.name, 0.0) for channel in campaign.of_kind(kind)], axis=1)
         for kind in fit.derived.derivation.inputs.channels
     }
-    mean, spread = _inverted(fit, _draws(result), outputs, felt)
+    draws, exact = _draws(result)
+    mean, spread = _inverted(fit, draws, outputs, felt)
     samples = _numbers(readings, "samples", 1.0)
     left_in = effects_left_in(result, channels, nothing_across)
     noise = reading_noise(result, channels)
@@ -108,7 +113,7 @@ def inputs_along_axes(
         shared = math.hypot(noise.run_sd[channel.name], left_in_sd(left_in, channel)) / scale
         found, own = mean[channel.kind][:, place], np.hypot(spread[channel.kind][:, place], shared)
         columns += _columns(channel, campaign.site.gravity, found, own, white)
-    return CalibratedInputs(readings.with_columns(columns), beyond, ranges, left_in)
+    return CalibratedInputs(readings.with_columns(columns), beyond, ranges, left_in, exact)
 
 
 def effects_left_in(result: Result, channels: Sequence[Channel], nothing_across: bool) -> tuple[UnexpressedEffect, ...]:
@@ -205,8 +210,8 @@ def _temperatures(readings: pl.DataFrame, ranges: dict[str, tuple[float, float]]
     return np.stack(found, axis=1), beyond
 
 
-def _draws(result: Result) -> np.ndarray:
-    """Return draws of the parameters in z, shape (S, P).
+def _draws(result: Result) -> tuple[np.ndarray, tuple[UncertainEquipment, ...]]:
+    """Return draws of the parameters in z, shape (S, P), with what a report includes of site and equipment; and that.
 
     Raises
     ------
@@ -216,7 +221,8 @@ def _draws(result: Result) -> np.ndarray:
     layout = result.fit.model.layout
     found = thinned(complete(draws_of(result.posterior, layout.names)), _MOST_DRAWS)
     values = np.stack([found[name] for name in layout.names], axis=1)
-    return np.stack([layout.z_of(row) for row in values])
+    points = np.stack([layout.z_of(row) for row in values])
+    return with_included(points, included_shifts(result.fit))
 
 
 @kept

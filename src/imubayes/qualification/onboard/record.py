@@ -13,6 +13,7 @@ import numpy as np
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.inference.identifiability import WeakDirection
+from imubayes.model.model_file import UncertainEquipment
 
 
 class ThermalPowers(Record):
@@ -168,6 +169,7 @@ class OnboardConstants(Record):
     covariance : of the constants, in their order and units.
     not_determined : constants that were not measured.
     weak_directions : of the parameters, as in `summary.json`.
+    exact : what the model takes as exact of site and equipment; the uncertainties contain it nevertheless.
     """
 
     format: Literal[1] = 1
@@ -189,6 +191,7 @@ class OnboardConstants(Record):
     covariance: tuple[tuple[float, ...], ...]
     not_determined: tuple[str, ...]
     weak_directions: tuple[WeakDirection, ...]
+    exact: tuple[UncertainEquipment, ...] = ()
     unexpressed: tuple[UnexpressedEffect, ...]
     slow_noise: tuple[str, ...]
     conventions: tuple[Convention, ...]

@@ -16,6 +16,7 @@ from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.files import replacing
+from imubayes.model.model_file import UncertainEquipment
 from imubayes.qualification.onboard.correct_recording import RowTally, correction_of, not_given
 from imubayes.qualification.onboard.record import UnexpressedEffect
 from imubayes.qualification.onboard.response import TEMPERATURES
@@ -58,6 +59,7 @@ class CorrectedRecording:
     slow_noise : noise that changes within a recording and is in neither uncertainty.
     uncorrected : effects of the model that are left in, with the size that they may have.
     lacking : channels of the unit that the recording lacks.
+    exact : what the model takes as exact of site and equipment; the systematic uncertainty contains it nevertheless.
     """
 
     kinds: tuple[str, ...]
@@ -66,6 +68,7 @@ class CorrectedRecording:
     slow_noise: tuple[str, ...]
     uncorrected: tuple[UnexpressedEffect, ...]
     lacking: tuple[Channel, ...] = ()
+    exact: tuple[UncertainEquipment, ...] = ()
 
 
 def open_recording(
@@ -186,7 +189,13 @@ def correct_recording(
             raise input_error("the recording has no rows", recording.where, "a header and rows", "record it again")
     lacking = tuple(c for c in correction.posterior.campaign.channels if c.name not in recording.header)
     return CorrectedRecording(
-        correction.kinds, tally, correction.ranges, correction.noise.slow, correction.left_in, lacking
+        correction.kinds,
+        tally,
+        correction.ranges,
+        correction.noise.slow,
+        correction.left_in,
+        lacking,
+        correction.posterior.exact,
     )
 
 

@@ -24,8 +24,11 @@ from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.foundations.errors import input_error
+from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.nodes_and_entries import KINDS
 from imubayes.model.sensitive_axes import SensitivityInputs, outputs_in_body
+from imubayes.parameters.declarations import prior_slopes
+from imubayes.qualification.taken_as_exact import included_shifts, with_included
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import complete, draws_of, thinned
 
@@ -47,6 +50,7 @@ class SensorPosterior:
     places : shape (A,), their places in the vector of values.
     draws : shape (S, A), SI.
     values : shape (V,), all values, SI, with the parameters at their posterior means.
+    exact : what the model takes as exact of site and equipment and the draws contain nevertheless.
     """
 
     campaign: Campaign
@@ -55,6 +59,7 @@ class SensorPosterior:
     places: np.ndarray
     draws: np.ndarray
     values: np.ndarray
+    exact: tuple[UncertainEquipment, ...] = ()
 
     @cached_property
     def factor(self) -> np.ndarray:
@@ -99,7 +104,7 @@ def temperature_ranges(campaign: Campaign) -> dict[str, tuple[float, float]]:
 
 
 def sensor_posterior(result: Result) -> SensorPosterior:
-    """Return the posterior of a unit's sensors and converters.
+    """Return the posterior of a unit's sensors and converters, with what a report includes of site and equipment.
 
     Raises
     ------
@@ -121,7 +126,10 @@ def sensor_posterior(result: Result) -> SensorPosterior:
     draws = np.stack([found[name] for name in names], axis=1) * factors if names else np.zeros((1, 0))
     values = np.concatenate([np.zeros(count), np.asarray(model.problem.nulls)])
     values[places] = draws.mean(axis=0)
-    return SensorPosterior(model.campaign, inputs, names, places, draws, values)
+    slopes = np.asarray(prior_slopes(model.problem.priors, jnp.asarray(result.fit.z)))[places]
+    shifts = [(each, shift[places] * slopes) for each, shift in included_shifts(result.fit)]
+    draws, exact = with_included(draws, shifts)
+    return SensorPosterior(model.campaign, inputs, names, places, draws, values, exact)
 
 
 def prior_values(result: Result, posterior: SensorPosterior) -> np.ndarray | None:

@@ -1,0 +1,40 @@
+"""Equipment that the campaign itself says is not exact, and that the model of a fit takes as exact.
+
+The campaign says so by a stated uncertainty, and by gravity that is normal gravity: that of the ellipsoid, which nobody
+measured at the site.  No uncertainty of the fit contains it.  Report, export and corrected recordings do.
+"""
+
+from imubayes.foundations.campaign_data import Site
+from imubayes.foundations.earth import normal_gravity
+from imubayes.inference.fitted_model import Fit
+from imubayes.model.model_file import GRAVITY, UncertainEquipment
+from imubayes.parameters.declarations import declared_parameters
+from imubayes.responses.candidate_effects import coefficients_of, lacking_effects, stated_size
+
+
+def is_normal_gravity(site: Site) -> bool:
+    """Tell whether gravity is that of the ellipsoid at latitude and height, which nobody measured at the site."""
+    return site.gravity == normal_gravity(site.latitude, site.height)
+
+
+def uncertain_equipment(fit: Fit) -> tuple[UncertainEquipment, ...]:
+    """Return what the campaign of a fit says is not exact and its model takes as exact."""
+    model, found = fit.model, []
+    of_equipment = [
+        name
+        for name, member in model.registry.effects.items()
+        if any(declared.equipment for declared in declared_parameters(member).values())
+    ]
+    for effect in lacking_effects(fit, of_equipment)[0]:
+        assumed = effect.name == GRAVITY and is_normal_gravity(model.campaign.site)
+        for coefficient in coefficients_of(effect):
+            own, stated = coefficient.parameter, stated_size(model, effect.name, coefficient)
+            if stated or (stated is None and assumed):
+                size = own.prior_sd if stated is None else stated
+                found.append(
+                    UncertainEquipment(
+                        effect=effect.name, parameter=own.name, unit=own.shown_unit, size=size,
+                        stated=stated is not None,
+                    )
+                )  # fmt: skip
+    return tuple(found)
