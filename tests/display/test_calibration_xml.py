@@ -67,7 +67,7 @@ G = 9.79
 def estimate(symbol: str, label: str, y: float, u: float, unit: DigitalUnit | None, **others) -> StandardEstimate:
     error = MonteCarloError(
         estimate=u / 100, standard_uncertainty=u / 1000, low=u / 50, high=u / 50, effective=1e4, digits=2,
-        expanded_digits=2, tolerance=u / 10, worst="low", draws_needed=0.1,
+        tolerance=u / 10, worst="low", draws_needed=0.1,
     )  # fmt: skip
     known = {
         "estimate": y, "standard_uncertainty": u, "low": y - 2 * u, "high": y + 2 * u, "interval": "symmetric",

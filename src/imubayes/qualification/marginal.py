@@ -254,13 +254,16 @@ def draws_needed(errors: MonteCarloErrors, uncertainty: float, digits: Digits) -
     return (2 * errors.largest / numerical_tolerance(uncertainty, digits)) ** 2
 
 
-def digits_stated(deserved: Literal[0, 1, 2], uncertainty: float, *errors: float) -> Literal[0, 1, 2]:
-    """Return the significant digits in which an uncertainty is stated: two (GUM 7.2.6) where its draws support these.
+def digits_stated(errors: MonteCarloErrors, uncertainty: float, expanded: float) -> Literal[0, 1, 2]:
+    """Return the significant digits in which u and U are stated: two (GUM 7.2.6) where the draws support these.
 
-    Rounding to one digit may change it by half.  So one stands only where twice a Monte Carlo error, of what is
-    written beside it or of itself, is more than rounding may change it by.
+    Rounding to one digit may change u by half.  So one stands only where twice the Monte Carlo error of estimate or u
+    is more than rounding may change u by, or that of an end of the interval U.  None where JCGM 101 grants none.
     """
-    return 2 if deserved and 2 * max(errors) <= _ROUNDING_SHARE * uncertainty else deserved
+    near = 2 * max(errors.mean, errors.sd) <= _ROUNDING_SHARE * uncertainty
+    two = near and 2 * max(errors.low, errors.high) <= _ROUNDING_SHARE * expanded
+    deserved = digits_deserved(errors, uncertainty).digits
+    return 2 if deserved and two else deserved
 
 
 def digits_deserved(errors: MonteCarloErrors, uncertainty: float) -> DeservedDigits:

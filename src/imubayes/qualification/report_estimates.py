@@ -73,15 +73,13 @@ def _numbers(unit: TestedUnit, name: str) -> dict[str, Any]:
 def monte_carlo_error(stated: Coverage, effective: float) -> record.MonteCarloError:
     """Return the Monte Carlo errors of what is stated of a quantity that varies, and the digits that they leave."""
     deserved, errors = digits_deserved(stated.errors, stated.standard), stated.errors
-    of_expanded = digits_deserved(errors, stated.expanded).digits if deserved.digits else 0
     return record.MonteCarloError(
         estimate=errors.mean,
         standard_uncertainty=errors.sd,
         low=errors.low,
         high=errors.high,
         effective=effective,
-        digits=digits_stated(deserved.digits, stated.standard, errors.mean, errors.sd),
-        expanded_digits=digits_stated(of_expanded, stated.expanded, errors.mean, errors.low, errors.high),
+        digits=digits_stated(errors, stated.standard, stated.expanded),
         tolerance=deserved.tolerance,
         worst=deserved.worst,
         draws_needed=draws_needed(errors, stated.standard, 1),

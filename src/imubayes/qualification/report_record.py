@@ -37,9 +37,8 @@ class MonteCarloError(Record):
     Attributes
     ----------
     effective : number of independent draws that carry as much information.
-    digits : significant digits in which the standard uncertainty is stated; 0 where these errors leave none (JCGM 101,
-        7.9), so that the number is withheld.
-    expanded_digits : those of the expanded uncertainty and of the ends of the interval.
+    digits : significant digits in which the uncertainties are stated; 0 where these errors leave none (JCGM 101, 7.9),
+        so that the number is withheld.
     tolerance : numerical tolerance δ of the digits that JCGM 101 grants; of one digit where the number is withheld.
     worst : what has the largest error.
     draws_needed : how many times the draws would leave one digit, about.
@@ -51,7 +50,6 @@ class MonteCarloError(Record):
     high: float
     effective: float
     digits: Literal[0, 1, 2]
-    expanded_digits: Literal[0, 1, 2] = 0
     tolerance: float
     worst: Statistic
     draws_needed: float

@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from imubayes.display.figure_style import HUES, INK, STYLE, FewTicks
 
 Mood = Literal["", "good", "weak", "bad", "dim"]
-_HYPHEN_AS_MINUS = re.compile(r"(?<![\w.\-+])-(?=\d)")
 # Width of a picture that stands beside another, at most; inches.
 _HALF_PAGE = 5.0
 
@@ -28,15 +27,12 @@ _HALF_PAGE = 5.0
 class Text:
     """Text with its emphasis; in a formula an underscore begins a subscript, ``K_oo``.
 
-    The sign of a negative number is a minus sign.
+    The sign of a negative number is the one of the keyboard, so that programs read a number that was copied.
     """
 
     text: str
     mood: Mood = ""
     formula: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "text", _HYPHEN_AS_MINUS.sub("−", self.text))
 
 
 def texts(*cells: str | Text) -> tuple[Text, ...]:
@@ -162,7 +158,7 @@ class ReportDocument:
 WIDTH = 4.4
 LINES: tuple[Literal["-", "--", "-.", ":"], ...] = ("-", "--", "-.", ":")
 _STYLE = STYLE.copy()
-_STYLE.update({"svg.fonttype": "none", "svg.hashsalt": "imubayes"})
+_STYLE.update({"svg.fonttype": "none", "svg.hashsalt": "imubayes", "axes.unicode_minus": False})
 _REFERENCE = re.compile(r"(?<=#)[A-Za-z][\w-]*")
 _IDENTITY = re.compile(r' id="([^"]+)"')
 _HEADER = re.compile(r"^.*?(?=<svg)|<metadata>.*?</metadata>|<!--.*?-->\n?", re.DOTALL)

@@ -272,7 +272,7 @@ def _combination(names: Sequence[str], weights: Sequence[float], left_out: int) 
     for name, weight in zip(names, weights, strict=True):
         sign = " − " if weight < 0 else " + "
         size = "" if abs(abs(weight) - 1) < 0.05 else f"{abs(weight):.2g}·"
-        text += (sign if text else ("−" if weight < 0 else "")) + size + name
+        text += (sign if text else ("-" if weight < 0 else "")) + size + name
     return text + (f" and {left_out} more" if left_out else "")
 
 

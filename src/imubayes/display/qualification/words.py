@@ -114,15 +114,15 @@ def value_text(found: Stated) -> str:
 
 
 def _last_place(found: Stated) -> float:
-    """Return a number whose second digit has the last place of what is stated with U."""
-    expanded = found.expanded_uncertainty or 1.96 * (found.standard_uncertainty or 0.0)
-    return expanded * (10 if found.monte_carlo is not None and found.monte_carlo.expanded_digits == 1 else 1)
+    """Return a number whose second digit is the last that is stated: that of U, or the first one of u."""
+    u, error = found.standard_uncertainty or 0.0, found.monte_carlo
+    return 10 * u if error is not None and error.digits == 1 else found.expanded_uncertainty or 1.96 * u
 
 
 def digits_text(lines: Sequence[Stated]) -> str:
     """Return in how many digits u and U of a table are stated, those with one by name, and why others are withheld."""
     errors = [(line.name, line.monte_carlo) for line in lines if line.monte_carlo is not None]
-    few = [name for name, error in errors if error.digits and 1 in (error.digits, error.expanded_digits)]
+    few = [name for name, error in errors if error.digits == 1]
     said = "u and U have two significant digits (GUM 7.2.6)"
     said += f", and one where the Monte Carlo error supports no more: {enumerated(few)}." if few else "."
     return f"{said} {_WITHHELD_NUMBER}" if any(not error.digits for _, error in errors) else said
