@@ -1,8 +1,10 @@
 """The certificate block: what a laboratory states is on the pages, what ISO/IEC 17025 asks beside it is listed."""
 
 import datetime
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from imubayes.display.qualification.certificate_pages import missing_section
@@ -19,8 +21,9 @@ from imubayes.display.qualification.document import (
 )
 from imubayes.display.qualification.pdf_file import _blocks, breakable, missing_characters, shown_by_code_points
 from imubayes.display.qualification.report_files import html_page
+from imubayes.foundations.campaign_data import Campaign, Run, Site
 from imubayes.foundations.errors import InputError
-from imubayes.qualification.certificate import Certificate, missing_items, read_certificate
+from imubayes.qualification.certificate import Certificate, Missing, missing_items, read_certificate
 from imubayes.qualification.specification import read_specification
 
 WHOLE = """
@@ -46,6 +49,7 @@ received = 2026-10-28
 
 [[certificate.standard]]
 name = "rate table"
+equipment = ["rate"]
 certificate = "NMI 2026-0815"
 valid_until = 2027-11-02
 
@@ -55,6 +59,7 @@ temperature_degC = [22.6, 23.4]
 [[certificate.signatory]]
 name = "A. Example"
 """
+TABLE = WHOLE[WHOLE.index("[[certificate.standard]]") : WHOLE.index("[certificate.environment]")]
 RUNS = ("2026-11-01T08:00:00+00:00", "2026-11-04T08:00:00+00:00")
 
 
@@ -64,15 +69,26 @@ def written(folder: Path, text: str) -> Path:
     return file
 
 
-def lacking(block: Certificate, serial: str = "U7", runs: tuple[str | None, str | None] = RUNS) -> set[tuple[str, str]]:
-    return {(each.item, each.of) for each in missing_items(block, serial, *runs)}
+def campaign_of(serial: str = "U7", runs: Sequence[str | None] = RUNS, tables: Sequence[str] = ("rate",)) -> Campaign:
+    """A campaign of runs on tables, of which the names and the dates matter; the last one has no table."""
+    site = Site(latitude=0.8, height=500.0, gravity=9.81)
+    made = [
+        Run(f"r{place}", "static_record" if not table else "rate_table", table or None, None, {}, np.zeros((1, 1)),
+            np.ones(1), np.zeros((1, 1)), start)
+        for place, (start, table) in enumerate(zip(runs, (*tables, ""), strict=False))
+    ]  # fmt: skip
+    return Campaign("c", site, (), {}, {}, tuple(made), serial)
+
+
+def lacking(block: Certificate, campaign: Campaign | None = None) -> set[tuple[str, str]]:
+    return {(each.item, each.of) for each in missing_items(block, campaign or campaign_of())}
 
 
 def test_a_whole_certificate_lacks_nothing(tmp_path):
-    block = read_certificate(written(tmp_path, WHOLE))
+    block, _ = read_certificate(written(tmp_path, WHOLE))
     assert block.date == datetime.date(2026, 11, 20)
     assert lacking(block) == set()
-    assert list(missing_section(missing_items(block, "U7", *RUNS))) == []
+    assert list(missing_section(missing_items(block, campaign_of()))) == []
     # The same block in a specification.
     limits = '\n[[limit]]\nquantity = "accel_bias.bias"\nupper = 1\nunit = "mg"\n'
     spec = tmp_path / "spec.toml"
@@ -94,20 +110,46 @@ def test_a_whole_certificate_lacks_nothing(tmp_path):
 )  # fmt: skip
 def test_what_is_not_stated_is_missing_on_the_last_page(tmp_path, line, item):
     assert line in WHOLE
-    block = read_certificate(written(tmp_path, WHOLE.replace(line, "", 1)))
+    block, _ = read_certificate(written(tmp_path, WHOLE.replace(line, "", 1)))
     assert {name for name, _ in lacking(block)} == {item}
-    *_, items = missing_section(missing_items(block, "U7", *RUNS))
+    *_, items = missing_section(missing_items(block, campaign_of()))
     assert isinstance(items, Items)
     assert len(items.items) == 1
     assert "(7.8." in items.items[0]
 
 
-def test_serial_dates_and_validity_are_of_the_campaign(tmp_path):
-    block = read_certificate(written(tmp_path, WHOLE.replace("2027-11-02", "2026-11-03")))
-    assert lacking(block) == {("expired", "rate table")}
-    assert lacking(block, serial="", runs=(None, None)) == {("serial", ""), ("performed", "")}
+def test_serial_and_dates_are_of_the_campaign(tmp_path):
+    block, _ = read_certificate(written(tmp_path, WHOLE))
+    assert lacking(block, campaign_of(serial="", runs=(None, None))) == {("serial", ""), ("performed", "")}
     nothing = {name for name, _ in lacking(Certificate())}
     assert {"standards", "signatories", "number", "environment"} <= nothing
+    # Dates in an impossible order.
+    late, _ = read_certificate(written(tmp_path, WHOLE.replace("2026-10-28", "2026-11-02")))
+    early, _ = read_certificate(written(tmp_path, WHOLE.replace("date = 2026-11-20", "date = 2026-11-03")))
+    assert lacking(late) == {("received_late", "")}
+    assert lacking(early) == {("issued_early", "")}
+
+
+def test_standards_are_held_against_the_equipment_of_the_runs(tmp_path):
+    def of(text: str, **campaign) -> set[tuple[str, str]]:
+        return lacking(read_certificate(written(tmp_path, WHOLE.replace(TABLE, text)))[0], campaign_of(**campaign))
+
+    assert TABLE in WHOLE
+    # The table was used on the first day alone: it may expire on the next.
+    assert of(TABLE.replace("2027-11-02", "2026-11-02")) == set()
+    assert of(TABLE.replace("2027-11-02", "2026-10-31")) == {("expired", "rate table")}
+    # A standard of all runs, of no equipment by name, is asked for at the last run.
+    other = TABLE.replace('equipment = ["rate"]', "").replace("2027-11-02", "2026-11-03")
+    assert of(TABLE + other) == {("expired", "rate table")}
+    assert of(other) == {("expired", "rate table"), ("untraced", "rate")}
+    # Named as the table is, it needs no list.
+    assert of(TABLE.replace('equipment = ["rate"]', "").replace('"rate table"', '"rate"')) == set()
+    assert of(TABLE, tables=("rate", "head")) == {("untraced", "head")}
+    assert of(TABLE.replace('["rate"]', '["rate", "head", "gravity"]')) == {("unused", "rate table: head")}
+    *_, items = missing_section([Missing(item="untraced", of="head"), Missing(item="unused", of="rate table: head")])
+    assert isinstance(items, Items)
+    assert "head, which runs used" in items.items[0]
+    assert "rate table: head" in items.items[1]
 
 
 @pytest.mark.parametrize(
@@ -115,6 +157,9 @@ def test_serial_dates_and_validity_are_of_the_campaign(tmp_path):
     [
         (WHOLE.replace("number =", "nummer ="), "unknown key 'nummer'"),
         (WHOLE.replace("2026-11-20", '"next week"'), "date"),
+        (WHOLE.replace("[22.6, 23.4]", "[23.4, 22.6]"), "the lowest comes first"),
+        (WHOLE.replace('"WI-12"', '"  "'), "it is blank"),
+        (WHOLE + '[[certificate.cmc]]\nquantity = "accel_bias.bias"\nexpanded = 0\nunit = "ug"\n', "expanded"),
         ("format = 1\n", "certificate"),
     ],
 )

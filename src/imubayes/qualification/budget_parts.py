@@ -123,7 +123,7 @@ def degrees_of_freedom(variances: np.ndarray) -> np.ndarray:
         return np.where(np.isfinite(spread) & (spread > 0), 2 * precision.mean(axis=0) ** 2 / spread, np.inf)
 
 
-InputKind = Literal["run", "prior", "priors", "exact", "noise_scales", "second_order", "small"]
+InputKind = Literal["run", "prior", "priors", "exact", "noise_scales", "second_order", "small", "cmc"]
 Source = Literal["fixture", "table", "site", "reference", "unit"]
 
 
@@ -134,7 +134,7 @@ class BudgetLine(Record):
     ----------
     kind : the noise of a run; a prior; priors of one effect taken together; a parameter that the model takes as
         ``exact`` and the report does not; the noise scales, which are not known exactly; the second-order part; all
-        contributions too small for a line of their own.
+        contributions too small for a line of their own; what the capability of the laboratory (CMC) is larger by.
     input : run, parameter or effect; empty where `kind` says all.
     type : A from the data, B from a prior; None for the second-order part and for small contributions of both types.
     source : what a prior is about.

@@ -17,25 +17,46 @@ It stands as ``[certificate]`` in the specification, or in a file of its own::
 
     [[certificate.standard]]
     name = "rate table"
+    equipment = ["rate"]         # of the campaign: tables by name, and procedures with a standard of their own
     certificate = "NMI 2026-0815"
     valid_until = 2027-03-01
 
+    [[certificate.cmc]]          # no U of these quantities is stated smaller (ILAC-P14)
+    quantity = "accel_bias.bias"
+    expanded = 2
+    unit = "ug"
+
 Nothing of it is required of the file; what ISO/IEC 17025:2017, 7.8.2 and 7.8.4, require of a certificate and the block
-lacks is listed as missing on its last page.
+lacks is listed as missing on its last page, and so is what contradicts the campaign: equipment that no standard traces,
+standards of equipment that no run used or that had expired, dates in the wrong order.
 """
 
 import datetime
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from imubayes.campaign.toml_documents import read_document
+from imubayes.campaign.toml_documents import Ledger, read_document
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Record
 
-Text = Annotated[str, Field(min_length=1, max_length=2000)]
-Range = tuple[float, float]
+
+def _not_blank(text: str) -> str:
+    if not text.strip():
+        raise ValueError("it is blank")
+    return text
+
+
+def _in_order(span: tuple[float, float]) -> tuple[float, float]:
+    if span[0] > span[1]:
+        raise ValueError("the lowest comes first")
+    return span
+
+
+Text = Annotated[str, Field(min_length=1, max_length=2000), AfterValidator(_not_blank)]
+Range = Annotated[tuple[float, float], AfterValidator(_in_order)]
 
 
 class _CertificatePart(BaseModel):
@@ -65,6 +86,9 @@ class MeasurementStandard(_CertificatePart):
     """A standard that was used, and what its traceability rests on."""
 
     name: Text = Field(description="what it is: rate table, dividing head, gravity, thermometer")
+    equipment: tuple[Text, ...] = Field(
+        default=(), description="of the campaign that it is or traces: tables by name, procedures with a standard"
+    )
     serial: Text | None = Field(default=None, description="its serial number")
     certificate: Text | None = Field(default=None, description="number of its calibration certificate")
     issued_by: Text | None = Field(default=None, description="who issued that")
@@ -78,6 +102,16 @@ class Environment(_CertificatePart):
     humidity_percent: Range | None = Field(default=None, description="relative humidity of the air")
     pressure_hPa: Range | None = Field(default=None, description="of the air")
     text: Text | None = Field(default=None, description="anything else, such as vibration")
+
+
+class CapabilityEntry(_CertificatePart):
+    """A calibration and measurement capability of the laboratory (CMC)."""
+
+    quantity: Text = Field(
+        description="name in the summary of a fit; without the labels in brackets, all of the family"
+    )
+    expanded: Annotated[float, Field(gt=0)] = Field(description="smallest expanded uncertainty that may be stated")
+    unit: Text = Field(description="of that")
 
 
 class Signatory(_CertificatePart):
@@ -100,6 +134,7 @@ class Certificate(_CertificatePart):
     location: Text | None = Field(default=None, description="where the calibration was made")
     method: Text | None = Field(default=None, description="identification of the method")
     standard: tuple[MeasurementStandard, ...] = Field(default=(), description="standards that were used")
+    cmc: tuple[CapabilityEntry, ...] = Field(default=(), description="capabilities: no U is stated smaller")
     environment: Environment = Field(default=Environment(), description="conditions during the calibration")
     adjustment: Text | None = Field(default=None, description="results before and after, where it was adjusted")
     deviations: Text | None = Field(default=None, description="from the method")
@@ -118,9 +153,14 @@ class CertificateFile(_CertificatePart):
 MissingItem = Literal[
     "number", "date", "laboratory_name", "laboratory_address", "location", "customer_name", "customer_address",
     "method", "item_description", "serial", "received", "performed", "environment", "standards",
-    "standard_certificate", "standard_validity", "expired", "signatories",
+    "standard_certificate", "standard_validity", "expired", "untraced", "unused", "received_late", "issued_early",
+    "signatories",
 ]  # fmt: skip
-"""What ISO/IEC 17025 requires and a certificate lacks; `expired` is a standard whose validity ended before the end."""
+"""What ISO/IEC 17025 requires and a certificate lacks.
+
+`expired` is a standard whose validity ended before the last run that used it, `untraced` equipment of the runs that no
+standard names, `unused` what a standard names and no run used.
+"""
 
 
 class Missing(Record):
@@ -130,8 +170,17 @@ class Missing(Record):
     of: str = ""
 
 
-def read_certificate(file: str | Path) -> Certificate:
-    """Return the certificate block of a file of its own.
+class CapabilityFloor(Record):
+    """A quantity whose U is the CMC: in its unit, the CMC and U by the budget."""
+
+    name: str
+    unit: str
+    expanded: float
+    own: float
+
+
+def read_certificate(file: str | Path) -> tuple[Certificate, Ledger]:
+    """Return the certificate block of a file of its own, and the ledger that knows the line of every key.
 
     Raises
     ------
@@ -141,34 +190,62 @@ def read_certificate(file: str | Path) -> Certificate:
     document = read_document(Path(file), CertificateFile)
     document.ledger.stop_if_any()
     assert document.entry is not None, "an invalid document has issues"
-    return document.entry.certificate
+    return document.entry.certificate, document.ledger
 
 
-def missing_items(found: Certificate, serial: str, first: str | None, last: str | None) -> tuple[Missing, ...]:
-    """Return what ISO/IEC 17025 requires and a certificate lacks.
+# Procedures whose stimulus comes from a standard that is no table.
+_WITH_STANDARD = ("reference_gyro", "current_injection")
+# What a standard may be of beside the equipment that needs one.
+_OTHERS = ("gravity", "temperature")
 
-    Parameters
-    ----------
-    serial : of the unit; empty where the campaign states none.
-    first, last : start of the first and of the last run, ISO 8601; None where none was recorded.
-    """
+
+def _equipment_of(campaign: Campaign) -> dict[str, str | None]:
+    """Return what runs used as standards, tables and procedures with one, each with the start of its last run."""
+    found: dict[str, str | None] = {}
+    for run in campaign.runs:
+        for name in filter(None, (run.table, run.procedure if run.procedure in _WITH_STANDARD else None)):
+            found[name] = max(filter(None, (found.get(name), run.start)), default=None)
+    return found
+
+
+def missing_items(found: Certificate, campaign: Campaign) -> tuple[Missing, ...]:
+    """Return what ISO/IEC 17025 requires and a certificate lacks, and what in it contradicts the campaign."""
     item, laboratory, customer = found.item, found.laboratory, found.customer
+    starts = sorted(run.start for run in campaign.runs if run.start)
     required: dict[MissingItem, object] = {
         "number": found.number, "date": found.date, "laboratory_name": laboratory.name,
         "laboratory_address": laboratory.address, "location": found.location, "customer_name": customer.name,
         "customer_address": customer.address, "method": found.method,
-        "item_description": item.description or item.model, "serial": serial, "received": item.received,
-        "performed": first, "environment": any(found.environment.model_dump().values()), "standards": found.standard,
+        "item_description": item.description or item.model, "serial": campaign.serial, "received": item.received,
+        "performed": starts, "environment": any(found.environment.model_dump().values()), "standards": found.standard,
+        "received_late": not (item.received and starts and item.received > _day(starts[0])),
+        "issued_early": not (found.date and starts and found.date < _day(starts[-1])),
         "signatories": found.signatory,
     }  # fmt: skip
     absent = [Missing(item=name) for name, given in required.items() if not given]
-    return (*absent, *(each for standard in found.standard for each in _of_standard(standard, last)))
+    return (*absent, *(_of_standards(found.standard, campaign, starts) if found.standard else ()))
 
 
-def _of_standard(standard: MeasurementStandard, last: str | None) -> Iterator[Missing]:
-    if standard.certificate is None:
-        yield Missing(item="standard_certificate", of=standard.name)
-    if standard.valid_until is None:
-        yield Missing(item="standard_validity", of=standard.name)
-    elif last is not None and datetime.date.fromisoformat(last[:10]) > standard.valid_until:
-        yield Missing(item="expired", of=standard.name)
+def _of_standards(
+    standards: Sequence[MeasurementStandard], campaign: Campaign, starts: Sequence[str]
+) -> Iterator[Missing]:
+    used, traced = _equipment_of(campaign), set[str]()
+    for standard in standards:
+        own = {standard.name, *standard.equipment}
+        traced |= own
+        for name in (name for name in standard.equipment if name not in (*used, *_OTHERS)):
+            yield Missing(item="unused", of=f"{standard.name}: {name}")
+        if standard.certificate is None:
+            yield Missing(item="standard_certificate", of=standard.name)
+        last = max(filter(None, (used[name] for name in own if name in used)), default=starts[-1] if starts else None)
+        if standard.valid_until is None:
+            yield Missing(item="standard_validity", of=standard.name)
+        elif last is not None and _day(last) > standard.valid_until:
+            yield Missing(item="expired", of=standard.name)
+    for name in used:
+        if name not in traced:
+            yield Missing(item="untraced", of=name)
+
+
+def _day(start: str) -> datetime.date:
+    return datetime.date.fromisoformat(start[:10])

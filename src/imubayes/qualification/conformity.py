@@ -75,8 +75,14 @@ class ConformityOfQuantity:
     overall: rules.GlobalRisks | None
 
 
-def resolved_limits(file: SpecificationFile, ledger: Ledger, unit: TestedUnit) -> tuple[ResolvedLimit, ...]:
+def resolved_limits(
+    file: SpecificationFile, ledger: Ledger, unit: TestedUnit, path: tuple[str, ...] = ("limit",)
+) -> tuple[ResolvedLimit, ...]:
     """Return the limits of a specification, one per quantity, in the units of the quantities.
+
+    Parameters
+    ----------
+    path : of the list of limits in its file.
 
     Raises
     ------
@@ -91,7 +97,7 @@ def resolved_limits(file: SpecificationFile, ledger: Ledger, unit: TestedUnit) -
             options = unit.quantities.entries if "[" in entry.quantity else families
             ledger.add(
                 f"the result has no quantity '{entry.quantity}'",
-                ("limit", place, "quantity"),
+                (*path, place, "quantity"),
                 closest_first(entry.quantity, options),
                 "name a quantity that the model estimates; `imubayes fit` lists them",
             )
@@ -100,7 +106,7 @@ def resolved_limits(file: SpecificationFile, ledger: Ledger, unit: TestedUnit) -
         found += [
             limit
             for name in names
-            if (limit := _resolved(entry, file, unit.quantities.entries[name], place, ledger, unit.gravity)) is not None
+            if (limit := _resolved(entry, file, unit.quantities.entries[name], (*path, place), ledger, unit.gravity))
         ]
     ledger.stop_if_any()
     return tuple(found)
@@ -132,9 +138,14 @@ def _check_temperatures(entry: LimitEntry, place: int, ledger: Ledger, unit: Tes
 
 
 def _resolved(
-    entry: LimitEntry, file: SpecificationFile, quantity: Quantity, place: int, ledger: Ledger, gravity: float
+    entry: LimitEntry,
+    file: SpecificationFile,
+    quantity: Quantity,
+    path: tuple[str | int, ...],
+    ledger: Ledger,
+    gravity: float,
 ) -> ResolvedLimit | None:
-    where = ("limit", place, "unit")
+    where = (*path, "unit")
     try:
         factor, shift = _conversion(entry, quantity, ledger.where(*where), gravity)
     except InputError as error:
@@ -214,6 +225,7 @@ def _values(limit: ResolvedLimit, unit: TestedUnit) -> np.ndarray:
     values = draws[name][:, None]
     if limit.span is not None:
         values = branches_over_range(name, limit.quantity.unit, draws, unit.thermal, limit.span)
+        values = unit.with_floor(name, values)
     return values[np.isfinite(values).all(axis=1)]
 
 
@@ -290,7 +302,7 @@ def overall_outcome(found: Sequence[ConformityOfQuantity]) -> rules.Outcome:
     return min(outcomes, key=WORST_FIRST.index)
 
 
-Obstacle = Literal["not_converged", "not_diagnosed", "inadequate_model", "invalid_intervals"]
+Obstacle = Literal["not_converged", "not_diagnosed", "inadequate_model", "invalid_intervals", "expired_standard"]
 
 
 @dataclass(frozen=True)
@@ -317,7 +329,11 @@ class Assessment:
 
 
 def assess(
-    result: Result, specification: str | Path, diagnosis: Diagnosis | None, unit: TestedUnit | None = None
+    result: Result,
+    specification: str | Path,
+    diagnosis: Diagnosis | None,
+    unit: TestedUnit | None = None,
+    others: tuple[Obstacle, ...] = (),
 ) -> Assessment:
     """Return the conformity of a unit to a specification.
 
@@ -327,6 +343,7 @@ def assess(
     specification : the file.
     diagnosis : of the result; None where it was not diagnosed, which a unit cannot pass with.
     unit : the quantities of the result where they are known already.
+    others : obstacles that are known already.
 
     Raises
     ------
@@ -338,7 +355,7 @@ def assess(
     if result.summary.converged:
         unit = unit or unit_under_test(result)
         limits = tuple(conformity(limit, unit) for limit in resolved_limits(file, ledger, unit))
-    return Assessment(file.name, limits, _obstacles(result, diagnosis))
+    return Assessment(file.name, limits, (*_obstacles(result, diagnosis), *others))
 
 
 def _obstacles(result: Result, diagnosis: Diagnosis | None) -> tuple[Obstacle, ...]:

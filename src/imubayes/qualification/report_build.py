@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from imubayes.campaign.toml_documents import Ledger
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import shown
@@ -20,8 +21,9 @@ from imubayes.loop.model_history import Tree
 from imubayes.qualification import report_estimates as estimates
 from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
+from imubayes.qualification.capability import with_capability
 from imubayes.qualification.certificate import Certificate, missing_items, read_certificate
-from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, assess
+from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, Obstacle, assess
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
 from imubayes.qualification.report_budgets import unit_with_budgets
 from imubayes.qualification.report_pictures import (
@@ -171,10 +173,14 @@ def report_of(
     assert found.folder is not None, "a report is made of a result folder"
     diagnosis, tree = read_diagnosis(found.folder), _tree(found.folder)
     campaign = found.fit.model.campaign
-    block = certificate_of(specification, certificate)  # what is wrong with a file is told before all that takes long
-    evaluated = unit_with_budgets(found) if found.converged else None
+    block, ledger = certificate_of(specification, certificate)  # a fault of a file is told before all that takes long
+    missing = () if block is None else missing_items(block, campaign)
+    expired: tuple[Obstacle, ...] = ("expired_standard",) if any(each.item == "expired" for each in missing) else ()
+    evaluated, floors = unit_with_budgets(found) if found.converged else None, ()
+    if evaluated is not None and block is not None and ledger is not None:
+        evaluated, floors = with_capability(evaluated, block.cmc, ledger)
     unit = None if evaluated is None else evaluated.unit
-    assessment = assess(found, specification, diagnosis, unit) if specification is not None else None
+    assessment = assess(found, specification, diagnosis, unit, expired) if specification is not None else None
     scope = scope_of(campaign, found, diagnosis)
     angles, standards = estimates.mounting_angles(found, unit), estimates.standard_estimates(unit)
     return record.QualificationReport(
@@ -195,12 +201,15 @@ def report_of(
         scope=scope,
         pictures=pictures_of(found, unit, assessment, angles),
         certificate=block,
-        missing=() if block is None else missing_items(block, campaign.serial, scope.first_start, scope.last_start),
+        missing=missing,
+        floors=floors,
     )
 
 
-def certificate_of(specification: str | Path | None, certificate: str | Path | None) -> Certificate | None:
-    """Return the certificate block of a file of its own, else that of the specification; None where neither has one.
+def certificate_of(
+    specification: str | Path | None, certificate: str | Path | None
+) -> tuple[Certificate | None, Ledger | None]:
+    """Return the certificate block of a file of its own, else that of the specification, with the ledger of the file.
 
     Raises
     ------
@@ -209,7 +218,10 @@ def certificate_of(specification: str | Path | None, certificate: str | Path | N
     """
     if certificate is not None:
         return read_certificate(certificate)
-    return None if specification is None else read_specification(specification)[0].certificate
+    if specification is None:
+        return None, None
+    file, ledger = read_specification(specification)
+    return file.certificate, ledger
 
 
 def _tree(folder: Path) -> tuple[Tree, str] | None:

@@ -13,7 +13,7 @@ from imubayes.criticism.explanations import Evidence, Verdict
 from imubayes.foundations.records import Record
 from imubayes.inference.identifiability import PriorConflict, ProcedureShare, WeakDirection
 from imubayes.qualification.budget_parts import UncertaintyBudgets
-from imubayes.qualification.certificate import Certificate, Missing
+from imubayes.qualification.certificate import CapabilityFloor, Certificate, Missing
 from imubayes.qualification.conformity import Obstacle
 from imubayes.qualification.coverage import IntervalShape
 from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
@@ -436,7 +436,8 @@ class QualificationReport(Record):
     budgets : None where the fit did not converge.
     pictures : what the pictures show, as numbers.
     certificate : what the laboratory states; None where it states nothing.
-    missing : what ISO/IEC 17025 requires of a certificate and this one lacks.
+    missing : what ISO/IEC 17025 requires of a certificate and this one lacks, and what contradicts the campaign.
+    floors : quantities whose U is the capability of the laboratory.
     supplied : what the author of the report added; the package computed none of it.
     """
 
@@ -460,6 +461,7 @@ class QualificationReport(Record):
     pictures: PictureData
     certificate: Certificate | None = None
     missing: tuple[Missing, ...] = ()
+    floors: tuple[CapabilityFloor, ...] = ()
     supplied: tuple[ReportSection, ...] = ()
 
     @property

@@ -33,6 +33,7 @@ class TestedUnit(UnitUnderTest):
     known : quantity → its uncertainty, where a budget gives it.
     added : quantity → standard deviation by what is included of equipment that the model takes as exact.
     unstated : quantity → standard deviation by equipment that the model takes as exact, in no uncertainty.
+    floors : quantity → the smallest expanded uncertainty that may be stated of it.
     """
 
     __test__ = False  # no test, whatever its name says to pytest
@@ -43,6 +44,15 @@ class TestedUnit(UnitUnderTest):
     known: Mapping[str, KnownUncertainty] = field(default_factory=dict)
     added: Mapping[str, float] = field(default_factory=dict)
     unstated: Mapping[str, float] = field(default_factory=dict)
+    floors: Mapping[str, float] = field(default_factory=dict)
+
+    def with_floor(self, name: str, values: np.ndarray) -> np.ndarray:
+        """Return draws (S, T) at T temperatures, widened where U would be below the floor of their quantity."""
+        if (floor := self.floors.get(name)) is None:
+            return values
+        middle, effective = values.mean(axis=0), self.quantities.effective[name]
+        expanded = np.array([self.coverage_at(name, Marginal(each, effective)).expanded for each in values.T])
+        return middle + (values - middle) * np.maximum(floor / expanded, 1.0)
 
     def coverage_at(self, name: str, marginal: Marginal) -> Coverage:
         """Return what is stated of a quantity at one temperature; what was added moves no estimate.

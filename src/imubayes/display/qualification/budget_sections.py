@@ -133,6 +133,8 @@ def input_text(line: parts.BudgetLine | parts.HalvedInput) -> str:
             return line.input
         case "noise_scales":
             return "noise scales"
+        case "cmc":
+            return "up to the CMC of the laboratory"
         case "second_order":
             return "second order"
         case "small":

@@ -3,7 +3,16 @@
 from collections.abc import Iterator, Sequence
 
 from imubayes.display.numbers_and_labels import pretty, significant
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text, texts
+from imubayes.display.qualification.document import (
+    Block,
+    Heading,
+    Items,
+    Paragraph,
+    ReportTable,
+    Text,
+    texts,
+    without_empty_columns,
+)
 from imubayes.model.model_file import GRAVITY
 from imubayes.qualification.certificate import (
     Certificate,
@@ -33,7 +42,11 @@ _MISSING: dict[MissingItem, str] = {
     "standards": "standards used, for the statement of traceability (7.8.4.1 c)",
     "standard_certificate": "number of the certificate of {of} (7.8.4.1 c)",
     "standard_validity": "validity of the certificate of {of} (7.8.4.1 c)",
-    "expired": "a valid certificate of {of}: it expired before the last run (6.5)",
+    "expired": "a valid certificate of {of}: it expired before the last run that used it (6.5)",
+    "untraced": "a standard for {of}, which runs used: none of those listed names it (7.8.4.1 c)",
+    "unused": "a standard that was used, as no run used this one — {of} (7.8.4.1 c)",
+    "received_late": "a date of receipt that is not after the first run (7.8.2.1 h)",
+    "issued_early": "a date of issue that is not before the last run (7.8.2.1 j)",
     "signatories": "persons who authorise the certificate (7.8.2.1 o)",
 }
 
@@ -71,6 +84,15 @@ def certificate_section(report: QualificationReport) -> Iterator[Block]:
         yield _standards_table(report, found.standard)
     yield Paragraph(f"Conditions: {_conditions(found.environment)}. Adjustment: {found.adjustment or 'none was made'}.")
     yield Paragraph(unit_g_text(report))
+    if report.floors:
+        named = "; ".join(
+            f"{each.name}: {significant(each.own, 2)} → {significant(each.expanded, 2)} {pretty(each.unit)}"
+            for each in report.floors
+        )
+        yield Paragraph(
+            "U by the budget is smaller than the calibration and measurement capability (CMC) of the laboratory, and "
+            f"the CMC is stated in its place (ILAC-P14), for {named}."
+        )
     yield Paragraph(
         "The results relate only to the item calibrated, at the time and under the conditions of the calibration. The "
         "expanded uncertainty U is the standard uncertainty times the coverage factor k, which for the posterior of "
@@ -89,12 +111,12 @@ def certificate_section(report: QualificationReport) -> Iterator[Block]:
 def _standards_table(report: QualificationReport, standards: Sequence[MeasurementStandard]) -> ReportTable:
     expired = {each.of for each in report.missing if each.item == "expired"}
     rows = [
-        texts(each.name, each.serial or "–", each.certificate or _NOT_STATED, each.issued_by or "–",
-              _validity(each, each.name in expired))
+        texts(each.name, ", ".join(each.equipment) or "–", each.serial or "–", each.certificate or _NOT_STATED,
+              each.issued_by or "–", _validity(each, each.name in expired))
         for each in standards
     ]  # fmt: skip
-    head = ("standard", "serial number", "certificate", "issued by", "valid until")
-    return ReportTable("Standards used", head, rows, (0, 1, 2, 3, 4))
+    head = ("standard", "in the campaign", "serial number", "certificate", "issued by", "valid until")
+    return without_empty_columns(ReportTable("Standards used", head, rows, (0, 1, 2, 3, 4, 5)))
 
 
 def _validity(standard: MeasurementStandard, expired: bool) -> Text:
@@ -137,7 +159,7 @@ def missing_section(missing: Sequence[Missing]) -> Iterator[Block]:
         return
     yield Heading("Missing from this certificate")
     yield Paragraph(
-        "ISO/IEC 17025:2017 requires the following of a calibration certificate, and it was not stated. Without it "
+        "ISO/IEC 17025:2017 requires the following of a calibration certificate, and it was not stated. Without it, "
         "this document is no certificate of an accredited laboratory.",
         "weak",
     )

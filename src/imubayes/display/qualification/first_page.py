@@ -55,6 +55,8 @@ def alarms(report: QualificationReport) -> list[str]:
     if adequacy.prior_conflicts:
         names = words.enumerated([conflict.name for conflict in adequacy.prior_conflicts], 4)
         found.append(f"Priors and data disagree for {names}: see model adequacy.")
+    if any(each.item == "expired" for each in report.missing):
+        found.append(words.OBSTACLES["expired_standard"])
     return [*found, *_incomplete(report)]
 
 

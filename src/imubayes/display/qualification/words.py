@@ -27,6 +27,8 @@ OBSTACLES: dict[Obstacle, str] = {
     "uncertainties below are not those of the unit, and the unit cannot pass.",
     "invalid_intervals": "The noise is not what the model assumes, so the coverage intervals are not valid, and the "
     "unit cannot pass.",
+    "expired_standard": "The certificate of a standard had expired when runs used it, so that what was measured with "
+    "it is not traceable, and the unit cannot pass.",
 }
 VERDICTS: dict[Verdict, str] = {
     "adequate": "adequate: no effect of the catalogue is missing as far as these runs can show",

@@ -1,0 +1,84 @@
+"""The calibration and measurement capability (CMC) of a laboratory: no expanded uncertainty is stated smaller.
+
+ILAC-P14:09/2020, 5.4.  Where U by the budget is smaller, the draws of the quantity are widened about their mean until
+U is the CMC, so that every table, decision, probability and covariance agrees with what is stated.  What the CMC is
+larger by is a line of the budget.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from imubayes.campaign.toml_documents import Ledger
+from imubayes.qualification.budget_parts import BudgetLine, QuantityBudget
+from imubayes.qualification.certificate import CapabilityEntry, CapabilityFloor
+from imubayes.qualification.conformity import resolved_limits
+from imubayes.qualification.coverage import KnownUncertainty
+from imubayes.qualification.report_budgets import UnitWithBudgets
+from imubayes.qualification.specification import LimitEntry, SpecificationFile
+from imubayes.qualification.unit_under_test import is_measured
+
+_PATH = ("certificate", "cmc")
+
+
+def with_capability(
+    found: UnitWithBudgets, entries: Sequence[CapabilityEntry], ledger: Ledger
+) -> tuple[UnitWithBudgets, tuple[CapabilityFloor, ...]]:
+    """Return a unit and its budgets with no U below the capability, and the quantities whose U that is.
+
+    Raises
+    ------
+    InputError
+        for a quantity that the result does not have, one that is the length of a vector, and a unit of another kind.
+    """
+    if not entries:
+        return found, ()
+    limits = [LimitEntry(quantity=each.quantity, upper=each.expanded, unit=each.unit) for each in entries]
+    unit, listed = found.unit, SpecificationFile(format=1, name="cmc", limit=limits)
+    floors: dict[str, float] = {}
+    for limit in resolved_limits(listed, ledger, unit, _PATH):
+        name = limit.quantity.name
+        floors[name] = max(limit.tolerance.upper, floors.get(name, 0.0))
+    if lengths := floors.keys() & unit.lengths.keys():
+        ledger.add(
+            f"'{min(lengths)}' is the length of a vector, of which no smallest uncertainty can be stated", _PATH,
+            "its components", "name the components, such as gyro_misalignment.toward_o",
+        )  # fmt: skip
+        ledger.stop_if_any()
+    draws, known, raised = dict(unit.quantities.draws), dict(unit.known), []
+    for name, floor in floors.items():
+        quantity, stated = unit.quantities.entries[name], unit.coverage(name)
+        if is_measured(quantity, draws[name]) and stated.expanded < floor:
+            factor, middle, before = floor / stated.expanded, unit.quantities.marginal(name).mean, known.get(name)
+            draws[name] = middle + factor * (draws[name] - middle)
+            if before is not None:
+                known[name] = KnownUncertainty(factor * before.standard, factor * before.error, before.degrees)
+            raised.append(CapabilityFloor(name=name, unit=quantity.unit, expanded=floor, own=stated.expanded))
+    quantities = replace(unit.quantities, draws=draws)
+    factors = {each.name: each.expanded / each.own for each in raised}
+    budgets = tuple(_raised(each, factors.get(each.name, 1.0)) for each in found.budgets.quantities)
+    made = found.budgets.model_copy(update={"quantities": budgets})
+    widened = replace(unit, quantities=quantities, known=known, floors=floors)
+    return replace(found, unit=widened, budgets=made), tuple(raised)
+
+
+def _raised(budget: QuantityBudget, factor: float) -> QuantityBudget:
+    """Return a budget with what makes its U larger by a factor; nothing that was measured would narrow it."""
+    if factor == 1:
+        return budget
+    u, share = budget.standard_uncertainty, factor**-2
+    own = u * math.sqrt(factor**2 - 1)
+    lines = [line.model_copy(update={"share": line.share * share}) for line in budget.lines]
+    added = BudgetLine(kind="cmc", input="", type="B", contribution=own, share=1 - share)
+    return budget.model_copy(
+        update={
+            "standard_uncertainty": factor * u,
+            "monte_carlo_error": factor * budget.monte_carlo_error,
+            "lines": (added, *lines),
+            "contributed": math.hypot(budget.contributed, own),
+            "remainder": budget.remainder * share,
+            "expanded_uncertainty": factor * budget.expanded_uncertainty,
+            "halved": (),
+            "next_run": None,
+        }
+    )
