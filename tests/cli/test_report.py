@@ -1,6 +1,7 @@
 """`imubayes report`: the document says what the record holds, and no unit passes on a model that is not adequate."""
 
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -79,6 +80,62 @@ def test_an_adequate_unit_passes_and_the_page_is_made_from_the_record_alone(resu
     assert re.search(r"-\d", visible(page))
     assert not re.search(r"−[\d.]", visible(page)), "a number that was copied is to be read by programs"
     assert len(page.encode()) < 1.5e6
+
+
+SLOPE = '[[limit]]\nquantity = "converter_gain_drift.slope"\nlower = -5\nupper = 5\nunit = "ppm/degC"\n'
+CAPABILITY = '[[certificate.cmc]]\nquantity = "converter_gain_drift.slope"\nexpanded = 2\nunit = "ppm/degC"\n'
+
+
+def test_no_uncertainty_is_stated_below_the_capability(result, tmp_path):
+    """ILAC-P14: in every table and in the decision, and said as such."""
+    judged(result, "adequate")
+    _, own, _ = written(result, tmp_path, "--spec", specification(tmp_path, SLOPE))
+    _, record, page = written(result, tmp_path, "--spec", specification(tmp_path, SLOPE + CAPABILITY))
+    name = "converter_gain_drift.slope[ax]"
+    assert own.conformity is not None
+    assert record.conformity is not None
+    assert record.budgets is not None
+    before, limit = own.conformity.limits[0], record.conformity.limits[0]
+    line = next(each for each in record.results if each.name == name)
+    budget = next(each for each in record.budgets.quantities if each.name == name)
+    assert before.expanded_uncertainty is not None
+    assert before.expanded_uncertainty < 1
+    for each in (limit, line, budget):
+        assert each.expanded_uncertainty == pytest.approx(2, rel=1e-6)
+        assert each.standard_uncertainty == pytest.approx(2 / (each.coverage_factor or 0), rel=1e-6)
+    assert sum(each.share for each in budget.lines) + budget.remainder == pytest.approx(1, abs=1e-6)
+    # Standard normal, of the margin to the nearer limit: the decision is of the stated uncertainty.
+    margin = (5 + (limit.estimate or 0)) / (limit.standard_uncertainty or 0)
+    assert limit.conformance.from_quadrature == pytest.approx(0.5 * (1 + math.erf(margin / 2**0.5)), abs=0.01)
+    assert before.conformance.from_quadrature > 0.9999
+    assert [(each.name, each.expanded) for each in record.floors] == [(name, 2.0)]
+    assert (
+        "the CMC is stated in its place (ILAC-P14), for converter_gain_drift.slope ax: 0.49 → 2.0 ppm/°C"
+        in visible(page)
+    )
+    # One that is smaller than U changes nothing.
+    small = CAPABILITY.replace("expanded = 2", "expanded = 1e-3")
+    _, record, page = written(result, tmp_path, "--spec", specification(tmp_path, SLOPE + small))
+    assert record.conformity == own.conformity.model_copy(update={"sha256": record.conformity.sha256})
+    assert "CMC" not in visible(page)
+    wrong = CAPABILITY.replace("ppm/degC", "deg/h").replace("slope", "slop")
+    assert (
+        run(["report", str(result), "--spec", specification(tmp_path, SLOPE + wrong), "--out", f"{tmp_path}/x.json"])
+        == 2
+    )
+
+
+def test_nothing_passes_on_an_expired_standard(result, tmp_path):
+    judged(result, "adequate")
+    table = next(run.table for run in read_result(result).fit.model.campaign.runs if run.table)
+    block = f'[[certificate.standard]]\nname = "plate"\nequipment = ["{table}"]\ncertificate = "A 1"\nvalid_until = '
+    for valid, outcome in (("2000-01-01", "withheld"), ("2100-01-01", "pass")):
+        text = f"{WIDE}{block}{valid}\n"
+        status, record, page = written(result, tmp_path, "--spec", specification(tmp_path, text))
+        assert record.conformity is not None
+        assert record.conformity.outcome == outcome
+        assert status == (outcome == "withheld")
+        assert ("had expired when runs used it" in visible(page)) == (outcome == "withheld")
 
 
 def traceability(report: QualificationReport) -> imubayes.ReportSection:
@@ -333,13 +390,13 @@ def test_a_certificate_has_two_pages_its_date_and_what_is_missing(result, tmp_pa
     sizes = {}
     for annex in ("none", "results", "all"):
         file = tmp_path / f"{annex}.pdf"
-        assert run([*common, "--annex", annex, "--out", str(file)]) == 0
+        assert run([*common, "--annex", annex, "--out", str(file)]) == 1, "a standard had expired"
         sizes[annex] = pages(file)
         assert b"/CreationDate(D:20261120000000Z)" in file.read_bytes()
     assert sizes["none"] <= 2
     assert sizes["none"] < sizes["results"] < sizes["all"]
     status, record, page = written(result, tmp_path, *common[2:], "--annex", "none")
-    assert status == 0
+    assert status == 1
     said = visible(page)
     for text in ("Calibration certificate 2026-0117", "Example Laboratory", "Missing from this certificate"):
         assert text in said

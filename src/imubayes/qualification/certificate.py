@@ -154,12 +154,12 @@ MissingItem = Literal[
     "number", "date", "laboratory_name", "laboratory_address", "location", "customer_name", "customer_address",
     "method", "item_description", "serial", "received", "performed", "environment", "standards",
     "standard_certificate", "standard_validity", "expired", "untraced", "unused", "received_late", "issued_early",
-    "signatories",
+    "omitted", "signatories",
 ]  # fmt: skip
 """What ISO/IEC 17025 requires and a certificate lacks.
 
 `expired` is a standard whose validity ended before the last run that used it, `untraced` equipment of the runs that no
-standard names, `unused` what a standard names and no run used.
+standard names, `unused` what a standard names and no run used, `omitted` what U is known to lack.
 """
 
 

@@ -5,7 +5,7 @@ Its parts include unit, campaign, site and equipment of the result, and what its
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from imubayes.qualification import report_estimates as estimates
 from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
 from imubayes.qualification.capability import with_capability
-from imubayes.qualification.certificate import Certificate, missing_items, read_certificate
+from imubayes.qualification.certificate import Certificate, Missing, missing_items, read_certificate
 from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, Obstacle, assess
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
 from imubayes.qualification.report_budgets import unit_with_budgets
@@ -35,7 +35,7 @@ from imubayes.qualification.report_pictures import (
 )
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.standard_quantities import digital_unit, standard_symbol
-from imubayes.qualification.taken_as_exact import TakenAsExact
+from imubayes.qualification.taken_as_exact import OMITTED, TakenAsExact
 from imubayes.qualification.unit_under_test import TestedUnit
 from imubayes.responses.uncertain_equipment import is_normal_gravity
 from imubayes.results.change_records import read_diagnosis
@@ -183,6 +183,9 @@ def report_of(
     assessment = assess(found, specification, diagnosis, unit, expired) if specification is not None else None
     scope = scope_of(campaign, found, diagnosis)
     angles, standards = estimates.mounting_angles(found, unit), estimates.standard_estimates(unit)
+    exact = TakenAsExact() if evaluated is None else evaluated.exact
+    if block is not None:
+        missing = (*missing, *_omitted(standards, exact))
     return record.QualificationReport(
         subject=subject_of(campaign, found),
         provenance=provenance_of(found),
@@ -195,7 +198,7 @@ def report_of(
         standards=tuple(each for each in standards if each.measured),
         not_estimated=estimates.not_estimated(found, unit, standards, diagnosis),
         thermal_linearity=estimates.thermal_linearity(found, unit),
-        exact=TakenAsExact() if evaluated is None else evaluated.exact,
+        exact=exact,
         budgets=None if evaluated is None else evaluated.budgets,
         left_out=left_out_of(campaign, found, diagnosis),
         scope=scope,
@@ -204,6 +207,19 @@ def report_of(
         missing=missing,
         floors=floors,
     )
+
+
+def _omitted(standards: Sequence[record.StandardEstimate], exact: TakenAsExact) -> Iterator[Missing]:
+    """Yield that known contributions are in no U, where this matters to what is certified."""
+    ratios = (
+        (each.symbol, max(exact.omitted_ratio(name, each.standard_uncertainty or 0.0) for name in (each.name, *own)))
+        for each in standards
+        for own in (each.members if len(each.members) == 1 else (),)
+        if each.measured and each.withheld is None
+    )
+    symbols = dict.fromkeys(symbol for symbol, ratio in ratios if ratio > OMITTED)
+    if symbols:
+        yield Missing(item="omitted", of=", ".join(symbols))
 
 
 def certificate_of(

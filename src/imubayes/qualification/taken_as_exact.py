@@ -34,6 +34,10 @@ LEAST_SHIFT = 0.015
 """Share of a standard uncertainty below which a shift is not kept: it would widen it by a hundredth of a per cent."""
 
 
+OMITTED = 1.05
+"""Ratio of uncertainties from which on U omits what matters: rounding may change it by less (EA-4/02, 6.3)."""
+
+
 class QuantityShift(Record):
     """What one standard deviation of a parameter that is taken as exact does to a quantity, in its unit, with sign."""
 
@@ -90,6 +94,11 @@ class TakenAsExact(Record):
 
     inputs: tuple[ExactInput, ...] = ()
     unstated: tuple[QuantityShift, ...] = ()
+
+    def omitted_ratio(self, name: str, own: float) -> float:
+        """Return the factor on the uncertainty of a quantity, `own`, by what is included in none; 1 for nothing."""
+        omitted = next((each.value for each in self.unstated if each.name == name), 0.0)
+        return float(np.hypot(1.0, omitted / own)) if own > 0 else 1.0
 
     @property
     def included(self) -> tuple[ExactInput, ...]:

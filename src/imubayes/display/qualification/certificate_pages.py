@@ -23,8 +23,10 @@ from imubayes.qualification.certificate import (
     Party,
 )
 from imubayes.qualification.report_record import QualificationReport
+from imubayes.qualification.standard_quantities import standard_symbol
 
 _NOT_STATED = "not stated"
+_OF_STANDARDS: tuple[MissingItem, ...] = ("standard_certificate", "standard_validity", "expired", "untraced")
 _MISSING: dict[MissingItem, str] = {
     "number": "unique identification of the certificate (7.8.2.1 d)",
     "date": "date of issue (7.8.2.1 j)",
@@ -47,6 +49,7 @@ _MISSING: dict[MissingItem, str] = {
     "unused": "a standard that was used, as no run used this one — {of} (7.8.4.1 c)",
     "received_late": "a date of receipt that is not after the first run (7.8.2.1 h)",
     "issued_early": "a date of issue that is not before the last run (7.8.2.1 j)",
+    "omitted": "all known contributions in U: those that it omits of {of} are on the first page (7.6.1)",
     "signatories": "persons who authorise the certificate (7.8.2.1 o)",
 }
 
@@ -82,11 +85,14 @@ def certificate_section(report: QualificationReport) -> Iterator[Block]:
     )
     if found.standard:
         yield _standards_table(report, found.standard)
-    yield Paragraph(f"Conditions: {_conditions(found.environment)}. Adjustment: {found.adjustment or 'none was made'}.")
+        if not any(each.item in _OF_STANDARDS for each in report.missing):
+            yield Paragraph("The results are metrologically traceable to the SI through these standards.")
+    yield Paragraph(f"Conditions: {_conditions(found.environment)}. Adjustment: {found.adjustment or _NOT_STATED}.")
     yield Paragraph(unit_g_text(report))
     if report.floors:
         named = "; ".join(
-            f"{each.name}: {significant(each.own, 2)} → {significant(each.expanded, 2)} {pretty(each.unit)}"
+            f"{' '.join(standard_symbol(each.name))}: {significant(each.own, 2)} → {significant(each.expanded, 2)} "
+            f"{pretty(each.unit)}"
             for each in report.floors
         )
         yield Paragraph(
@@ -104,7 +110,7 @@ def certificate_section(report: QualificationReport) -> Iterator[Block]:
     if found.accreditation and not report.missing:
         yield Paragraph(found.accreditation)
     if found.signatory:
-        rows = [texts(each.name, each.function or "–", "", "") for each in found.signatory]
+        rows = [texts(each.name, each.function or "–", "_" * 14, "_" * 36) for each in found.signatory]
         yield ReportTable("Authorised by", ("name", "function", "date", "signature"), rows, (0, 1, 2, 3))
 
 

@@ -8,11 +8,10 @@ from imubayes.display.fit_quality_tables import members_text
 from imubayes.display.numbers_and_labels import pretty, ratio_text, significant
 from imubayes.display.qualification.document import ReportTable, Text, texts
 from imubayes.qualification.report_record import QualificationReport, ReportedEstimate
-from imubayes.qualification.taken_as_exact import ExactInput
+from imubayes.qualification.taken_as_exact import OMITTED, ExactInput
 
-# Included inputs are told from this ratio of uncertainties on; what U omits from the ratio at which U would be wrong in
-# its rounding (EA-4/02, 6.3).
-_MATTERS, _OMITTED = 1.1, 1.05
+# Included inputs are told from this ratio of uncertainties on.
+_MATTERS = 1.1
 # Share of the omitted variance, by each effect alone, from which on an effect is named as its cause.
 _CAUSE = 0.1
 
@@ -87,7 +86,7 @@ def _worst_included(
 def omissions(report: QualificationReport) -> list[Omission]:
     """Return the stated quantities whose U omits what would widen it by a twentieth and more."""
     budgets = {} if report.budgets is None else {each.name: each for each in report.budgets.quantities}
-    omitted = {each.name: each.value for each in report.exact.unstated}
+    omitted = {each.name for each in report.exact.unstated}
     found, seen = [], set[str]()
     for kind, symbol, label, line, names in _stated(report):
         name = next((each for each in names if each in omitted), None)
@@ -96,8 +95,8 @@ def omissions(report: QualificationReport) -> list[Omission]:
             continue
         seen.update(names)
         own = budgets[name].standard_uncertainty if name in budgets else u
-        ratio = (1 + (omitted[name] / own) ** 2) ** 0.5 if own > 0 else 1.0
-        if ratio > _OMITTED:
+        ratio = report.exact.omitted_ratio(name, own)
+        if ratio > OMITTED:
             causes = _causes(report.exact.inputs, name)
             found.append(Omission(kind, symbol, label, ratio, u, line.unit, causes))
     return found

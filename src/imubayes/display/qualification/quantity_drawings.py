@@ -36,9 +36,10 @@ _WHOLE_PAGE = 7.6
 _PARTS = {
     "noise of runs": BLUE, "noise scales": SKY, "fixture": VERMILION, "table": ORANGE, "site": GREEN,
     "reference": PURPLE, "unit": QUIET, "second order": INK, "small": "#c9ced6",
+    "cmc": "#8a6d3b",
 }  # fmt: skip
 _WORDS = {"noise of runs": "A: noise of runs", "noise scales": "A: noise scales", "unit": "B: unit under test",
-          "second order": "second order", "small": "smaller"}  # fmt: skip
+          "second order": "second order", "small": "smaller", "cmc": "B: up to the CMC"}  # fmt: skip
 _BARS = (
     "Shares of the posterior variance of each quantity: noise of the runs and of its scales (type A), then priors by "
     "what they are about (type B), in the order of the legend. A good test leaves no bar that is mostly “unit under "
