@@ -109,9 +109,8 @@ def test_no_uncertainty_is_stated_below_the_capability(result, tmp_path):
     assert limit.conformance.from_quadrature == pytest.approx(0.5 * (1 + math.erf(margin / 2**0.5)), abs=0.01)
     assert before.conformance.from_quadrature > 0.9999
     assert [(each.name, each.expanded) for each in record.floors] == [(name, 2.0)]
-    assert (
-        "the CMC is stated in its place (ILAC-P14), for converter_gain_drift.slope ax: 0.49 → 2.0 ppm/°C"
-        in visible(page)
+    assert "the CMC is stated in its place (ILAC-P14), for converter_gain_drift.slope ax: 0.49 → 2.0 ppm/°C" in visible(
+        page
     )
     # One that is smaller than U changes nothing.
     small = CAPABILITY.replace("expanded = 2", "expanded = 1e-3")

@@ -111,6 +111,8 @@ def _administrative(parent: ElementTree.Element, report: QualificationReport, bl
     _child(core, "usedLangCodeISO639_1", "en")
     _child(core, "mandatoryLangCodeISO639_1", "en")
     _child(core, "uniqueIdentifier", block.number)
+    if block.item.received is not None:
+        _child(core, "receiptDate", block.item.received.isoformat())
     _child(core, "beginPerformanceDate", str(report.scope.first_start)[:10])
     _child(core, "endPerformanceDate", str(report.scope.last_start)[:10])
     _child(core, "performanceLocation", "laboratory")
@@ -118,6 +120,8 @@ def _administrative(parent: ElementTree.Element, report: QualificationReport, bl
         _child(core, "issueDate", block.date.isoformat())
     item = _child(_child(parent, "items"), "item")
     _text(item, "name", block.item.description or report.subject.campaign)
+    if block.item.manufacturer:
+        _text(_child(item, "manufacturer"), "name", block.item.manufacturer)
     if block.item.model:
         _child(item, "model", block.item.model)
     identifications = _child(item, "identifications")
@@ -157,7 +161,7 @@ def _statements(parent: ElementTree.Element, report: QualificationReport, block:
         "Expanded uncertainties are standard uncertainties times the coverage factor k, for a coverage probability of "
         "95 %; evaluated by JCGM 100 and JCGM 101.",
         "The results relate only to the item calibrated.",
-        *filter(None, (block.accreditation, block.remarks)),
+        *filter(None, (None if report.missing else block.accreditation, block.remarks)),
     ]
     for text in said:
         _text(_child(parent, "statement"), "declaration", text)
