@@ -28,6 +28,7 @@ _WORDS = {
 _MOST_NAMED = 3
 # Ratio of uncertainties from which on what is taken as exact is told.
 _MATTERS = 1.1
+_PER_FORCE = (" per g", " per m/s^2")
 
 
 def violation_text(violations: Sequence[NoiseViolation]) -> str:
@@ -164,32 +165,31 @@ def exact_text(found: Sequence[UncertainEquipment]) -> str:
 
 
 def exact_lines(summary: Summary) -> tuple[str, ...]:
-    """Return the line that says what the intervals take as exact of site and equipment; none where none matters.
-
-    An error of gravity is one of all accelerometer scale factors that were found from it.
-    """
-    gravity = next((each for each in summary.exact if each.effect == GRAVITY and not each.stated), None)
-    scales = [
-        (each.sd / abs(each.mean) * 1e6, each.name)
-        for each in summary.derived
-        if each.name.startswith("scale_factor[")
-        and each.unit.endswith((" per g", " per m/s^2"))
-        and each.mean
-        and each.sd
-    ]
-    own, name = min(scales, default=(math.inf, ""))
-    matters = gravity is not None and math.hypot(1, gravity.size / own) > _MATTERS
-    known = [each for each in summary.exact if each.stated or matters]
+    """Return the line that says what the intervals take as exact of site and equipment; none where none matters."""
+    effect = _gravity_text(summary)
+    known = [each for each in summary.exact if each.stated or effect]
     if not known:
         return ()
-    effect = ""
-    if gravity is not None and matters:
-        whole = significant(math.hypot(own, gravity.size), 2)
-        effect = f" {name} has {significant(own, 2)} ppm here, and {whole} ppm with it where it was found from gravity."
     return (
         f"No uncertainty above contains {exact_text(known)}, taken as exact by the model; those of `imubayes report`, "
         f"`export` and `apply` do.{effect}",
     )
+
+
+def _gravity_text(summary: Summary) -> str:
+    """Return what gravity that nobody measured does to the scale factor that it widens most; empty where little."""
+    size = next((each.size for each in summary.exact if each.effect == GRAVITY and not each.stated), 0.0)
+    scales = [
+        (each.sd / abs(each.mean) * 1e6, each.name)
+        for each in summary.derived
+        if each.name.startswith("scale_factor[") and each.unit.endswith(_PER_FORCE) and each.mean and each.sd
+    ]
+    own, name = min(scales, default=(math.inf, ""))
+    whole = math.hypot(own, size)
+    if not scales or whole <= _MATTERS * own:
+        return ""
+    own, whole = (significant(each, 2) for each in (own, whole))
+    return f" {name} has {own} ppm here, and {whole} ppm with it where it was found from gravity."
 
 
 def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:

@@ -22,10 +22,10 @@ from imubayes.qualification import report_estimates as estimates
 from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
 from imubayes.qualification.capability import with_capability
-from imubayes.qualification.certificate import Certificate, Missing, missing_items, read_certificate
+from imubayes.qualification.certificate import CapabilityFloor, Certificate, Missing, missing_items, read_certificate
 from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, Obstacle, assess
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
-from imubayes.qualification.report_budgets import unit_with_budgets
+from imubayes.qualification.report_budgets import UnitWithBudgets, unit_with_budgets
 from imubayes.qualification.report_pictures import (
     PictureData,
     angle_density,
@@ -174,18 +174,14 @@ def report_of(
     diagnosis, tree = read_diagnosis(found.folder), _tree(found.folder)
     campaign = found.fit.model.campaign
     block, ledger = certificate_of(specification, certificate)  # a fault of a file is told before all that takes long
-    missing = () if block is None else missing_items(block, campaign)
-    expired: tuple[Obstacle, ...] = ("expired_standard",) if any(each.item == "expired" for each in missing) else ()
-    evaluated, floors = unit_with_budgets(found) if found.converged else None, ()
-    if evaluated is not None and block is not None and ledger is not None:
-        evaluated, floors = with_capability(evaluated, block.cmc, ledger)
+    evaluated, floors = _evaluated(found, block, ledger)
     unit = None if evaluated is None else evaluated.unit
+    exact = TakenAsExact() if evaluated is None else evaluated.exact
+    angles, standards = estimates.mounting_angles(found, unit), estimates.standard_estimates(unit)
+    missing = () if block is None else (*missing_items(block, campaign), *_omitted(standards, exact))
+    expired: tuple[Obstacle, ...] = ("expired_standard",) if any(each.item == "expired" for each in missing) else ()
     assessment = assess(found, specification, diagnosis, unit, expired) if specification is not None else None
     scope = scope_of(campaign, found, diagnosis)
-    angles, standards = estimates.mounting_angles(found, unit), estimates.standard_estimates(unit)
-    exact = TakenAsExact() if evaluated is None else evaluated.exact
-    if block is not None:
-        missing = (*missing, *_omitted(standards, exact))
     return record.QualificationReport(
         subject=subject_of(campaign, found),
         provenance=provenance_of(found),
@@ -207,6 +203,16 @@ def report_of(
         missing=missing,
         floors=floors,
     )
+
+
+def _evaluated(
+    result: Result, block: Certificate | None, ledger: Ledger | None
+) -> tuple[UnitWithBudgets | None, tuple[CapabilityFloor, ...]]:
+    """Return the unit with budgets, no U below the capability (CMC); None where the fit did not converge."""
+    evaluated = unit_with_budgets(result) if result.converged else None
+    if evaluated is None or block is None or ledger is None:
+        return evaluated, ()
+    return with_capability(evaluated, block.cmc, ledger)
 
 
 def _omitted(standards: Sequence[record.StandardEstimate], exact: TakenAsExact) -> Iterator[Missing]:
