@@ -410,6 +410,14 @@ def test_a_certificate_has_two_pages_its_date_and_what_is_missing(result, tmp_pa
     assert record.budgets is not None, "the record has everything"
 
 
+def test_what_a_format_lacks_is_told_before_any_file_is_written(result, tmp_path):
+    """A DCC needs a certificate block."""
+    judged(result, "adequate")
+    files = [str(tmp_path / name) for name in ("r.json", "r.html", "r.xml")]
+    assert run(["report", str(result), "--spec", specification(tmp_path), "--out", *files]) == 2
+    assert not list(tmp_path.glob("r.*"))
+
+
 def test_an_unknown_annex_is_refused(result, tmp_path):
     with pytest.raises(InputError, match="no annex 'budget'"):
         imubayes.report(result, annexes=["budget"], out=[tmp_path / "x.html"])

@@ -214,3 +214,25 @@ def test_an_empty_column_is_left_out():
     )
     shown = without_empty_columns(made)
     assert (shown.head, shown.left) == (["a", "b"], (1,))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("2026-11-20", "0.0", "is no date"),  # seconds since 1970 to pydantic
+        ("2026-11-20", "20261120", "is no date"),
+        ("[22.6, 23.4]", '["22.6", "23.4"]', "number"),
+        ("[22.6, 23.4]", "[-300, 23.4]", "-273.15"),
+        ("temperature_degC = [22.6, 23.4]", "humidity_percent = [40, 400]", "100"),
+        ('"WI-12"', '"WI\\u0007"', "WI"),  # neither XML nor PDF has control characters
+        ('"WI-12"', '"\\u200b\\u200b"', "blank"),
+        ('name = "Customer"', 'name = "Customer"\ncountry = "de"', "'de' is not allowed here"),
+    ],
+)
+def test_hostile_values_are_refused_with_their_place(tmp_path, old, new, what):
+    assert old in WHOLE
+    with pytest.raises(InputError) as caught:
+        read_certificate(written(tmp_path, WHOLE.replace(old, new, 1)))
+    issue = caught.value.issues[0]
+    assert what in f"{issue.what} {issue.allowed}"
+    assert "certificate.toml:" in issue.where

@@ -37,6 +37,7 @@ _FILE_WITHIN = rf"^{_STEP}(?:/{_STEP})*$"
 Text = Annotated[str, Field(pattern=_TEXT)]
 FileWithin = Annotated[str, Field(pattern=_FILE_WITHIN)]
 Name = Annotated[str, Field(min_length=1, pattern=_NAME)]
+COUNTRY = "^[A-Z]{2}$"
 ColumnName = Annotated[str, Field(min_length=1, pattern=_COLUMN_NAME)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Positive = Annotated[float, Field(gt=0)]
@@ -347,6 +348,7 @@ class ModelFile(_Entry):
 PATTERNS = {
     _NAME: "text without brackets, commas and control characters that does not begin with a blank",
     _TEXT: "text without control characters",
+    COUNTRY: "two capital letters, ISO 3166-1",
     _FILE_WITHIN: "a file in the same folder or below, named from there without '..'",
     _COLUMN_NAME: "letters, digits, '_', '.' and '-', a letter or '_' first",
 }

@@ -67,7 +67,7 @@ def _raised(budget: QuantityBudget, factor: float) -> QuantityBudget:
     if factor == 1:
         return budget
     u, share = budget.standard_uncertainty, factor**-2
-    own = u * math.sqrt(factor**2 - 1)
+    own = u * factor * math.sqrt(1 - share)
     lines = [line.model_copy(update={"share": line.share * share}) for line in budget.lines]
     added = BudgetLine(kind="cmc", input="", type="B", contribution=own, share=1 - share)
     return budget.model_copy(

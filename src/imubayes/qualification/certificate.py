@@ -32,19 +32,21 @@ standards of equipment that no run used or that had expired, dates in the wrong 
 """
 
 import datetime
+import unicodedata
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
+from imubayes.campaign import file_schemas
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Record
 
 
-def _not_blank(text: str) -> str:
-    if not text.strip():
+def _visible(text: str) -> str:
+    if all(unicodedata.category(letter) in ("Cf", "Zs") for letter in text):
         raise ValueError("it is blank")
     return text
 
@@ -55,8 +57,18 @@ def _in_order(span: tuple[float, float]) -> tuple[float, float]:
     return span
 
 
-Text = Annotated[str, Field(min_length=1, max_length=2000), AfterValidator(_not_blank)]
-Range = Annotated[tuple[float, float], AfterValidator(_in_order)]
+def _no_number(value: object) -> object:
+    """Refuse the numbers that stand for seconds since 1970."""
+    if isinstance(value, int | float):
+        raise ValueError(f"{value!r} is no date, as 2026-11-20")
+    return value
+
+
+Text = Annotated[file_schemas.Text, Field(min_length=1, max_length=2000), AfterValidator(_visible)]
+Date = Annotated[datetime.date, BeforeValidator(_no_number)]
+Celsius = Annotated[float, Field(strict=True, ge=-273.15)]
+Percent = Annotated[float, Field(strict=True, ge=0, le=100)]
+Pressure = Annotated[float, Field(strict=True, ge=0)]
 
 
 class _CertificatePart(BaseModel):
@@ -68,7 +80,7 @@ class Party(_CertificatePart):
 
     name: Text | None = Field(default=None, description="of the organisation")
     address: Text | None = Field(default=None, description="as on a letter, one line")
-    country: Annotated[str, Field(pattern="^[A-Z]{2}$")] | None = Field(default=None, description="ISO 3166-1")
+    country: Annotated[str, Field(pattern=file_schemas.COUNTRY)] | None = Field(default=None, description="ISO 3166-1")
     email: Text | None = Field(default=None, description="for questions")
 
 
@@ -79,7 +91,7 @@ class CertifiedItem(_CertificatePart):
     manufacturer: Text | None = Field(default=None, description="who made it")
     model: Text | None = Field(default=None, description="type designation")
     condition: Text | None = Field(default=None, description="in which it was received")
-    received: datetime.date | None = Field(default=None, description="date of receipt")
+    received: Date | None = Field(default=None, description="date of receipt")
 
 
 class MeasurementStandard(_CertificatePart):
@@ -92,15 +104,21 @@ class MeasurementStandard(_CertificatePart):
     serial: Text | None = Field(default=None, description="its serial number")
     certificate: Text | None = Field(default=None, description="number of its calibration certificate")
     issued_by: Text | None = Field(default=None, description="who issued that")
-    valid_until: datetime.date | None = Field(default=None, description="when it is due again")
+    valid_until: Date | None = Field(default=None, description="when it is due again")
 
 
 class Environment(_CertificatePart):
     """Conditions during the calibration that influence it: lowest and highest."""
 
-    temperature_degC: Range | None = Field(default=None, description="of the air")
-    humidity_percent: Range | None = Field(default=None, description="relative humidity of the air")
-    pressure_hPa: Range | None = Field(default=None, description="of the air")
+    temperature_degC: Annotated[tuple[Celsius, Celsius], AfterValidator(_in_order)] | None = Field(
+        default=None, description="of the air"
+    )
+    humidity_percent: Annotated[tuple[Percent, Percent], AfterValidator(_in_order)] | None = Field(
+        default=None, description="relative humidity of the air"
+    )
+    pressure_hPa: Annotated[tuple[Pressure, Pressure], AfterValidator(_in_order)] | None = Field(
+        default=None, description="of the air"
+    )
     text: Text | None = Field(default=None, description="anything else, such as vibration")
 
 
@@ -110,7 +128,9 @@ class CapabilityEntry(_CertificatePart):
     quantity: Text = Field(
         description="name in the summary of a fit; without the labels in brackets, all of the family"
     )
-    expanded: Annotated[float, Field(gt=0)] = Field(description="smallest expanded uncertainty that may be stated")
+    expanded: Annotated[float, Field(gt=0, lt=1e15, strict=True)] = Field(
+        description="smallest expanded uncertainty that may be stated"
+    )
     unit: Text = Field(description="of that")
 
 
@@ -125,7 +145,7 @@ class Certificate(_CertificatePart):
     """The certificate block (ISO/IEC 17025:2017, 7.8.2 and 7.8.4)."""
 
     number: Text | None = Field(default=None, description="unique identification of the certificate")
-    date: datetime.date | None = Field(default=None, description="of issue")
+    date: Date | None = Field(default=None, description="of issue")
     title: Text = Field(default="Calibration certificate", description="of the document")
     laboratory: Party = Field(default=Party(), description="who calibrated")
     customer: Party = Field(default=Party(), description="for whom")

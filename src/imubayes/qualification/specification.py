@@ -31,7 +31,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.foundations.errors import Issue
-from imubayes.qualification.certificate import Certificate
+from imubayes.qualification.certificate import Certificate, Text
 from imubayes.qualification.decision_rules import COVERAGE, GUARD_FACTOR, DecisionRule, RuleName
 
 Probability = Annotated[float, Field(gt=0, lt=1)]
@@ -83,7 +83,7 @@ class SpecificationFile(_SpecificationEntry):
     """A specification: limits of quantities and the rule by which conformity is decided."""
 
     format: Literal[1] = Field(description="of this file")
-    name: str = Field(min_length=1, description="of the specification")
+    name: Text = Field(description="of the specification")
     rule: RuleEntry = Field(
         default=RuleEntry(name="guard_band", factor=GUARD_FACTOR), description="by which conformity is decided"
     )

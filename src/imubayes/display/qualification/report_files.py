@@ -267,8 +267,9 @@ def write_report(report: QualificationReport, files: Sequence[Path], annexes: Se
     ----------
     annexes : of page and PDF; None for all of a page, and for the results alone of a PDF.
     """
-    for file in files:
-        content = _WRITERS[file.suffix.lower()][0](report, annexes)
+    # What a format lacks is told before any file is written.
+    contents = [_WRITERS[file.suffix.lower()][0](report, annexes) for file in files]
+    for file, content in zip(files, contents, strict=True):
         file.parent.mkdir(parents=True, exist_ok=True)
         with replacing(file) as scratch:
             scratch.write_bytes(content)
