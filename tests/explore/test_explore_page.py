@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import threading
 from urllib.parse import quote, unquote
 
 import pytest
@@ -12,6 +13,8 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
+
+from imubayes.explorer.worker import TaskOutcome
 
 BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 pytestmark = pytest.mark.skipif(
@@ -224,6 +227,40 @@ def test_help_tour_theme_and_what_is_known(fresh):
     field.send_keys("scale_factor[gz]", Keys.ENTER)
     fresh.wait("document.querySelector('#tab-panel .densities')")
     fresh.press(Keys.ESCAPE)
+
+
+def test_what_is_typed_and_folded_stays_while_the_worker_works(fresh, explored):
+    """A step of the worker draws its own line anew; a change of the tree, or of locks, not what has no part in it."""
+    fresh.press("3")
+    fresh.wait("document.querySelectorAll('#tab-panel details').length > 3")
+    fresh.click("#tab-panel details:last-of-type summary")
+    field = fresh.driver.find_element(By.CSS_SELECTOR, "#tab-panel input[list]")
+    field.send_keys("scale_fac")
+    fresh.run("(document.querySelector('#causes').firstChild.dataset.same = 'yes', null)")
+    go = threading.Event()
+
+    def work(tell):
+        for step in range(400):
+            tell(f"step {step}")
+            if go.wait(0.05):
+                break
+        return TaskOutcome("", ("worked",))
+
+    explored.session.worker.submit("change", "a long task", "", work)
+    fresh.wait("/step [2-9]/.test(document.querySelector('#notice').textContent)")
+    fresh.run("(document.querySelector('#causes').firstChild.dataset.same = 'yes', null)")  # after busy was told
+    seen = fresh.text("#notice")
+    fresh.wait(f"document.querySelector('#notice').textContent !== {json.dumps(seen)}")
+    assert fresh.run("document.querySelector('#causes').firstChild.dataset.same") == "yes"
+    go.set()
+    fresh.wait("document.querySelector('#notice').textContent.includes('worked')")
+    assert field.get_property("value") == "scale_fac"  # the element itself, where it was
+    assert fresh.run("document.activeElement.dataset.key") == "quantity"
+    assert fresh.run("[...document.querySelectorAll('#tab-panel details')].at(-1).open")
+    # The name is completed, which draws the panel anew: what was unfolded stays so.
+    field.send_keys("tor[gz]", Keys.ENTER)
+    fresh.wait("document.querySelector('#tab-panel .densities')")
+    assert fresh.run("[...document.querySelectorAll('#tab-panel details')].at(-1).open")
 
 
 def test_an_address_of_nonsense_opens_the_page(fresh, explored):

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from imubayes.criticism.explanations import CoefficientEstimate, ProbableExplanation, Verdict
+from imubayes.criticism.explanations import ProbableExplanation, Verdict
 from imubayes.criticism.linear_answers import RankedCause
 from imubayes.display.layout import Sheet
 from imubayes.foundations.records import Record
@@ -181,21 +181,17 @@ class CauseLine(Record):
     Attributes
     ----------
     group : number of the group of effects that the runs cannot distinguish; None outside of the leading explanation.
-    share : probability that it stands in the place of the first of its group; None outside.
     delta_chi2, coefficient : predicted drop of χ², and its most significant coefficient in words.
     words : what it is.
     """
 
     effect: str
-    channels: tuple[str, ...]
     probability: float
     log_odds: float
     delta_chi2: float
     coefficient: str
-    coefficients: tuple[CoefficientEstimate, ...]
     words: str
     group: int | None = None
-    share: float | None = None
 
 
 class ModelFacts(Record):
@@ -235,7 +231,6 @@ class SelectionFacts(Record):
 
     Attributes
     ----------
-    p : probability of such a χ² by chance at the noise known beforehand.
     nothing, offset : probability that noise alone, or an offset of these rows alone, made them; None where all rows
         are selected, of which an offset is a bias.
     form, form_words : probability of the form, or wrong record, of the leading explanation, and what it is.
@@ -246,9 +241,6 @@ class SelectionFacts(Record):
     n: int
     of: int
     chi2: float
-    p: float | None
-    rms: float | None
-    unit: str
     nothing: float
     offset: float | None
     form: float | None

@@ -105,17 +105,16 @@ class OpenModel:
     def _causes(self) -> list[CauseLine]:
         registry, found = self.view.fit.model.registry, []
         groups = {
-            member.effect: (place, member.probability)
+            member.effect: place
             for place, group in reversed(list(enumerate(self.diagnosis.groups, 1)))
             for member in group.candidates
         }
         for line in self.diagnosis.ranking:
             shown = self.diagnosis.estimate(line.effect) or line
-            group, share = groups.get(line.effect, (None, None))
             found.append(CauseLine(
-                effect=line.effect, channels=shown.channels, probability=line.probability, log_odds=line.log_odds,
-                delta_chi2=shown.delta_chi2, coefficient=coefficient_text(shown), coefficients=shown.coefficients,
-                words=(getdoc(registry.effects[line.effect]) or "").partition("\n")[0], group=group, share=share,
+                effect=line.effect, probability=line.probability, log_odds=line.log_odds, delta_chi2=shown.delta_chi2,
+                coefficient=coefficient_text(shown), group=groups.get(line.effect),
+                words=(getdoc(registry.effects[line.effect]) or "").partition("\n")[0],
             ))  # fmt: skip
         return found
 
@@ -124,7 +123,7 @@ class OpenModel:
         chosen, view = self.table.chosen(brushes), self.view
         n, chi2 = int(chosen.sum()), float(np.sum(view.whitened()[chosen] ** 2))
         p = float(chi2_survival(chi2, float(n))) if n else None
-        rms, unit = self.table.rms(chosen) if n else (None, "")
+        rms = self.table.rms(chosen) if n else (None, "")
         found = view.rank(chosen, without)
         best = (found.causes[0].effect, found.causes[0].probability) if found.causes else None
         told = self.diagnosis.explanations.form if self.diagnosis.explanations is not None else None
@@ -132,9 +131,9 @@ class OpenModel:
         if found.form is not None and found.form > (best[1] if best is not None else 0.0):
             best = words, found.form
         return SelectionFacts(
-            n=n, of=int(view.entries.sum()), chi2=chi2, p=p, rms=rms, unit=unit, nothing=found.nothing,
+            n=n, of=int(view.entries.sum()), chi2=chi2, nothing=found.nothing,
             offset=found.offset, form=found.form, form_words=words, causes=found.causes,
-            sentence=selection_text(n, chi2, p, (rms, unit), best, found.nothing, found.offset),
+            sentence=selection_text(n, chi2, p, rms, best, found.nothing, found.offset),
             runs=tuple(map(str, np.unique(self.table.runs[self.table.run[chosen]]))),
         )  # fmt: skip
 

@@ -27,7 +27,7 @@ from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
 from imubayes.loop.model_history import ChiSquareDrop, Tree, rms_by_unit
 from imubayes.results.change_records import ModelChange
-from imubayes.results.folder_files import MANIFEST
+from imubayes.results.folder_files import MANIFEST, MODEL
 from imubayes.results.history_tree import campaign_of, read_tree, select, shown_place
 from imubayes.results.result import Result, read_result
 
@@ -60,8 +60,6 @@ class TreeLine(Record):
     rms: dict[str, float]
     selected: bool
     taken: bool
-    message: str
-    open: bool
 
 
 class SessionState(Record):
@@ -135,7 +133,7 @@ class Session:
                 id=id_of(place), parent=id_of(parent) if parent else "", depth=depth, title=node.title,
                 folder=shown_place(place), name=kept.name, note=kept.note, chi2=node.chi2, dof=node.dof,
                 delta_chi2=node.delta_chi2, gain=gain_text(node), rms=rms_by_unit(node.rms), selected=node.selected,
-                taken=node.taken, message=node.message, open=id_of(place) in self._open,
+                taken=node.taken,
             )  # fmt: skip
 
     # ---- models ----
@@ -359,7 +357,7 @@ class Session:
             where it needs effect files, which a single file cannot hold.
         """
         with TemporaryDirectory() as scratch:
-            file = Path(scratch) / "model.toml"
+            file = Path(scratch) / MODEL
             export(self.root, file)
             others = sorted(each.name for each in Path(scratch).iterdir() if each != file)
             if others:

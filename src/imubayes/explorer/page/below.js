@@ -5,17 +5,28 @@ import { drawKnowledge } from "./knowledge.js";
 import { show, told, view } from "./state.js";
 
 const TABS = { models: "Models", estimates: "Estimates", knowledge: "What is known", commands: "Commands" };
+const panel = el("div", { role: "tabpanel", id: "tab-panel" }), head = el("div", { class: "head" });
+
+// How a tab is drawn, and what is told that it shows: nothing else draws it anew, under what is typed or folded there.
+const DRAWN = {
+  models: [models, "facts", "kept"], estimates: [estimates, "facts", "preview"], knowledge: [drawKnowledge, "facts"], commands: [commands, "facts", "kept"],
+};
+
+export function drawTab(actions, seen, heard) {
+  const [draw, ...shown] = Object.hasOwn(DRAWN, view.tab) ? DRAWN[view.tab] : DRAWN.models;
+  if (shown.some((name) => heard.includes(name)) || seen.includes("tab") || seen.includes("model")) draw(panel, actions);
+}
 
 export function drawBelow(place, actions) {
   const tabs = Object.entries(TABS).map(([name, words], at) => el("button", {
     role: "tab", id: `tab-${name}`, "data-key": `tab-${name}`, "aria-selected": String(view.tab === name), "aria-controls": "tab-panel",
     title: `key ${at + 1}`, onclick: () => show({ tab: name }),
   }, words));
-  const panel = el("div", { role: "tabpanel", id: "tab-panel", "aria-labelledby": `tab-${view.tab}` });
-  const draw = { models, estimates, knowledge: drawKnowledge, commands }[view.tab] ?? models;
-  draw(panel, actions);
-  fill(place, el("div", { class: "head" }, el("div", { class: "tabs", role: "tablist" }, tabs), side(actions)), panel);
+  fill(head, el("div", { class: "tabs", role: "tablist" }, tabs), side(actions));
+  panel.setAttribute("aria-labelledby", `tab-${view.tab}`);
+  if (!panel.isConnected) fill(place, head, panel);
 }
+
 
 function side(actions) {
   if (view.tab === "commands") {

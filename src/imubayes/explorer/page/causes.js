@@ -1,7 +1,7 @@
 // Ranked causes: of everything by the one evidence, or of the selected readings; ticked ones are previewed, then added.
 
 import { bar, digits, el, fill, odds, probability } from "./dom.js";
-import { show, tell, told, view } from "./state.js";
+import { atWork, show, tell, told, view } from "./state.js";
 
 const MOST = 14;
 let every = false, hovering = 0;
@@ -90,7 +90,7 @@ function hover(effect) {
 
 function accept(actions, selection) {
   const preview = told.preview?.effects.length ? told.preview : null, ticked = view.ticked.length > 0;
-  const busy = told.session?.tasks.some((task) => ["waiting", "running", "cancelling"].includes(task.state));
+  const busy = told.session?.tasks.some(atWork);
   return el("div", { class: "aside" },
     preview ? el("p", { id: "preview-sentence", role: "status" }, preview.sentence) : el("p", { class: "quiet" }, "Point at a cause to preview it without a refit; tick several to preview them together."),
     preview ? el("pre", { tabindex: "0", "aria-label": "command" }, preview.command) : null,

@@ -5,6 +5,7 @@ import { ask } from "./net.js";
 import { told, view } from "./state.js";
 
 let known = { model: "", tables: null }, chosen = null, sought = "";
+const unfolded = new Map();
 
 export function drawKnowledge(panel, actions) {
   if (known.model !== view.model || !known.tables) {
@@ -18,10 +19,12 @@ export function drawKnowledge(panel, actions) {
     el("div", {},
       el("label", {}, "quantity ", el("input", {
         list: "quantities", "data-key": "quantity", value: sought, size: 34, placeholder: "name, such as scale_factor[gx]",
-        onchange: (event) => seek(event.target.value, panel, actions),
+        oninput: (event) => { sought = event.target.value; }, onchange: (event) => seek(event.target.value, panel, actions),
       })), el("datalist", { id: "quantities" }, found.map((name) => el("option", { value: name }))),
       chosen ? densities(chosen) : el("p", { class: "quiet" }, "Name a quantity to see its prior and posterior.")),
-    el("div", {}, tables.filter((table) => table.rows.length || table.note).map((table, at) => el("details", { open: at < 2 },
+    el("div", {}, tables.filter((table) => table.rows.length || table.note).map((table, at) => el("details", {
+        open: unfolded.get(table.title) ?? at < 2, ontoggle: (event) => unfolded.set(table.title, event.target.open),
+      },
       el("summary", {}, table.title, el("span", { class: "quiet" }, ` (${table.rows.length})`)), sheet(table, panel, actions))))));
 }
 

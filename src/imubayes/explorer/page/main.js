@@ -1,6 +1,6 @@
 // The page: what changes leads to what is asked, and what is told leads to what is drawn. State flows one way.
 
-import { drawBelow, noteDialog, parentOf } from "./below.js";
+import { drawBelow, drawTab, noteDialog, parentOf } from "./below.js";
 import { drawCauses } from "./causes.js";
 import { el, fill } from "./dom.js";
 import { formulaDialog } from "./formula.js";
@@ -8,7 +8,7 @@ import { helpDialog, listenToKeys } from "./keys.js";
 import { drawMap } from "./map.js";
 import { ask, latest, listen, points, text } from "./net.js";
 import { drawCharts, drawControls, focusRuns, makeCharts, restyle, zoomToSelection } from "./panels.js";
-import { onChange, previewed, show, tell, told, view } from "./state.js";
+import { atWork, hear, onChange, previewed, show, tell, told, view } from "./state.js";
 import { drawTasks } from "./tasks.js";
 import { tour } from "./tour.js";
 import { drawVerdict } from "./verdict.js";
@@ -36,16 +36,16 @@ const actions = {
   accept: () => view.ticked.length && attempt(() => ask("change", { model: view.model, add: view.ticked })),
   remove: (effect) => attempt(() => ask("change", { model: view.model, remove: [effect] })),
   cancel: (task) => attempt(() => ask("cancel", { task })),
-  select: (model) => attempt(async () => tell({ session: await ask("select", { model }) })),
+  select: (model) => attempt(async () => hear(await ask("select", { model }))),
   lock: (effect, lock) => attempt(async () => {
-    tell({ session: await ask("lock", { effect, lock }) });
+    hear(await ask("lock", { effect, lock }));
     await select();
   }),
-  note: (line) => noteDialog(dialog, line, (name, note) => attempt(async () => tell({ session: await ask("note", { model: line.id, name, note }) }))),
+  note: (line) => noteDialog(dialog, line, (name, note) => attempt(async () => hear(await ask("note", { model: line.id, name, note })))),
   undo: () => attempt(async () => {
     const before = parentOf(view.model);
     if (!before) return;
-    tell({ session: await ask("select", { model: before }) });
+    hear(await ask("select", { model: before }));
     show({ model: before, ticked: [] });
   }),
   export: () => download("model.toml"),
@@ -135,8 +135,9 @@ onChange((seen, heard) => {
 function draw(seen, heard) {
   if (any(heard, "facts", "lost") || any(seen, "model")) drawVerdict(place("verdict"));
   if (any(heard, "facts", "preview") || any(seen, "brushes", "channel", "model")) drawMap(place("map"));
-  if (any(heard, "facts", "selection", "preview", "session") || any(seen, "brushes", "ticked", "model")) drawCauses(place("causes"), actions);
-  if (any(heard, "facts", "session", "preview") || any(seen, "tab", "model", "ticked")) drawBelow(place("below"), actions);
+  if (any(heard, "facts", "selection", "preview", "kept") || any(seen, "brushes", "ticked", "model")) drawCauses(place("causes"), actions);
+  if (any(heard, "facts", "kept") || any(seen, "tab", "model")) drawBelow(place("below"), actions);
+  drawTab(actions, seen, heard);
   if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between")) drawControls();
   if (any(heard, "session", "fault", "lost", "dismissed")) drawTasks(place("notice"), actions);
 }
@@ -144,7 +145,7 @@ function draw(seen, heard) {
 // A change that was taken is followed by every window that shows the model it was made from.
 function onState(session) {
   const last = told.session;
-  tell({ session, lost: false });
+  hear(session);
   const known = new Set((last?.tasks ?? []).filter((task) => task.made).map((task) => task.number));
   for (const task of session.tasks) {
     const fresh = last && task.made && !known.has(task.number);
@@ -153,7 +154,7 @@ function onState(session) {
   }
   const there = session.tree.some((line) => line.id === view.model);
   if (!there && session.tree.length) show({ model: (session.tree.find((line) => line.selected) ?? session.tree[0]).id }, true);
-  else if (!told.facts && there && !session.tasks.some((task) => ["waiting", "running"].includes(task.state)) && !last) open();
+  else if (!told.facts && there && !session.tasks.some(atWork) && !last) open();
 }
 
 // ---- tools and keys ----
@@ -188,7 +189,7 @@ listenToKeys({
   "?": () => helpDialog(dialog), t: () => tour(dialog), d: switchTheme,
   m: () => (place("map").querySelector(".cell.marked") ?? place("map").querySelector(".cell"))?.focus(), r: () => place("residuals").focus(),
   c: () => place("causes").querySelector(".tick:not(:disabled)")?.focus(), a: actions.accept, u: actions.undo, e: actions.export,
-  x: () => told.session?.tasks.filter((task) => ["waiting", "running"].includes(task.state)).forEach((task) => actions.cancel(task.number)),
+  x: () => told.session?.tasks.filter(atWork).forEach((task) => actions.cancel(task.number)),
   n: () => show({ channel: next(channels(), view.channel, 1) }), N: () => show({ channel: next(channels(), view.channel, -1) }),
   v: () => turnX(1), V: () => turnX(-1), y: () => show({ y: next(RESIDUALS, view.y, 1) }), o: focusRuns,
   f: () => told.facts && actions.formula(view.channel), p: () => show({ after: !view.after }), z: zoomToSelection, Z: () => show({ between: null }),

@@ -17,7 +17,6 @@ function find(id) {
 const refusal = "this page was saved, and has no server: start `imubayes explore FOLDER` to go on";
 
 export function savedAnswer(name, body) {
-  if (name === "state") return kept.state;
   const model = body && find(body.model);
   if (!model) throw new Error(name === "model" ? "this model was not open when the page was saved" : refusal);
   if (name === "model") return model.facts;
@@ -51,7 +50,7 @@ function selection(model, brushes) {
     runs.add(model.facts.runs[run[k]]);
   }
   const sentence = `${n} readings: χ² ${chi2.toPrecision(4)}. What explains them needs the server.`;
-  return { n, of: model.of, chi2, p: null, rms: null, unit: "", nothing: null, offset: null, causes: [], sentence, runs: [...runs] };
+  return { n, of: model.of, chi2, nothing: null, offset: null, causes: [], sentence, runs: [...runs] };
 }
 
 export function savedPoints(wanted) {

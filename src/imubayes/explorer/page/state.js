@@ -4,9 +4,13 @@ const FIRST = { model: "", channel: "", x: "", y: "known", colour: "run", only: 
 
 export const view = { ...FIRST, ...fromAddress() };
 export const told = {
-  session: null, facts: null, points: null, selection: null, preview: null, hovered: "", fault: "", lost: false,
-  openTask: 0, dismissed: 0,
+  session: null, kept: "", facts: null, points: null, selection: null, preview: null, hovered: "", fault: "", lost: false,
+  dismissed: 0,
 };
+
+export function atWork(task) {
+  return ["waiting", "running", "cancelling"].includes(task.state);
+}
 
 const listeners = [];
 
@@ -25,6 +29,12 @@ export function show(changes, replace = false) {
 export function tell(changes) {
   Object.assign(told, changes);
   for (const listener of listeners) listener([], Object.keys(changes));
+}
+
+// A step of the worker is news of its own line alone; what the panels show of a session is `kept`.
+export function hear(session) {
+  const kept = JSON.stringify([session.tree, session.commands, session.locks, session.tasks.some(atWork)]);
+  tell({ session, lost: false, ...(kept === told.kept ? {} : { kept }) });
 }
 
 function changed() {

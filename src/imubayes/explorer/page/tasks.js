@@ -1,25 +1,22 @@
 // What the worker does, what it brought, and what went wrong, each with what to do next.
 
 import { el, fill } from "./dom.js";
-import { tell, told } from "./state.js";
-
-const AT_WORK = ["waiting", "running", "cancelling"];
+import { atWork, tell, told } from "./state.js";
 
 export function drawTasks(place, actions) {
   const lines = [];
   if (told.lost) {
     lines.push(el("div", {}, el("span", { class: "fault", role: "alert" }, "The server is gone. What was accepted is in its folders. Start `imubayes explore` again and open the address that it prints; this page keeps trying.")));
   }
-  for (const task of told.session?.tasks ?? []) {
-    if (AT_WORK.includes(task.state)) lines.push(atWork(task, actions));
-  }
-  const last = (told.session?.tasks ?? []).filter((task) => !AT_WORK.includes(task.state)).at(-1);
+  const tasks = told.session?.tasks ?? [];
+  lines.push(...tasks.filter(atWork).map((task) => progress(task, actions)));
+  const last = tasks.filter((task) => !atWork(task)).at(-1);
   if (last && last.number > told.dismissed) lines.push(ended(last));
   if (told.fault) lines.push(el("div", {}, el("span", { class: "fault", role: "alert" }, told.fault), close(() => tell({ fault: "" }))));
   fill(place, lines.filter(Boolean));
 }
 
-function atWork(task, actions) {
+function progress(task, actions) {
   return el("div", {}, el("progress", { "aria-label": task.what }),
     el("span", { class: "said" }, `${task.what}: ${task.state === "cancelling" ? "cancelling at the next step" : task.step || "waiting"} · ${task.seconds.toFixed(0)} s`),
     task.kind === "open" ? null : el("button", { id: "cancel", "data-key": "cancel", disabled: task.state === "cancelling", onclick: () => actions.cancel(task.number) }, "cancel"));
