@@ -46,6 +46,15 @@ def varies(values: np.ndarray) -> bool:
     return finite.size > 1 and bool(np.ptp(finite) > 1e-9 * np.max(np.abs(finite)))
 
 
+NORMAL = 1.959964
+"""97.5 % point of the standard normal."""
+
+
+def band(residuals: pl.DataFrame) -> np.ndarray:
+    """Return half the width of the 95 % band of each output, noise and model together, (E,), output units."""
+    return NORMAL * np.hypot(numbers(residuals, "sd"), np.nan_to_num(numbers(residuals, "model_sd")))
+
+
 def covariates_of(residuals: pl.DataFrame) -> list[Covariate]:
     """Return the covariates that the data have, those that vary."""
     return [known for known in covariates() if varies(numbers(residuals, known.column))]

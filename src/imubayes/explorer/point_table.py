@@ -12,15 +12,13 @@ from functools import cached_property
 import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
-from imubayes.display.figure_style import numbers
+from imubayes.display.figure_style import NORMAL, band, numbers, varies
 from imubayes.display.numbers_and_labels import covariates, pretty, readable
 from imubayes.explorer.linear_view import LinearView
 from imubayes.explorer.messages import Axis, Brush, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.results.result import Result, to_input_units
 
-_NORMAL = 1.959964
-"""97.5 % point of the standard normal."""
 _ARRAYS = ("x", "observed", "predicted", "band", "y", "sd", "group", "marked", "curve", "after")
 
 
@@ -35,12 +33,12 @@ class PointTable:
         self.run_names = tuple(sorted(map(str, self.runs), key=lambda name: order[name]))
         self.channel = table["channel"].to_numpy().astype(str)
         self.channels = tuple(name for name in table["channel"].unique(maintain_order=True) if name in self._declared)
-        self.to_input = to_input_units(model)
+        self.to_input, self.units = to_input_units(model), table["input_unit"].to_numpy().astype(str)
         known = {each.column: numbers(table, each.column) for each in covariates() if each.column != "row"}
         known |= {each.name: each.values for each in view.explained.known if each.name not in known}
         own = {each.name: (each.unit, each.phrase) for each in view.explained.known}
         own |= {each.column: (each.unit, each.phrase) for each in covariates()}
-        self.columns = {"reading": np.arange(len(table), dtype=float)} | {k: v for k, v in known.items() if _varies(v)}
+        self.columns = {"reading": np.arange(len(table), dtype=float)} | {k: v for k, v in known.items() if varies(v)}
         self.abscissae = tuple(
             Axis(name=name, unit=pretty(own[name][0]), phrase=own[name][1]) if name in own
             else Axis(name=name, unit="", phrase="reading, in order")
@@ -50,6 +48,15 @@ class PointTable:
     @cached_property
     def _declared(self) -> frozenset[str]:
         return frozenset(channel.name for channel in self.view.fit.model.campaign.channels)
+
+    @cached_property
+    def shown(self) -> dict[str, np.ndarray]:
+        """What is drawn of every entry, output units: observed, predicted, and half the width of the 95 % band."""
+        return {name: numbers(self.table, name) for name in ("observed", "predicted")} | {"band": band(self.table)}
+
+    def curve(self, point: KnownNoisePoint) -> np.ndarray:
+        """Return the prediction with causes previewed, (E,), output units."""
+        return self.shown["predicted"] + self.view.point.misfit - point.misfit
 
     def column(self, name: str) -> np.ndarray:
         """Return an abscissa; raises InputError for an unknown one."""
@@ -93,11 +100,11 @@ class PointTable:
         return here
 
     def rms(self, chosen: np.ndarray) -> tuple[float | None, str]:
-        """Return the rms of chosen entries in a unit of plain numbers; None where they have different units."""
-        units = np.unique(self.table["input_unit"].to_numpy()[chosen].astype(str))
+        """Return the rms of chosen entries, a mask or places, in a unit of plain numbers; None of several units."""
+        units = np.unique(self.units[chosen])
         if len(units) != 1:
             return None, ""
-        size = float(np.sqrt(np.mean(np.square(self.ordinate("input")[chosen]))))
+        size = float(np.sqrt(np.mean(np.square((self.view.point.misfit * self.to_input)[chosen]))))
         factor, unit = readable(str(units[0]), size)
         return factor * size, pretty(unit)
 
@@ -119,7 +126,7 @@ class PointTable:
         square, fitted = self.view.whitened() ** 2, {(each.name, each.channel): each for each in self.summary.runs}
         found = []
         for run, channel, places in self._cells:
-            rms, unit = self.rms(_mask(places, len(self.table)))
+            rms, unit = self.rms(places)
             as_fitted = fitted.get((run, channel))
             found.append(MapCell(
                 run=run, channel=channel, n=len(places), chi2=float(square[places].sum()),
@@ -190,44 +197,27 @@ class PointTable:
         kept = decimated(x[places], y, marked, wanted.most)
         names, group = self.groups(wanted.colour)
         places, y, after, marked = places[kept], y[kept], after[kept], marked[kept]
-        predicted, sd = numbers(self.table, "predicted")[places], numbers(self.table, "sd")[places]
-        band = _NORMAL * np.hypot(sd, np.nan_to_num(numbers(self.table, "model_sd")[places]))
-        curve = predicted + (view.point.misfit - previewed.misfit)[places]
-        in_y = (
-            factor * _NORMAL * np.ones(len(places))
-            if wanted.y != "input"
-            else factor * (_NORMAL * numbers(self.table, "input_sd")[places])
-        )
-        observed = numbers(self.table, "observed")[places]
+        sd = numbers(self.table, "input_sd")[places] if wanted.y == "input" else np.ones(len(places))
         head = PointsHead(
             count=len(places), of=int(here.sum()), arrays=_ARRAYS, groups=names, x_label=self._label_of(wanted.x),
             y_label=label, y_factor=factor, output_label=f"{wanted.channel} / {self.output_unit(wanted.channel)}",
         )  # fmt: skip
-        columns = (x[places], observed, predicted, band, y, in_y, group[places], marked, curve, after)
+        drawn = (*self.shown.values(), self.curve(previewed))
+        observed, predicted, wide, curve = (each[places] for each in drawn)
+        columns = (x[places], observed, predicted, wide, y, factor * NORMAL * sd, group[places], marked, curve, after)
         return framed(head, columns)
 
     def _scale_of(self, wanted: PointsWanted, places: np.ndarray) -> tuple[float, str]:
         if wanted.y != "input" or not len(places):
             known = "known noise" if wanted.y == "known" else "fitted noise"
             return 1.0, f"residual / {known}"
-        sd, unit = numbers(self.table, "input_sd")[places], str(self.table["input_unit"][int(places[0])])
+        sd, unit = numbers(self.table, "input_sd")[places], str(self.units[places[0]])
         factor, name = readable(unit, float(np.nanmedian(sd)))
         return factor, f"residual / {pretty(name)}"
 
     def _label_of(self, name: str) -> str:
         axis = next(each for each in self.abscissae if each.name == name)
         return f"{axis.phrase} / {axis.unit}" if axis.unit else axis.phrase
-
-
-def _mask(places: np.ndarray, count: int) -> np.ndarray:
-    found = np.zeros(count, dtype=bool)
-    found[places] = True
-    return found
-
-
-def _varies(values: np.ndarray) -> bool:
-    known = values[np.isfinite(values)]
-    return known.size > 1 and float(np.ptp(known)) > 1e-9 * float(np.max(np.abs(known)))
 
 
 def framed(head: PointsHead, columns: Sequence[np.ndarray]) -> bytes:

@@ -8,11 +8,12 @@ import base64
 import json
 import re
 from collections.abc import Mapping, Sequence
+from typing import get_args
 
 import numpy as np
 
 from imubayes.display.figure_style import numbers
-from imubayes.explorer.messages import ModelFacts, PreviewFacts
+from imubayes.explorer.messages import ModelFacts, Ordinate, PreviewFacts
 from imubayes.explorer.open_model import OpenModel
 from imubayes.explorer.session import SessionState
 from imubayes.foundations.records import Record
@@ -68,29 +69,21 @@ def saved_model(model: OpenModel) -> SavedModel:
     every = np.flatnonzero(view.entries & np.isin(table.channel, table.channels))
     kept = every[:: -(-len(every) * names // _MOST_NUMBERS)]
     run_place = {name: place for place, name in enumerate(table.run_names)}
-    predicted, sd = numbers(table.table, "predicted"), numbers(table.table, "sd")
     columns = {
         "run": np.array([run_place[str(name)] for name in table.runs])[table.run],
         "channel": np.array([table.channels.index(c) if c in table.channels else -1 for c in table.channel]),
-        "observed": numbers(table.table, "observed"),
-        "predicted": predicted,
-        "band": 1.959964 * np.hypot(sd, np.nan_to_num(numbers(table.table, "model_sd"))),
-        "known": table.ordinate("known"),
-        "input": table.ordinate("input"),
-        "fitted": table.ordinate("fitted"),
+        **table.shown,
+        **{name: table.ordinate(name) for name in get_args(Ordinate)},
         "sd": numbers(table.table, "input_sd"),
         **{f"x:{name}": values for name, values in table.columns.items()},
     }
     previews = []
     for effect in likeliest:
         point = view.with_causes([effect])
-        curve = predicted + view.point.misfit - point.misfit
+        after, curve = _base64(view.whitened(point)[kept]), _base64(table.curve(point)[kept])
         found = model.preview([effect], f"{model.place}-{effect}")
-        previews.append(
-            SavedPreview(facts=found, after=_base64(view.whitened(point)[kept]), curve=_base64(curve[kept]))
-        )
-    recorded = [next(run for run in view.fit.model.campaign.runs if run.name == name) for name in table.run_names]
-    labels = {by: tuple(table.label(run.name, by) for run in recorded) for by in table.groupings()}
+        previews.append(SavedPreview(facts=found, after=after, curve=curve))
+    labels = {by: tuple(table.label(run, by) for run in table.run_names) for by in table.groupings()}
     return SavedModel(
         facts=facts, of=len(every), count=len(kept),
         columns={name: _base64(np.asarray(values)[kept]) for name, values in columns.items()},

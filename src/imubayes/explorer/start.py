@@ -9,6 +9,7 @@ from pathlib import Path
 
 import uvicorn
 
+from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.compiled.jax_settings import prepare_jax
 from imubayes.explorer.guard import HOST, new_token
 from imubayes.explorer.server import application
@@ -16,7 +17,7 @@ from imubayes.explorer.session import Session
 from imubayes.foundations.errors import input_error
 from imubayes.model.model_file import read_model
 from imubayes.results.folder_files import MANIFEST, checked
-from imubayes.results.result import Result, read_result
+from imubayes.results.result import Result
 
 _PATIENCE = 10.0
 SHIPPED = Path("data/hidden-gyro"), Path("models/hidden-effects.toml")
@@ -99,7 +100,7 @@ def explore(
     prepare_jax("explore")
     if place is None and model is None:
         place, model = SHIPPED
-        if not (place / "campaign.toml").is_file():
+        if not (place / CAMPAIGN_FILE).is_file():
             what, allowed = (
                 "nothing is named, and the shipped campaign is not here",
                 "a result, or a campaign with --model",
@@ -122,20 +123,18 @@ def _of_result(result: Result) -> Session:
 
 
 def _of_folder(place: Path, model: str | Path | None, out: str | Path | None) -> Session:
-    if not (place / "campaign.toml").is_file():
-        checked(place)
-        session = Session(place)
-        session.begin()
-        return session
-    if model is None:
-        raise input_error("a campaign needs a model", str(place), "--model FILE",
-                          "name the model, or a result folder in place of the campaign")  # fmt: skip
-    read_model(model)  # what is wrong with it is told before a page is opened
-    root = Path(out) if out is not None else Path("results") / f"{place.resolve().name}-{Path(model).stem}"
-    session = Session(root)
-    if (root / MANIFEST).is_file():
-        read_result(root)
-        session.begin()
-    else:
-        session.fit(place, Path(model))
+    if (place / CAMPAIGN_FILE).is_file():
+        if model is None:
+            raise input_error("a campaign needs a model", str(place), "--model FILE",
+                              "name the model, or a result folder in place of the campaign")  # fmt: skip
+        read_model(model)  # what is wrong with it is told before a page is opened
+        root = Path(out) if out is not None else Path("results") / f"{place.resolve().name}-{Path(model).stem}"
+        if not (root / MANIFEST).is_file():
+            session = Session(root)
+            session.fit(place, Path(model))
+            return session
+        place = root
+    checked(place)
+    session = Session(place)
+    session.begin()
     return session

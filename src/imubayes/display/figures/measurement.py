@@ -18,7 +18,6 @@ from imubayes.foundations.covariates import Covariate, shown
 from imubayes.procedures import Procedure, Reduction, procedure_named
 
 _PITCH = 3.0
-_NORMAL = 1.959964  # 97.5 % point of the standard normal
 _MODEL_BAND = "#f3c9a8"
 _GOOD = (
     "Upper panels: measurement and model. Lower panels: residual in input units. In a good model 95 % of the points "
@@ -90,7 +89,7 @@ def _procedure(recorded: pl.DataFrame) -> Procedure:
 
 def _measured(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
     observed, predicted = style.numbers(own, "observed"), style.numbers(own, "predicted")
-    wide = _NORMAL * np.hypot(style.numbers(own, "sd"), np.nan_to_num(style.numbers(own, "model_sd")))
+    wide = style.band(own)
     order = np.argsort(x, kind="stable")
     band = ((predicted - wide)[order], (predicted + wide)[order])
     axes.fill_between(x[order], *band, color=style.BAND_WIDE, linewidth=0, zorder=1)
@@ -130,8 +129,8 @@ def _residual(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
     order = np.argsort(x, kind="stable")
     low, high = axes.get_xlim()
     place = np.concatenate([[low], x[order], [high]])
-    wide = _NORMAL * np.hypot(sd, model)
-    for half, colour in ((wide[order], style.BAND_WIDE), (_NORMAL * model[order], _MODEL_BAND)):
+    wide = style.NORMAL * np.hypot(sd, model)
+    for half, colour in ((wide[order], style.BAND_WIDE), (style.NORMAL * model[order], _MODEL_BAND)):
         half = np.concatenate([half[:1], half, half[-1:]])
         axes.fill_between(place, -half, half, color=colour, linewidth=0, zorder=1)
     axes.axhline(0, color=style.VERMILION, linewidth=1.0, zorder=1.5)
