@@ -198,14 +198,8 @@ class LinearAnswers:
             if effect not in self.variants:
                 allowed = closest_first(effect, self.variants)
                 raise input_error(f"'{effect}' is no cause here", "preview", allowed, "choose one of the list")
-            of = self.explained.of
-            variant = of.variants[self.variants[effect]]
-            scan = of.problem.candidates[variant.response].scan
-            own = [each for each in self.explained.responses.candidates if each.scan.effect == effect]
-            response = next((each for each in own if each.scan == scan), own[0])
-            names = {of.problem.coefficients[k].parameter.name for k in variant.places}
-            here = [k for k, each in enumerate(response.coefficients) if each.parameter.name in names]
-            columns = response.columns[:, here]
+            posterior = self.explained.posterior
+            columns = posterior.columns_of(self.variants[effect], self.explained.responses)[1]
             self._white[effect] = columns, whitened_rows(self.fit.model.problem, self.point.h, columns)
         return self._white[effect]
 

@@ -189,15 +189,21 @@ class ExplanationPosterior:
         at, variance = self.of.among(found, places), np.diag(self.of.solved(found).covariance)
         return estimates(self.of.problem, places, found.mean[at], variance[at])
 
+    def columns_of(self, variant: int, responses: Responses) -> tuple[list[str], np.ndarray]:
+        """Return a variant's coefficients by name, (k,), and how other rows, or at another point, respond, (E, k)."""
+        own, problem = self.of.variants[variant], self.of.problem
+        scan, told = problem.candidates[own.response].scan, {problem.coefficients[k].parameter.name for k in own.places}
+        fitting = [each for each in responses.candidates if each.scan.effect == scan.effect]
+        response = next((each for each in fitting if each.scan == scan), fitting[0])
+        names = [each.parameter.name for each in response.coefficients]
+        here = [place for place, name in enumerate(names) if name in told]
+        return [names[place] for place in here], response.columns[:, here]
+
     def response_to(self, member: SlotMember, responses: Responses) -> tuple[np.ndarray, np.ndarray]:
         """Return the responses (E, k) of other rows or at another point to a member's coefficients, and these (k,)."""
-        scan = self.of.problem.candidates[self.of.variants[member.variant].response].scan
+        names, columns = self.columns_of(member.variant, responses)
         sizes = {each.name: each.value or 0.0 for each in self.coefficients(member.variant, member.found)}
-        own = [each for each in responses.candidates if each.scan.effect == scan.effect]
-        response = next((each for each in own if each.scan == scan), own[0])
-        names = [each.parameter.name for each in response.coefficients]
-        here = [place for place, name in enumerate(names) if name in sizes]
-        return response.columns[:, here], np.array([sizes[names[place]] for place in here])
+        return columns, np.array([sizes[name] for name in names])
 
     @cached_property
     def wrong_inputs(self) -> tuple[tuple[float, Evaluated], ...]:
