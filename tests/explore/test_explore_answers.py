@@ -7,6 +7,7 @@ import re
 import struct
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -334,7 +335,17 @@ def test_what_is_cancelled_leaves_nothing(client, explored, first):
 def test_a_change_is_that_of_the_command(client, explored, first, facts):
     """Added as the command that is shown adds it: a result of its own, selected, and taken back."""
     task = client.json("change", {"model": first, "add": [HIDDEN]})["task"]
+    assert client.json("state")["tasks"][-1]["adding"] == [HIDDEN]
+    began = time.monotonic()
+    early = client.json("preview", {"model": first, "effects": [HIDDEN], "refitted": True})
+    seconds = time.monotonic() - began
+    head, points = _frame(
+        client, {"model": first, "channel": "gz", "x": "reading", "effects": [HIDDEN], "refitted": True}
+    )
     settled(explored)
+    assert early["refitted"]
+    assert head["refitted"]
+    assert seconds < 5  # 0.1 s on an idle machine: the program is that of the diagnosis, and the fit is not waited for
     state = client.json("state")
     done = next(each for each in state["tasks"] if each["number"] == task)
     assert done["state"] == "done", done["issues"]
@@ -345,6 +356,13 @@ def test_a_change_is_that_of_the_command(client, explored, first, facts):
     after = client.json("model", {"model": done["made"]})
     assert after["verdict"] == "adequate"
     assert after["chi2"] < facts["chi2"] - 900
+    # What was shown before the fit was made is what it found: residuals, χ² of every cell, and the drop.
+    np.testing.assert_allclose(early["cells"], [cell["chi2"] for cell in after["cells"]], rtol=1e-4)
+    assert early["delta_chi2"] == pytest.approx(facts["chi2"] - after["chi2"], abs=0.1)
+    assert "observed 103" in early["sentence"]
+    _, fitted = _frame(client, {"model": done["made"], "channel": "gz", "x": "reading"})
+    np.testing.assert_allclose(points["after"], fitted["y"], atol=2e-3)
+    assert np.max(np.abs(points["y"] - fitted["y"])) > 3
     command = next(each for each in state["commands"] if each.startswith("imubayes add"))
     assert client.ask("script.sh")[1].decode().splitlines()[-2:] == [command, state["commands"][-1]]
     # Undo: the one before is selected, and exported.

@@ -12,7 +12,7 @@ figure.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -52,7 +52,7 @@ class KnownNoisePoint:
     jacobian : shape (E, P).
     basis, upper : shapes (E + P, P) and (P, P), QR of the whitened Jacobian with the rows of the priors.
     left : shape (E + P,), whitened residual at the least squares, the rows of the priors last.
-    shift : shape (P,), change of z by responses that were fitted beside; empty without any.
+    z : shape (P,), at the least squares.
     """
 
     model: Model
@@ -62,7 +62,7 @@ class KnownNoisePoint:
     basis: np.ndarray
     upper: np.ndarray
     left: np.ndarray
-    shift: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    z: np.ndarray
 
     def with_columns(self, columns: np.ndarray, white: np.ndarray | None = None) -> "KnownNoisePoint":
         """Return the same with further responses (E, C) fitted, without a prior; `white`, where they are at hand."""
@@ -77,7 +77,7 @@ class KnownNoisePoint:
         size = np.linalg.lstsq(across / unit, self.left, rcond=math.sqrt(_RETAINED_MIN))[0] / unit
         moved = np.linalg.solve(self.upper, absorbed @ size)
         misfit = self.misfit - columns @ size + self.jacobian @ moved
-        return replace(self, misfit=misfit, left=self.left - across @ size, shift=-moved)
+        return replace(self, misfit=misfit, left=self.left - across @ size, z=self.z - moved)
 
     def record(self) -> KnownNoiseFit:
         """Return χ² and the residual rms of each channel."""
@@ -117,8 +117,9 @@ def known_noise_point(model: Model, about: Linearised, h: np.ndarray) -> KnownNo
     right = np.concatenate([residual, -np.asarray(about.z) / widths])
     basis, upper = np.linalg.qr(rows)
     along, raw = basis.T @ right, np.asarray(about.jacobian)
-    misfit = np.asarray(about.misfit) - raw @ np.linalg.solve(upper, along)
-    return KnownNoisePoint(model, h, misfit, raw, basis, upper, right - basis @ along)
+    step = np.linalg.solve(upper, along)
+    misfit, z = np.asarray(about.misfit) - raw @ step, np.asarray(about.z) + step
+    return KnownNoisePoint(model, h, misfit, raw, basis, upper, right - basis @ along, z)
 
 
 def fit_at_known_noise(fitted: Fit) -> KnownNoiseFit:

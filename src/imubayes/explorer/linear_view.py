@@ -1,6 +1,8 @@
 """A diagnosed result as linear algebra: what is asked of the diagnosis, and the estimates that a preview moves."""
 
 import math
+import threading
+from collections.abc import Sequence
 from functools import cached_property
 
 import jax.numpy as jnp
@@ -8,26 +10,43 @@ import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import ExplainedFit
+from imubayes.criticism.diagnosis_record import ScreenedEffect
 from imubayes.criticism.linear_answers import LinearAnswers
+from imubayes.criticism.refit_ahead import refitted
 from imubayes.explorer.messages import MovedEstimate
 from imubayes.foundations.progress import Tell
 from imubayes.model.derived_quantities import derived_jacobian
 from imubayes.parameters.declarations import prior_slopes
+from imubayes.responses.candidate_effects import CatalogueModel
 from imubayes.results.summary import ParameterSummary, Summary, in_output_units
 
 _MOST_MOVED, _STAYED = 60, 0.05
 
 
 class LinearView(LinearAnswers):
-    """A diagnosed result, and what it answers without a refit; `summary`: of the result."""
+    """A diagnosed result, and what it answers without a refit."""
 
     def __init__(self, explained: ExplainedFit, summary: Summary):
         super().__init__(explained)
-        self.summary = summary
+        self._shown, self._refits = in_output_units(summary), threading.Lock()
+        self._refitted: dict[tuple[str, ...], KnownNoisePoint | None] = {}
 
     def prepare(self, tell: Tell) -> None:
         super().prepare(tell)
-        _ = self._slopes
+        _ = self._slopes, self._catalogue
+
+    @cached_property
+    def _catalogue(self) -> CatalogueModel:
+        return CatalogueModel(self.fit)
+
+    def with_added(
+        self, effects: tuple[str, ...], channels: tuple[str, ...] | None, estimates: Sequence[ScreenedEffect]
+    ) -> KnownNoisePoint | None:
+        """Return the refit with effects at the noise known beforehand, made once (see `refit_ahead.refitted`)."""
+        with self._refits:
+            if effects not in self._refitted:
+                self._refitted[effects] = refitted(self._catalogue, self.point, effects, channels, estimates)
+            return self._refitted[effects]
 
     def whitened(self, point: KnownNoisePoint | None = None) -> np.ndarray:
         """Return the residual of every entry in units of the noise known beforehand, (E,)."""
@@ -42,17 +61,16 @@ class LinearView(LinearAnswers):
 
     def moved(self, point: KnownNoisePoint) -> tuple[MovedEstimate, ...]:
         """Return the estimates that a previewed fit moves, those that it moves most first."""
-        if not len(point.shift):
+        if point is self.point:
             return ()
         names = (*self.fit.model.layout.names, *(each.name for each in self.fit.derived.names))
-        steps = dict(zip(names, (self._slopes @ point.shift).tolist(), strict=True))
-        shown = in_output_units(self.summary)
+        steps = dict(zip(names, (self._slopes @ (point.z - self.point.z)).tolist(), strict=True))
         found = [
             MovedEstimate(
                 name=each.name, unit=each.unit, before=each.mean, after=each.mean + steps[each.name], sd=each.sd,
                 in_sd=steps[each.name] / each.sd,
             )
-            for each in (*shown.derived, *shown.parameters)
+            for each in (*self._shown.derived, *self._shown.parameters)
             if each.name in steps and each.mean is not None and each.sd and not each.repeats_misalignments
             if not (isinstance(each, ParameterSummary) and each.nuisance)
         ]  # fmt: skip

@@ -69,10 +69,11 @@ class SelectionWanted(Record):
 
 
 class PreviewWanted(Record):
-    """Which causes are previewed on a model, together."""
+    """Which causes are previewed on a model, together; `refitted`: as their refit leaves the readings, not linearly."""
 
     model: str
     effects: tuple[str, ...] = Field(max_length=20)
+    refitted: bool = False
 
 
 class PointsWanted(Record):
@@ -83,7 +84,7 @@ class PointsWanted(Record):
     x, y, colour : column of the abscissa, the residual, and what tells the points apart.
     between : part of the abscissa that is shown; None for all.
     brushes : the selection.
-    effects : causes that are previewed.
+    effects, refitted : causes that are previewed, linearly or as their refit leaves the readings.
     most : points at most, beyond which the extremes of each place stand for all.
     """
 
@@ -96,6 +97,7 @@ class PointsWanted(Record):
     between: tuple[float, float] | None = None
     brushes: tuple[Brush, ...] = Field((), max_length=200)
     effects: tuple[str, ...] = Field((), max_length=20)
+    refitted: bool = False
     most: int = Field(12_000, ge=100, le=50_000)
 
 
@@ -269,10 +271,12 @@ class PreviewFacts(Record):
     delta_chi2 : predicted drop of χ² at the noise known beforehand, of all together.
     cells : expected χ² of each run and channel, in the order of the model's cells.
     moved : estimates that would move, those that would most first.
+    refitted : whether these are of their refit.
     sentence, command : the prediction in words, and the command that adds the causes.
     """
 
     effects: tuple[str, ...]
+    refitted: bool
     delta_chi2: float
     cells: tuple[float, ...]
     moved: tuple[MovedEstimate, ...]
@@ -288,6 +292,7 @@ class PointsHead(Record):
     count, of : points that follow, and those that they stand for.
     arrays : names of the columns of `count` numbers each.
     groups : names of the colours.
+    refitted : whether the preview is the refit.
     y_factor : of what is drawn over the residual that a brush is in.
     """
 
@@ -295,6 +300,7 @@ class PointsHead(Record):
     of: int
     arrays: tuple[str, ...]
     groups: tuple[str, ...]
+    refitted: bool
     x_label: str
     y_label: str
     y_factor: float

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import explained_fit
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.display.fit_quality_tables import run_design_text
@@ -26,6 +27,7 @@ from imubayes.explorer.messages import (
     CauseLine,
     FormulaFacts,
     ModelFacts,
+    PointsWanted,
     PreviewFacts,
     SelectionFacts,
     shown_table,
@@ -137,17 +139,32 @@ class OpenModel:
             runs=tuple(map(str, np.unique(self.table.runs[self.table.run[chosen]]))),
         )  # fmt: skip
 
-    def preview(self, effects: Sequence[str], out: str) -> PreviewFacts:
-        """Return what causes would do together; `out` is the folder of the command that adds them."""
-        point = self.view.with_causes(effects)
-        drop = float(self.view.point.left @ self.view.point.left - point.left @ point.left)
+    def refitted(self, effects: Sequence[str]) -> KnownNoisePoint | None:
+        """Return the refit with effects at the noise known beforehand; None where it takes the whole fit."""
+        told = [line for line in map(self.diagnosis.estimate, effects) if line is not None]
+        return self.view.with_added(tuple(effects), self.channels_for(effects), told)
+
+    def frame(self, wanted: PointsWanted) -> bytes:
+        """Return the points of a view as bytes (see `PointTable.frame`)."""
+        return self.table.frame(wanted, self.refitted(wanted.effects) if wanted.refitted else None)
+
+    def preview(self, effects: Sequence[str], out: str, refitted: bool = False) -> PreviewFacts:
+        """Return what causes would do together, or their refit does; `out`: folder of the command that adds them."""
+        predicted, reached = self.view.with_causes(effects), self.refitted(effects) if refitted else None
+        point = predicted if reached is None else reached
+        drop = self._drop(point)
         moved = self.view.moved(point)
         largest = (moved[0].name, moved[0].in_sd) if moved else None
         command = add_command(effects, self.channels_for(effects), self.place, out) if effects else ""
         return PreviewFacts(
-            effects=tuple(effects), delta_chi2=drop, cells=self.table.expected(point), moved=moved,
-            sentence=preview_text(effects, drop, largest) if effects else "", command=command,
+            effects=tuple(effects), refitted=reached is not None, delta_chi2=drop, cells=self.table.expected(point),
+            sentence=preview_text(effects, self._drop(predicted), largest, None if reached is None else drop),
+            moved=moved, command=command,
         )  # fmt: skip
+
+    def _drop(self, point: KnownNoisePoint) -> float:
+        """Return the drop of χ² at the noise known beforehand."""
+        return float(self.view.point.left @ self.view.point.left - point.left @ point.left)
 
     def formula(self, channel: str) -> FormulaFacts:
         """Return the formula of what the model leaves of a channel, and the effect that it becomes."""
@@ -201,4 +218,5 @@ def opened(name: str, result: Result, tell: Tell) -> OpenModel:
     view = LinearView(explained, result.summary)
     model = OpenModel(name, result, found, view, PointTable(result, view), campaign_stamp(result))
     view.prepare(tell)
+    model.refitted(found.proposed.effects if found.proposed is not None else tuple(view.variants)[:1])
     return model

@@ -171,8 +171,12 @@ class PointTable:
         declared = self.view.fit.model.campaign.channels
         return pretty(next(each.output_unit for each in declared if each.name == channel))
 
-    def frame(self, wanted: PointsWanted) -> bytes:
+    def frame(self, wanted: PointsWanted, refitted: KnownNoisePoint | None = None) -> bytes:
         """Return the points of a view: the length of a header, the header as JSON, and the columns as Float32.
+
+        Parameters
+        ----------
+        refitted : what is previewed; the linear prediction where None.
 
         Raises
         ------
@@ -190,7 +194,7 @@ class PointTable:
             here &= (x >= wanted.between[0]) & (x <= wanted.between[1])
         places = np.flatnonzero(here)
         places = places[np.argsort(x[places], kind="stable")]
-        previewed = view.with_causes(wanted.effects)
+        previewed = view.with_causes(wanted.effects) if refitted is None else refitted
         factor, label = self._scale_of(wanted, places)
         y, after = (factor * self.ordinate(wanted.y, point)[places] for point in (None, previewed))
         marked = self.chosen(wanted.brushes)[places]
@@ -201,6 +205,7 @@ class PointTable:
         head = PointsHead(
             count=len(places), of=int(here.sum()), arrays=_ARRAYS, groups=names, x_label=self._label_of(wanted.x),
             y_label=label, y_factor=factor, output_label=f"{wanted.channel} / {self.output_unit(wanted.channel)}",
+            refitted=refitted is not None,
         )  # fmt: skip
         drawn = (*self.shown.values(), self.curve(previewed))
         observed, predicted, wide, curve = (each[places] for each in drawn)

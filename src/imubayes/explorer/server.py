@@ -180,14 +180,14 @@ class _Answers:
         return Response(status_code=202) if found is None else _json(found.facts())
 
     def points(self, wanted: PointsWanted) -> Response:
-        frame = self.session.require(wanted.model).table.frame(wanted)
+        frame = self.session.require(wanted.model).frame(wanted)
         return Response(frame, media_type="application/octet-stream")
 
     def selection(self, wanted: SelectionWanted) -> Response:
         return _json(self.session.require(wanted.model).select(wanted.brushes, self.session.left_out))
 
     def preview(self, wanted: PreviewWanted) -> Response:
-        return _json(self.session.previewed(wanted.model, wanted.effects))
+        return _json(self.session.previewed(wanted))
 
     def formula(self, wanted: FormulaWanted) -> Response:
         return _json(self.session.require(wanted.model).formula(wanted.channel))

@@ -18,7 +18,7 @@ from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.history import gain_text
 from imubayes.display.loop.selection_text import fitted_text
 from imubayes.explorer.kept_session import ModelNote, read_session, write_session
-from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PreviewFacts
+from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PreviewFacts, PreviewWanted
 from imubayes.explorer.open_model import OpenModel, opened, quoted
 from imubayes.explorer.worker import TaskOutcome, TaskProgress, Work, Worker
 from imubayes.foundations.errors import input_error, kept_if_possible
@@ -208,11 +208,11 @@ class Session:
 
         self.worker.submit("fit", f"fit {campaign.name}", "", work)
 
-    def previewed(self, model: str, effects: tuple[str, ...]) -> PreviewFacts:
+    def previewed(self, wanted: PreviewWanted) -> PreviewFacts:
         """Return what causes would do together, with the command that adds them."""
-        found = self.require(model)
-        out = self.folder_for(found, effects[0]) if effects else found.folder
-        return found.preview(effects, quoted(out))
+        found = self.require(wanted.model)
+        out = self.folder_for(found, wanted.effects[0]) if wanted.effects else found.folder
+        return found.preview(wanted.effects, quoted(out), wanted.refitted)
 
     # ---- changes ----
 
@@ -249,10 +249,12 @@ class Session:
         if not (wanted.add or wanted.remove or wanted.formula_of):
             raise input_error("no effect is named", "change", "effects to add or to remove", "choose one")
         self._refuse_changed_campaign(model)
+        adding: tuple[str, ...] = ()
         if wanted.formula_of:
             what, make = f"add the formula of {wanted.formula_of}", self._adding_formula(model, wanted.formula_of)
         elif wanted.add:
             effects = self._with_locked(wanted.add, model)
+            adding = effects if wanted.channels is None else ()
             what, make = f"add {', '.join(effects)}", self._adding(model, effects, wanted.channels)
         else:
             what, make = f"remove {', '.join(wanted.remove)}", self._removing(model, wanted.remove)
@@ -260,7 +262,7 @@ class Session:
             if any(each.kind == "change" and each.at_work for each in self.worker.tasks):
                 raise input_error("a change is at work already", "this session", "one change at a time",
                                   "wait for it, or cancel it")  # fmt: skip
-            return self.worker.submit("change", what, model.id, make)
+            return self.worker.submit("change", what, model.id, make, adding)
 
     def _with_locked(self, effects: tuple[str, ...], model: OpenModel) -> tuple[str, ...]:
         """Return effects with those that are always added."""
@@ -272,6 +274,9 @@ class Session:
         command = add_command(effects, channels, model.place, quoted(folder))
 
         def work(tell: Tell) -> TaskOutcome:
+            if channels is None:
+                tell("new residuals")
+                model.refitted(effects)  # shown while its fit is made
             change = add(model.result, effects, folder, channels, diagnosis=model.diagnosis, progress=tell)
             return self._after(change, command, tell)
 

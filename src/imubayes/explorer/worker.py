@@ -32,6 +32,7 @@ class TaskProgress(Record):
     ----------
     what : of it, in words; `step` is what goes on.
     of, made : model that it starts from, and that it has made or opened; empty for none.
+    adding : effects whose refit at the noise known beforehand is shown while the fit is made.
     seconds : since it began.
     issues : why it failed, as text in four parts.
     lines : what a change brought, in words.
@@ -44,6 +45,7 @@ class TaskProgress(Record):
     step: str = ""
     seconds: float = 0.0
     of: str = ""
+    adding: tuple[str, ...] = ()
     made: str = ""
     issues: tuple[str, ...] = ()
     lines: tuple[str, ...] = ()
@@ -85,11 +87,11 @@ class Worker:
         """Whether a task waits or runs."""
         return any(each.at_work for each in self.tasks)
 
-    def submit(self, kind: TaskKind, what: str, of: str, work: Work) -> int:
+    def submit(self, kind: TaskKind, what: str, of: str, work: Work, adding: tuple[str, ...] = ()) -> int:
         """Queue a task about a model; return its number."""
         with self._lock:
             number = 1 + max(self._tasks, default=0)
-            self._tasks[number] = TaskProgress(number=number, kind=kind, what=what, of=of)
+            self._tasks[number] = TaskProgress(number=number, kind=kind, what=what, of=of, adding=adding)
         self._queue.put((number, work))
         self._changed()
         return number

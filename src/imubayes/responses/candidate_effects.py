@@ -173,12 +173,13 @@ def _linearised_with(
     z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.own)])
     slopes = np.asarray(prior_slopes(extended.problem.priors, jnp.asarray(z)))
     own = np.asarray(prior_values(extended.problem.priors, jnp.asarray(z)))[: extended.own]
-    first = _linearised(extended, own, 0, range(len(extended.parameters)))
+    first = _linearised(extended.problem, _at_nulls(extended, own, 0), range(len(extended.parameters)))
     candidates: list[Response] = []
     for place in range(max((1, *(len(extended.grid(effect)) for effect in acting)))):
         scanned = [effect for effect in acting if place < max(1, len(extended.grid(effect)))]
         linear = [extended.places[parameter.name] for effect in scanned for parameter in _linear(effect)]
-        at = first if place == 0 else _linearised(extended, own, place, linear)
+        values = _at_nulls(extended, own, place)
+        at = first if place == 0 else _linearised(extended.problem, values, linear)
         candidates.extend(_response(effect, extended, at, place) for effect in scanned)
     predicted, jacobian = first.predicted, first.columns(range(extended.own))
     misfit = np.asarray(fitted.model.problem.observations.value) - predicted
@@ -230,6 +231,62 @@ def _secants(response: Response, extended: _Extended, own: np.ndarray, predicted
         whole = jnp.concatenate([jnp.asarray(at), extended.problem.nulls])
         found[coefficient.parameter.name] = (np.asarray(predict_from(extended.problem, whole)) - predicted) / size
     return found
+
+
+class CatalogueModel:
+    """The model of a fit with every candidate beside, of which some are free and the others stay at their nulls.
+
+    It is predicted by the program of `candidate_responses`: nothing is compiled for a choice of candidates.
+    """
+
+    def __init__(self, fitted: Fit):
+        self.fitted = fitted
+        self._extended = _extend(fitted, _candidates(fitted)[0], _AT_NULLS)
+
+    def free(self, effects: Sequence[str], channels: Sequence[str] | None = None) -> dict[int, Parameter] | None:
+        """Return the parameters of candidates by their places; None where one is shared beyond the channels wanted.
+
+        Parameters
+        ----------
+        channels : of effects that act on channels; all that lack them where None.
+        """
+        found = {}
+        for effect in (each for each in self._extended.effects if each.name in effects):
+            for parameter in effect.parameters:
+                chosen = set(channels if channels is not None else effect.channels) & set(effect.channels)
+                limited = bool(effect.channels) and chosen != set(effect.channels)
+                if limited and "channel" not in effect.per_of(parameter.field)[:1]:
+                    return None
+                if not limited or parameter.label[0] in chosen:
+                    found[self._extended.places[parameter.name]] = parameter
+        return found
+
+    def null(self, place: int) -> float:
+        """Return z of the null of a candidate's parameter; 0 where its prior excludes that."""
+        value, parameter = _at_nulls(self._extended, self._own_zeros, 0)[place], self._extended.parameters[place]
+        return parameter.z_at(value / parameter.factor) or 0.0
+
+    @property
+    def _own_zeros(self) -> np.ndarray:
+        return np.zeros(self._extended.own)
+
+    def linearised(self, z: np.ndarray, free: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the misfit (E,) and its Jacobian ∂f/∂z (E, P + F), F candidates' parameters at some places free.
+
+        Parameters
+        ----------
+        z : shape (P + F,), the model's own parameters first.
+        """
+        extended, problem = self._extended, self._extended.problem
+        places = [*range(extended.own), *free]
+        whole = np.zeros(len(extended.parameters))
+        whole[places] = z
+        values, slopes = (np.asarray(each(problem.priors, jnp.asarray(whole))) for each in (prior_values, prior_slopes))
+        at = _at_nulls(extended, values[: extended.own], 0)
+        at[places] = values[places]
+        found = _linearised(problem, at, places)
+        misfit = np.asarray(problem.observations.value) - found.predicted
+        return misfit, found.columns(places) * slopes[places]
 
 
 def searchable(registry: Registry) -> Iterator[type[Effect]]:
@@ -323,10 +380,9 @@ class _Linearised:
         return np.where(self.reach[:, chosen], self.packed[self.row[chosen]].T, 0.0)
 
 
-def _linearised(extended: _Extended, own: np.ndarray, scan_place: int, places: Sequence[int]) -> _Linearised:
-    """Return the prediction and its derivative by the parameters at some places, at one place of the scanned shapes."""
-    problem, sparsity = extended.problem, extended.problem.sparsity
-    whole = jnp.concatenate([jnp.asarray(_at_nulls(extended, own, scan_place)), problem.nulls])
+def _linearised(problem: Problem, values: np.ndarray, places: Sequence[int]) -> _Linearised:
+    """Return the prediction at values of all parameters, SI, and its derivative by the parameters at some places."""
+    sparsity, whole = problem.sparsity, jnp.concatenate([jnp.asarray(values), problem.nulls])
     colour = np.asarray(sparsity.colour)
     needed = np.unique(colour[np.array(places, dtype=int)])
     seeds = np.zeros((max(1, -(-len(needed) // _SEEDS_AT_ONCE)) * _SEEDS_AT_ONCE, len(colour)))

@@ -36,10 +36,25 @@ def selection_text(
     return f"{said} No single cause stands out."
 
 
-def preview_text(effects: Sequence[str], delta_chi2: float, largest: tuple[str, float] | None) -> str:
-    """Return what previewed causes would do; `largest`: the estimate that moves most, and by how many of its sd."""
+def preview_text(
+    effects: Sequence[str], predicted: float, largest: tuple[str, float] | None, observed: float | None = None
+) -> str:
+    """Return what previewed causes would do, or what their refit did.
+
+    Parameters
+    ----------
+    predicted, observed : drop of χ² at the noise known beforehand, by the linear model and by the refit.
+    largest : the estimate that moves most, and by how many of its standard deviations.
+    """
+    drop = f"Δχ² {significant(predicted)} at the noise known beforehand"
+    if observed is not None:
+        moved = "" if largest is None else f" {largest[0]} moved by {significant(largest[1], 2)} sd."
+        return (
+            f"Refitted with {listed(effects)}: predicted {drop}, observed {significant(observed)}.{moved} "
+            "Noise scales, uncertainties and verdict follow."
+        )
     moved = "" if largest is None else f" {largest[0]} would move by {significant(largest[1], 2)} sd."
-    return f"Predicted with {listed(effects)}: Δχ² {significant(delta_chi2)} at the noise known beforehand.{moved}"
+    return f"Predicted with {listed(effects)}: {drop}.{moved}"
 
 
 def formula_text(found: ResidualFormula | None, channel: str) -> str:

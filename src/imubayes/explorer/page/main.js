@@ -85,11 +85,12 @@ async function load(moving = false) {
   if (!told.facts || told.facts.id !== view.model) return;
   const wanted = {
     model: view.model, channel: view.channel, runs: view.only, x: view.x, y: view.y, colour: view.colour,
-    between: view.between, brushes: view.brushes, effects: previewed(),
+    between: view.between, brushes: view.brushes, ...previewed(),
   };
   const found = await attempt(() => latest("points", (signal) => points(wanted, signal)));
   if (!found) return;
-  const before = moving ? told.points : null;
+  if (found.head.refitted) Object.assign(found, { y: found.after, predicted: found.curve });
+  const before = moving || found.head.refitted !== told.points?.head.refitted ? told.points : null;
   told.points = found;
   drawCharts(before);
 }
@@ -106,12 +107,12 @@ async function select() {
 
 async function preview() {
   if (!told.facts || told.facts.id !== view.model) return;
-  const effects = previewed();
-  if (!effects.length) {
+  const wanted = previewed();
+  if (!wanted.effects.length) {
     tell({ preview: null });
     return;
   }
-  const found = await attempt(() => latest("preview", (signal) => ask("preview", { model: view.model, effects }, signal)));
+  const found = await attempt(() => latest("preview", (signal) => ask("preview", { model: view.model, ...wanted }, signal)));
   if (found) tell({ preview: found });
 }
 
@@ -125,8 +126,8 @@ onChange((seen, heard) => {
     open();
   } else if (told.facts) {
     if (any(seen, "brushes")) select();
-    if (any(seen, "ticked") || any(heard, "hovered")) preview();
-    if (any(seen, "channel", "x", "y", "colour", "only", "brushes", "ticked", "between") || any(heard, "hovered")) load();
+    if (any(seen, "ticked") || any(heard, "hovered", "kept")) preview();
+    if (any(seen, "channel", "x", "y", "colour", "only", "brushes", "ticked", "between") || any(heard, "hovered", "kept")) load();
     if (any(seen, "after") || any(heard, "selection", "preview")) drawCharts();
   }
   draw(seen, heard);

@@ -25,18 +25,18 @@ export function drawMap(place) {
     el("div", { class: "head" }, el("h2", { id: "map-title" }, "χ² per reading"),
       el("label", { class: "quiet" }, el("input", { type: "checkbox", "data-key": "fitted", checked: fitted, onchange: (event) => { fitted = event.target.checked; drawMap(place); } }), " at fitted noise")),
     el("table", { onkeydown: walk }, el("thead", {}, head), el("tbody", {}, rows)),
-    el("p", { class: "aside quiet" }, expected ? "Dashed: expected with what is previewed." : "1 is what noise alone makes. Click a cell, a run or a channel to select it; hold ⇧ to add."));
+    el("p", { class: "aside quiet" }, expected ? (told.preview.refitted ? "Of the refit." : "Dashed: expected with what is previewed.") : "1 is what noise alone makes. Click a cell, a run or a channel to select it; hold ⇧ to add."));
 }
 
 function cellButton(cell, expected) {
   const chi2 = fitted && expected === null ? cell.fitted ?? cell.chi2 : expected ?? cell.chi2;
   const ratio = chi2 / cell.n, { back, text } = heat(ratio), words = compact(ratio);
   const marked = view.brushes.some((brush) => !brush.x && matches(brush.channels, cell.channel) && matches(brush.runs, cell.run));
-  const names = ["cell", marked && "marked", expected !== null && "previewed", cell.channel === view.channel && "shown"];
+  const names = ["cell", marked && "marked", expected !== null && (told.preview.refitted ? "refitted" : "previewed"), cell.channel === view.channel && "shown"];
   return el("button", {
     class: names.filter(Boolean).join(" "), "data-key": `cell-${cell.run}-${cell.channel}`, "aria-pressed": String(marked),
     style: { backgroundColor: back, color: text }, title: `${cell.run} ${cell.channel}: χ² ${digits(cell.chi2, 4)} of ${cell.n}, ${digits(cell.rms)} ${cell.unit} rms`
-      + (expected === null ? "" : `; expected χ² ${digits(expected, 4)}`),
+      + (expected === null ? "" : `; ${told.preview.refitted ? "now" : "expected"} χ² ${digits(expected, 4)}`),
     "aria-label": `${words}: χ² per reading of run ${cell.run}, channel ${cell.channel}`,
     onclick: (event) => choose(cell, event.shiftKey),
   }, words);

@@ -69,7 +69,7 @@ export function drawCharts(before = null) {
   const x = extent(points.x), sd = quantile(points.sd, 0.5);
   const y = extent(points.y, 1.15 * sd), was = last ? extent(last.y, 1.15 * sd) : y;
   measurement.show({ x, y: extent(points.observed) }, "", head.output_label);
-  document.getElementById("residual-title").textContent = told.preview?.effects.length
+  document.getElementById("residual-title").textContent = head.refitted ? "residual of the refit" : told.preview?.effects.length
     ? `residual, and what ${told.preview.effects.join(" and ")} would explain of it` : "residual; band: 95 % of noise alone";
   document.getElementById("residuals").setAttribute("aria-label",
     `Residuals of ${view.channel}: ${head.of} readings. ${told.selection?.sentence ?? ""} Left and right arrows move a selection.`);
@@ -138,7 +138,7 @@ function drawMeasurement(context, at) {
     members.forEach((k, n) => context[n ? "lineTo" : "moveTo"](at.x(points.x[k]), at.y(points.predicted[k])));
     context.stroke();
   });
-  if (told.preview?.effects.length) dashes(context, at, points, points.curve);
+  if (told.preview?.effects.length && !points.head.refitted) dashes(context, at, points, points.curve);
   drawPoints(context, at, points, points.observed, false);
 }
 
@@ -150,7 +150,7 @@ function drawResiduals(context, at) {
   context.fillRect(box.left, at.y(sd), box.width, at.y(-sd) - at.y(sd));
   context.fillStyle = css("--quiet");
   context.fillRect(box.left, at.y(0), box.width, at.ratio);
-  const previewing = told.preview?.effects.length > 0;
+  const previewing = told.preview?.effects.length > 0 && !points.head.refitted;
   if (previewing && view.after) {
     drawPoints(context, at, points, points.after, false);
     return;

@@ -33,7 +33,7 @@ export function tell(changes) {
 
 // A step of the worker is news of its own line alone; what the panels show of a session is `kept`.
 export function hear(session) {
-  const kept = JSON.stringify([session.tree, session.commands, session.locks, session.tasks.some(atWork)]);
+  const kept = JSON.stringify([session.tree, session.commands, session.locks, session.tasks.filter(atWork).map((task) => task.number)]);
   tell({ session, lost: false, ...(kept === told.kept ? {} : { kept }) });
 }
 
@@ -62,7 +62,10 @@ function readAddress() {
   for (const listener of listeners) listener(Object.keys(FIRST), []);
 }
 
+// Of what is added its refit stands in the place of a preview, from the first second of the fit on.
 export function previewed() {
+  const refit = told.session?.tasks.find((task) => atWork(task) && task.of === view.model && task.adding.length);
+  if (refit) return { effects: refit.adding, refitted: true };
   const hovered = told.hovered && !view.ticked.includes(told.hovered) ? [told.hovered] : [];
-  return [...view.ticked, ...hovered];
+  return { effects: [...view.ticked, ...hovered], refitted: false };
 }

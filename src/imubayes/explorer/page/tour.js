@@ -10,7 +10,7 @@ const STEPS = [
   ["causes", "Ranked causes", "Without a selection the list ranks all that could be missing, by its probability given all the data. Effects that these runs cannot tell apart stand together, with the run that would."],
   ["causes", "Preview", "Point at a cause. The dashes in the panels are what it would explain; the map shows the χ² to be expected. No refit is made: the model is linear nearby. Tick several to see them together."],
   ["below", "What it would do to the calibration", "The tab Estimates lists the scale factors, biases and angles that would move, with an arrow, in their standard uncertainties: what the missing effect biases now."],
-  ["causes", "Add it", "The button adds what is ticked and fits again. Predicted and observed drop of χ² are compared, and runs that were left out tell whether the addition predicts better. The points move to their new residuals."],
+  ["causes", "Add it", "The button adds what is ticked and fits again. The points move to their new residuals at once, predicted and observed drop of χ² are compared; when the fit is done, runs that were left out tell whether the addition predicts better."],
   ["below", "Nothing is lost", "Every model tried stands in the tree, in a folder of its own. Undo goes back to the one before; the selected one is exported. The tab Commands has what was clicked as a script."],
 ];
 
