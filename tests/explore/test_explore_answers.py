@@ -10,21 +10,26 @@ import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import polars as pl
 import pytest
 from explore_client import settled
 
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.api import add, diagnose
 from imubayes.cli.main import run
 from imubayes.criticism.evidence.free_forms import ChosenForm
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.display.loop.diagnosis_report import diagnosis_json
 from imubayes.display.loop.selection_text import selection_text
+from imubayes.explorer.linear_view import LinearView
 from imubayes.explorer.messages import Brush, PointsWanted
-from imubayes.explorer.point_table import decimated
+from imubayes.explorer.point_table import PointTable, decimated
 from imubayes.explorer.session import Session
+from imubayes.model.bind import Model
+from imubayes.results.result import Result
 from imubayes.results.stored_tables import read_summary_and_residuals
 
 HIDDEN = "gyro_scale_asymmetry"
@@ -245,6 +250,55 @@ def test_what_is_too_much_for_the_screen_keeps_its_extremes():
     assert marked[kept].any()
     assert np.all(np.diff(kept) > 0)
     np.testing.assert_array_equal(decimated(x[:50], y[:50], marked[:50], 100), np.arange(50))
+
+
+def test_a_million_readings_are_drawn_within_half_a_second():
+    """Of six channels in 100 runs; with a selection and a preview, warm."""
+    count, random = 1_000_000, np.random.default_rng(5)
+    channel, run = np.arange(count) % 6, np.arange(count) // 10_000
+    runs = [SimpleNamespace(name=f"run {n}", mounting=None, table=None, covariates={}) for n in range(100)]
+    names = [f"g{k}" for k in range(6)]
+    columns = {name: random.normal(size=count) for name in
+               ("observed", "predicted", "sd", "model_sd", "input_sd", "whitened", "temperature_degC")}  # fmt: skip
+    table = pl.DataFrame(
+        {"run": np.array([each.name for each in runs])[run], "channel": np.array(names)[channel]} | columns
+    ).with_columns(pl.lit("deg/s").alias("input_unit"))
+    misfit = random.normal(size=count)
+    channels = tuple(SimpleNamespace(name=name, output_unit="V", kind="gyro", scale_si=1.0) for name in names)
+    model = Mock(
+        spec=Model, campaign=SimpleNamespace(channels=channels, runs=runs, site=SimpleNamespace(gravity=9.8)),
+        entries=SimpleNamespace(channel=channel, closing=np.zeros(count, dtype=bool)),
+    )  # fmt: skip
+    none = np.zeros((0, 0))
+    point, after = (KnownNoisePoint(model, none.ravel(), each, none, none, none, each, none.ravel())
+                    for each in (misfit, misfit / 2))  # fmt: skip
+    view = Mock(
+        spec=LinearView, fit=SimpleNamespace(model=model), explained=SimpleNamespace(known=()), point=point,
+        entries=np.ones(count, dtype=bool), whitened=lambda which=None: (which or point).left,
+        with_causes=lambda effects: after if effects else point,
+    )  # fmt: skip
+    drawn = PointTable(Mock(spec=Result, residuals=SimpleNamespace(table=table), summary=None), view)
+    brush = {
+        "channels": ["g2"],
+        "x": "temperature_degC",
+        "x_low": 0,
+        "x_high": 1,
+        "y": "known",
+        "y_low": 1,
+        "y_high": 9,
+    }
+    wanted = PointsWanted(model="", channel="g2", x="temperature_degC", brushes=(Brush(**brush),), effects=("one",))
+    frame, seconds = b"", []
+    for _ in range(4):
+        began = time.process_time()
+        frame = drawn.frame(wanted)
+        seconds.append(time.process_time() - began)
+    assert min(seconds) < 0.5, seconds
+    assert len(frame) < 2_000_000
+    (length,) = struct.unpack("<I", frame[:4])
+    head = json.loads(frame[4 : 4 + length])
+    assert head["of"] == (channel == 2).sum()
+    assert head["count"] <= wanted.most
 
 
 @pytest.mark.parametrize(

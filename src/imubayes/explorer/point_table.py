@@ -34,6 +34,7 @@ class PointTable:
         self.channel = table["channel"].to_numpy().astype(str)
         self.channels = tuple(name for name in table["channel"].unique(maintain_order=True) if name in self._declared)
         self.to_input, self.units = to_input_units(model), table["input_unit"].to_numpy().astype(str)
+        self._channels, self._orders = dict[str, np.ndarray](), dict[str, np.ndarray]()
         known = {each.column: numbers(table, each.column) for each in covariates() if each.column != "row"}
         known |= {each.name: each.values for each in view.explained.known if each.name not in known}
         own = {each.name: (each.unit, each.phrase) for each in view.explained.known}
@@ -76,6 +77,18 @@ class PointTable:
         sd = numbers(self.table, "input_sd")
         return numbers(self.table, "whitened") - whole * self.to_input / np.where(sd > 0, sd, np.inf)
 
+    def _of(self, channel: str) -> np.ndarray:
+        """Return which entries are of a channel, (E,) bool."""
+        if channel not in self._channels:
+            self._channels[channel] = self.channel == channel
+        return self._channels[channel]
+
+    def _order(self, name: str) -> np.ndarray:
+        """Return the places of all entries, (E,), along an abscissa."""
+        if name not in self._orders:
+            self._orders[name] = np.argsort(self.column(name), kind="stable")
+        return self._orders[name]
+
     # ---- selections ----
 
     def chosen(self, brushes: Sequence[Brush]) -> np.ndarray:
@@ -88,7 +101,7 @@ class PointTable:
     def _within(self, brush: Brush) -> np.ndarray:
         here = np.ones(len(self.table), dtype=bool)
         if brush.channels:
-            here &= np.isin(self.channel, brush.channels)
+            here &= np.logical_or.reduce([self._of(name) for name in brush.channels])
         if brush.runs:
             here &= np.isin(self.runs, brush.runs)[self.run]
         if brush.x:
@@ -116,7 +129,7 @@ class PointTable:
         for run in self.run_names:
             here = (self.runs == run)[self.run] & self.view.entries
             for channel in self.channels:
-                places = np.flatnonzero(here & (self.channel == channel))
+                places = np.flatnonzero(here & self._of(channel))
                 if len(places):
                     found.append((run, channel, places))
         return found
@@ -187,13 +200,13 @@ class PointTable:
             allowed = closest_first(wanted.channel, self.channels)
             raise input_error(f"no channel '{wanted.channel}'", "channel", allowed, "choose one of these")
         x, view = self.column(wanted.x), self.view
-        here = view.entries & (self.channel == wanted.channel) & np.isfinite(x)
+        here = view.entries & self._of(wanted.channel) & np.isfinite(x)
         if wanted.runs:
             here &= np.isin(self.runs, wanted.runs)[self.run]
         if wanted.between is not None:
             here &= (x >= wanted.between[0]) & (x <= wanted.between[1])
-        places = np.flatnonzero(here)
-        places = places[np.argsort(x[places], kind="stable")]
+        order = self._order(wanted.x)
+        places = order[here[order]]
         previewed = view.with_causes(wanted.effects) if refitted is None else refitted
         factor, label = self._scale_of(wanted, places)
         y, after = (factor * self.ordinate(wanted.y, point)[places] for point in (None, previewed))
@@ -242,8 +255,18 @@ def decimated(x: np.ndarray, y: np.ndarray, marked: np.ndarray, most: int) -> np
     if len(x) <= most:
         return np.arange(len(x))
     bins, width = max(most // 4, 1), (x[-1] - x[0]) or 1.0
-    place = 2 * np.minimum((bins * (x - x[0]) / width).astype(int), bins - 1) + marked
-    order = np.lexsort((y, place))
-    first = np.flatnonzero(np.diff(place[order], prepend=-1))
-    last = np.append(first[1:], len(order)) - 1
-    return np.unique(np.concatenate([order[first], order[last]]))
+    place = np.minimum((bins * (x - x[0]) / width).astype(int), bins - 1)
+    apart = [_extremes(place, y, np.flatnonzero(marked == chosen)) for chosen in (False, True)]
+    return np.unique(np.concatenate(apart))
+
+
+def _extremes(place: np.ndarray, y: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Return the lowest and the highest of some points in each bin, by their places; bins (n,) ascend."""
+    if not len(own):
+        return own
+    starts = np.flatnonzero(np.diff(place[own], prepend=-1))
+    within, found = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(own))), []
+    for extreme in (np.minimum, np.maximum):
+        there = np.flatnonzero(y[own] == extreme.reduceat(y[own], starts)[within])
+        found.append(own[there[np.unique(within[there], return_index=True)[1]]])
+    return np.concatenate(found)
