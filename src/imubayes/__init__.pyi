@@ -19,6 +19,7 @@ from .api import (
     plant,
     propagate,
     read_result,
+    refit,
     remove,
     report,
 )
@@ -113,6 +114,7 @@ __all__ = [
     "propagate",
     "read_result",
     "reference_temperature",
+    "refit",
     "remove",
     "report",
     "rotate",

@@ -9,7 +9,7 @@ from .calibrated_unit import (
     report,
 )
 from .fitting import Result, Settings, fit, load, read_result
-from .loop import ModelChange, add, diagnose, export, history, plant, remove
+from .loop import ModelChange, add, diagnose, export, history, plant, refit, remove
 from .own_equation import (
     ConformityStatement,
     GumBudget,
@@ -46,6 +46,7 @@ __all__ = [
     "plant",
     "propagate",
     "read_result",
+    "refit",
     "remove",
     "report",
 ]

@@ -18,9 +18,10 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
 from imubayes.loop.cross_validation import objection
 from imubayes.loop.injection_recovery import Size, Trials, plant_effects
-from imubayes.loop.model_changes import refit_with, refit_without
+from imubayes.loop.model_changes import refit_edited, refit_with, refit_without
 from imubayes.loop.model_history import Tree
 from imubayes.loop.refit import Refit
+from imubayes.model.bind import bind
 from imubayes.model.effect_registry import names_in
 from imubayes.model.model_file import ModelSpec, read_model
 from imubayes.qualification.report_budgets import keep_budgets
@@ -35,7 +36,7 @@ from imubayes.results.change_records import (
 )
 from imubayes.results.folder_files import CHECKPOINT
 from imubayes.results.folder_state import claimed_new
-from imubayes.results.history_tree import next_selection, read_tree
+from imubayes.results.history_tree import campaign_of, next_selection, read_tree
 from imubayes.results.result import Result, read_result, result_of
 from imubayes.results.result_folder import write_result
 
@@ -198,6 +199,46 @@ def remove(
 
     sampling = Settings(seed=seed) if sample else None
     return _changed(before, refit, out, diagnosis, sampling, seed, progress, log_odds)
+
+
+def refit(
+    result: Result | str | Path,
+    model: ModelSpec | str | Path,
+    out: str | Path | None = None,
+    *,
+    sample: bool = False,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> ModelChange:
+    """Fit the campaign of a result with its model edited, from where it stood: other priors, readings set aside.
+
+    The refit is a branch of the tree of models; no result is overwritten.
+
+    Parameters
+    ----------
+    result : a result, or its folder.
+    model : the edited model, or its file.
+    out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
+    sample : whether to sample the posterior of a refit that is taken.
+    seed : of the sampler.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for a model that does not fit the campaign, a result that cannot be gone on from, an `out` that is taken.
+    """
+    before = result if isinstance(result, Result) else read_result(result)
+    old = before.fit.model
+    spec = model if isinstance(model, ModelSpec) else read_model(model)
+    whole = campaign_of(before.folder) if old.campaign.set_aside and before.folder is not None else old.campaign
+    edited = bind(spec, whole if whole is not None else old.campaign)
+    diagnosis = read_diagnosis(before.folder) if before.folder is not None else None
+
+    def make(tell: Callable[[str], None]) -> Refit:
+        return refit_edited(before.fit, edited, tell)
+
+    return _changed(before, make, out, diagnosis, Settings(seed=seed) if sample else None, seed, progress)
 
 
 def _changed(

@@ -326,6 +326,19 @@ class PriorCorrelationEntry(_Entry):
     """leave out the parameters that the model does not have"""
 
 
+class SetAsideEntry(_Entry):
+    """Readings that are left out of the fit; their files stay as they are."""
+
+    run: Name
+    """of the campaign"""
+    channels: list[Name] = []
+    """of the unit; all where absent"""
+    rows: list[Annotated[int, Field(ge=1)]] = []
+    """of the run table, counted from 1; all where absent"""
+    reason: Annotated[str, Field(min_length=1, max_length=400, pattern=_TEXT)]
+    """why they are left out"""
+
+
 class ModelFile(_Entry):
     """A model: a list of effects; `files` are Python sources of user-defined effects."""
 
@@ -343,6 +356,8 @@ class ModelFile(_Entry):
     """of noise parameters"""
     noise_priors: str | None = None
     """noise-priors.toml of `imubayes noise`, in place of the model's noise on its channels"""
+    set_aside: list[SetAsideEntry] = []
+    """readings that are left out of the fit, each with the reason"""
 
 
 PATTERNS = {
@@ -366,6 +381,7 @@ FORMS = {
     "notes": "a list of texts",
     "accepted": 'a list of names of findings: ["table_zero"]',
     "files": "a list of Python files",
+    "rows": "a list of numbers of rows, the first is 1: [3, 4]",
     "prior": 'texts by parameter: { bias = "normal(0, 10 deg/h)" }',
     "site": "a table [site]",
     "unit": "a table [unit]",

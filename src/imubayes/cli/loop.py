@@ -1,7 +1,8 @@
-"""Commands of the model loop: `imubayes diagnose`, `add`, `remove`, `plant` and `history`.
+"""Commands of the model loop: `imubayes diagnose`, `add`, `remove`, `refit`, `plant` and `history`.
 
 `diagnose` says what is missing in a model.  `add` is a step forward, with what it brought; `remove` is a step back,
-with what it costs.  `plant` says whether an effect would have been found.  `history` shows the models tried.
+with what it costs; `refit` takes an edited model.  `plant` says whether an effect would have been found.  `history`
+shows the models tried.
 """
 
 import sys
@@ -305,4 +306,47 @@ def remove(
         from imubayes.api import remove as remove_effects
 
         change = remove_effects(source, effects, out, sample=sample, seed=seed, progress=tell)
+    return print_change(change, as_json, verbose)
+
+
+def refit(
+    result: Path,
+    *,
+    model: Path,
+    out: Path,
+    sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False,
+    seed: int = 0,
+    as_json: Json = False,
+    verbose: Flag = False,
+    trust: Trust = False,
+) -> int:
+    """Fit again with the model file of a result edited: other priors, readings set aside with a reason.
+
+    Example: imubayes refit results/first --model edited.toml --out results/third
+
+    Parameters
+    ----------
+    result
+        Result folder of the model to go on from; it stays as it is.
+    model
+        Its model file, edited: RESULT/model.toml is a copy to begin with.
+    out
+        Result folder to write.
+    sample
+        Sample the posterior; by default the Laplace approximation is used.
+    seed
+        Seed of the sampler.
+    as_json
+        Print one JSON object on standard output.
+    verbose
+        List the residual rms of every channel and run, also where it did not change.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    with progress() as tell:
+        start_jax("add")
+        trusting(result, trust)
+        from imubayes.api import refit as refit_edited
+
+        change = refit_edited(result, model, out, sample=sample, seed=seed, progress=tell)
     return print_change(change, as_json, verbose)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from imubayes.adequacy.adequacy_record import NoiseComparison, NoiseViolation
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, percent, pretty, relation, significant, value_and_sd
+from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival
 from imubayes.inference.identifiability import ImplausibleEstimate, PriorConflict, UnexplainedOutput
 from imubayes.model.model_file import GRAVITY, SingleRunEffect, UncertainEquipment
@@ -142,7 +143,15 @@ def notices(summary: Summary) -> tuple[str, ...]:
     """Return what the intervals rest on besides the data."""
     suspected = summary.noise_suspected and not alarm_of(summary)
     noise = (_SUSPECTED.format(violation_text(summary.noise_suspected)),) if suspected else ()
-    return (*left_out_lines(summary.left_out), *noise, *map(_rests_on_prior, summary.prior_scatter))
+    aside = (f"Set aside: {set_aside_text(each)}." for each in summary.set_aside)
+    return (*aside, *left_out_lines(summary.left_out), *noise, *map(_rests_on_prior, summary.prior_scatter))
+
+
+def set_aside_text(found: SetAside) -> str:
+    """Return which readings a model leaves out, and why."""
+    channels = f" {listed(found.channels, 4)}" if found.channels else ""
+    rows = f", row{'s' if found.rows[1:] else ''} {listed([str(row) for row in found.rows], 6)}" if found.rows else ""
+    return f"run {found.run}{channels}{rows}: {found.reason}"
 
 
 def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from imubayes.foundations.earth import table_to_local, towards
+from imubayes.foundations.records import Record
 
 Grade = Literal["consumer", "industrial", "tactical", "navigation"]
 GRADES: tuple[Grade, ...] = get_args(Grade)
@@ -253,13 +254,27 @@ class Run:
         return len(self.samples)
 
 
+class SetAside(Record):
+    """Readings that a model leaves out, and why; their files stay as they are.
+
+    Attributes
+    ----------
+    channels, rows : of the run, rows counted from 1; empty for all.
+    """
+
+    run: str
+    reason: str
+    channels: tuple[str, ...] = ()
+    rows: tuple[int, ...] = ()
+
+
 @dataclass(frozen=True)
 class Campaign:
     """One unit, its equipment and its runs.
 
     `digest` identifies the data (SHA-256 of files as read), `folder` is where they were read; both empty where the
     campaign came from no files.  `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all
-    inputs, as a ratio; None for the default.
+    inputs, as a ratio; None for the default.  `set_aside` are readings that a model has taken out of its runs.
     """
 
     name: str
@@ -274,6 +289,7 @@ class Campaign:
     folder: str = ""
     grade: Grade | None = None
     delta_k_threshold: float | None = None
+    set_aside: tuple[SetAside, ...] = ()
 
     def of_kind(self, kind: str) -> list[Channel]:
         """Return the channels of a kind, in order."""

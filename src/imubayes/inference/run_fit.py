@@ -180,7 +180,8 @@ def model_hash(model: Model) -> str:
     listed = sorted(repr(replace(effect, where="")) for effect in model.spec.effects)
     sources = [Path(file).read_text() for file in model.spec.files]
     correlated = [repr((each.parameters, each.matrix)) for each in model.spec.correlations]
-    return _digest(*(text.encode() for text in (*listed, *correlated, *sources)))
+    aside = [each.model_dump_json() for each in model.spec.set_aside]
+    return _digest(*(text.encode() for text in (*listed, *correlated, *sources, *aside)))
 
 
 def _best_start(

@@ -6,6 +6,7 @@ with the diagnosis, and takes account of several effects at once.  Of others the
 shape and the sign.
 """
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
@@ -20,9 +21,10 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import heights
 from imubayes.loop.refit import Refit, refit_changed, require_fit
 from imubayes.loop.warm_start import ChangedModel, beyond, extend, new_in, whitened
-from imubayes.model.bind import bind
+from imubayes.model.bind import Model, bind
 from imubayes.model.effect_registry import Registry, names_in
 from imubayes.model.model_file import EffectSpec, ModelSpec, PriorCorrelation
+from imubayes.parameters.declarations import prior_values
 
 
 def start_at_estimates(change: ChangedModel, estimates: Mapping[str, float]) -> ChangedModel:
@@ -147,6 +149,30 @@ def refit_without(before: Fit, effects: Sequence[str], progress: Callable[[str],
     """
     require_fit(before)
     return refit_changed(before, reduce(before, effects), progress)
+
+
+def refit_edited(before: Fit, model: Model, progress: Callable[[str], None]) -> Refit:
+    """Fit an edited model, bound, from where a fit stood: other priors, readings set aside or taken back.
+
+    Parameters keep their values, not their places in the priors.  Where the readings differ there is no Δχ² and no
+    cross-validation.
+
+    Raises
+    ------
+    InputError
+        for a fit that cannot be started from.
+    """
+    require_fit(before)
+    old, priors = before.model, (before.model.problem.priors, before.model.problem.hyper_priors)
+    values = np.concatenate([prior_values(*each) for each in zip(priors, (before.z, before.h), strict=True)])
+    known = dict(zip(old.parameter_names, values.tolist(), strict=True))
+    z, h = (
+        np.array([each.z_at(known.get(each.name, math.nan) / each.factor) or 0.0 for each in layout.parameters])
+        for layout in (model.layout, model.hyper_layout)
+    )
+    added, removed = beyond(model.spec, old.spec), beyond(old.spec, model.spec)
+    change = ChangedModel(model, z, h, z, new_in(model.layout, old.layout), added, removed)
+    return refit_changed(before, change, progress, same_readings=model.campaign.set_aside == old.campaign.set_aside)
 
 
 def reduce(before: Fit, effects: Sequence[str]) -> ChangedModel:

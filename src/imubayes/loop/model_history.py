@@ -75,6 +75,7 @@ class Node(Record):
     model : name of the model.
     parent : folder of the model it was made from, relative to its own; None for the first.
     added, removed : effects that it has more and less than its parent.
+    priors, aside : parameters with another prior than in its parent, and runs with other readings set aside.
     verdict : of the diagnosis that led here; None where there was none.
     chi2, dof, rms : χ², its degrees of freedom and the residual rms of each channel, at the noise known beforehand.
     offsets_moved : the channels whose residual rms rose because the offsets of runs moved into it.
@@ -91,6 +92,8 @@ class Node(Record):
     parent: str | None = None
     added: tuple[EffectChoice, ...] = ()
     removed: tuple[EffectChoice, ...] = ()
+    priors: tuple[str, ...] = ()
+    aside: tuple[str, ...] = ()
     verdict: Verdict | None = None
     chi2: float | None
     dof: float | None
@@ -111,9 +114,10 @@ class Node(Record):
 
     @property
     def title(self) -> str:
-        """What distinguishes it from its parent: the first of the effects changed, or the name of the first model."""
+        """What distinguishes it from its parent: the first of what was changed, or the name of the first model."""
         changed = [f"+ {choice.effect}" for choice in self.added]
         changed += [f"− {choice.effect}" for choice in self.removed]
+        changed += [f"prior of {name}" for name in self.priors] + [f"readings of {name}" for name in self.aside]
         more, named = len(changed) - _MOST_NAMED, changed[:_MOST_NAMED]
         return " ".join([*named, *([f"and {more} more"] if more > 0 else [])]) or self.model
 

@@ -42,6 +42,9 @@ class Prediction(Record):
     coefficients: tuple[CoefficientEstimate, ...]
 
 
+_NOT_PREDICTED = Prediction(delta_chi2=None, coefficients=())
+
+
 @dataclass(frozen=True)
 class Refit:
     """A changed model after its fit.
@@ -82,6 +85,7 @@ def refit_changed(
     change: ChangedModel,
     progress: Callable[[str], None],
     coefficients: tuple[CoefficientEstimate, ...] = (),
+    same_readings: bool = True,
 ) -> Refit:
     """Fit a changed model from where the fit before stood, and compare the two.
 
@@ -91,11 +95,15 @@ def refit_changed(
     change : the changed model with its start.
     progress : called with a short text as the work goes on.
     coefficients : predicted, of effects added.
+    same_readings : whether both are fits of the same readings; χ² and predictions are not compared where not.
     """
     progress("fitting")
     fit = joint_fit(change.model, None, start=(change.z, change.h), progress=progress)
+    may_rise = bool(change.removed) or not change.added
+    if not same_readings:
+        return Refit(before, change, fit, float("nan"), objection(fit, 0.0, True), None, _NOT_PREDICTED)
     delta_chi2 = observed_delta_chi2(before, fit) if fit.converged else float("nan")
-    against = objection(fit, delta_chi2, bool(change.removed))
+    against = objection(fit, delta_chi2, may_rise)
     unseen = None if against else cross_validate(before, fit, progress, bool(change.removed))
     prediction = Prediction(delta_chi2=_predicted_drop(before, change), coefficients=coefficients)
     return Refit(before, change, fit, delta_chi2, against, unseen, prediction)

@@ -54,6 +54,7 @@ from imubayes.model.nodes_and_entries import (
 from imubayes.model.nominal_response import is_independent
 from imubayes.model.parameter_priors import HyperCorrelation, hyper_correlation, stated_uncertainty
 from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity, signal_path, values_of
+from imubayes.model.set_aside import without
 from imubayes.noise.components import Entry, EntryNoise, Noise, SlowNoise
 from imubayes.parameters.declarations import Layout, Priors
 from imubayes.procedures import PROCEDURES
@@ -322,6 +323,7 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, 
     """
     prepare_jax()
     _refuse_unknown_procedures(campaign)
+    campaign = without(campaign, spec.set_aside, spec.where)
     new_files = registry is None
     registry = (registry or Registry()).with_files(spec.files)
     spec = _with_implied(with_noise_priors(spec, campaign, registry), campaign, registry)

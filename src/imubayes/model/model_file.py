@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from imubayes.campaign.campaign_reader import read_model_file
 from imubayes.campaign.file_schemas import ModelFile
+from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.files import only_writer, write_text
 from imubayes.foundations.records import Record
@@ -98,7 +99,8 @@ class ModelSpec:
 
     `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all inputs, as a ratio; None for
     that of the campaign.  `correlations` are those of the priors of noise parameters.  `noise_priors` is the noise
-    of the unit from its static records, which takes the place of the model's own once bound to a campaign.
+    of the unit from its static records, which takes the place of the model's own once bound to a campaign.  `set_aside`
+    are readings that are left out.
     """
 
     name: str
@@ -108,6 +110,7 @@ class ModelSpec:
     delta_k_threshold: float | None = None
     correlations: tuple[PriorCorrelation, ...] = ()
     noise_priors: "ModelSpec | None" = None
+    set_aside: tuple[SetAside, ...] = ()
 
 
 _FILE = "trusted.json"
@@ -212,6 +215,7 @@ def spec_of_file(file: ModelFile, path: Path) -> ModelSpec:
         delta_k_threshold=None if percent is None else percent / 100,
         correlations=correlations,
         noise_priors=None if file.noise_priors is None else _noise_priors(path.parent / file.noise_priors),
+        set_aside=tuple(SetAside.model_validate(entry.model_dump()) for entry in file.set_aside),
     )
 
 

@@ -123,6 +123,11 @@ def hyper_fields(effect_class: EffectClass) -> set[str]:
     return {declaration.spread for declaration in declared.values() if declaration.spread}
 
 
+def default_prior(declared: Declared, kind: str, campaign: Campaign) -> str:
+    """Return the default prior of a parameter on channels of a kind; empty for effects on no channel."""
+    return declared.prior_of(grade_of(campaign, kind)) if kind else declared.prior
+
+
 def parameter_of(
     spec: EffectSpec, effect_class: EffectClass, field: str, label: dict[str, str], campaign: Campaign
 ) -> Parameter:

@@ -19,6 +19,7 @@ from pydantic import PrivateAttr
 from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup
 from imubayes.criticism.explanations import CoefficientEstimate, EffectChoice, RmsChange
+from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.records import Presented, Record, finite
 from imubayes.inference.identifiability import PriorConflict
@@ -27,6 +28,7 @@ from imubayes.loop.model_history import ChiSquareDrop, CrossValidation, Node, Tr
 from imubayes.loop.refit import NotDistinguished, Prediction, Refit, not_distinguished
 from imubayes.loop.warm_start import ChangedModel
 from imubayes.model.bind import Model
+from imubayes.model.model_file import ModelSpec
 from imubayes.results.folder_files import ADDED_VARIABLE, CHANGE, DIAGNOSIS, RESIDUALS, add_to, added, checked
 from imubayes.results.history_tree import read_node, read_tree
 from imubayes.results.result import Result
@@ -113,7 +115,7 @@ class Observation(Record):
     Attributes
     ----------
     delta_chi2 : drop at the noise known beforehand, negative where χ² rose; where noise itself was changed, twice the
-        rise of the log likelihood.
+        rise of the log likelihood; None where other readings were fitted.
     coefficients : the new parameters.
     """
 
@@ -127,6 +129,8 @@ class ModelChange(Presented, Record):
     Attributes
     ----------
     added, removed : effects with their channels.
+    priors : written anew in the model file, by ``effect.parameter``; empty for the default.
+    set_aside, taken_back : readings that the model leaves out, and no longer leaves out.
     widened : priors widened because the estimate lies outside the typical range, by ``effect.parameter``.
     taken, message : whether the refit converged and is no worse than the fit before, and why not.
     predicted, observed : Δχ² and coefficients before and after the refit.
@@ -148,6 +152,9 @@ class ModelChange(Presented, Record):
     format: Literal[2] = 2
     added: tuple[EffectChoice, ...] = ()
     removed: tuple[EffectChoice, ...] = ()
+    priors: dict[str, str] = {}
+    set_aside: tuple[SetAside, ...] = ()
+    taken_back: tuple[SetAside, ...] = ()
     widened: dict[str, str]
     taken: bool
     message: str
@@ -199,10 +206,14 @@ def change_of(refit: Refit, result: Result, refitted: Result, log_odds: float | 
     before, after = result.summary, refitted.summary
     parent, folder = (str(each.folder) if each.folder is not None else None for each in (result, refitted))
     taken = not refit.objection
+    was, now = refit.before.model.spec, refit.change.model.spec
     fresh = _new_parameters(refit, before)
     change = ModelChange(
         added=refit.change.added,
         removed=refit.change.removed,
+        priors=_new_priors(was, now),
+        set_aside=tuple(each for each in now.set_aside if each not in was.set_aside),
+        taken_back=tuple(each for each in was.set_aside if each not in now.set_aside),
         widened=dict(refit.change.widened),
         taken=taken,
         message=refit.objection,
@@ -226,6 +237,18 @@ def change_of(refit: Refit, result: Result, refitted: Result, log_odds: float | 
         folder=folder,
     )
     return change.with_result(refitted)
+
+
+def _new_priors(was: ModelSpec, now: ModelSpec) -> dict[str, str]:
+    """Return the priors of effects that both models have, where they are written differently."""
+    known = {(each.name, each.channels): dict(each.prior) for each in was.effects}
+    return {
+        f"{each.name}.{field}": each.prior.get(field, "")
+        for each in now.effects
+        if (before := known.get((each.name, each.channels))) is not None
+        for field in before | dict(each.prior)
+        if before.get(field) != each.prior.get(field)
+    }
 
 
 def _undistinguished(refit: Refit) -> tuple[NotDistinguished, ...]:
@@ -296,7 +319,9 @@ def channel_rms(summary: Summary) -> tuple[ChannelRms, ...]:
 
 
 def _drop(refit: Refit, before: Summary, after: Summary) -> float | None:
-    """Return the observed drop of χ² (see `Observation`)."""
+    """Return the observed drop of χ² (see `Observation`); None where the readings differ."""
+    if refit.fit.model.campaign.set_aside != refit.before.model.campaign.set_aside:
+        return None
     same = refit.fit.model.hyper_layout.names == refit.before.model.hyper_layout.names
     if not same or before.known_noise is None or after.known_noise is None:
         return finite(refit.delta_chi2)
@@ -364,6 +389,8 @@ def next_node(parent: Path | None, change: ModelChange, diagnosis: Diagnosis | N
         parent=os.path.relpath(parent.resolve(), refitted.folder.resolve()),
         added=change.added,
         removed=change.removed,
+        priors=tuple(change.priors),
+        aside=tuple(dict.fromkeys(each.run for each in (*change.set_aside, *change.taken_back))),
         verdict=diagnosis.verdict if diagnosis is not None else None,
         offsets_moved=change.offsets_moved,
         delta_chi2=ChiSquareDrop(predicted=change.predicted.delta_chi2, observed=change.observed.delta_chi2),

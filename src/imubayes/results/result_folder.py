@@ -154,6 +154,11 @@ def model_text(spec: ModelSpec) -> str:
             entry[key] = value
         effects.append(entry)
     document["effect"] = effects
+    if spec.set_aside:
+        aside = tomlkit.aot()
+        for each in spec.set_aside:
+            aside.append(tomlkit.item(each.model_dump(mode="json", exclude_defaults=True)))
+        document["set_aside"] = aside
     if spec.correlations:
         blocks = tomlkit.aot()
         for block in spec.correlations:

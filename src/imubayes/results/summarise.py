@@ -188,6 +188,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         doubted_runs=doubted_runs(fit),
         left_out=model.left_out,
         exact=uncertain_equipment(fit),
+        set_aside=model.spec.set_aside,
         parameters=parameters,
         derived=derived,
         runs=residuals.by_run_and_channel(),

@@ -11,7 +11,7 @@ import numpy as np
 
 from imubayes.adequacy.adequacy_record import DoubtedRun, KnownNoiseFit, NoiseComparison, NoiseViolation
 from imubayes.campaign.equipment import ANGLE, ANGLE_UNIT
-from imubayes.foundations.campaign_data import channel_of_component
+from imubayes.foundations.campaign_data import SetAside, channel_of_component
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import with_output_unit
 from imubayes.inference.candidate_runs import NextRun
@@ -215,6 +215,7 @@ class Summary(Record):
     doubted_runs : runs that the others do not predict at the noise known before the fit.
     left_out : effects between runs that one run of a channel cannot tell: not in the model, nor in the intervals.
     exact : what the campaign says is not exact of site and equipment, and the model takes as exact: in no interval.
+    set_aside : readings that the model leaves out.
     combinations : what is determined of the members of weak directions.
     pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.
     """
@@ -241,6 +242,7 @@ class Summary(Record):
     doubted_runs: tuple[DoubtedRun, ...] = ()
     left_out: tuple[SingleRunEffect, ...] = ()
     exact: tuple[UncertainEquipment, ...] = ()
+    set_aside: tuple[SetAside, ...] = ()
     parameters: tuple[ParameterSummary, ...]
     derived: tuple[DerivedSummary, ...]
     runs: tuple[RunSummary, ...]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from imubayes.criticism.explanations import RmsChange
-from imubayes.display.fit_cautions import conflict_line
+from imubayes.display.fit_cautions import conflict_line, set_aside_text
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.diagnosis_sentences import probability, sentence
@@ -214,7 +214,7 @@ def change_lines(change: ModelChange) -> list[str]:
         *([_ONE_OF_SEVERAL] if not change.taken and change.added[1:] else []),
         *_chi2_lines(change),
         *_odds_lines(change),
-        *held_out_lines(change.held_out, step),
+        *(held_out_lines(change.held_out, step) if change.added or change.removed else ()),
         *(_undistinguished_line(each, change.folder or "RESULT") for each in change.undistinguished),
     ]
 
@@ -224,11 +224,15 @@ def _named_lines(change: ModelChange) -> list[str]:
     for word, choices in (("Added", change.added), ("Removed", change.removed)):
         names = [each.effect + (f" on {', '.join(each.channels)}" if each.channels else "") for each in choices]
         lines += [f"{word}: {', '.join(names)}."] if names else []
-    return lines
+    lines += [f"Prior of {name}: {text or 'the default'}." for name, text in change.priors.items()]
+    lines += [f"Set aside: {set_aside_text(each)}." for each in change.set_aside]
+    return lines + [f"Taken back: {set_aside_text(each)}." for each in change.taken_back]
 
 
 def _chi2_lines(change: ModelChange) -> list[str]:
     """Return Δχ² predicted and observed, and why the residual of a channel rose all the same."""
+    if change.set_aside or change.taken_back:
+        return ["The readings differ: χ² and predictions are not compared."]
     noise = "" if change.predicted.delta_chi2 is None else " at the noise known beforehand"
     predicted, observed = (
         significant(each).replace("-", "−") for each in (change.predicted.delta_chi2, change.observed.delta_chi2)
