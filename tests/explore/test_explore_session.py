@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import shlex
 import shutil
 import threading
 from collections.abc import AsyncGenerator
@@ -11,15 +12,21 @@ import pytest
 from explore_client import settled, wait_for
 from starlette.requests import Request
 
+from imubayes.cli.main import run
+from imubayes.explorer.edited_model import prior_text, with_aside, with_prior
 from imubayes.explorer.kept_session import KeptSession
-from imubayes.explorer.messages import ChangeWanted, LockWanted
+from imubayes.explorer.messages import Brush, ChangeWanted, LockWanted
 from imubayes.explorer.open_model import opened
 from imubayes.explorer.server import _Answers
 from imubayes.explorer.session import Session
 from imubayes.explorer.worker import TaskOutcome, Worker
+from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import InputError, NotKept
 from imubayes.foundations.progress import Tell
+from imubayes.model.nodes_and_entries import join_entries
+from imubayes.model.set_aside import without
 from imubayes.results.history_tree import read_tree, select
+from imubayes.results.stored_tables import read_summary_and_residuals
 
 
 def test_what_cannot_be_kept_is_not_lost(tmp_path):
@@ -162,3 +169,81 @@ def test_a_script_selects_again_what_was_selected_before():
                            ("select a", True), ("select a", True)):  # fmt: skip
         kept = kept.with_command(command, again=again)
     assert kept.commands == ("diagnose a", "select a", "select b", "select a")
+
+
+def chosen(model, **brush):
+    return model.table.chosen([Brush(**brush)])
+
+
+def test_a_selection_is_set_aside_as_run_channels_or_rows(explored, first):
+    """The readings that a campaign loses by what is written are those that were selected."""
+    model = explored.session.require(first)
+    fitted = model.view.fit.model
+    for brush in (
+        {"runs": ("rate-z-up",)},
+        {"channels": ("gx", "gz")},
+        {"runs": ("head-z-up", "rate-z-up"), "channels": ("ax",)},
+        {"channels": ("gz",), "x": "rate_i", "x_low": 0.0, "x_high": 1e9},
+        {"runs": ("rate-z-up",), "x": "rate_i", "x_low": 10.0, "x_high": 1e9},
+    ):
+        some = chosen(model, **brush)
+        assert some.any()
+        wanted = with_aside(model, some, "why not").set_aside
+        assert {each.reason for each in wanted} == {"why not"}
+        left = join_entries(without(fitted.campaign, wanted, "here"))
+        names = [run.name for run in fitted.campaign.runs]
+        kept = {run.name for run in without(fitted.campaign, wanted, "here").runs}
+        there = [name for name in names if name in kept]
+        own, whole = ({(runs[r], row, k) for r, row, k in zip(e.run.tolist(), e.row.tolist(), e.channel.tolist(),
+                       strict=True)} for runs, e in ((there, left), (names, fitted.entries)))  # fmt: skip
+        taken = zip(fitted.entries.run[some], fitted.entries.row[some], fitted.entries.channel[some], strict=True)
+        assert whole - own == {(names[r], int(row), int(k)) for r, row, k in taken}
+    whole_run = with_aside(model, chosen(model, runs=("rate-z-up",)), "x")
+    assert whole_run.set_aside == (SetAside(run="rate-z-up", reason="x"),)
+    with pytest.raises(InputError, match="no reading is selected"):
+        with_aside(model, chosen(model, runs=("nowhere",)), "x")
+
+
+def test_the_prior_of_a_parameter_is_checked_with_its_unit(explored, first):
+    fitted = explored.session.require(first).view.fit.model
+    name = "gyro_bias.bias[gz]"
+    spec = with_prior(fitted, name, "normal(0, 2 deg/h)")
+    [entry] = [each for each in spec.effects if each.name == "gyro_bias"]
+    assert entry.prior["bias"] == "normal(0, 2 deg/h)"
+    assert with_prior(fitted, name, "").effects != spec.effects
+    every = [each for each in fitted.parameter_names if prior_text(fitted, each)]
+    assert every == list(fitted.parameter_names)
+    for each in every:
+        with_prior(fitted, each, prior_text(fitted, each))
+    assert prior_text(fitted, "scale_factor[gz]") == ""
+    for wrong in ("normal(0, 2 mg)", "normal(0)", "2 deg/h", "lognormal(", "normal(0, -1 deg/h)"):
+        with pytest.raises(InputError) as error:
+            with_prior(fitted, name, wrong)
+        assert "prior of bias" in str(error.value)
+    with pytest.raises(InputError, match="no parameter"):
+        with_prior(fitted, "gyro_bias.bais[gz]", "normal(0, 2 deg/h)")
+
+
+def test_another_prior_is_a_branch_that_its_command_makes_again(explored, first, client, tmp_path):
+    """The refit is that of `imubayes refit`, whose file stays beside the results; what is set aside needs a reason."""
+    refused = client.ask("change", {"model": first, "aside": [{"runs": ["rate-z-up"]}], "reason": " "})
+    assert refused[0] == 400
+    assert b"no reason is given" in refused[1]
+    name, prior = "gyro_bias.bias[gz]", "normal(0, 0.001 deg/h)"
+    assert client.json("quantity", {"model": first, "name": name})["written"].startswith("normal(0, ")
+    task = client.json("change", {"model": first, "prior_of": name, "prior": prior})["task"]
+    settled(explored)
+    state = client.json("state")
+    done = next(each for each in state["tasks"] if each["number"] == task)
+    assert done["state"] == "done", done["issues"]
+    assert f"Prior of gyro_bias.bias: {prior}." in done["lines"]
+    line = next(each for each in state["tree"] if each["id"] == done["made"])
+    assert (line["parent"], line["title"]) == (first, "prior of gyro_bias.bias")
+    assert client.json("quantity", {"model": done["made"], "name": name})["written"] == prior
+    command = shlex.split(next(each for each in state["commands"] if each.startswith("imubayes refit")))
+    again = tmp_path / "again"
+    assert run([*command[1:-1], str(again)]) == 0
+    both = [read_summary_and_residuals(each)[0].parameters for each in (explored.session.place_of(done["made"]), again)]
+    own, by_command = ({each.name: each.mean for each in parameters} for parameters in both)
+    assert own == pytest.approx(by_command, rel=1e-9, abs=1e-12)
+    client.json("select", {"model": first})

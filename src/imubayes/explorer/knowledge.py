@@ -5,6 +5,7 @@ import numpy as np
 from imubayes.display.fit_quality_tables import combination_sheet, contribution_sheet, next_run_sheet, weak_sheet
 from imubayes.display.numbers_and_labels import pretty
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
+from imubayes.explorer.edited_model import prior_text
 from imubayes.explorer.messages import ShownTable, shown_table
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.records import Record
@@ -23,10 +24,14 @@ class KnownTables(Record):
 
 
 class QuantityFacts(Record):
-    """One quantity: densities of posterior and prior at places `x` in `unit`, each over its highest value."""
+    """One quantity: densities of posterior and prior at places `x` in `unit`, each over its highest value.
+
+    `written` is the prior of a parameter as a model file has it; empty of a derived quantity.
+    """
 
     name: str
     unit: str
+    written: str
     x: tuple[float, ...]
     posterior: tuple[float, ...]
     prior: tuple[float, ...]
@@ -56,7 +61,7 @@ def quantity_facts(result: Result, name: str) -> QuantityFacts:
     x = np.linspace(middle - reach, middle + reach, _PLACES)
     shown = {each.name: each for each in (*in_output_units(result.summary).parameters, *result.summary.derived)}
     return QuantityFacts(
-        name=name, unit=pretty(shown[name].unit), x=tuple(x.tolist()),
+        name=name, unit=pretty(shown[name].unit), written=prior_text(result.fit.model, name), x=tuple(x.tolist()),
         posterior=_density(found, x), prior=_density(prior, x),
     )  # fmt: skip
 

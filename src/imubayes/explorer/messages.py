@@ -102,9 +102,17 @@ class PointsWanted(Record):
 
 
 class ChangeWanted(Record):
-    """A change of a model: effects added on channels, or removed, or the formula of the residual of a channel added.
+    """A change of a model.
 
     No code is taken from a page: an effect is made of the formula that is found again.
+
+    Attributes
+    ----------
+    add, channels, remove : effects added, on channels, or removed.
+    formula_of : channel the formula of whose residual is added.
+    prior_of, prior : parameter, and its prior as a model file has it; empty for the default.
+    aside, reason : readings that are set aside, and why.
+    take_back : places in the list of those set aside.
     """
 
     model: str
@@ -112,6 +120,11 @@ class ChangeWanted(Record):
     remove: tuple[str, ...] = ()
     formula_of: str = ""
     channels: tuple[str, ...] | None = None
+    prior_of: str = ""
+    prior: str = Field("", max_length=200)
+    aside: tuple[Brush, ...] = Field((), max_length=200)
+    reason: str = Field("", max_length=400)
+    take_back: tuple[int, ...] = ()
 
 
 class FormulaWanted(Record):
@@ -204,7 +217,7 @@ class ModelFacts(Record):
     sentence, evidence : the verdict, and the probability of each explanation, in words.
     command : the next command of the loop.
     separating : of each group the run that would tell its effects apart, in words.
-    effects : of the model.
+    effects, set_aside : of the model, and the readings that it leaves out, in words.
     """
 
     id: str
@@ -225,6 +238,7 @@ class ModelFacts(Record):
     abscissae: tuple[Axis, ...]
     groupings: tuple[Grouping, ...]
     effects: tuple[str, ...]
+    set_aside: tuple[str, ...]
     command: str
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import explained_fit
 from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.loop.diagnosis_report import (
     add_command,
@@ -101,6 +102,7 @@ class OpenModel:
             abscissae=table.abscissae,
             groupings=table.groupings(),
             effects=tuple(effect.name for effect in model.spec.effects),
+            set_aside=tuple(map(set_aside_text, model.spec.set_aside)),
             command=next_command(said),
         )
 

@@ -12,11 +12,12 @@ from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from imubayes.api import add, export, fit, remove
+from imubayes.api import add, export, fit, refit, remove
 from imubayes.display.loop.change_report import change_lines
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.history import gain_text
 from imubayes.display.loop.selection_text import fitted_text
+from imubayes.explorer.edited_model import with_aside, with_prior, with_taken_back
 from imubayes.explorer.kept_session import ModelNote, read_session, write_session
 from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PreviewFacts, PreviewWanted
 from imubayes.explorer.open_model import OpenModel, opened, quoted
@@ -26,10 +27,12 @@ from imubayes.foundations.files import write_text
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
 from imubayes.loop.model_history import ChiSquareDrop, Tree, rms_by_unit
+from imubayes.model.model_file import ModelSpec
 from imubayes.results.change_records import ModelChange
 from imubayes.results.folder_files import MANIFEST, MODEL
 from imubayes.results.history_tree import campaign_of, read_tree, select, shown_place
 from imubayes.results.result import Result, read_result
+from imubayes.results.result_folder import write_model
 
 _MOST_OPEN = 4
 _Marks = frozenset[tuple[str, int, int, int]]
@@ -246,8 +249,6 @@ class Session:
             where a change is at work already, the campaign is no longer what was fitted, or nothing is named.
         """
         model = self.require(wanted.model)
-        if not (wanted.add or wanted.remove or wanted.formula_of):
-            raise input_error("no effect is named", "change", "effects to add or to remove", "choose one")
         self._refuse_changed_campaign(model)
         adding: tuple[str, ...] = ()
         if wanted.formula_of:
@@ -255,9 +256,22 @@ class Session:
         elif wanted.add:
             effects = self._with_locked(wanted.add, model)
             adding = effects if wanted.channels is None else ()
-            what, make = f"add {', '.join(effects)}", self._adding(model, effects, wanted.channels)
-        else:
+            what, make = f"add {', '.join(effects)}", self._adding(model, effects, wanted.channels, bool(adding))
+        elif wanted.remove:
             what, make = f"remove {', '.join(wanted.remove)}", self._removing(model, wanted.remove)
+        elif wanted.prior_of:
+            spec = with_prior(model.view.fit.model, wanted.prior_of, wanted.prior)
+            what, make = f"prior of {wanted.prior_of}", self._refitting(model, spec, "prior")
+        elif wanted.aside:
+            if not wanted.reason.strip():
+                raise input_error("no reason is given", "set aside", "why these readings do not count", "state it")
+            spec = with_aside(model, model.table.chosen(wanted.aside), wanted.reason.strip())
+            what, make = "set readings aside", self._refitting(model, spec, "aside")
+        elif wanted.take_back:
+            spec = with_taken_back(model.view.fit.model.spec, wanted.take_back)
+            what, make = "take readings back", self._refitting(model, spec, "taken-back")
+        else:
+            raise input_error("no change is named", "change", "effects, a prior, or readings", "choose one")
         with self._lock:  # two windows may ask at once
             if any(each.kind == "change" and each.at_work for each in self.worker.tasks):
                 raise input_error("a change is at work already", "this session", "one change at a time",
@@ -269,12 +283,14 @@ class Session:
         locked = [name for name, lock in self._kept.locks.items() if lock == "in" and name in model.view.variants]
         return tuple(dict.fromkeys((*effects, *locked)))
 
-    def _adding(self, model: OpenModel, effects: tuple[str, ...], channels: tuple[str, ...] | None) -> Work:
+    def _adding(
+        self, model: OpenModel, effects: tuple[str, ...], channels: tuple[str, ...] | None, shown: bool
+    ) -> Work:
         folder, channels = self.folder_for(model, effects[0]), channels or model.channels_for(effects)
         command = add_command(effects, channels, model.place, quoted(folder))
 
         def work(tell: Tell) -> TaskOutcome:
-            if channels is None:
+            if shown:
                 tell("new residuals")
                 model.refitted(effects)  # shown while its fit is made
             change = add(model.result, effects, folder, channels, diagnosis=model.diagnosis, progress=tell)
@@ -305,6 +321,23 @@ class Session:
 
         def work(tell: Tell) -> TaskOutcome:
             return self._after(remove(model.result, effects, folder, progress=tell), command, tell)
+
+        return work
+
+    def _refitting(self, model: OpenModel, spec: ModelSpec, word: str) -> Work:
+        """Return the work of fitting an edited model; its file stays beside the results, as the command names it."""
+        folder = self.folder_for(model, word)
+        file = folder.with_name(f"{folder.name}.toml")
+        command = f"imubayes refit {model.place} --model {quoted(file)} --out {quoted(folder)}"
+
+        def work(tell: Tell) -> TaskOutcome:
+            write_model(spec, file)
+            try:
+                change = refit(model.result, file, folder, progress=tell)
+            except BaseException:
+                file.unlink(missing_ok=True)
+                raise
+            return self._after(change, command, tell)
 
         return work
 

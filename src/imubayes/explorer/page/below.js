@@ -57,10 +57,13 @@ function models(panel, actions) {
     el("td", {}, el("button", { class: "plain", "data-key": `note-${line.id}`, title: line.note || "name and note", onclick: () => actions.note(line) }, line.note ? "✎ note" : "✎"))));
   const head = ["χ²/n", "Δχ² predicted", "observed", "Δ elpd", ...units.map((unit) => `rms / ${unit === "deg/s" ? "deg/h" : unit === "g" ? "µg" : unit}`), "", ""];
   const effects = (told.facts?.effects ?? []).map((effect) => el("span", { class: "chip" }, effect,
-    el("button", { class: "plain", "data-key": `remove-${effect}`, title: `remove ${effect}, and refit`, "aria-label": `remove ${effect}`, onclick: () => actions.remove(effect) }, "×")));
+    el("button", { class: "plain", "data-key": `remove-${effect}`, title: `remove ${effect}, and refit`, "aria-label": `remove ${effect}`, onclick: () => actions.change({ remove: [effect] }) }, "×")));
+  const aside = (told.facts?.set_aside ?? []).map((words, at) => el("span", { class: "chip" }, words,
+    el("button", { class: "plain", "data-key": `back-${at}`, title: "take these readings back, and refit", "aria-label": `take back ${words}`, onclick: () => actions.change({ take_back: [at] }) }, "↩")));
   fill(panel,
     el("table", {}, el("thead", {}, el("tr", {}, el("th", { class: "left" }, "model"), head.map((words) => el("th", {}, words)))), el("tbody", {}, rows)),
-    el("h3", { class: "quiet aside" }, "Effects of the model that is shown"), el("div", { class: "chips" }, effects));
+    el("h3", { class: "quiet aside" }, "Effects of the model that is shown"), el("div", { class: "chips" }, effects),
+    aside.length ? el("h3", { class: "quiet aside" }, "Readings set aside") : null, aside.length ? el("div", { class: "chips" }, aside) : null);
 }
 
 function size(value, unit) {
@@ -89,6 +92,17 @@ function commands(panel) {
   fill(panel, el("p", { class: "quiet" }, "What was clicked, as commands: page and command line go through the same functions and folders."),
     el("pre", { id: "commands", tabindex: "0" }, own.join("\n")),
     told.facts?.command ? el("p", { class: "aside" }, "Next, by the diagnosis: ", el("code", {}, told.facts.command)) : null);
+}
+
+export function asideDialog(dialog, count, keep) {
+  const reason = el("input", { id: "reason", size: "50", maxlength: "400", required: true });
+  fill(dialog, el("form", { method: "dialog", onsubmit: () => keep(reason.value) },
+    el("h2", { id: "dialog-title" }, `Set ${count} readings aside`),
+    el("p", { class: "quiet" }, "A branch of the tree is fitted without them. Their files stay as they are, the reason stands in the model, and they can be taken back."),
+    el("p", {}, el("label", { for: "reason" }, "reason "), reason),
+    el("div", { class: "row" }, el("button", { class: "main", id: "set-aside" }, "set aside, and refit"), el("button", { type: "button", onclick: () => dialog.close() }, "cancel"))));
+  dialog.showModal();
+  reason.focus();
 }
 
 export function noteDialog(dialog, line, keep) {

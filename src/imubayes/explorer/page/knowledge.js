@@ -21,11 +21,19 @@ export function drawKnowledge(panel, actions) {
         list: "quantities", "data-key": "quantity", value: sought, size: 34, placeholder: "name, such as scale_factor[gx]",
         oninput: (event) => { sought = event.target.value; }, onchange: (event) => seek(event.target.value, panel, actions),
       })), el("datalist", { id: "quantities" }, found.map((name) => el("option", { value: name }))),
-      chosen ? densities(chosen) : el("p", { class: "quiet" }, "Name a quantity to see its prior and posterior.")),
+      chosen ? [densities(chosen), chosen.written ? prior(actions) : null] : el("p", { class: "quiet" }, "Name a quantity to see its prior and posterior.")),
     el("div", {}, tables.filter((table) => table.rows.length || table.note).map((table, at) => el("details", {
         open: unfolded.get(table.title) ?? at < 2, ontoggle: (event) => unfolded.set(table.title, event.target.open),
       },
       el("summary", {}, table.title, el("span", { class: "quiet" }, ` (${table.rows.length})`)), sheet(table, panel, actions))))));
+}
+
+function prior(actions) {
+  const text = el("input", { id: "prior", "data-key": "prior", size: 26, value: chosen.written, maxlength: "200" });
+  return el("form", { class: "row", onsubmit: (event) => {
+    event.preventDefault();
+    actions.change({ prior_of: chosen.name, prior: text.value });
+  } }, el("label", {}, "prior ", text), el("button", { "data-key": "refit-prior", id: "refit-prior" }, "refit with it"));
 }
 
 async function load(panel, actions) {

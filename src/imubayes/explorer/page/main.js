@@ -1,6 +1,6 @@
 // The page: what changes leads to what is asked, and what is told leads to what is drawn. State flows one way.
 
-import { drawBelow, drawTab, noteDialog, parentOf } from "./below.js";
+import { asideDialog, drawBelow, drawTab, noteDialog, parentOf } from "./below.js";
 import { drawCauses } from "./causes.js";
 import { el, fill } from "./dom.js";
 import { formulaDialog } from "./formula.js";
@@ -33,8 +33,7 @@ const download = (name) => attempt(async () => {
 
 const actions = {
   attempt,
-  accept: () => view.ticked.length && attempt(() => ask("change", { model: view.model, add: view.ticked })),
-  remove: (effect) => attempt(() => ask("change", { model: view.model, remove: [effect] })),
+  accept: () => view.ticked.length && actions.change({ add: view.ticked }),
   cancel: (task) => attempt(() => ask("cancel", { task })),
   select: (model) => attempt(async () => hear(await ask("select", { model }))),
   lock: (effect, lock) => attempt(async () => {
@@ -42,6 +41,8 @@ const actions = {
     await select();
   }),
   note: (line) => noteDialog(dialog, line, (name, note) => attempt(async () => hear(await ask("note", { model: line.id, name, note })))),
+  aside: () => view.brushes.length && asideDialog(dialog, told.selection?.n ?? 0, (reason) => actions.change({ aside: view.brushes, reason })),
+  change: (wanted) => attempt(() => ask("change", { model: view.model, ...wanted })),
   undo: () => attempt(async () => {
     const before = parentOf(view.model);
     if (!before) return;
@@ -53,7 +54,7 @@ const actions = {
   script: () => download("script.sh"),
   formula: (channel) => attempt(async () => {
     const found = await ask("formula", { model: view.model, channel });
-    formulaDialog(dialog, channel, found, () => attempt(() => ask("change", { model: view.model, formula_of: channel })));
+    formulaDialog(dialog, channel, found, () => actions.change({ formula_of: channel }));
   }),
   copy: () => attempt(async () => navigator.clipboard.writeText(await text("script.sh"))),
 };
@@ -189,7 +190,7 @@ const turnX = (step) => show({ x: next(covariates(), view.x, step), between: nul
 listenToKeys({
   "?": () => helpDialog(dialog), t: () => tour(dialog), d: switchTheme,
   m: () => (place("map").querySelector(".cell.marked") ?? place("map").querySelector(".cell"))?.focus(), r: () => place("residuals").focus(),
-  c: () => place("causes").querySelector(".tick:not(:disabled)")?.focus(), a: actions.accept, u: actions.undo, e: actions.export,
+  c: () => place("causes").querySelector(".tick:not(:disabled)")?.focus(), a: actions.accept, u: actions.undo, e: actions.export, s: actions.aside,
   x: () => told.session?.tasks.filter(atWork).forEach((task) => actions.cancel(task.number)),
   n: () => show({ channel: next(channels(), view.channel, 1) }), N: () => show({ channel: next(channels(), view.channel, -1) }),
   v: () => turnX(1), V: () => turnX(-1), y: () => show({ y: next(RESIDUALS, view.y, 1) }), o: focusRuns,
