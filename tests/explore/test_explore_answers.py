@@ -309,7 +309,7 @@ def test_a_million_readings_are_drawn_within_half_a_second():
         ("points", {"model": "MODEL", "channel": "gz", "x": "../x"}, "no abscissa"),
         ("points", {"model": "MODEL", "channel": "gz", "x": "reading", "y": "none"}, "known"),
         ("preview", {"model": "MODEL", "effects": ["__import__"]}, "is no cause here"),
-        ("change", {"model": "MODEL"}, "no effect is named"),
+        ("change", {"model": "MODEL"}, "no change is named"),
         ("selection", {"model": "MODEL", "brushes": [{}] * 201}, "at most 200"),
     ],
 )

@@ -6,7 +6,7 @@ model within a second, where its own programs take a minute to compile.  Scales 
 verdict are those of the fit, which follows.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -16,6 +16,7 @@ import numpy as np
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
 from imubayes.criticism.diagnosis_record import ScreenedEffect
 from imubayes.inference.laplace_marginal import Linearised, whitened_about
+from imubayes.parameters.declarations import Parameter
 from imubayes.responses.candidate_effects import CatalogueModel
 
 _MOST_STEPS, _LENGTHS = 20, (1.0, 0.3, 0.1, 0.03, 0.01)
@@ -44,19 +45,11 @@ def refitted(
     free = model.free(effects, channels)
     if not free:
         return None
-    own, start = len(point.z), np.array([model.null(place) for place in free])
-    told = {each.name: each.value for line in estimates for each in line.coefficients if each.value is not None}
-    told |= {
-        f"{line.effect}.{name.rpartition('.')[2]}": value for line in estimates for name, value in line.shape.items()
-    }
-    for k, parameter in enumerate(free.values()):
-        value = told.get(parameter.name, told.get(f"{parameter.effect}.{parameter.field}"))
-        begun = parameter.z_at(value) if value is not None else None
-        start[k] = start[k] if begun is None else begun
+    own, start = len(point.z), _start(model, free, estimates)
     width = np.where(np.abs(start) > _WIDENED, np.abs(start), 1.0)
-    here = _At(model, point, np.concatenate([point.z, start]), free, width)
+    here = _RefitAt(model, point, np.concatenate([point.z, start]), free, width)
     for _ in range(_MOST_STEPS):
-        if not here.size > _ARRIVED:
+        if here.size <= _ARRIVED:
             kept = len(point.left)  # without the priors of what is added
             return replace(point, misfit=here.misfit, left=here.right[:kept], z=here.z[:own])
         ahead = (here.moved(length) for length in _LENGTHS)
@@ -66,7 +59,20 @@ def refitted(
     return None
 
 
-class _At:
+def _start(model: CatalogueModel, free: Mapping[int, Parameter], estimates: Sequence[ScreenedEffect]) -> np.ndarray:
+    """Return z of the estimates of some parameters, (F,), and of their nulls where there is none."""
+    told = {each.name: each.value for line in estimates for each in line.coefficients if each.value is not None}
+    shapes = ((line.effect, name.rpartition(".")[2], value) for line in estimates for name, value in line.shape.items())
+    told |= {f"{effect}.{field}": value for effect, field, value in shapes}
+    start = np.array([model.null(place) for place in free])
+    for k, each in enumerate(free.values()):
+        value = told.get(each.name, told.get(f"{each.effect}.{each.field}"))
+        begun = each.z_at(value) if value is not None else None
+        start[k] = start[k] if begun is None else begun
+    return start
+
+
+class _RefitAt:
     """The changed model linearised at z, (P + F,), with the Gauss–Newton step from there.
 
     Attributes
@@ -99,6 +105,6 @@ class _At:
     def size(self) -> float:
         return self._solved[1]
 
-    def moved(self, length: float) -> "_At":
+    def moved(self, length: float) -> "_RefitAt":
         """Return the model linearised after a part of the step."""
-        return _At(*self._given, self.z + length * self._solved[0], self.free, self.width)
+        return _RefitAt(*self._given, self.z + length * self._solved[0], self.free, self.width)

@@ -1,10 +1,11 @@
 """A model as edited on the page: another prior of a parameter, readings set aside with a reason, or taken back."""
 
-from collections.abc import Collection, Sequence
-from dataclasses import replace
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imubayes.explorer.messages import ChangeWanted
 from imubayes.explorer.open_model import OpenModel
 from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import closest_first, input_error
@@ -12,6 +13,30 @@ from imubayes.model.bind import Model
 from imubayes.model.bound_effects import BoundEffect, bind_effect
 from imubayes.model.model_file import ModelSpec
 from imubayes.model.parameter_priors import default_prior
+
+
+@dataclass(frozen=True)
+class EditedModel:
+    """A model as edited: what was done, in words, and in a word for its folder."""
+
+    what: str
+    word: str
+    spec: ModelSpec
+
+
+def edited_model(model: OpenModel, wanted: ChangeWanted) -> EditedModel:
+    """Return a model edited as it was asked for; raises InputError for nothing, without a reason, or what is wrong."""
+    fitted = model.view.fit.model
+    if wanted.prior_of:
+        return EditedModel(f"prior of {wanted.prior_of}", "prior", with_prior(fitted, wanted.prior_of, wanted.prior))
+    if wanted.take_back:
+        return EditedModel("take readings back", "taken-back", with_taken_back(fitted.spec, wanted.take_back))
+    if not wanted.aside:
+        raise input_error("no change is named", "change", "effects, a prior, or readings", "choose one")
+    if not wanted.reason.strip():
+        raise input_error("no reason is given", "set aside", "why these readings do not count", "state it")
+    spec = with_aside(model, model.table.chosen(wanted.aside), wanted.reason.strip())
+    return EditedModel("set readings aside", "aside", spec)
 
 
 def prior_text(model: Model, name: str) -> str:
@@ -77,5 +102,5 @@ def with_aside(model: OpenModel, chosen: np.ndarray, reason: str) -> ModelSpec:
 
 def with_taken_back(spec: ModelSpec, places: Collection[int]) -> ModelSpec:
     """Return a model without some of its entries of readings set aside."""
-    left: Sequence[SetAside] = [each for place, each in enumerate(spec.set_aside) if place not in places]
+    left = (each for place, each in enumerate(spec.set_aside) if place not in places)
     return replace(spec, set_aside=tuple(left))

@@ -17,7 +17,7 @@ from imubayes.display.loop.change_report import change_lines
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.history import gain_text
 from imubayes.display.loop.selection_text import fitted_text
-from imubayes.explorer.edited_model import with_aside, with_prior, with_taken_back
+from imubayes.explorer.edited_model import EditedModel, edited_model
 from imubayes.explorer.kept_session import ModelNote, read_session, write_session
 from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PreviewFacts, PreviewWanted
 from imubayes.explorer.open_model import OpenModel, opened, quoted
@@ -27,7 +27,6 @@ from imubayes.foundations.files import write_text
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
 from imubayes.loop.model_history import ChiSquareDrop, Tree, rms_by_unit
-from imubayes.model.model_file import ModelSpec
 from imubayes.results.change_records import ModelChange
 from imubayes.results.folder_files import MANIFEST, MODEL
 from imubayes.results.history_tree import campaign_of, read_tree, select, shown_place
@@ -259,19 +258,9 @@ class Session:
             what, make = f"add {', '.join(effects)}", self._adding(model, effects, wanted.channels, bool(adding))
         elif wanted.remove:
             what, make = f"remove {', '.join(wanted.remove)}", self._removing(model, wanted.remove)
-        elif wanted.prior_of:
-            spec = with_prior(model.view.fit.model, wanted.prior_of, wanted.prior)
-            what, make = f"prior of {wanted.prior_of}", self._refitting(model, spec, "prior")
-        elif wanted.aside:
-            if not wanted.reason.strip():
-                raise input_error("no reason is given", "set aside", "why these readings do not count", "state it")
-            spec = with_aside(model, model.table.chosen(wanted.aside), wanted.reason.strip())
-            what, make = "set readings aside", self._refitting(model, spec, "aside")
-        elif wanted.take_back:
-            spec = with_taken_back(model.view.fit.model.spec, wanted.take_back)
-            what, make = "take readings back", self._refitting(model, spec, "taken-back")
         else:
-            raise input_error("no change is named", "change", "effects, a prior, or readings", "choose one")
+            edited = edited_model(model, wanted)
+            what, make = edited.what, self._refitting(model, edited)
         with self._lock:  # two windows may ask at once
             if any(each.kind == "change" and each.at_work for each in self.worker.tasks):
                 raise input_error("a change is at work already", "this session", "one change at a time",
@@ -324,14 +313,14 @@ class Session:
 
         return work
 
-    def _refitting(self, model: OpenModel, spec: ModelSpec, word: str) -> Work:
+    def _refitting(self, model: OpenModel, edited: EditedModel) -> Work:
         """Return the work of fitting an edited model; its file stays beside the results, as the command names it."""
-        folder = self.folder_for(model, word)
+        folder = self.folder_for(model, edited.word)
         file = folder.with_name(f"{folder.name}.toml")
         command = f"imubayes refit {model.place} --model {quoted(file)} --out {quoted(folder)}"
 
         def work(tell: Tell) -> TaskOutcome:
-            write_model(spec, file)
+            write_model(edited.spec, file)
             try:
                 change = refit(model.result, file, folder, progress=tell)
             except BaseException:

@@ -212,8 +212,8 @@ def change_of(refit: Refit, result: Result, refitted: Result, log_odds: float | 
         added=refit.change.added,
         removed=refit.change.removed,
         priors=_new_priors(was, now),
-        set_aside=tuple(each for each in now.set_aside if each not in was.set_aside),
-        taken_back=tuple(each for each in was.set_aside if each not in now.set_aside),
+        set_aside=_left_out(now, was),
+        taken_back=_left_out(was, now),
         widened=dict(refit.change.widened),
         taken=taken,
         message=refit.objection,
@@ -237,6 +237,11 @@ def change_of(refit: Refit, result: Result, refitted: Result, log_odds: float | 
         folder=folder,
     )
     return change.with_result(refitted)
+
+
+def _left_out(one: ModelSpec, other: ModelSpec) -> tuple[SetAside, ...]:
+    """Return the readings that one model leaves out and another does not."""
+    return tuple(each for each in one.set_aside if each not in other.set_aside)
 
 
 def _new_priors(was: ModelSpec, now: ModelSpec) -> dict[str, str]:

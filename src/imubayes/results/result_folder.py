@@ -11,6 +11,7 @@ import shutil
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import h5netcdf
 import h5py
@@ -125,6 +126,12 @@ def write_model(spec: ModelSpec, file: Path) -> None:
     write_text(file, model_text(spec))
 
 
+def _set_aside(spec: ModelSpec) -> dict[str, Any]:
+    """Return the entries of the readings that a model leaves out; nothing where there are none."""
+    entries = [each.model_dump(mode="json", exclude_defaults=True) for each in spec.set_aside]
+    return {"set_aside": entries} if entries else {}
+
+
 def model_text(spec: ModelSpec) -> str:
     """Return a model as the text of a model file."""
     document = tomlkit.document()
@@ -154,11 +161,7 @@ def model_text(spec: ModelSpec) -> str:
             entry[key] = value
         effects.append(entry)
     document["effect"] = effects
-    if spec.set_aside:
-        aside = tomlkit.aot()
-        for each in spec.set_aside:
-            aside.append(tomlkit.item(each.model_dump(mode="json", exclude_defaults=True)))
-        document["set_aside"] = aside
+    document.update(_set_aside(spec))
     if spec.correlations:
         blocks = tomlkit.aot()
         for block in spec.correlations:
