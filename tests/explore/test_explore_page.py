@@ -95,6 +95,10 @@ def test_the_walk_by_keys_alone(fresh, explored, first, client):
     fresh.press(Keys.SPACE)
     fresh.wait("document.querySelector('#preview-sentence') && !document.querySelector('#accept').disabled")
     fresh.press(Keys.ENTER)
+    # New residuals, χ² and the drop that was reached are there while the fit is made.
+    fresh.wait("document.querySelector('#refit-sentence')?.textContent.includes('observed 103')")
+    fresh.wait("document.querySelector('#residual-title').textContent.startsWith('residual of the refit')")
+    assert float(fresh.text('[data-key="cell-rate-z-up-gz"]')) < 2
     fresh.wait("document.querySelector('#cancel')")
     fresh.driver.refresh()  # the work goes on
     fresh.wait("document.querySelector('#sentence')?.textContent.includes('explains the data')")

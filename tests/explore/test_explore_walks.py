@@ -57,11 +57,12 @@ def test_two_effects_are_previewed_together_and_added_by_keys(two):
         page.run("(document.querySelectorAll('.tick')[1].focus(), null)")
         page.press(Keys.SPACE)
         page.wait("document.querySelectorAll('.tick:checked').length === 2")
-        page.wait(f"document.querySelector('#preview-sentence')?.textContent.includes('{hidden[0]} and {hidden[1]}')")
+        for effect in hidden:
+            page.wait(f"document.querySelector('#preview-sentence')?.textContent.includes('{effect}')")
         page.press(Keys.ENTER)
-        page.wait("document.querySelector('#preview-sentence')?.textContent.startsWith('Refitted with')")
+        page.wait("document.querySelector('#refit-sentence')?.textContent.startsWith('Refitted with')")
         page.wait("document.querySelector('#cancel')")  # the fit goes on
-        early = page.text("#preview-sentence")
+        early = page.text("#refit-sentence")
         page.wait("document.querySelector('#sentence')?.textContent.includes('explains the data')")
         drops = [re.search(r"observed (\d+)", text)[1] for text in (early, page.text("#notice"))]
         assert drops[0] == drops[1]

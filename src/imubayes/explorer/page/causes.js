@@ -93,7 +93,7 @@ function hover(effect) {
 function accept(actions, selection) {
   const preview = told.preview?.effects.length ? told.preview : null, ticked = view.ticked.length > 0;
   const busy = told.session?.tasks.some(atWork);
-  return el("div", { class: "aside" },
+  return el("div", { class: "aside accept" },
     preview ? el("p", { id: "preview-sentence", role: "status" }, preview.sentence) : el("p", { class: "quiet" }, "Point at a cause to preview it without a refit; tick several to preview them together."),
     preview ? el("pre", { tabindex: "0", "aria-label": "command" }, preview.command) : null,
     el("div", { class: "row" },

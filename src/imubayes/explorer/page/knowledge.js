@@ -21,7 +21,7 @@ export function drawKnowledge(panel, actions) {
         list: "quantities", "data-key": "quantity", value: sought, size: 34, placeholder: "name, such as scale_factor[gx]",
         oninput: (event) => { sought = event.target.value; }, onchange: (event) => seek(event.target.value, panel, actions),
       })), el("datalist", { id: "quantities" }, found.map((name) => el("option", { value: name }))),
-      chosen ? [densities(chosen), chosen.written ? prior(actions) : null] : el("p", { class: "quiet" }, "Name a quantity to see its prior and posterior.")),
+      chosen ? [chosen.written ? prior(actions) : null, densities(chosen)] : el("p", { class: "quiet" }, "Name a quantity to see its prior and posterior.")),
     el("div", {}, tables.filter((table) => table.rows.length || table.note).map((table, at) => el("details", {
         open: unfolded.get(table.title) ?? at < 2, ontoggle: (event) => unfolded.set(table.title, event.target.open),
       },

@@ -141,7 +141,7 @@ function draw(seen, heard) {
   if (any(heard, "facts", "kept") || any(seen, "tab", "model")) drawBelow(place("below"), actions);
   drawTab(actions, seen, heard);
   if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between")) drawControls();
-  if (any(heard, "session", "fault", "lost", "dismissed")) drawTasks(place("notice"), actions);
+  if (any(heard, "session", "fault", "lost", "dismissed", "preview")) drawTasks(place("notice"), actions);
 }
 
 // A change that was taken is followed by every window that shows the model it was made from.

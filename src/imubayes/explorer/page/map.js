@@ -25,7 +25,7 @@ export function drawMap(place) {
     el("div", { class: "head" }, el("h2", { id: "map-title" }, "χ² per reading"),
       el("label", { class: "quiet" }, el("input", { type: "checkbox", "data-key": "fitted", checked: fitted, onchange: (event) => { fitted = event.target.checked; drawMap(place); } }), " at fitted noise")),
     el("table", { onkeydown: walk }, el("thead", {}, head), el("tbody", {}, rows)),
-    el("p", { class: "aside quiet" }, expected ? (told.preview.refitted ? "Of the refit." : "Dashed: expected with what is previewed.") : "1 is what noise alone makes. Click a cell, a run or a channel to select it; hold ⇧ to add."));
+    el("p", { class: "aside quiet" }, expected ? (told.preview.refitted ? "χ² of the refit." : "Dashed: expected with what is previewed.") : "1 is what noise alone makes. Click a cell, a run or a channel to select it; hold ⇧ to add."));
 }
 
 function cellButton(cell, expected) {

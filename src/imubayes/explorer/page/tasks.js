@@ -17,8 +17,10 @@ export function drawTasks(place, actions) {
 }
 
 function progress(task, actions) {
+  const refit = task.adding.length && told.preview?.refitted ? told.preview.sentence : null;
   return el("div", {}, el("progress", { "aria-label": task.what }),
-    el("span", { class: "said" }, `${task.what}: ${task.state === "cancelling" ? "cancelling at the next step" : task.step || "waiting"} · ${task.seconds.toFixed(0)} s`),
+    refit ? el("span", { class: "said", id: "refit-sentence" }, refit) : null,
+    el("span", { class: refit ? "quiet" : "said" }, `${task.what}: ${task.state === "cancelling" ? "cancelling at the next step" : task.step || "waiting"} · ${task.seconds.toFixed(0)} s`),
     task.kind === "open" ? null : el("button", { id: "cancel", "data-key": "cancel", disabled: task.state === "cancelling", onclick: () => actions.cancel(task.number) }, "cancel"));
 }
 
