@@ -91,7 +91,8 @@ function hover(effect) {
 }
 
 function accept(actions, selection) {
-  const preview = told.preview?.effects.length ? told.preview : null, ticked = view.ticked.length > 0;
+  // Of a refit the line of its progress says what it reached.
+  const preview = told.preview?.effects.length && !told.preview.refitted ? told.preview : null, ticked = view.ticked.length > 0;
   const busy = told.session?.tasks.some(atWork);
   return el("div", { class: "aside accept" },
     preview ? el("p", { id: "preview-sentence", role: "status" }, preview.sentence) : el("p", { class: "quiet" }, "Point at a cause to preview it without a refit; tick several to preview them together."),
