@@ -71,6 +71,10 @@ def _json(record: Record, status: int = 200) -> Response:
     return Response(record.model_dump_json(), status, media_type="application/json")
 
 
+def _numbers(content: bytes) -> Response:
+    return Response(content, media_type="application/octet-stream")
+
+
 def _faults(*issues: str) -> Response:
     return _json(Faults(issues=issues), 400)
 
@@ -114,25 +118,29 @@ class _Answers:
         self.session, self.files = session, page_files()
 
     def routes(self) -> list[Route]:
-        asked = (
+        session, require = self.session, self.session.require
+        asked: tuple[tuple[str, Answer], ...] = (
             ("model", _asked(ModelWanted, self.model)),
-            ("points", _asked(PointsWanted, self.points)),
-            ("selection", _asked(SelectionWanted, self.selection)),
-            ("preview", _asked(PreviewWanted, self.preview)),
-            ("formula", _asked(FormulaWanted, self.formula)),
-            ("known", _asked(ModelWanted, self.known)),
-            ("quantity", _asked(QuantityWanted, self.quantity)),
-            ("change", _asked(ChangeWanted, self.change)),
-            ("select", _asked(ModelWanted, self.select)),
-            ("note", _asked(NoteWanted, self.note)),
-            ("lock", _asked(LockWanted, self.lock)),
-            ("cancel", _asked(Begun, self.cancel)),
+            ("points", _asked(PointsWanted, lambda w: _numbers(require(w.model).frame(w)))),
+            (
+                "selection",
+                _asked(SelectionWanted, lambda w: _json(require(w.model).select(w.brushes, session.left_out))),
+            ),
+            ("preview", _asked(PreviewWanted, lambda w: _json(session.previewed(w)))),
+            ("formula", _asked(FormulaWanted, lambda w: _json(require(w.model).formula(w.channel)))),
+            ("known", _asked(ModelWanted, lambda w: _json(known_tables(require(w.model).result)))),
+            ("quantity", _asked(QuantityWanted, lambda w: _json(quantity_facts(require(w.model).result, w.name)))),
+            ("change", _asked(ChangeWanted, lambda w: _json(Begun(task=session.change(w)), 202))),
+            ("select", _asked(ModelWanted, self._done(lambda w: session.select(w.model)))),
+            ("note", _asked(NoteWanted, self._done(session.note))),
+            ("lock", _asked(LockWanted, self._done(session.lock))),
+            ("cancel", _asked(Begun, self._done(lambda w: session.worker.cancel(w.task)))),
         )
         given = (
-            ("state", _given(lambda: _json(self.session.state()))),
-            ("script.sh", _given(lambda: PlainTextResponse(self.session.script()))),
+            ("state", _given(lambda: _json(session.state()))),
+            ("script.sh", _given(lambda: PlainTextResponse(session.script()))),
             ("session.html", _given(self.saved)),
-            ("model.toml", _given(lambda: PlainTextResponse(self.session.exported()))),
+            ("model.toml", _given(lambda: PlainTextResponse(session.exported()))),
         )
         return [
             *(Route(f"/{name}", handle, methods=["POST"]) for name, handle in asked),
@@ -179,44 +187,15 @@ class _Answers:
         found = self.session.get(wanted.model)
         return Response(status_code=202) if found is None else _json(found.facts())
 
-    def points(self, wanted: PointsWanted) -> Response:
-        frame = self.session.require(wanted.model).frame(wanted)
-        return Response(frame, media_type="application/octet-stream")
+    def _done[Asked: Record](self, act: Callable[[Asked], None]) -> Callable[[Asked], Response]:
+        """Return what does something and answers with the state after it."""
 
-    def selection(self, wanted: SelectionWanted) -> Response:
-        return _json(self.session.require(wanted.model).select(wanted.brushes, self.session.left_out))
+        def answer(wanted: Asked) -> Response:
+            act(wanted)
+            return _json(self.session.state())
 
-    def preview(self, wanted: PreviewWanted) -> Response:
-        return _json(self.session.previewed(wanted))
-
-    def formula(self, wanted: FormulaWanted) -> Response:
-        return _json(self.session.require(wanted.model).formula(wanted.channel))
-
-    def known(self, wanted: ModelWanted) -> Response:
-        return _json(known_tables(self.session.require(wanted.model).result))
-
-    def quantity(self, wanted: QuantityWanted) -> Response:
-        return _json(quantity_facts(self.session.require(wanted.model).result, wanted.name))
+        return answer
 
     def saved(self) -> Response:
         page = saved_page(self.session.state(), self.session.open_models, self.files)
         return Response(page, media_type="text/plain; charset=utf-8")
-
-    def change(self, wanted: ChangeWanted) -> Response:
-        return _json(Begun(task=self.session.change(wanted)), 202)
-
-    def select(self, wanted: ModelWanted) -> Response:
-        self.session.select(wanted.model)
-        return _json(self.session.state())
-
-    def note(self, wanted: NoteWanted) -> Response:
-        self.session.note(wanted)
-        return _json(self.session.state())
-
-    def lock(self, wanted: LockWanted) -> Response:
-        self.session.lock(wanted)
-        return _json(self.session.state())
-
-    def cancel(self, wanted: Begun) -> Response:
-        self.session.worker.cancel(wanted.task)
-        return _json(self.session.state())
