@@ -109,6 +109,7 @@ GROUPS = {
         "explore/test_explore_page.py",
     ),
     "polar-tumble": (
+        "results/test_predicted_runs.py",
         "batch/test_run_batch.py",
         "batch/test_lanes.py",
         "cli/test_report_combinations.py",

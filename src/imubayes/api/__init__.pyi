@@ -9,6 +9,7 @@ from .calibrated_unit import (
     report,
 )
 from .fitting import Result, Settings, fit, load, read_result
+from .held_against import Prediction, predict
 from .loop import ModelChange, add, diagnose, export, history, plant, refit, remove
 from .own_equation import (
     ConformityStatement,
@@ -27,6 +28,7 @@ __all__ = [
     "GumBudget",
     "InputQuantity",
     "ModelChange",
+    "Prediction",
     "Propagated",
     "ReportSection",
     "Result",
@@ -44,6 +46,7 @@ __all__ = [
     "load",
     "onboard_constants",
     "plant",
+    "predict",
     "propagate",
     "read_result",
     "refit",

@@ -1,7 +1,7 @@
-"""Commands `imubayes fit`, `imubayes classical` and `imubayes compare`.
+"""Commands `imubayes fit`, `classical`, `compare` and `predict`.
 
 `fit`, the main job, fits all runs of a campaign jointly.  `classical` gives the classical evaluation of each run.
-`compare` holds the model against the measurements.
+`compare` holds the model against the measurements, `predict` against others that were not fitted.
 """
 
 import sys
@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from imubayes.cli.session import Flag, Json, Trust, inspecting, progress, show, start_jax, trusting
+from imubayes.cli.session import Flag, Json, Names, Trust, inspecting, progress, show, split, start_jax, trusting
 from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
@@ -105,6 +105,55 @@ def compare(
 
         comparison = compare_result(result, parameters=parameters, runs=runs, every=every, progress=tell)
     print_comparison(comparison)
+
+
+def predict(
+    result: Path,
+    campaign: Path,
+    *,
+    out: Path | None = None,
+    changed: Names = None,
+    any_unit: Flag = False,
+    as_json: Json = False,
+    verbose: Flag = False,
+    trust: Trust = False,
+) -> int:
+    """Hold a fitted model against runs that it has not seen: whether it predicts them within its uncertainty.
+
+    Example: imubayes predict results/spring campaigns/autumn --out results/autumn-predicted
+
+    Parameters
+    ----------
+    result
+        Result folder of a fit.
+    campaign
+        Folder with campaign.toml, of the same unit; runs that were fitted are left out.
+    out
+        Folder to write: pictures as of compare, their page, residuals, and what was found as JSON.
+    changed
+        Tables and mountings that bear the name of one of the fit and are another one, such as a seat on which the unit
+        was mounted anew.
+    any_unit
+        Predict runs of another unit as well.
+    as_json
+        Print one JSON object on standard output.
+    verbose
+        Print a line for each run and channel, and every estimate.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    with progress() as tell:
+        start_jax("predict")
+        trusting(result, trust)
+        from imubayes.api import predict as predict_runs
+        from imubayes.display.loop.prediction_report import prediction_report, save_prediction
+
+        found = predict_runs(result, campaign, changed=split(changed) or (), any_unit=any_unit, progress=tell)
+        page = None if out is None else save_prediction(found, out, tell)
+    show(lambda: found.summary, lambda: prediction_report(found, verbose), as_json)
+    if page is not None and not as_json:
+        print(f"look at this: {page}")
+    return 0 if found.holds else 1
 
 
 def fit(

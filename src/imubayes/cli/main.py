@@ -19,7 +19,7 @@ from imubayes.cli.batch import archive, batch
 from imubayes.cli.calibrated_unit import apply, carrier, export, report
 from imubayes.cli.campaign import check, effects, noise, schema, simulate
 from imubayes.cli.explore import explore
-from imubayes.cli.fit import classical, compare, fit
+from imubayes.cli.fit import classical, compare, fit, predict
 from imubayes.cli.loop import add, diagnose, history, plant, refit, remove
 from imubayes.foundations.errors import InputError, Issue, NotKept, closest_first
 
@@ -30,7 +30,7 @@ _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *rang
 _COLLECTION_THRESHOLD = 2_000_000
 # In the order of work: what `imubayes --help` shows together.
 _GROUPS = {
-    "The loop": (fit, compare, diagnose, add, remove, refit, history, explore, plant),
+    "The loop": (fit, compare, predict, diagnose, add, remove, refit, history, explore, plant),
     "Data": (check, noise, classical, carrier, effects, simulate, schema),
     "Results": (report, apply, export),
     "Many units": (archive, batch),

@@ -57,18 +57,22 @@ class PageFigure:
     caption: str
 
 
-def comparison_page(summary: Summary, ranked: Sequence[str], captions: Mapping[str, str], notes: Sequence[str]) -> str:
+def comparison_page(
+    title: str, tables: Markup, ranked: Sequence[str], captions: Mapping[str, str], notes: Sequence[str]
+) -> str:
     """Return the page.
 
     Parameters
     ----------
+    title : campaign and model.
+    tables : as HTML.
     ranked : files in `figures`, those that matter most first.
     captions : of each file.
     notes : what was left out.
     """
     shown = [PageFigure(f"figures/{name}", captions[name]) for name in ranked]
-    page = {"first": shown[:FIRST], "others": shown[FIRST:], "notes": notes, "tables": Markup(summary_html(summary))}
-    return render("comparison", title=f"{summary.campaign}, model {summary.model}", **page).lstrip() + "\n"
+    page = {"first": shown[:FIRST], "others": shown[FIRST:], "notes": notes, "tables": tables}
+    return render("comparison", title=title, **page).lstrip() + "\n"
 
 
 # They load JAX, which most comparisons do not need.
@@ -179,8 +183,9 @@ def compare(
     notes = tuple(_notes(residuals, draws, chosen) if every else _left_out(len(figures) - len(wanted)))
     page, made, captions = folder / PAGE, (), {}
     with kept_if_possible(folder), progress_of(progress) as tell:
-        drawn, captions = _draw(wanted, folder, tell)
-        write_text(page, comparison_page(summary, [f"{name}.png" for name in ranked], captions, notes))
+        drawn, captions = draw_figures(wanted, folder, tell)
+        title, tables = f"{summary.campaign}, model {summary.model}", Markup(summary_html(summary))
+        write_text(page, comparison_page(title, tables, [f"{name}.png" for name in ranked], captions, notes))
         made = tuple(drawn)
     return Comparison(folder, made, captions, summary, notes, page, classical_estimates)
 
@@ -241,8 +246,10 @@ def _chosen_runs(residuals: pl.DataFrame, folder: Path, runs: Sequence[str]) -> 
     return [name for name in known if name in runs]
 
 
-def _draw(figures: Mapping[str, Callable[[], Picture]], folder: Path, tell: Tell) -> tuple[list[Path], dict[str, str]]:
-    """Write figures one by one; return the files, and the caption of each by file name."""
+def draw_figures(
+    figures: Mapping[str, Callable[[], Picture]], folder: Path, tell: Tell
+) -> tuple[list[Path], dict[str, str]]:
+    """Write figures one by one into `figures` of a folder; return the files, and the caption of each by file name."""
     target = folder / FIGURES
     target.mkdir(exist_ok=True)
     made: list[Path] = []

@@ -12,6 +12,7 @@ from imubayes.display.layout import Report, report_html, report_text
 from imubayes.display.loop.change_report import change_report, injection_report
 from imubayes.display.loop.diagnosis_report import diagnosis_report
 from imubayes.display.loop.history import history_report
+from imubayes.display.loop.prediction_report import prediction_report
 from imubayes.display.numbers_and_labels import significant
 from imubayes.display.own_equation import (
     budget_headline,
@@ -29,6 +30,7 @@ from imubayes.qualification.propagation import Propagated
 from imubayes.qualification.value_conformity import ConformityStatement
 from imubayes.results.change_records import ModelChange
 from imubayes.results.history_tree import shown_place
+from imubayes.results.prediction import Prediction
 from imubayes.results.result import Result
 
 
@@ -66,6 +68,13 @@ def trials_headline(trials: Trials) -> str:
     return f"<Trials {trials.campaign}: {trials.detected} of {len(trials.trials)} injected effects detected>"
 
 
+def prediction_headline(found: Prediction) -> str:
+    """Return the verdict and χ²/n."""
+    about = found.summary
+    said = f"{about.verdict.replace('_', ' ')}, χ² {significant(about.chi2)} for {about.n}"
+    return f"<Prediction of {about.campaign} by {about.result_campaign}: {said}>"
+
+
 def _on(effects: str, channels: tuple[str, ...] | None) -> str:
     return effects + (f" on {', '.join(channels)}" if channels else "")
 
@@ -75,6 +84,7 @@ _REPORTS = {
     Diagnosis: partial(diagnosis_report, verbose=True),
     Tree: history_report,
     Trials: injection_report,
+    Prediction: partial(prediction_report, verbose=True),
     Propagated: propagated_report,
     GumBudget: lambda found: Report((), [budget_sheet(found)]),
     ConformityStatement: conformity_report,
@@ -88,6 +98,7 @@ headline_of.register(Diagnosis, diagnosis_headline)
 headline_of.register(Tree, tree_headline)
 headline_of.register(Trials, trials_headline)
 headline_of.register(Result, result_headline)
+headline_of.register(Prediction, prediction_headline)
 headline_of.register(Propagated, propagated_headline)
 headline_of.register(GumBudget, budget_headline)
 headline_of.register(ConformityStatement, conformity_headline)

@@ -58,11 +58,32 @@ def to_input_units(model: Model) -> np.ndarray:
     return np.where(closing, 1 / to_si("deg"), per_output[np.where(closing, 0, entries.channel)])
 
 
+@dataclass(frozen=True)
+class Predicted:
+    """What is said of every entry of a model, (E,) each, output units.
+
+    Attributes
+    ----------
+    value, model_sd : the prediction, and its standard deviation.
+    noise_sd : standard deviation of the noise.
+    whitened : residual in units of what it spreads by.
+    """
+
+    value: np.ndarray
+    model_sd: np.ndarray
+    noise_sd: np.ndarray
+    whitened: np.ndarray
+
+
 def residuals_of(fit: Fit) -> Residuals:
     """Return the residuals of a fit made in this process, at its mode."""
     assert fit.mode is not None, "a fit read from a folder has its residuals there"
-    model, campaign, entries = fit.model, fit.model.campaign, fit.model.entries
-    predicted, model_sd, sd, whitened = (np.asarray(part) for part in _at_mode(model.problem, fit.mode))
+    return residual_table(fit.model, Predicted(*(np.asarray(part) for part in _at_mode(fit.model.problem, fit.mode))))
+
+
+def residual_table(model: Model, predicted: Predicted) -> Residuals:
+    """Return the entries of a model with what is predicted of them, and with every covariate."""
+    campaign, entries = model.campaign, model.entries
     channels = campaign.channels
     closing = np.asarray(entries.closing)
     place = np.where(closing, 0, entries.channel)
@@ -72,7 +93,7 @@ def residuals_of(fit: Fit) -> Residuals:
     input_unit = np.where(closing, "deg", np.array([INPUT_UNIT[c.kind] for c in channels])[place])
     to_output, to_input = np.where(closing, 1 / to_si("deg"), 1.0), to_input_units(model)
     offset = np.where(closing, 0.0, np.array([c.offset for c in channels])[place])
-    residual = entries.value - predicted
+    residual = entries.value - predicted.value
     # The angle of a table that a gyro drives is an output, and is shown on the scale of the table as well.
     zeros = np.array([campaign.tables[run.table].zero_angle if run.table else 0.0 for run in campaign.runs])
     reading = np.where(kind == "angle", np.degrees(zeros)[entries.run], 0.0)
@@ -83,26 +104,26 @@ def residuals_of(fit: Fit) -> Residuals:
         "row": entries.row,
         "channel": names,
         "kind": kind,
-        **_covariates(fit),
+        **_covariates(model),
         "samples": entries.samples,
         "observed": entries.value * to_output + reading,
-        "predicted": predicted * to_output + reading,
-        "sd": sd * to_output,
-        "model_sd": model_sd * to_output,
+        "predicted": predicted.value * to_output + reading,
+        "sd": predicted.noise_sd * to_output,
+        "model_sd": predicted.model_sd * to_output,
         "residual": residual * to_output,
         "output_unit": output_unit,
         "input_observed": (entries.value - offset) * to_input,
         "input_residual": residual * to_input,
-        "input_sd": sd * np.abs(to_input),
+        "input_sd": predicted.noise_sd * np.abs(to_input),
         "input_unit": input_unit,
-        "whitened": whitened,
+        "whitened": predicted.whitened,
     }
     return Residuals(pl.DataFrame(table))
 
 
-def _covariates(fit: Fit) -> dict[str, pl.Series]:
+def _covariates(model: Model) -> dict[str, pl.Series]:
     """Return each covariate per entry as it was read; null where a run lacks it and for closing rotations."""
-    campaign, entries = fit.model.campaign, fit.model.entries
+    campaign, entries = model.campaign, model.entries
     found = {}
     for covariate in shown():
         name, column = covariate.name, covariate.column

@@ -1,0 +1,41 @@
+"""A result held against runs that it has not seen."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from imubayes.campaign import load_campaign
+from imubayes.display.progress import progress_of
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.results.prediction import Prediction, prediction
+from imubayes.results.result import Result, read_result
+
+
+def predict(
+    result: Result | str | Path,
+    campaign: Campaign | str | Path,
+    *,
+    changed: Sequence[str] = (),
+    any_unit: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> Prediction:
+    """Hold a fitted model against runs that it has not seen; nothing is fitted but what these runs alone have.
+
+    Parameters
+    ----------
+    result : a result, or its folder; its campaign is read again.
+    campaign : runs of the same unit, or their folder; runs that were fitted are left out.
+    changed : tables and mountings that bear the name of one of the fit and are another one, such as a seat on which
+        the unit was mounted anew.
+    any_unit : whether the campaign may be of another unit.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for a campaign of another unit, with other channels, or without a run that was not fitted.
+    """
+    with progress_of(progress) as tell:
+        tell("reading the fit")
+        read = result if isinstance(result, Result) else read_result(result)
+        loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
+        return prediction(read, loaded, tuple(changed), any_unit, tell)

@@ -1,0 +1,217 @@
+"""Runs that were not fitted, joined to those of a fit, so that its model says what they share with it.
+
+What bears one name belongs to both: channels, tables and mountings.  Equipment of the same name that is stated
+otherwise, or that the user says was changed (a unit taken off its seat and put back), is another one, with parameters
+of its own.  A run that was fitted is no prediction, and is left out.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from imubayes.effects.base import MotionEffect, Stage
+from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.inference.fitted_model import Fit
+from imubayes.model.bind import Model, bind
+
+_NEW = " (new)"
+# Axes and scales that agree so well are the same: files state them to so many digits.
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class JoinedRuns:
+    """A model on the runs of a fit and on new ones.
+
+    Attributes
+    ----------
+    model : bound to all runs, at the site of the new ones.
+    runs : names of the new runs.
+    fitted : names of runs of the campaign that the fit has seen already; they are left out.
+    changed : tables and mountings that bear the name of one of the fit and are another one.
+    elsewhere : whether the new runs were made at another site, whose errors are its own.
+    """
+
+    model: Model
+    runs: tuple[str, ...]
+    fitted: tuple[str, ...]
+    changed: tuple[str, ...]
+    elsewhere: bool
+
+    @property
+    def entries(self) -> np.ndarray:
+        """Which entries are of new runs, (E,) bool."""
+        known = [run.name in self.runs for run in self.model.campaign.runs]
+        return np.array(known, dtype=bool)[self.model.entries.run]
+
+    def shared_with(self, fit: Fit) -> np.ndarray:
+        """Return which parameters, (P,) bool, the fit tells of: what it has, less the errors of another site."""
+        own = set(fit.model.layout.names)
+        if self.elsewhere:
+            of_site = {
+                effect.name
+                for effect in self.model.assembly.effects
+                if issubclass(effect.effect_class, MotionEffect)
+                and effect.effect_class.stage == Stage.STAND
+                and "table" not in effect.sharing
+            }
+            own -= {parameter.name for parameter in self.model.layout.parameters if parameter.effect in of_site}
+        return np.array([name in own for name in self.model.layout.names], dtype=bool)
+
+
+def joined_runs(fit: Fit, campaign: Campaign, changed: Sequence[str] = (), any_unit: bool = False) -> JoinedRuns:
+    """Return the model of a fit on its runs and on those of another campaign of the unit.
+
+    Parameters
+    ----------
+    changed : tables and mountings that are not those of the fit, although they are named alike.
+    any_unit : whether the campaign may be of another unit.
+
+    Raises
+    ------
+    InputError
+        for a campaign of another unit, with other channels, or without a run that was not fitted.
+    """
+    known = fit.model.campaign
+    _refuse_other_unit(known, campaign, any_unit)
+    _refuse_unknown_names(campaign, changed)
+    channels = _all_channels(known, campaign)
+    new = [run for run in campaign.runs if not any(_same_readings(run, old) for old in known.runs)]
+    if not new:
+        raise input_error(
+            f"all runs of '{campaign.name}' were fitted",
+            campaign.folder or campaign.name,
+            "a run that the fit has not seen",
+            "name a campaign with other runs, or fit a part of these",
+        )
+    tables, renamed_tables = _beside(known.tables, campaign.tables, changed)
+    mountings, renamed_mountings = _beside(known.mountings, campaign.mountings, changed)
+    taken = {run.name for run in known.runs}
+    runs = [
+        replace(
+            _over(run, campaign.channels, channels),
+            name=run.name + (_NEW if run.name in taken else ""),
+            table=renamed_tables.get(run.table or "", run.table),
+            mounting=renamed_mountings.get(run.mounting or "", run.mounting),
+        )
+        for run in new
+    ]
+    together = replace(
+        known,
+        site=campaign.site,
+        channels=channels,
+        tables=tables,
+        mountings=mountings,
+        runs=(*(_over(run, known.channels, channels) for run in known.runs), *runs),
+        digest="",
+    )
+    model = bind(fit.model.spec_of_known, together, fit.model.registry.without_files(), single_runs=True)
+    return JoinedRuns(
+        model=model,
+        runs=tuple(run.name for run in runs),
+        fitted=tuple(run.name for run in campaign.runs if run not in new),
+        changed=(*renamed_tables, *renamed_mountings),
+        elsewhere=campaign.site != known.site,
+    )
+
+
+def _refuse_other_unit(known: Campaign, campaign: Campaign, any_unit: bool) -> None:
+    if any_unit or known.serial == campaign.serial or not (known.serial and campaign.serial):
+        return
+    raise input_error(
+        f"the campaign is of unit '{campaign.serial}', the fit of '{known.serial}'",
+        campaign.folder or campaign.name,
+        f"runs of the unit '{known.serial}'",
+        "name a campaign of that unit; to hold one unit against another: --any-unit",
+    )
+
+
+def _refuse_unknown_names(campaign: Campaign, changed: Sequence[str]) -> None:
+    equipment = [*campaign.tables, *campaign.mountings]
+    issues = [
+        Issue(
+            f"'{name}' is no table and no mounting of the campaign",
+            "--changed",
+            closest_first(name, equipment),
+            "name tables and mountings of the new runs",
+        )
+        for name in changed
+        if name not in equipment
+    ]
+    if issues:
+        raise InputError(issues)
+
+
+def _all_channels(known: Campaign, campaign: Campaign) -> tuple[Channel, ...]:
+    """Return the channels of the fit, and the angle of a table where new runs alone have it."""
+    names = {channel.name: channel for channel in known.channels}
+    issues, further = [], []
+    for channel in campaign.channels:
+        fitted = names.get(channel.name)
+        if fitted is None and channel.kind == "angle":
+            further.append(channel)
+        elif fitted is None or not _same_channel(fitted, channel):
+            what = "is not one of the fit" if fitted is None else "has another axis, scale or offset than in the fit"
+            where = f"{campaign.folder or campaign.name}, channel '{channel.name}'"
+            allowed = "kind, axes, scale and offset as in the campaign that was fitted"
+            remedy = "state the channel as there: errors of scale and axes are counted from these"
+            issues.append(Issue(f"channel '{channel.name}' {what}", where, allowed, remedy))
+    if issues:
+        raise InputError(issues)
+    return (*known.channels, *further)
+
+
+def _same_channel(one: Channel, other: Channel) -> bool:
+    numbers = np.array([[each.scale_si, each.offset] for each in (one, other)])
+    alike = np.allclose(numbers[0], numbers[1], rtol=_SAME, atol=0) and np.allclose(one.axes, other.axes, atol=_SAME)
+    return one.kind == other.kind and bool(alike)
+
+
+def _same_readings(one: Run, other: Run) -> bool:
+    """Return whether two runs are one record: the same readings, whatever the channels beside them."""
+    if one.rows != other.rows or one.procedure != other.procedure:
+        return False
+    first, second = (run.observed[:, np.isfinite(run.observed).any(axis=0)] for run in (one, other))
+    return first.shape == second.shape and bool(np.array_equal(first, second, equal_nan=True))
+
+
+def _beside[Equipment](
+    known: Mapping[str, Equipment], others: Mapping[str, Equipment], changed: Sequence[str]
+) -> tuple[dict[str, Equipment], dict[str, str]]:
+    """Return all equipment by name, and the new names of what is not that of the fit."""
+    renamed = {
+        name: name + _NEW
+        for name, each in others.items()
+        if name in known and (name in changed or not _equal(known[name], each))
+    }
+    further = {renamed.get(name, name): each for name, each in others.items()}
+    return {**further, **known}, renamed
+
+
+def _equal(one: object, other: object) -> bool:
+    pairs = [(getattr(one, each.name), getattr(other, each.name)) for each in fields(one)]  # pyright: ignore[reportArgumentType]
+    return all(
+        np.allclose(a, b, atol=_SAME) if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) else a == b
+        for a, b in pairs
+    )
+
+
+def _over(run: Run, own: Sequence[Channel], channels: Sequence[Channel]) -> Run:
+    """Return a run with a column for each of some channels; what it did not record is NaN."""
+    names, wanted = [channel.name for channel in own], [channel.name for channel in channels]
+    if names == wanted:
+        return run
+    places = [names.index(name) if name in names else -1 for name in wanted]
+
+    def placed(values: np.ndarray, missing: float) -> np.ndarray:
+        none = np.full((*values.shape[:-1], 1), missing)
+        return np.concatenate([values, none], axis=-1)[..., places]
+
+    tumble = run.tumble
+    if tumble is not None:
+        tumble = replace(tumble, readings=placed(tumble.readings, 0.0))
+    return replace(
+        run, observed=placed(run.observed, np.nan), sample_sd=placed(run.sample_sd, np.nan), tumble=tumble
+    )  # fmt: skip

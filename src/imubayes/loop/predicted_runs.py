@@ -1,0 +1,238 @@
+"""How a fitted model predicts runs that it has not seen.
+
+The readings of the new runs are y = f(θ, ν) + noise.  Of θ, what they share with the fit, its posterior is known; the
+unknowns ν of the new runs alone, such as a seat, have their priors.  About the posterior mean of θ, and about the ν
+that fit best there, the model is linear, and the predictive covariance is J_θ C J_θᵀ + J_ν W² J_νᵀ + Σ, with Σ the
+noise at its fitted scales, offsets of runs included.  χ² of all readings, or of one run and channel, is that of their
+predictive distribution; it has as many degrees of freedom as readings.
+
+The same numbers say what the new runs would make of each estimate.  The shift of an estimate by data that the model
+describes has the variance by which these data reduce that of its posterior, which is what it is compared with.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import Array, Float
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.laplace_marginal import inverse_of_precision, linearise, precision_of, whitened_about
+from imubayes.loop.joined_runs import JoinedRuns, joined_runs
+from imubayes.model.noise_covariance import noise_deviation, whitener
+from imubayes.model.problem import Problem, prior_widths
+
+_STEPS, _SHORTEST, _SETTLED = 30, 1e-3, 1e-3
+# The new runs test a direction where they know it better than the calibration does.
+_TESTED = 0.5
+
+
+@dataclass(frozen=True)
+class ShiftedEstimate:
+    """What new runs would make of an estimate, in its unit.
+
+    Attributes
+    ----------
+    before, sd : of the fit.
+    shift : of its mean by the new runs.
+    pull : the shift over its standard deviation where the model describes the new runs; N(0, 1) there.
+    """
+
+    name: str
+    unit: str
+    before: float
+    sd: float
+    shift: float
+    pull: float
+
+
+@dataclass(frozen=True)
+class PredictedRuns:
+    """New runs against their predictive distribution; arrays have one value for each of their n readings.
+
+    Attributes
+    ----------
+    joined : the model on all runs.
+    predicted, model_sd, noise_sd : output units: at the fit, with the unknowns of the new runs as they fit best;
+        standard deviations of the prediction, and of the noise.
+    whitened : the squares over one run and channel add up to its χ².
+    chi2 : of all readings together.
+    calibration_chi2, directions : χ² of the combinations of estimates that the new runs know better than the fit, and
+        how many there are.
+    shifts : of what the fit estimates and the new runs tell of, largest pull first.
+    """
+
+    joined: JoinedRuns
+    predicted: np.ndarray
+    model_sd: np.ndarray
+    noise_sd: np.ndarray
+    whitened: np.ndarray
+    chi2: float
+    calibration_chi2: float
+    directions: int
+    shifts: tuple[ShiftedEstimate, ...]
+
+
+@dataclass(frozen=True)
+class _Spread:
+    """Readings r in units of their noise, with what else spreads them: r = K (v − v̂) + noise, v ~ N(0, 1).
+
+    Attributes
+    ----------
+    residual : shape (n,).
+    columns : K, shape (n, k).
+    best : v̂, shape (k,), about which the residual is.
+    """
+
+    residual: np.ndarray
+    columns: np.ndarray
+    best: np.ndarray
+
+    def of(self, rows: np.ndarray) -> "_Spread":
+        return _Spread(self.residual[rows], self.columns[rows], self.best)
+
+    def svd(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return np.linalg.svd(self.columns, full_matrices=False)
+
+    def whitened(self) -> np.ndarray:
+        """Return S^(−½) (r + K v̂), (n,), S = I + K Kᵀ: no term grows with the width of a prior."""
+        across, sizes, along = self.svd()
+        outside = self.residual - across @ (across.T @ self.residual)
+        own = (across.T @ self.residual + sizes * (along @ self.best)) / np.sqrt(1 + sizes**2)
+        return outside + across @ own
+
+    def update(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean of v given the readings, (k,), and a root of the covariance of that mean, (k, k′)."""
+        across, sizes, along = self.svd()
+        shrunk = (across.T @ self.residual + sizes * (along @ self.best)) * sizes / (1 + sizes**2)
+        return along.T @ shrunk, along.T * (sizes / np.sqrt(1 + sizes**2))
+
+
+@kept
+def _noise_sd(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E"]:
+    return noise_deviation(problem, whitener(problem, h))
+
+
+def predict_runs(
+    fit: Fit,
+    campaign: Campaign,
+    changed: Sequence[str] = (),
+    any_unit: bool = False,
+    tell: Callable[[str], None] = lambda text: None,
+) -> PredictedRuns:
+    """Return the runs of a campaign against their prediction by a fit, whose Gaussian posterior about the mode is used.
+
+    Parameters
+    ----------
+    changed, any_unit : see `joined_runs`.
+    tell : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        as of `joined_runs`.
+    """
+    tell("joining the runs")
+    joined = joined_runs(fit, campaign, changed, any_unit)
+    model, shared, new = joined.model, joined.shared_with(fit), joined.entries
+    h = model.hyper_layout.carried(fit.model.hyper_layout, fit.h)
+    z = np.where(shared, model.layout.carried(fit.model.layout, fit.z), 0.0)
+    tell("fitting what is new")
+    z = _with_own_unknowns(model.problem, z, h, ~shared, new)
+    about = linearise(model.problem, jnp.asarray(z))
+    residual, jacobian, widths = whitened_about(model.problem, about, h)
+    residual, jacobian, root = residual[new], jacobian[new], _posterior_root(fit, joined, shared, h)
+    own = jacobian[:, ~shared] * widths[~shared]
+    best = np.concatenate([z[~shared] / widths[~shared], np.zeros(root.shape[1])])
+    spread = _Spread(residual, np.hstack([own, jacobian[:, shared] @ root]), best)
+    count = own.shape[1]
+    mean, change = spread.update()
+    calibration_chi2, directions = _tested(mean[count:], change[count:])
+    unwhitened = np.asarray(about.jacobian)[new]
+    answered = np.linalg.solve(np.eye(count) + own.T @ own, own.T @ spread.columns[:, count:])
+    felt = unwhitened[:, shared] @ root - (unwhitened[:, ~shared] * widths[~shared]) @ answered
+    groups = np.asarray(model.problem.observations.group)[new]
+    whitened = np.zeros(len(residual))
+    for group in np.unique(groups):
+        rows = groups == group
+        whitened[rows] = spread.of(rows).whitened()
+    return PredictedRuns(
+        joined=joined,
+        predicted=(np.asarray(model.entries.value) - np.asarray(about.misfit))[new],
+        model_sd=np.sqrt(np.sum(felt**2, axis=1)),
+        noise_sd=np.asarray(_noise_sd(model.problem, jnp.asarray(h)))[new],
+        whitened=whitened,
+        chi2=float(np.sum(spread.whitened() ** 2)),
+        calibration_chi2=calibration_chi2,
+        directions=directions,
+        shifts=_shifts(joined, shared, z, root, (mean[count:], change[count:])),
+    )
+
+
+def _with_own_unknowns(problem: Problem, z: np.ndarray, h: np.ndarray, own: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Return z with what new runs alone know, (P,) bool, as fits them best, by Gauss–Newton steps."""
+
+    def at(point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        about = linearise(problem, jnp.asarray(point))
+        residual, jacobian, widths = whitened_about(problem, about, h)
+        left = np.concatenate([residual[new], -point[own] / widths[own]])
+        slope = np.concatenate([jacobian[new][:, own], np.diag(1 / widths[own])])
+        return float(left @ left), left, slope
+
+    cost, left, slope = at(z)
+    for _ in range(_STEPS if own.any() else 0):
+        step = np.linalg.lstsq(slope, left, rcond=None)[0]
+        length = 1.0
+        while length > _SHORTEST:
+            further = z.copy()
+            further[own] += length * step
+            ahead = at(further)
+            if ahead[0] <= cost:
+                break
+            length *= 0.3
+        else:
+            break
+        z, (cost, left, slope) = further, ahead
+        if np.linalg.norm(slope @ step) < _SETTLED:
+            break
+    return z
+
+
+def _posterior_root(fit: Fit, joined: JoinedRuns, shared: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Return a root (S, S) of the posterior covariance of what is shared, by what the runs of the fit say."""
+    model, old = joined.model, fit.model
+    widths = np.asarray(prior_widths(model.problem, jnp.asarray(h)))
+    about = linearise(old.problem, jnp.asarray(fit.z))
+    told = precision_of(old.problem, about, jnp.asarray(fit.h), np.ones(len(old.entries), dtype=bool))
+    places = [model.layout.index(name) for name in old.layout.names]
+    precision = np.diag(widths**-2)
+    precision[np.ix_(places, places)] += told
+    covariance = inverse_of_precision(precision)[np.ix_(shared, shared)]
+    scale = np.sqrt(np.diag(covariance))
+    sizes, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))
+
+
+def _tested(mean: np.ndarray, change: np.ndarray) -> tuple[float, int]:
+    """Return χ² and number of the directions of the posterior, in units of its widths, that new runs know better."""
+    axes, sizes, _ = np.linalg.svd(change, full_matrices=False)
+    known = sizes**2 > _TESTED
+    return float(np.sum((axes[:, known].T @ mean / sizes[known]) ** 2)), int(known.sum())
+
+
+def _shifts(
+    joined: JoinedRuns, shared: np.ndarray, z: np.ndarray, root: np.ndarray, update: tuple[np.ndarray, np.ndarray]
+) -> tuple[ShiftedEstimate, ...]:
+    moved, spread = root @ update[0], np.sqrt(np.sum((root @ update[1]) ** 2, axis=1))
+    widths, found = np.sqrt(np.sum(root**2, axis=1)), []
+    for place, shift, usual, sd in zip(np.flatnonzero(shared).tolist(), moved, spread, widths, strict=True):
+        parameter = joined.model.layout.parameters[place]
+        if parameter.nuisance or not usual > 1e-6 * sd:
+            continue
+        slope = (parameter.value_at(z[place] + sd) - parameter.value_at(z[place] - sd)) / (2 * sd)
+        values = parameter.value_at(z[place]), abs(slope) * float(sd), slope * float(shift)
+        found.append(ShiftedEstimate(parameter.name, parameter.shown_unit, *values, float(shift / usual)))
+    return tuple(sorted(found, key=lambda each: -abs(each.pull)))

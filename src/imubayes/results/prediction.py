@@ -1,0 +1,151 @@
+"""What is reported of runs that a fitted model predicts: goodness of prediction, and the estimates they contradict.
+
+A prediction fails where the readings together, a run and channel, or the shift of an estimate are less likely than one
+in a hundred; the three are asked at once, of all runs and channels and of all estimates, and share that chance
+(Bonferroni).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import polars as pl
+
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.records import Presented, Record, finite
+from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
+from imubayes.loop.predicted_runs import PredictedRuns, predict_runs
+from imubayes.results.result import Predicted, Result, residual_table
+from imubayes.results.stored_tables import Residuals
+from imubayes.results.summary import RunSummary, Summary
+
+LEAST_CHANCE = 0.01
+"""Chance below which a prediction fails.  Convention."""
+
+
+class EstimateShift(Record):
+    """What the new runs would make of an estimate.
+
+    Attributes
+    ----------
+    before, sd : estimate and standard uncertainty of the fit, in `unit`.
+    shift : of its mean by the new runs.
+    pull : the shift over its standard deviation where the model describes the new runs.
+    """
+
+    name: str
+    unit: str
+    before: float
+    sd: float
+    shift: float
+    pull: float
+
+
+class PredictionSummary(Record):
+    """Everything `imubayes predict --json` says (format 1).
+
+    Attributes
+    ----------
+    campaign, result_campaign, model : what was predicted, and the fit.
+    verdict : whether the runs are as predicted.
+    runs : n, χ² by the predictive distribution and residual rms of each run and channel.
+    chi2, n, p : of all readings together.
+    calibration_chi2, directions, calibration_p : of the combinations of estimates that the new runs know better than
+        the fit.
+    worst_run_p, worst_shift_p : the least chance of a run and channel, and of a shift, each for all of them together.
+    shifts : of the estimates, largest pull first.
+    fitted, changed, elsewhere : runs left out as the fit has seen them; equipment that is not that of the fit although
+        named alike; whether the site is another one.
+    unknowns : what was fitted of the new runs alone.
+    """
+
+    format: Literal[1] = 1
+    campaign: str
+    result_campaign: str
+    model: str
+    verdict: Literal["as_predicted", "not_as_predicted"]
+    runs: tuple[RunSummary, ...]
+    chi2: float | None
+    n: int
+    p: float | None
+    calibration_chi2: float | None
+    directions: int
+    calibration_p: float | None
+    worst_run_p: float | None
+    worst_shift_p: float | None
+    shifts: tuple[EstimateShift, ...]
+    fitted: tuple[str, ...]
+    changed: tuple[str, ...]
+    elsewhere: bool
+    unknowns: tuple[str, ...]
+
+
+@dataclass(frozen=True, repr=False)
+class Prediction(Presented):
+    """Runs against their prediction; shows itself in a terminal and in a notebook.
+
+    Attributes
+    ----------
+    summary : what is said of them.
+    residuals : one row per new run, row and channel; `whitened` is by the predictive distribution.
+    fit : summary of the fit.
+    """
+
+    summary: PredictionSummary
+    residuals: Residuals
+    fit: Summary
+
+    @property
+    def holds(self) -> bool:
+        """Whether the runs are as predicted."""
+        return self.summary.verdict == "as_predicted"
+
+
+def prediction(
+    result: Result, campaign: Campaign, changed: tuple[str, ...], any_unit: bool, tell: Callable[[str], None]
+) -> Prediction:
+    """Return the runs of a campaign against their prediction by a result; see `imubayes.predict`."""
+    found = predict_runs(result.fit, campaign, changed, any_unit, tell)
+    residuals = _table(found)
+    runs = residuals.by_run_and_channel()
+    chances = [float(chi2_survival(run.chi2, run.n)) for run in runs if run.chi2 is not None]
+    pulls = [2 * float(normal_survival(abs(shift.pull))) for shift in found.shifts]
+    p = float(chi2_survival(found.chi2, len(found.whitened)))
+    worst_run, worst_shift = (min(1.0, len(each) * min(each, default=1.0)) for each in (chances, pulls))
+    fails = not 3 * min(p, worst_run, worst_shift) >= LEAST_CHANCE
+    layout, shared = found.joined.model.layout, found.joined.shared_with(result.fit)
+    summary = PredictionSummary(
+        campaign=campaign.name,
+        result_campaign=result.summary.campaign,
+        model=result.summary.model,
+        verdict="not_as_predicted" if fails else "as_predicted",
+        runs=runs,
+        chi2=finite(found.chi2),
+        n=len(found.whitened),
+        p=finite(p),
+        calibration_chi2=finite(found.calibration_chi2),
+        directions=found.directions,
+        calibration_p=float(chi2_survival(found.calibration_chi2, found.directions)) if found.directions else None,
+        worst_run_p=worst_run,
+        worst_shift_p=worst_shift,
+        shifts=tuple(EstimateShift(**vars(shift)) for shift in found.shifts),
+        fitted=found.joined.fitted,
+        changed=found.joined.changed,
+        elsewhere=found.joined.elsewhere,
+        unknowns=tuple(name for name, known in zip(layout.names, shared.tolist(), strict=True) if not known),
+    )
+    return Prediction(summary, residuals, result.summary)
+
+
+def _table(found: PredictedRuns) -> Residuals:
+    new, model = found.joined.entries, found.joined.model
+
+    def everywhere(values: np.ndarray) -> np.ndarray:
+        whole = np.zeros(len(new))
+        whole[new] = values
+        return whole
+
+    parts = (found.predicted, found.model_sd, found.noise_sd, found.whitened)
+    table = residual_table(model, Predicted(*map(everywhere, parts))).table
+    return Residuals(table.filter(pl.Series(new)))

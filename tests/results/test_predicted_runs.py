@@ -1,0 +1,139 @@
+"""Runs that were not fitted against their prediction: honest over simulations, failing where it should."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imubayes
+from imubayes.api import Result
+from imubayes.cli.main import run
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import joint_fit
+from imubayes.loop import predicted_runs
+from imubayes.loop.predicted_runs import predict_runs
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "data" / "generators"))
+DRAWS = 20
+
+
+def halves(folder: Path, seed: int) -> tuple[Campaign, Fit]:
+    """Return a simulated campaign, and the fit to all of its runs but one."""
+    generator = __import__("polar_tumble")
+    generator.generate(folder / f"tumble-{seed}", seed)
+    campaign = imubayes.load_campaign(folder / f"tumble-{seed}")
+    known = campaign.only("tumble-O-north", "tumble-I-north")
+    return campaign, joint_fit(imubayes.bind(imubayes.load_model(ROOT / "models/polar-tumble.toml"), known), None)
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory) -> list[tuple[Campaign, Fit]]:
+    folder = tmp_path_factory.mktemp("draws")
+    return [halves(folder, seed) for seed in range(1, DRAWS + 1)]
+
+
+def scores(drawn) -> tuple[float, float, float]:
+    """Return the rms of the readings, of the tested combinations, and of the shifts, in their predictive deviations."""
+    found = [predict_runs(fit, campaign) for campaign, fit in drawn]
+    readings = np.sqrt(sum(each.chi2 for each in found) / sum(len(each.whitened) for each in found))
+    tested = np.sqrt(sum(each.calibration_chi2 for each in found) / sum(each.directions for each in found))
+    pulls = np.sqrt(np.mean([shift.pull**2 for each in found for shift in each.shifts]))
+    return float(readings), float(tested), float(pulls)
+
+
+@pytest.mark.slow
+def test_held_out_runs_spread_as_predicted(drawn, monkeypatch):
+    readings, tested, pulls = scores(drawn)
+    print(f"\nz rms {readings:.3f}, of tested combinations {tested:.3f}, of shifts {pulls:.3f}")
+    assert readings == pytest.approx(1.0, abs=0.1)
+    assert tested == pytest.approx(1.0, abs=0.3)  # 40 of them: its standard deviation is 0.11
+    assert pulls == pytest.approx(1.0, abs=0.3)
+    # Without the uncertainty of the calibration the same readings must not pass.
+    posterior = predicted_runs._posterior_root
+    monkeypatch.setattr(predicted_runs, "_posterior_root", lambda *given: 0.3 * posterior(*given))
+    readings, tested, _ = scores(drawn)
+    assert readings > 1.1
+    assert tested > 1.5
+
+
+def moved(campaign: Campaign, by: float) -> Campaign:
+    """Return the campaign with the bias of the new run moved."""
+    runs = [
+        replace(each, observed=each.observed + by) if each.name == "tumble-O-south" else each for each in campaign.runs
+    ]
+    return replace(campaign, runs=tuple(runs))
+
+
+def result_of(fit: Fit) -> Result:
+    from imubayes.results.result import result_of as made
+
+    return made(fit)
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory) -> tuple[Campaign, Result]:
+    campaign, fit = halves(tmp_path_factory.mktemp("first"), 1)
+    return campaign, result_of(fit)
+
+
+def test_a_bias_that_moved_is_found(first):
+    campaign, result = first
+    assert imubayes.predict(result, campaign).holds
+    found = imubayes.predict(result, moved(campaign, 1e-3))
+    assert not found.holds
+    # One run cannot tell the bias from the terms that it is seen with; all of them moved alike.
+    pulls = {each.name: abs(each.pull) for each in found.summary.shifts}
+    assert pulls["gyro_bias.bias[g]"] > 5
+    assert pulls["gyro_bias.bias[g]"] == pytest.approx(max(pulls.values()), rel=0.1)
+    assert "NOT as predicted" in str(found)
+    assert found.summary.shifts[0].name in str(found)
+
+
+def test_what_the_new_runs_have_alone_is_fitted(first):
+    campaign, result = first
+    seat = campaign.runs[1].mounting
+    assert seat is not None
+    own = imubayes.predict(result, campaign).summary.unknowns
+    assert own == tuple(name for name in own if f"[{seat}]" in name)
+    # The seats of the fit serve again, unless they were changed.
+    again = replace(campaign, runs=tuple(replace(each, mounting=campaign.runs[0].mounting) for each in campaign.runs))
+    shared = imubayes.predict(result, again).summary
+    assert shared.unknowns == ()
+    changed = imubayes.predict(result, again, changed=[campaign.runs[0].mounting]).summary
+    assert changed.changed == (campaign.runs[0].mounting,)
+    assert len(changed.unknowns) == 3
+    assert changed.chi2 < shared.chi2  # the seat is another one indeed
+
+
+def refused(result: Result, campaign: Campaign, **options) -> str:
+    with pytest.raises(imubayes.InputError) as raised:
+        imubayes.predict(result, campaign, **options)
+    return str(raised.value)
+
+
+def test_what_cannot_be_predicted_is_refused(first):
+    campaign, result = first
+    other = replace(campaign, serial="another")
+    assert "is of unit 'another'" in refused(result, other)
+    assert imubayes.predict(result, other, any_unit=True).summary.n == 24
+    assert "all runs" in refused(result, campaign.only("tumble-O-north"))
+    doubled = replace(campaign.channels[0], scale_si=2 * campaign.channels[0].scale_si)
+    assert "another axis, scale or offset" in refused(result, replace(campaign, channels=(doubled,)))
+    assert "no table and no mounting" in refused(result, campaign, changed=["plinth"])
+
+
+def test_the_command_writes_what_it_says(first, tmp_path, capsys, monkeypatch):
+    campaign, result = first
+    monkeypatch.setattr("imubayes.api.held_against.read_result", lambda folder: result)
+    out = tmp_path / "predicted"
+    assert run(["predict", "RESULT", campaign.folder, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "1 run of" in said
+    assert "is as predicted" in said
+    assert {"prediction.json", "prediction.html", "residuals.parquet", "figures"} == {p.name for p in out.iterdir()}
+    assert (out / "figures" / "run-tumble-O-south.png").stat().st_size > 10_000
+    assert run(["predict", "RESULT", campaign.folder, "--out", str(tmp_path)]) == 2
