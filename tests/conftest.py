@@ -110,6 +110,7 @@ GROUPS = {
     ),
     "polar-tumble": (
         "results/test_predicted_runs.py",
+        "results/test_repeatability.py",
         "batch/test_run_batch.py",
         "batch/test_lanes.py",
         "cli/test_report_combinations.py",

@@ -6,6 +6,7 @@ from .api import (
     ModelChange,
     Prediction,
     Propagated,
+    Repeatability,
     ReportSection,
     Result,
     add,
@@ -23,6 +24,7 @@ from .api import (
     read_result,
     refit,
     remove,
+    repeatability,
     report,
 )
 from .campaign import check_campaign, load_campaign
@@ -81,6 +83,7 @@ __all__ = [
     "Prediction",
     "Propagated",
     "RecordEffect",
+    "Repeatability",
     "ReportSection",
     "Result",
     "Sample",
@@ -120,6 +123,7 @@ __all__ = [
     "reference_temperature",
     "refit",
     "remove",
+    "repeatability",
     "report",
     "rotate",
     "sample",

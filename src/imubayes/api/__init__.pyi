@@ -9,7 +9,7 @@ from .calibrated_unit import (
     report,
 )
 from .fitting import Result, Settings, fit, load, read_result
-from .held_against import Prediction, predict
+from .held_against import Prediction, Repeatability, predict, repeatability
 from .loop import ModelChange, add, diagnose, export, history, plant, refit, remove
 from .own_equation import (
     ConformityStatement,
@@ -30,6 +30,7 @@ __all__ = [
     "ModelChange",
     "Prediction",
     "Propagated",
+    "Repeatability",
     "ReportSection",
     "Result",
     "Settings",
@@ -51,5 +52,6 @@ __all__ = [
     "read_result",
     "refit",
     "remove",
+    "repeatability",
     "report",
 ]

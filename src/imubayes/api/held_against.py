@@ -1,4 +1,4 @@
-"""A result held against runs that it has not seen."""
+"""A result held against runs that it has not seen, and against another calibration of the unit."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -6,7 +6,8 @@ from pathlib import Path
 from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.results.prediction import Prediction, prediction
+from imubayes.qualification.repeatability import Repeatability, repeatability_of
+from imubayes.results.prediction import Prediction, broad_scales, prediction
 from imubayes.results.result import Result, read_result
 
 
@@ -39,3 +40,31 @@ def predict(
         read = result if isinstance(result, Result) else read_result(result)
         loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
         return prediction(read, loaded, tuple(changed), any_unit, tell)
+
+
+def repeatability(
+    first: Result | str | Path,
+    second: Result | str | Path,
+    *,
+    changed: Sequence[str] = (),
+    any_unit: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> Repeatability:
+    """Compare two calibrations of one unit: whether they agree, what moved, and both as one.
+
+    Parameters
+    ----------
+    first, second : results, or their folders; their campaigns are read again.
+    changed : tables and mountings that bear one name in both and are another one, such as a seat on which the unit was
+        mounted anew.
+    any_unit : whether they may be of two units.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for calibrations of two units, of the same runs, or that did not converge.
+    """
+    with progress_of(progress) as tell:
+        one, other = (each if isinstance(each, Result) else read_result(each) for each in (first, second))
+        return repeatability_of(one.fit, other.fit, (broad_scales(one), broad_scales(other)), changed, any_unit, tell)

@@ -75,29 +75,52 @@ def classical(
 
 def compare(
     result: Path,
+    other: Path | None = None,
     *,
     parameters: list[str] | None = None,
     runs: list[str] | None = None,
     every: Flag = False,
+    changed: Names = None,
+    any_unit: Flag = False,
+    as_json: Json = False,
+    verbose: Flag = False,
     trust: Trust = False,
-) -> None:
-    """Compare the model with the measurements: figures, and goodness of fit per run and channel.
+) -> int:
+    """Compare the model with the measurements: figures, and goodness of fit per run and channel. Or two calibrations.
 
     Example: imubayes compare results/trihedral-imu
+
+    Example: imubayes compare results/2026 results/2027 --changed seat
 
     Parameters
     ----------
     result
         Result folder of a fit.
+    other
+        Result folder of a later calibration of the same unit: whether the two agree, what moved, and both as one.
     parameters
         Names for a corner plot; with --every the mounting angles and scale factors that are determined least.
     runs
         Runs that have a figure of their own, or 'all'; with --every the six that fit worst.
     every
         Draw all figures; by default the five that matter most are drawn, and those asked for.
+    changed
+        Of two calibrations: tables and mountings that bear one name in both and are another one.
+    any_unit
+        Of two calibrations: compare them though their serial numbers differ.
+    as_json
+        Of two calibrations: print one JSON object on standard output.
+    verbose
+        Of two calibrations: print every quantity.
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
+    of_one, of_two = parameters or runs or every, changed or any_unit or as_json or verbose
+    if of_one if other is not None else of_two:
+        fault = "pictures are drawn of one result" if other is not None else "options of two results, and one is named"
+        raise input_error(fault, "command line", "the options that --help lists for it", "leave them out")
+    if other is not None:
+        return _compare_two(result, other, split(changed) or [], any_unit, as_json, verbose, trust)
     with progress() as tell:
         trusting(result, trust)
         from imubayes.display.model_against_measurement import compare as compare_result
@@ -105,6 +128,22 @@ def compare(
 
         comparison = compare_result(result, parameters=parameters, runs=runs, every=every, progress=tell)
     print_comparison(comparison)
+    return 0
+
+
+def _compare_two(
+    first: Path, second: Path, changed: list[str], any_unit: bool, as_json: bool, verbose: bool, trust: bool
+) -> int:
+    with progress() as tell:
+        start_jax("compare")
+        for result in (first, second):
+            trusting(result, trust)
+        from imubayes.api import repeatability
+        from imubayes.display.loop.repeatability_report import repeatability_report
+
+        found = repeatability(first, second, changed=changed, any_unit=any_unit, progress=tell)
+    show(lambda: found.summary, lambda: repeatability_report(found, verbose), as_json)
+    return 0 if found.agree else 1
 
 
 def predict(

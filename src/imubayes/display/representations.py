@@ -13,6 +13,7 @@ from imubayes.display.loop.change_report import change_report, injection_report
 from imubayes.display.loop.diagnosis_report import diagnosis_report
 from imubayes.display.loop.history import history_report
 from imubayes.display.loop.prediction_report import prediction_report
+from imubayes.display.loop.repeatability_report import repeatability_report
 from imubayes.display.numbers_and_labels import significant
 from imubayes.display.own_equation import (
     budget_headline,
@@ -27,6 +28,7 @@ from imubayes.loop.injection_recovery import Trials
 from imubayes.loop.model_history import Tree
 from imubayes.qualification.law_of_propagation import GumBudget
 from imubayes.qualification.propagation import Propagated
+from imubayes.qualification.repeatability import Repeatability
 from imubayes.qualification.value_conformity import ConformityStatement
 from imubayes.results.change_records import ModelChange
 from imubayes.results.history_tree import shown_place
@@ -75,6 +77,13 @@ def prediction_headline(found: Prediction) -> str:
     return f"<Prediction of {about.campaign} by {about.result_campaign}: {said}>"
 
 
+def repeatability_headline(found: Repeatability) -> str:
+    """Return whether two calibrations agree."""
+    about = found.summary
+    said = f"{about.verdict}, χ² {significant(about.chi2)} for {about.freedom}"
+    return f"<Repeatability {' and '.join(about.campaigns)}: {said}>"
+
+
 def _on(effects: str, channels: tuple[str, ...] | None) -> str:
     return effects + (f" on {', '.join(channels)}" if channels else "")
 
@@ -85,6 +94,7 @@ _REPORTS = {
     Tree: history_report,
     Trials: injection_report,
     Prediction: partial(prediction_report, verbose=True),
+    Repeatability: partial(repeatability_report, verbose=True),
     Propagated: propagated_report,
     GumBudget: lambda found: Report((), [budget_sheet(found)]),
     ConformityStatement: conformity_report,
@@ -99,6 +109,7 @@ headline_of.register(Tree, tree_headline)
 headline_of.register(Trials, trials_headline)
 headline_of.register(Result, result_headline)
 headline_of.register(Prediction, prediction_headline)
+headline_of.register(Repeatability, repeatability_headline)
 headline_of.register(Propagated, propagated_headline)
 headline_of.register(GumBudget, budget_headline)
 headline_of.register(ConformityStatement, conformity_headline)

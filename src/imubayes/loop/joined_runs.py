@@ -22,59 +22,94 @@ _SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class JoinedRuns:
-    """A model on the runs of a fit and on new ones.
+class JoinedCampaign:
+    """Runs of one campaign and of another of the same unit, at the site of the latter.
 
     Attributes
     ----------
-    model : bound to all runs, at the site of the new ones.
-    runs : names of the new runs.
-    fitted : names of runs of the campaign that the fit has seen already; they are left out.
-    changed : tables and mountings that bear the name of one of the fit and are another one.
-    elsewhere : whether the new runs were made at another site, whose errors are its own.
+    campaign : all runs; those of the other campaign that bear the name of one before have another.
+    runs : names of the runs of the other campaign that are new.
+    fitted : names of those that the first has already; they are left out.
+    changed : tables and mountings that bear the name of one of the first and are another one.
+    elsewhere : whether the sites differ, whose errors are then their own.
     """
 
-    model: Model
+    campaign: Campaign
     runs: tuple[str, ...]
     fitted: tuple[str, ...]
     changed: tuple[str, ...]
     elsewhere: bool
 
+    def of_site(self, model: Model) -> set[str]:
+        """Return the parameters of a model that are errors of the site; none where the sites are one."""
+        return {
+            parameter.name
+            for effect in model.assembly.effects
+            if self.elsewhere and issubclass(effect.effect_class, MotionEffect)
+            if effect.effect_class.stage == Stage.STAND and "table" not in effect.sharing
+            for parameter in effect.parameters
+        }
+
+    def lasting(self, model: Model) -> set[str]:
+        """Return the parameters of a model that are of the unit, or of equipment and site that stayed."""
+        return {
+            parameter.name
+            for effect in model.assembly.effects
+            for parameter in effect.parameters
+            if not any(
+                axis in ("run", "pose") or (axis in ("table", "mounting") and part in self.changed)
+                for axis, part in zip(effect.per_of(parameter.field), parameter.label, strict=False)
+            )
+        } - self.of_site(model)
+
+
+@dataclass(frozen=True)
+class JoinedRuns:
+    """The model of a fit, bound to its runs and to new ones."""
+
+    model: Model
+    together: JoinedCampaign
+
     @property
     def entries(self) -> np.ndarray:
         """Which entries are of new runs, (E,) bool."""
-        known = [run.name in self.runs for run in self.model.campaign.runs]
+        known = [run.name in self.together.runs for run in self.model.campaign.runs]
         return np.array(known, dtype=bool)[self.model.entries.run]
 
     def shared_with(self, fit: Fit) -> np.ndarray:
         """Return which parameters, (P,) bool, the fit tells of: what it has, less the errors of another site."""
-        own = set(fit.model.layout.names)
-        if self.elsewhere:
-            of_site = {
-                effect.name
-                for effect in self.model.assembly.effects
-                if issubclass(effect.effect_class, MotionEffect)
-                and effect.effect_class.stage == Stage.STAND
-                and "table" not in effect.sharing
-            }
-            own -= {parameter.name for parameter in self.model.layout.parameters if parameter.effect in of_site}
+        own = set(fit.model.layout.names) - self.together.of_site(fit.model)
         return np.array([name in own for name in self.model.layout.names], dtype=bool)
 
 
 def joined_runs(fit: Fit, campaign: Campaign, changed: Sequence[str] = (), any_unit: bool = False) -> JoinedRuns:
-    """Return the model of a fit on its runs and on those of another campaign of the unit.
-
-    Parameters
-    ----------
-    changed : tables and mountings that are not those of the fit, although they are named alike.
-    any_unit : whether the campaign may be of another unit.
+    """Return the model of a fit on its runs and on those of another campaign; see `joined_campaign`.
 
     Raises
     ------
     InputError
-        for a campaign of another unit, with other channels, or without a run that was not fitted.
+        as of `joined_campaign`, and where the model does not fit the new runs.
     """
-    known = fit.model.campaign
+    together = joined_campaign(fit.model.campaign, campaign, changed, any_unit)
+    registry = fit.model.registry.without_files()
+    return JoinedRuns(bind(fit.model.spec_of_known, together.campaign, registry, single_runs=True), together)
+
+
+def joined_campaign(
+    known: Campaign, campaign: Campaign, changed: Sequence[str] = (), any_unit: bool = False
+) -> JoinedCampaign:
+    """Return the runs of two campaigns of one unit.
+
+    Parameters
+    ----------
+    changed : tables and mountings that are not those of the first, although they are named alike.
+    any_unit : whether the second may be of another unit.
+
+    Raises
+    ------
+    InputError
+        for a campaign of another unit, with other channels, or without a run that the first has not.
+    """
     _refuse_other_unit(known, campaign, any_unit)
     _refuse_unknown_names(campaign, changed)
     channels = _all_channels(known, campaign)
@@ -107,11 +142,10 @@ def joined_runs(fit: Fit, campaign: Campaign, changed: Sequence[str] = (), any_u
         runs=(*(_over(run, known.channels, channels) for run in known.runs), *runs),
         digest="",
     )
-    model = bind(fit.model.spec_of_known, together, fit.model.registry.without_files(), single_runs=True)
-    return JoinedRuns(
-        model=model,
+    return JoinedCampaign(
+        campaign=together,
         runs=tuple(run.name for run in runs),
-        fitted=tuple(run.name for run in campaign.runs if run not in new),
+        fitted=tuple(run.name for run in campaign.runs if not any(run is other for other in new)),
         changed=(*renamed_tables, *renamed_mountings),
         elsewhere=campaign.site != known.site,
     )

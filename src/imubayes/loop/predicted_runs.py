@@ -3,14 +3,14 @@
 The readings of the new runs are y = f(θ, ν) + noise.  Of θ, what they share with the fit, its posterior is known; the
 unknowns ν of the new runs alone, such as a seat, have their priors.  About the posterior mean of θ, and about the ν
 that fit best there, the model is linear, and the predictive covariance is J_θ C J_θᵀ + J_ν W² J_νᵀ + Σ, with Σ the
-noise at its fitted scales, offsets of runs included.  χ² of all readings, or of one run and channel, is that of their
-predictive distribution; it has as many degrees of freedom as readings.
+noise at the root mean square of its scales, offsets of runs included.  χ² of all readings, or of one run and channel,
+is that of their predictive distribution; it has as many degrees of freedom as readings.
 
 The same numbers say what the new runs would make of each estimate.  The shift of an estimate by data that the model
 describes has the variance by which these data reduce that of its posterior, which is what it is compared with.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -111,6 +111,24 @@ class _Spread:
         return along.T @ shrunk, along.T * (sizes / np.sqrt(1 + sizes**2))
 
 
+def root_mean_square_scales(fit: Fit, estimates: Mapping[str, tuple[float, float]]) -> np.ndarray:
+    """Return the noise scales, (H,) in z, whose squares are the posterior means of their squares.
+
+    The variance of a reading of unknown noise scale is the mean of its variances.  The mode of a scatter that few runs
+    tell is far below that.
+
+    Parameters
+    ----------
+    estimates : name → posterior mean and standard deviation of a scale, in its unit; the mode stands for others.
+    """
+    found = np.array(fit.h, dtype=float)
+    for place, parameter in enumerate(fit.model.hyper_layout.parameters):
+        if parameter.name in estimates:
+            z = parameter.z_at(float(np.hypot(*estimates[parameter.name])))
+            found[place] = found[place] if z is None else z
+    return found
+
+
 @kept
 def _noise_sd(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E"]:
     return noise_deviation(problem, whitener(problem, h))
@@ -119,6 +137,7 @@ def _noise_sd(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E"]:
 def predict_runs(
     fit: Fit,
     campaign: Campaign,
+    scales: np.ndarray,
     changed: Sequence[str] = (),
     any_unit: bool = False,
     tell: Callable[[str], None] = lambda text: None,
@@ -127,6 +146,7 @@ def predict_runs(
 
     Parameters
     ----------
+    scales : noise scales h at which it is predicted, (H,) in z of the fit; see `root_mean_square_scales`.
     changed, any_unit : see `joined_runs`.
     tell : called with a short text as the work goes on.
 
@@ -138,13 +158,13 @@ def predict_runs(
     tell("joining the runs")
     joined = joined_runs(fit, campaign, changed, any_unit)
     model, shared, new = joined.model, joined.shared_with(fit), joined.entries
-    h = model.hyper_layout.carried(fit.model.hyper_layout, fit.h)
+    h = model.hyper_layout.carried(fit.model.hyper_layout, scales)
     z = np.where(shared, model.layout.carried(fit.model.layout, fit.z), 0.0)
     tell("fitting what is new")
     z = _with_own_unknowns(model.problem, z, h, ~shared, new)
     about = linearise(model.problem, jnp.asarray(z))
     residual, jacobian, widths = whitened_about(model.problem, about, h)
-    residual, jacobian, root = residual[new], jacobian[new], _posterior_root(fit, joined, shared, h)
+    residual, jacobian, root = residual[new], jacobian[new], _posterior_root(fit, joined, shared, scales)
     own = jacobian[:, ~shared] * widths[~shared]
     best = np.concatenate([z[~shared] / widths[~shared], np.zeros(root.shape[1])])
     spread = _Spread(residual, np.hstack([own, jacobian[:, shared] @ root]), best)
@@ -201,12 +221,13 @@ def _with_own_unknowns(problem: Problem, z: np.ndarray, h: np.ndarray, own: np.n
     return z
 
 
-def _posterior_root(fit: Fit, joined: JoinedRuns, shared: np.ndarray, h: np.ndarray) -> np.ndarray:
+def _posterior_root(fit: Fit, joined: JoinedRuns, shared: np.ndarray, scales: np.ndarray) -> np.ndarray:
     """Return a root (S, S) of the posterior covariance of what is shared, by what the runs of the fit say."""
     model, old = joined.model, fit.model
+    h = model.hyper_layout.carried(old.hyper_layout, scales)
     widths = np.asarray(prior_widths(model.problem, jnp.asarray(h)))
     about = linearise(old.problem, jnp.asarray(fit.z))
-    told = precision_of(old.problem, about, jnp.asarray(fit.h), np.ones(len(old.entries), dtype=bool))
+    told = precision_of(old.problem, about, jnp.asarray(scales), np.ones(len(old.entries), dtype=bool))
     places = [model.layout.index(name) for name in old.layout.names]
     precision = np.diag(widths**-2)
     precision[np.ix_(places, places)] += told
@@ -233,6 +254,6 @@ def _shifts(
         if parameter.nuisance or not usual > 1e-6 * sd:
             continue
         slope = (parameter.value_at(z[place] + sd) - parameter.value_at(z[place] - sd)) / (2 * sd)
-        values = parameter.value_at(z[place]), abs(slope) * float(sd), slope * float(shift)
+        values = parameter.value_at(z[place]), float(abs(slope) * sd), float(slope * shift)
         found.append(ShiftedEstimate(parameter.name, parameter.shown_unit, *values, float(shift / usual)))
     return tuple(sorted(found, key=lambda each: -abs(each.pull)))

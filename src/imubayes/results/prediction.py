@@ -15,7 +15,7 @@ import polars as pl
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Presented, Record, finite
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
-from imubayes.loop.predicted_runs import PredictedRuns, predict_runs
+from imubayes.loop.predicted_runs import PredictedRuns, predict_runs, root_mean_square_scales
 from imubayes.results.result import Predicted, Result, residual_table
 from imubayes.results.stored_tables import Residuals
 from imubayes.results.summary import RunSummary, Summary
@@ -102,11 +102,21 @@ class Prediction(Presented):
         return self.summary.verdict == "as_predicted"
 
 
+def broad_scales(result: Result) -> np.ndarray:
+    """Return the noise scales of a result, (H,) in z, by the posterior mean of their squares."""
+    known = {
+        name: (each.mean, each.sd)
+        for name, each in result.quantities.items()
+        if each.mean is not None and each.sd is not None
+    }
+    return root_mean_square_scales(result.fit, known)
+
+
 def prediction(
     result: Result, campaign: Campaign, changed: tuple[str, ...], any_unit: bool, tell: Callable[[str], None]
 ) -> Prediction:
     """Return the runs of a campaign against their prediction by a result; see `imubayes.predict`."""
-    found = predict_runs(result.fit, campaign, changed, any_unit, tell)
+    found = predict_runs(result.fit, campaign, broad_scales(result), changed, any_unit, tell)
     residuals = _table(found)
     runs = residuals.by_run_and_channel()
     chances = [float(chi2_survival(run.chi2, run.n)) for run in runs if run.chi2 is not None]
@@ -130,9 +140,9 @@ def prediction(
         worst_run_p=worst_run,
         worst_shift_p=worst_shift,
         shifts=tuple(EstimateShift(**vars(shift)) for shift in found.shifts),
-        fitted=found.joined.fitted,
-        changed=found.joined.changed,
-        elsewhere=found.joined.elsewhere,
+        fitted=found.joined.together.fitted,
+        changed=found.joined.together.changed,
+        elsewhere=found.joined.together.elsewhere,
         unknowns=tuple(name for name, known in zip(layout.names, shared.tolist(), strict=True) if not known),
     )
     return Prediction(summary, residuals, result.summary)

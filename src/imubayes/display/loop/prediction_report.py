@@ -11,7 +11,7 @@ from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
 from imubayes.display.layout import Report, Sheet, cells, report_html
 from imubayes.display.model_against_measurement import comparison_page, draw_figures
 from imubayes.display.numbers_and_labels import counted, listed, pretty, ratio_text, relation, significant, value_and_sd
-from imubayes.foundations.files import refuse_existing, write_text
+from imubayes.foundations.files import refuse_occupied, write_text
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.results.folder_files import RESIDUALS
@@ -125,7 +125,7 @@ def save_prediction(prediction: Prediction, folder: Path, tell: Tell) -> Path:
         where the folder holds something else than an earlier prediction.
     """
     if not (folder / PREDICTION).is_file():
-        refuse_existing(folder)
+        refuse_occupied(folder)
     folder.mkdir(parents=True, exist_ok=True)
     summary, table = _as_fit(prediction), prediction.residuals.table
     chosen = runs_shown(summary, table)

@@ -1,0 +1,340 @@
+"""Two calibrations of one unit compared: whether they agree within their uncertainties, what moved, and both as one.
+
+Both posteriors are Gaussian about their modes, in z, where every prior is N(0, W²).  What both have in common (the
+unit, and equipment that stayed) has one true value and one prior, and so the errors are correlated: with the posterior
+covariances C_A and C_B the error of an estimate has the part −C W⁻² (θ − prior mean), and
+
+    Cov(A − B) = C_A + C_B − X − Xᵀ,    X = C_A W⁻² C_B over the columns of what is common.
+
+What the prior alone says is not compared that way: its X is C_A + C_B.  Nor does an uncertainty of the equipment count
+that both share; √(U_A² + U_B²), which takes the two as independent, contains it twice.  E_n is the difference over its
+expanded uncertainty, k = 2 (ISO/IEC 17043).  Both as one have the precision Λ_A + Λ_B + W⁻², the prior counted once.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import input_error
+from imubayes.foundations.records import Presented, Record
+from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.laplace_marginal import inverse_of_precision, linearise, precision_of
+from imubayes.inference.posterior_groups import in_units
+from imubayes.loop.joined_runs import JoinedCampaign, joined_campaign
+from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
+from imubayes.model.problem import prior_widths
+from imubayes.parameters.declarations import Parameter, prior_slopes
+from imubayes.procedures.ambient import instant
+from imubayes.results.prediction import LEAST_CHANCE
+
+_EXPANDED = 2.0  # coverage factor of E_n
+# Share of the information from the data below which a calibration has nothing to be compared.  Convention.
+_LEAST_FROM_DATA = 0.1
+# Correlations of differences below which an eigenvalue is rounding.
+_ROUNDING = 1e-7
+_DAYS = 86400.0
+
+
+class ComparedQuantity(Record):
+    """A quantity by two calibrations, in its unit.
+
+    Attributes
+    ----------
+    first, first_sd, second, second_sd : estimates with their standard uncertainties.
+    difference, difference_sd : second less first, and its standard uncertainty.
+    common : share of the sum of both variances that is common to both, and does not count in the difference.
+    e_n : normalised error, k = 2.
+    p : chance of so large a difference.
+    moved : whether it is beyond chance, for all quantities that are compared together.
+    pooled, pooled_sd : by both calibrations as one; None where they may not be pooled.
+    """
+
+    name: str
+    unit: str
+    first: float
+    first_sd: float
+    second: float
+    second_sd: float
+    difference: float
+    difference_sd: float
+    common: float
+    e_n: float
+    p: float
+    moved: bool
+    pooled: float | None = None
+    pooled_sd: float | None = None
+
+
+class RepeatabilitySummary(Record):
+    """Everything `imubayes compare A B --json` says (format 1).
+
+    Attributes
+    ----------
+    serial, campaigns, models, dates : of the unit, and of both calibrations; the first run, None where not stated.
+    days : from the first run of one to that of the other.
+    verdict : whether the two agree.
+    chi2, freedom, p : of the differences of the parameters that both determine, together.
+    quantities : what both determine, largest |E_n| first.
+    not_determined : what at least one of them leaves to its prior.
+    other_priors : what has another prior in the two, which are then compared as if nothing were common to them.
+    pooled : whether both may be taken as one: they agree, and have the same priors.
+    changed, elsewhere : equipment and site that is not the same in both.
+    """
+
+    format: Literal[1] = 1
+    serial: str
+    campaigns: tuple[str, str]
+    models: tuple[str, str]
+    dates: tuple[str | None, str | None]
+    days: float | None
+    verdict: Literal["agree", "differ"]
+    chi2: float
+    freedom: int
+    p: float
+    quantities: tuple[ComparedQuantity, ...]
+    not_determined: tuple[str, ...]
+    other_priors: tuple[str, ...]
+    pooled: bool
+    changed: tuple[str, ...]
+    elsewhere: bool
+
+
+@dataclass(frozen=True, repr=False)
+class Repeatability(Presented):
+    """Two calibrations compared; shows itself in a terminal and in a notebook."""
+
+    summary: RepeatabilitySummary
+
+    @property
+    def agree(self) -> bool:
+        """Whether the two agree."""
+        return self.summary.verdict == "agree"
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """A posterior about its mode in z: precision (P, P), covariance and widths of the priors; quantities by name."""
+
+    z: np.ndarray
+    names: tuple[str, ...]
+    precision: np.ndarray
+    covariance: np.ndarray
+    widths: np.ndarray
+    priors: Mapping[str, Parameter]
+    quantities: Mapping[str, "_Quantity"]
+
+    def places(self, names: Sequence[str]) -> np.ndarray:
+        where = {name: place for place, name in enumerate(self.names)}
+        return np.array([where[name] for name in names], dtype=int)
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """A quantity at the mode: value, unit, gradient by z (P,), and whether it is a parameter."""
+
+    value: float
+    unit: str
+    gradient: np.ndarray
+    is_parameter: bool
+
+
+def _normal(fit: Fit, scales: np.ndarray) -> _Normal:
+    model, problem = fit.model, fit.model.problem
+    h, layout = jnp.asarray(scales), model.layout
+    widths = np.asarray(prior_widths(problem, h))
+    told = precision_of(problem, linearise(problem, jnp.asarray(fit.z)), h, np.ones(len(model.entries), dtype=bool))
+    precision = told + np.diag(widths**-2)
+    values = in_units(model, np.concatenate([fit.z, fit.h])[None])[0]
+    slopes = np.asarray(prior_slopes(problem.priors, jnp.asarray(fit.z))) / layout.factors()
+    found: dict[str, _Quantity] = {}
+    for place, parameter in enumerate(layout.parameters):
+        if not parameter.nuisance:
+            gradient = slopes[place] * np.eye(len(layout))[place]
+            found[parameter.name] = _Quantity(float(values[place]), parameter.shown_unit, gradient, True)
+    if fit.derived.names:
+        derived = evaluate_derived(fit.derived.derivation, problem, fit.z[None])[0]
+        gradients = derived_jacobian(fit.derived.derivation, problem, fit.z)
+        for name, value, gradient in zip(fit.derived.names, derived.tolist(), gradients, strict=True):
+            if not name.name.startswith("input_axis["):
+                found[name.name] = _Quantity(value, name.unit, gradient, False)
+    own = {parameter.name: parameter for parameter in layout.parameters}
+    return _Normal(fit.z, layout.names, precision, inverse_of_precision(precision), widths, own, found)
+
+
+def repeatability_of(
+    first: Fit,
+    second: Fit,
+    scales: tuple[np.ndarray, np.ndarray],
+    changed: Sequence[str] = (),
+    any_unit: bool = False,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Repeatability:
+    """Return how two calibrations of one unit compare; see `imubayes.repeatability`.
+
+    Parameters
+    ----------
+    scales : noise scales of each, (H,) in z, by which uncertainties are computed; see `root_mean_square_scales`.
+
+    Raises
+    ------
+    InputError
+        as of `joined_campaign`, and for fits of the same runs or that did not converge.
+    """
+    campaigns = first.model.campaign, second.model.campaign
+    for fit in (first, second):
+        if not fit.converged:
+            raise input_error("the fit did not converge", fit.model.campaign.name, "two fits that did", fit.message)
+    together = joined_campaign(*campaigns, changed, any_unit)
+    if together.fitted:
+        raise input_error(
+            f"both calibrations have the run{'s' if len(together.fitted) > 1 else ''} {', '.join(together.fitted)}",
+            " and ".join(campaign.folder or campaign.name for campaign in campaigns),
+            "two calibrations of runs of their own: what they share makes them agree",
+            "fit the runs apart; what other models say of the same runs is `imubayes history`",
+        )
+    tell("comparing")
+    one, other = _normal(first, scales[0]), _normal(second, scales[1])
+    lasting = together.lasting(first.model) & together.lasting(second.model)
+    shared = [name for name in one.names if name in lasting]
+    alike = [name for name in shared if _same_prior(one.priors[name], other.priors[name])]
+    cross = _cross(one, other, alike)
+    names = [name for name in one.quantities if name in other.quantities and _is_lasting(name, one, lasting, together)]
+    determined = [name for name in names if all(_from_data(each, name) >= _LEAST_FROM_DATA for each in (one, other))]
+    lines = [_compared(name, one, other, cross, len(determined)) for name in determined]
+    chi2, freedom = _together([name for name in determined if one.quantities[name].is_parameter], one, other, cross)
+    p = float(chi2_survival(chi2, freedom)) if freedom else 1.0
+    agree = 2 * min([p, *(len(lines) * line.p for line in lines)], default=1.0) >= LEAST_CHANCE
+    may_pool = agree and len(alike) == len(shared) and bool(lines)
+    dates = _first_run(campaigns[0]), _first_run(campaigns[1])
+    if may_pool:
+        lines = _pooled(lines, one, other, alike)
+    return Repeatability(
+        RepeatabilitySummary(
+            serial=campaigns[1].serial,
+            campaigns=(campaigns[0].name, campaigns[1].name),
+            models=(first.model.spec.name, second.model.spec.name),
+            dates=dates,
+            days=_days(*dates),
+            verdict="agree" if agree else "differ",
+            chi2=chi2,
+            freedom=freedom,
+            p=p,
+            quantities=tuple(sorted(lines, key=lambda line: -abs(line.e_n))),
+            not_determined=tuple(name for name in names if name not in determined),
+            other_priors=tuple(name for name in shared if name not in alike),
+            pooled=may_pool,
+            changed=together.changed,
+            elsewhere=together.elsewhere,
+        )
+    )
+
+
+def _first_run(campaign: Campaign) -> str | None:
+    return min((run.start for run in campaign.runs if run.start), key=instant, default=None)
+
+
+def _days(first: str | None, second: str | None) -> float | None:
+    return None if first is None or second is None else (instant(second) - instant(first)).total_seconds() / _DAYS
+
+
+def _is_lasting(name: str, one: _Normal, lasting: set[str], together: JoinedCampaign) -> bool:
+    """Return whether a quantity is of the same thing in both: a parameter, or what is derived for what stayed."""
+    if one.quantities[name].is_parameter:
+        return name in lasting
+    label = name.partition("[")[2].removesuffix("]").split(",")
+    runs = {run.name for run in together.campaign.runs}
+    return not any(part in together.changed or part in runs for part in label)
+
+
+def _same_prior(one: Parameter, other: Parameter) -> bool:
+    return np.allclose(
+        [one.value_at(z) for z in (-1.0, 0.0, 1.0)], [other.value_at(z) for z in (-1.0, 0.0, 1.0)], rtol=1e-9, atol=0
+    )
+
+
+def _cross(one: _Normal, other: _Normal, alike: Sequence[str]) -> np.ndarray:
+    """Return the covariance X (P_A, P_B) of the errors of two posteriors, by the priors that they have in common."""
+    a, b = one.places(alike), other.places(alike)
+    return (one.covariance[:, a] / (one.widths[a] * other.widths[b])) @ other.covariance[b]
+
+
+def _from_data(of: _Normal, name: str) -> float:
+    gradient = of.quantities[name].gradient
+    prior = float(np.sum((gradient * of.widths) ** 2))
+    return 1 - float(gradient @ of.covariance @ gradient) / prior if prior > 0 else 0.0
+
+
+def _difference(
+    names: Sequence[str], one: _Normal, other: _Normal, cross: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return second less first, (Q,), and the covariances (Q, Q) of first, second and cross."""
+    first, second = (np.array([each.quantities[name].gradient for name in names]) for each in (one, other))
+    apart = [other.quantities[name].value - one.quantities[name].value for name in names]
+    return (
+        np.array(apart), first @ one.covariance @ first.T, second @ other.covariance @ second.T,
+        first @ cross @ second.T,
+    )  # fmt: skip
+
+
+def _compared(name: str, one: _Normal, other: _Normal, cross: np.ndarray, count: int) -> ComparedQuantity:
+    apart, first, second, common = (float(each.item()) for each in _difference([name], one, other, cross))
+    sd = float(np.sqrt(max(first + second - 2 * common, 0.0)))
+    z = abs(apart) / sd if sd > 0 else 0.0
+    p = 2 * float(normal_survival(z))
+    return ComparedQuantity(
+        name=name,
+        unit=one.quantities[name].unit,
+        first=one.quantities[name].value,
+        first_sd=first**0.5,
+        second=other.quantities[name].value,
+        second_sd=second**0.5,
+        difference=apart,
+        difference_sd=sd,
+        common=2 * common / (first + second),
+        e_n=apart / (_EXPANDED * sd) if sd > 0 else 0.0,
+        p=p,
+        moved=count * p < LEAST_CHANCE,
+    )
+
+
+def _together(names: Sequence[str], one: _Normal, other: _Normal, cross: np.ndarray) -> tuple[float, int]:
+    """Return χ² of the differences of some parameters, and its degrees of freedom: directions beyond rounding."""
+    if not names:
+        return 0.0, 0
+    apart, first, second, common = _difference(names, one, other, cross)
+    covariance = first + second - common - common.T
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    sizes, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    known = sizes > _ROUNDING
+    return float(np.sum((axes.T @ (apart / scale))[known] ** 2 / sizes[known])), int(known.sum())
+
+
+def _pooled(
+    lines: Sequence[ComparedQuantity], one: _Normal, other: _Normal, alike: Sequence[str]
+) -> list[ComparedQuantity]:
+    """Return the quantities with their values by both as one: the sum of what the data of each say, and one prior."""
+    a, count = np.arange(len(one.names)), len(one.names)
+    of_first = dict(zip(alike, one.places(alike).tolist(), strict=True))
+    own = iter(range(count, count + len(other.names)))
+    b = np.array([of_first[name] if name in of_first else next(own) for name in other.names])
+    total = count + len(other.names) - len(alike)
+    precision, told = np.zeros((total, total)), np.zeros(total)
+    for places, each in ((a, one), (b, other)):
+        precision[np.ix_(places, places)] += each.precision
+        told[places] += each.precision @ each.z
+    common = one.places(alike)
+    precision[common, common] -= 1 / (one.widths[common] * other.widths[other.places(alike)])
+    covariance = inverse_of_precision(precision)
+    moved = covariance @ told - np.concatenate([one.z, np.zeros(total - count)])
+    found = []
+    for line in lines:
+        gradient = one.quantities[line.name].gradient
+        value = line.first + float(gradient @ moved[:count])
+        sd = float(np.sqrt(gradient @ covariance[:count, :count] @ gradient))
+        found.append(line.model_copy(update={"pooled": value, "pooled_sd": sd}))
+    return found
