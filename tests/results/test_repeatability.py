@@ -54,7 +54,7 @@ def pairs(tmp_path_factory) -> list[tuple[Fit, Fit]]:
 
 def spread(pairs) -> tuple[float, float]:
     """Return the rms of differences in their deviations, and the root of χ² per degree of freedom."""
-    found = [compared(each).summary for each in pairs]
+    found = [compared(each) for each in pairs]
     single = [2 * line.e_n for each in found for line in each.quantities]
     chi2 = sum(each.chi2 for each in found) / sum(each.freedom for each in found)
     return float(np.sqrt(np.mean(np.square(single)))), float(np.sqrt(chi2))
@@ -78,13 +78,13 @@ def test_one_that_moved_is_found(pairs, tmp_path):
     moved = replace(second, runs=tuple(replace(run, observed=run.observed + 5e-3) for run in second.runs))
     found = compared((pairs[0][0], fitted(moved)))
     assert not found.agree
-    assert not found.summary.pooled
-    bias = next(each for each in found.summary.quantities if each.name == "gyro_bias.bias[g]")
+    assert not found.pooled
+    bias = next(each for each in found.quantities if each.name == "gyro_bias.bias[g]")
     assert bias.moved
     assert bias.difference == pytest.approx(5e-3 / 0.01, abs=3 * bias.difference_sd)  # mA over mA per deg/h
     assert "gyro_bias.bias[g] moved by" in str(found)
     assert "as left 2026-06-01" in str(found)
-    assert found.summary.days == pytest.approx(365)
+    assert found.days == pytest.approx(365)
 
 
 def test_both_as_one_are_the_fit_to_all_runs(pairs, tmp_path):
@@ -97,7 +97,7 @@ def test_both_as_one_are_the_fit_to_all_runs(pairs, tmp_path):
         replace(fit, z=np.asarray(fit_at(fit.model.problem, jnp.asarray(fit.z), jnp.asarray(h))), h=h)
         for fit in pairs[0]
     )
-    lines = [each for each in repeatability_of(*own, (h, h)).summary.quantities if each.name in told]
+    lines = [each for each in repeatability_of(*own, (h, h)).quantities if each.name in told]
     assert len(lines) > 5
     for each in lines:
         assert each.pooled is not None
@@ -117,6 +117,6 @@ def test_what_cannot_be_compared_is_refused(pairs, tmp_path):
         compared((first, other))
     with pytest.raises(imubayes.InputError, match=r"all runs|have the run"):
         compared((first, first))
-    changed = compared(pairs[0], changed=SEATS).summary
+    changed = compared(pairs[0], changed=SEATS)
     assert changed.changed == SEATS
     assert not any("mounting_error" in each.name for each in changed.quantities)

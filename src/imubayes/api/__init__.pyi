@@ -11,6 +11,7 @@ from .calibrated_unit import (
 from .fitting import Result, Settings, fit, load, read_result
 from .held_against import Prediction, Repeatability, predict, repeatability
 from .loop import ModelChange, add, diagnose, export, history, plant, refit, remove
+from .new_campaign import NewCampaign, new
 from .own_equation import (
     ConformityStatement,
     GumBudget,
@@ -28,6 +29,7 @@ __all__ = [
     "GumBudget",
     "InputQuantity",
     "ModelChange",
+    "NewCampaign",
     "Prediction",
     "Propagated",
     "Repeatability",
@@ -45,6 +47,7 @@ __all__ = [
     "fit",
     "history",
     "load",
+    "new",
     "onboard_constants",
     "plant",
     "predict",

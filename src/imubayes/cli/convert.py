@@ -1,14 +1,17 @@
-"""`imubayes convert`: recordings of other tools into a campaign."""
+"""`imubayes convert` and `new`: recordings of other tools into a campaign, and a model to begin with."""
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from imubayes.campaign.convert import ConvertOptions, read_recordings
 from imubayes.campaign.convert.mapping_file import MAPPING_FILE
+from imubayes.cli.session import progress, start_jax
+from imubayes.display.layout import print_report
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import refuse_occupied
 
@@ -49,10 +52,7 @@ def convert(
         COLUMN=SOURCE, once for each column whose name is another; SOURCE is a name or a number from 1, with a minus
         sign before it for an axis that points the other way.
     """
-    given = {option.name: getattr(options, option.name) for option in fields(ConvertOptions)}
-    given = {name: value for name, value in given.items() if value != getattr(_NO_OPTIONS, name)}
-    if column:
-        given["columns"] = dict(_column_source(word) for word in column)
+    given = _given(options, column)
     if files and str(files[0]) in _FORMER_KINDS and not files[0].exists():
         print(f"note: '{files[0]}' is not needed: the kind is found in the content")
         files = files[1:]
@@ -66,6 +66,75 @@ def convert(
         return
     read.write(out)
     print(f"campaign in {out}, with {MAPPING_FILE} for others of its kind; next: imubayes check {out}")
+
+
+def new(
+    folder: Path,
+    *files: Path,
+    mapping: Path | None = None,
+    column: Annotated[list[str] | None, Parameter(negative="")] = None,
+    options: Annotated[_Options, Parameter(name="*", negative="", name_transform=_option_name)] = _NO_OPTIONS,
+) -> None:
+    """Begin: a commented campaign of a recording, and a model with the effects that these runs can determine.
+
+    On a terminal what neither the recording nor an option states of the site is asked for.
+
+    Parameters
+    ----------
+    folder
+        Campaign folder to write. Without files: one that has a campaign and lacks model.toml, or, with --procedure, a
+        campaign to fill in.
+    files
+        The recording, as of convert.
+    mapping
+        mapping.toml of an earlier conversion, for a recording of the same kind.
+    column
+        COLUMN=SOURCE, once for each column whose name is another, as of convert.
+    """
+    given = _given(options, column)
+    if files:
+        given |= _asked(given)
+    with progress() as tell:
+        start_jax("new")
+        from imubayes.api import new as begin
+        from imubayes.display.model_writer import proposal_report
+
+        made = begin(folder, files, mapping=mapping, progress=tell, **given)
+    for note in made.notes:
+        print(f"note: {note}")
+    print_report(proposal_report(made.proposal))
+    print(f"written: {folder / 'campaign.toml'} and {made.model}; next: imubayes check {folder} --model {made.model}")
+
+
+def _given(options: _Options, column: list[str] | None) -> dict[str, Any]:
+    """Return the options that were stated."""
+    given = {option.name: getattr(options, option.name) for option in fields(ConvertOptions)}
+    given = {name: value for name, value in given.items() if value != getattr(_NO_OPTIONS, name)}
+    return given | ({"columns": dict(_column_source(word) for word in column)} if column else {})
+
+
+_QUESTIONS = {
+    "serial": "serial number of the unit",
+    "latitude_deg": "latitude of the site, deg",
+    "gravity_m_s2": "measured gravity of the site, m/s^2",
+}
+
+
+def _asked(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the answers on a terminal to what was not stated; an empty line leaves it out."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        return {}
+    answers: dict[str, Any] = {}
+    for key, question in _QUESTIONS.items():
+        answer = "" if key in given else input(f"{question} (empty: not known): ").strip()
+        if not answer:
+            continue
+        try:
+            answers[key] = answer if key == "serial" else float(answer)
+        except ValueError:
+            option = f"--{_option_name(key)}"
+            raise input_error(f"'{answer}' is not a number", option, "a number", "answer again, or state it") from None
+    return answers
 
 
 def _column_source(word: str) -> tuple[str, str | int]:

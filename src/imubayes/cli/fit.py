@@ -142,7 +142,7 @@ def _compare_two(
         from imubayes.display.loop.repeatability_report import repeatability_report
 
         found = repeatability(first, second, changed=changed, any_unit=any_unit, progress=tell)
-    show(lambda: found.summary, lambda: repeatability_report(found, verbose), as_json)
+    show(lambda: found, lambda: repeatability_report(found, verbose), as_json)
     return 0 if found.agree else 1
 
 

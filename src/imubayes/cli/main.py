@@ -64,6 +64,15 @@ app.command(
     "--gravity-m-s2 9.81744",
 )
 
+app.command(
+    "imubayes.cli.convert:new",
+    name="new",
+    group=_ordered["Data"],
+    sort_key=-2,
+    help="Begin: a commented campaign of a recording, and a model with the effects that its runs can determine.\n\n"
+    "Example: imubayes new campaigns/desk imu.csv --gravity-m-s2 9.81",
+)
+
 app.register_install_completion_command()
 
 

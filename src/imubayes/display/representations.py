@@ -79,9 +79,8 @@ def prediction_headline(found: Prediction) -> str:
 
 def repeatability_headline(found: Repeatability) -> str:
     """Return whether two calibrations agree."""
-    about = found.summary
-    said = f"{about.verdict}, χ² {significant(about.chi2)} for {about.freedom}"
-    return f"<Repeatability {' and '.join(about.campaigns)}: {said}>"
+    said = f"{found.verdict}, χ² {significant(found.chi2)} for {found.freedom}"
+    return f"<Repeatability {' and '.join(found.campaigns)}: {said}>"
 
 
 def _on(effects: str, channels: tuple[str, ...] | None) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.records import Record
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import inverse_of_precision, linearise, precision_of, whitened_about
 from imubayes.loop.joined_runs import JoinedRuns, joined_runs
@@ -30,8 +31,7 @@ _STEPS, _SHORTEST, _SETTLED = 30, 1e-3, 1e-3
 _TESTED = 0.5
 
 
-@dataclass(frozen=True)
-class ShiftedEstimate:
+class ShiftedEstimate(Record):
     """What new runs would make of an estimate, in its unit.
 
     Attributes
@@ -254,6 +254,10 @@ def _shifts(
         if parameter.nuisance or not usual > 1e-6 * sd:
             continue
         slope = (parameter.value_at(z[place] + sd) - parameter.value_at(z[place] - sd)) / (2 * sd)
-        values = parameter.value_at(z[place]), float(abs(slope) * sd), float(slope * shift)
-        found.append(ShiftedEstimate(parameter.name, parameter.shown_unit, *values, float(shift / usual)))
+        found.append(
+            ShiftedEstimate(
+                name=parameter.name, unit=parameter.shown_unit, before=parameter.value_at(z[place]),
+                sd=float(abs(slope) * sd), shift=float(slope * shift), pull=float(shift / usual),
+            )
+        )  # fmt: skip
     return tuple(sorted(found, key=lambda each: -abs(each.pull)))

@@ -70,8 +70,8 @@ class ComparedQuantity(Record):
     pooled_sd: float | None = None
 
 
-class RepeatabilitySummary(Record):
-    """Everything `imubayes compare A B --json` says (format 1).
+class Repeatability(Presented, Record):
+    """Two calibrations compared, as `imubayes compare A B --json` says it (format 1).
 
     Attributes
     ----------
@@ -103,17 +103,10 @@ class RepeatabilitySummary(Record):
     changed: tuple[str, ...]
     elsewhere: bool
 
-
-@dataclass(frozen=True, repr=False)
-class Repeatability(Presented):
-    """Two calibrations compared; shows itself in a terminal and in a notebook."""
-
-    summary: RepeatabilitySummary
-
     @property
     def agree(self) -> bool:
         """Whether the two agree."""
-        return self.summary.verdict == "agree"
+        return self.verdict == "agree"
 
 
 @dataclass(frozen=True)
@@ -214,23 +207,21 @@ def repeatability_of(
     if may_pool:
         lines = _pooled(lines, one, other, alike)
     return Repeatability(
-        RepeatabilitySummary(
-            serial=campaigns[1].serial,
-            campaigns=(campaigns[0].name, campaigns[1].name),
-            models=(first.model.spec.name, second.model.spec.name),
-            dates=dates,
-            days=_days(*dates),
-            verdict="agree" if agree else "differ",
-            chi2=chi2,
-            freedom=freedom,
-            p=p,
-            quantities=tuple(sorted(lines, key=lambda line: -abs(line.e_n))),
-            not_determined=tuple(name for name in names if name not in determined),
-            other_priors=tuple(name for name in shared if name not in alike),
-            pooled=may_pool,
-            changed=together.changed,
-            elsewhere=together.elsewhere,
-        )
+        serial=campaigns[1].serial,
+        campaigns=(campaigns[0].name, campaigns[1].name),
+        models=(first.model.spec.name, second.model.spec.name),
+        dates=dates,
+        days=_days(*dates),
+        verdict="agree" if agree else "differ",
+        chi2=chi2,
+        freedom=freedom,
+        p=p,
+        quantities=tuple(sorted(lines, key=lambda line: -abs(line.e_n))),
+        not_determined=tuple(name for name in names if name not in determined),
+        other_priors=tuple(name for name in shared if name not in alike),
+        pooled=may_pool,
+        changed=together.changed,
+        elsewhere=together.elsewhere,
     )
 
 

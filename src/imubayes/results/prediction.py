@@ -15,31 +15,13 @@ import polars as pl
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Presented, Record, finite
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
-from imubayes.loop.predicted_runs import PredictedRuns, predict_runs, root_mean_square_scales
+from imubayes.loop.predicted_runs import PredictedRuns, ShiftedEstimate, predict_runs, root_mean_square_scales
 from imubayes.results.result import Predicted, Result, residual_table
 from imubayes.results.stored_tables import Residuals
 from imubayes.results.summary import RunSummary, Summary
 
 LEAST_CHANCE = 0.01
 """Chance below which a prediction fails.  Convention."""
-
-
-class EstimateShift(Record):
-    """What the new runs would make of an estimate.
-
-    Attributes
-    ----------
-    before, sd : estimate and standard uncertainty of the fit, in `unit`.
-    shift : of its mean by the new runs.
-    pull : the shift over its standard deviation where the model describes the new runs.
-    """
-
-    name: str
-    unit: str
-    before: float
-    sd: float
-    shift: float
-    pull: float
 
 
 class PredictionSummary(Record):
@@ -74,7 +56,7 @@ class PredictionSummary(Record):
     calibration_p: float | None
     worst_run_p: float | None
     worst_shift_p: float | None
-    shifts: tuple[EstimateShift, ...]
+    shifts: tuple[ShiftedEstimate, ...]
     fitted: tuple[str, ...]
     changed: tuple[str, ...]
     elsewhere: bool
@@ -139,7 +121,7 @@ def prediction(
         calibration_p=float(chi2_survival(found.calibration_chi2, found.directions)) if found.directions else None,
         worst_run_p=worst_run,
         worst_shift_p=worst_shift,
-        shifts=tuple(EstimateShift(**vars(shift)) for shift in found.shifts),
+        shifts=found.shifts,
         fitted=found.joined.together.fitted,
         changed=found.joined.together.changed,
         elsewhere=found.joined.together.elsewhere,

@@ -14,8 +14,9 @@ from imubayes.display.numbers_and_labels import counted, listed, pretty, ratio_t
 from imubayes.foundations.files import refuse_occupied, write_text
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.tail_probabilities import normal_survival
+from imubayes.loop.predicted_runs import ShiftedEstimate
 from imubayes.results.folder_files import RESIDUALS
-from imubayes.results.prediction import LEAST_CHANCE, EstimateShift, Prediction
+from imubayes.results.prediction import LEAST_CHANCE, Prediction
 from imubayes.results.summary import Summary
 
 PREDICTION, PREDICTION_PAGE = "prediction.json", "prediction.html"
@@ -108,7 +109,7 @@ def shift_sheet(prediction: Prediction, verbose: bool = False) -> Sheet:
     return sheet if verbose or left <= 0 else sheet.first(_MOST_ROWS, f"{left} more with --verbose. {note}")
 
 
-def _shift_row(each: EstimateShift):
+def _shift_row(each: ShiftedEstimate):
     value, sd = value_and_sd(each.before, each.sd)
     shift, _ = value_and_sd(each.shift, each.sd)
     pull = f"{each.pull:.1f}".replace("-", "−")

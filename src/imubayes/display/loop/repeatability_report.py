@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, pretty, relation, rounded, significant, value_and_sd
-from imubayes.qualification.repeatability import ComparedQuantity, Repeatability, RepeatabilitySummary
+from imubayes.qualification.repeatability import ComparedQuantity, Repeatability
 
 _MOST_ROWS = 20
 _YEAR = 365.25
@@ -14,10 +14,10 @@ _MUCH_IN_COMMON = 0.5
 
 def repeatability_report(found: Repeatability, verbose: bool = False) -> Report:
     """Return the verdict, what moved, whether both may be pooled, and the table of differences."""
-    return Report(list(_lines(found.summary)), [difference_sheet(found.summary, verbose)])
+    return Report(list(_lines(found)), [difference_sheet(found, verbose)])
 
 
-def _lines(found: RepeatabilitySummary) -> Iterator[str]:
+def _lines(found: Repeatability) -> Iterator[str]:
     unit = f" of unit {found.serial}" if found.serial else ""
     if not found.quantities:
         yield f"Nothing can be compared: there is no quantity that both calibrations{unit} determine."
@@ -71,7 +71,7 @@ def _common(quantities: Sequence[ComparedQuantity]) -> Iterator[str]:
         )
 
 
-def _pooling(found: RepeatabilitySummary) -> str:
+def _pooling(found: Repeatability) -> str:
     if found.pooled:
         return "They may be pooled: the last column is by both as one, priors and common equipment counted once."
     if found.verdict == "differ":
@@ -79,7 +79,7 @@ def _pooling(found: RepeatabilitySummary) -> str:
     return "They are not pooled: their priors differ." if found.other_priors else "They are not pooled."
 
 
-def difference_sheet(found: RepeatabilitySummary, verbose: bool = False) -> Sheet:
+def difference_sheet(found: Repeatability, verbose: bool = False) -> Sheet:
     """Return both estimates, their difference with U (k = 2), E_n and the pooled value, largest |E_n| first.
 
     The earlier of two dated calibrations is headed as left, the later as found.
@@ -95,7 +95,7 @@ def difference_sheet(found: RepeatabilitySummary, verbose: bool = False) -> Shee
     )
 
 
-def _heads(found: RepeatabilitySummary) -> tuple[str, str]:
+def _heads(found: Repeatability) -> tuple[str, str]:
     if not found.days:
         return "first", "second"
     dates = [date[:10] for date in found.dates if date]

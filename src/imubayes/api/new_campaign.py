@@ -1,0 +1,103 @@
+"""A campaign and a model to begin with, from a recording or from nothing."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from imubayes.campaign import load_campaign
+from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
+from imubayes.campaign.convert import read_recordings
+from imubayes.campaign.convert.options import read_options
+from imubayes.display.model_writer import commented_campaign, commented_model, start_proposal, template
+from imubayes.display.progress import progress_of
+from imubayes.foundations.errors import input_error
+from imubayes.foundations.files import new_folder, refuse_existing, refuse_occupied, write_text
+from imubayes.inference.proposed_effects import EffectProposal, propose_effects
+from imubayes.procedures import PROCEDURES, procedure_named
+
+MODEL_FILE = "model.toml"
+
+
+@dataclass(frozen=True)
+class NewCampaign:
+    """What was written.
+
+    Attributes
+    ----------
+    folder, model : the campaign folder, and the model file in it.
+    proposal : the effects of the model, and why others are not in it.
+    notes : what was taken from the recording, and what was guessed, with its evidence.
+    """
+
+    folder: Path
+    model: Path
+    proposal: EffectProposal
+    notes: tuple[str, ...]
+
+
+def new(
+    folder: str | Path,
+    recordings: Sequence[str | Path] = (),
+    *,
+    mapping: str | Path | None = None,
+    progress: Callable[[str], None] | None = None,
+    **options: Any,
+) -> NewCampaign:
+    """Write a commented campaign of recordings, and a model with the effects that its runs can determine.
+
+    Parameters
+    ----------
+    folder : to write; without recordings, a campaign folder that lacks a model, or one to be filled in.
+    recordings, mapping, options : as of `imubayes convert`.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        with everything that prevents it; nothing is written then, unless the campaign can be read.
+    """
+    folder = Path(folder)
+    model = folder / MODEL_FILE
+    with progress_of(progress) as tell:
+        if recordings:
+            refuse_occupied(folder)
+            tell("reading the recording")
+            read = read_recordings(recordings, folder.name, mapping, **options)
+            read.write(folder)
+            file = folder / CAMPAIGN_FILE
+            write_text(file, commented_campaign(file.read_text(encoding="utf-8")))
+        elif not (folder / CAMPAIGN_FILE).is_file():
+            return _from_nothing(folder, options)
+        elif options or mapping is not None:
+            fault = "options of a recording, and no recording is named"
+            raise input_error(fault, "command line", "the files of a recording", "name them, or leave the options out")
+        refuse_existing(model)
+        tell("reading the campaign")
+        campaign = load_campaign(folder)
+        tell("what the runs determine")
+        proposal = propose_effects(campaign)
+        write_text(model, commented_model(campaign.name, proposal, len(campaign.runs)))
+    notes = (*campaign.notes, *(f"{run.name}: {note}" for run in campaign.runs for note in run.notes))
+    return NewCampaign(folder, model, proposal, notes)
+
+
+def _from_nothing(folder: Path, options: Mapping[str, Any]) -> NewCampaign:
+    refuse_occupied(folder)
+    given = read_options(options)
+    if not given.procedure:
+        raise input_error(
+            "no recording is named, and no procedure",
+            str(folder),
+            ", ".join(PROCEDURES),
+            "name the recordings, or --procedure for a campaign to fill in",
+        )
+    site = {key: getattr(given, key) for key in ("latitude_deg", "height_m", "gravity_m_s2")}
+    known = {key: float(value) for key, value in site.items() if value is not None}
+    name, proposal = given.name or folder.name, start_proposal()
+    campaign, header = template(name, procedure_named(given.procedure), known, given.serial)
+    with new_folder(folder) as draft:
+        write_text(draft / CAMPAIGN_FILE, campaign)
+        write_text(draft / "runs" / "first.csv", header)
+        write_text(draft / MODEL_FILE, commented_model(name, proposal, 0))
+    return NewCampaign(folder, folder / MODEL_FILE, proposal, ())

@@ -1,0 +1,149 @@
+"""A commented model file and a commented `campaign.toml`: what to begin with for runs of one's own."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import tomlkit
+from tomlkit.items import AoT
+
+from imubayes.display.layout import Report
+from imubayes.display.numbers_and_labels import counted, listed, percent
+from imubayes.foundations.covariates import remedy
+from imubayes.inference.proposed_effects import FURTHER, SENSORS, STATION, EffectProposal, ProposedEffect, of_equipment
+from imubayes.model.effect_registry import Registry
+from imubayes.model.model_file import EffectSpec
+from imubayes.parameters.declarations import declared_parameters
+from imubayes.procedures import Procedure
+
+_OF_CAMPAIGN = {
+    "site": {
+        "latitude_deg": "for the Earth rate, and for gravity where it is not stated",
+        "height_m": "above the ellipsoid",
+        "gravity_m_s2": "measured or assumed; every scale factor of an accelerometer refers to it",
+    },
+    "unit": {"serial": "`compare` and `predict` hold calibrations of one unit against each other"},
+    "channel": {
+        "input_axis": "in body axes",
+        "scale": "nominal: output = offset + scale · input",
+        "per": "of what input",
+        "offset": "output at zero input",
+    },
+    "table": {"elevation_deg": "90: a rate table, 0: a dividing head", "azimuth_deg": "clockwise from North"},
+    "mounting": {"preset": "how the unit sits on the table, or body_to_table = [[…], […], […]]"},
+    "run": {"procedure": "`imubayes schema campaign` lists them all", "file": "CSV or Parquet"},
+}
+
+
+def template(name: str, procedure: Procedure, site: Mapping[str, float], serial: str) -> tuple[str, str]:
+    """Return a `campaign.toml` to be filled in, of an IMU and one run of a procedure, and the header of its table."""
+    axes = [[float(row == column) for column in range(3)] for row in range(3)]
+    channels = [
+        {"name": f"{kind[0]}{axis}", "kind": kind, "input_axis": axes[place], "output_unit": unit, "scale": 1.0,
+         "per": unit, "offset": 0.0}
+        for kind, unit in (("accelerometer", "m/s^2"), ("gyro", "rad/s"))
+        for place, axis in enumerate("xyz")
+    ]  # fmt: skip
+    run = {"name": "first", "procedure": procedure.name, "file": "runs/first.csv", "temperature_degC": 23.0}
+    document = {"format": 1, "name": name, "site": {"latitude_deg": 45.0, **site}, "unit": {"serial": serial}}
+    document["channel"] = channels
+    if procedure.needs_table:
+        document["table"] = [
+            {"name": "table", "azimuth_deg": 0.0, "elevation_deg": 90.0, "axis_uncertainty_arcsec": 30.0}
+        ]
+        document["mounting"] = [{"name": "seat", "preset": "aligned", "uncertainty_arcmin": 5.0}]
+        run |= {"table": "table", "mounting": "seat"}
+    document["run"] = [run]
+    columns = ["time_s", *(group[0] for group in procedure.columns), *(channel["name"] for channel in channels)]
+    return commented_campaign(tomlkit.dumps(document)), ",".join(dict.fromkeys(columns)) + "\n"
+
+
+def start_proposal() -> EffectProposal:
+    """Return the effects to start with where there are no runs yet: each is left out where no run shows it."""
+    names = (*of_equipment(), *STATION, *SENSORS)
+    optional = [ProposedEffect(EffectSpec(name, optional=True)) for name in names]
+    noise = [ProposedEffect(EffectSpec("white_noise")), ProposedEffect(EffectSpec("run_scatter", optional=True))]
+    return EffectProposal((*optional, *noise), {}, {}, False)
+
+
+def commented_campaign(text: str) -> str:
+    """Return `campaign.toml` with a comment beside each key of its first site, channel, table, mounting and run."""
+    document = tomlkit.parse(text)
+    for name, comments in _OF_CAMPAIGN.items():
+        part: Any = document.get(name)
+        first = part[0] if isinstance(part, AoT) and len(part) else part
+        for key, comment in comments.items():
+            if first is not None and key in first:
+                first[key].comment(comment)
+    return tomlkit.dumps(document)
+
+
+def commented_model(name: str, proposal: EffectProposal, runs: int) -> str:
+    """Return a model file: what these runs can determine, with what they tell of it, and what they cannot."""
+    lines = [
+        f"# Written by `imubayes new`: the effects that {counted(runs, 'run')} can determine."
+        if runs
+        else "# Written by `imubayes new`, before there were runs: what they do not show is left out.",
+        "# `imubayes effects NAME` explains one; `imubayes diagnose` says after the fit what is missing.",
+        "# Priors are those of the catalogue for the grade of the unit, unless stated here.",
+        "format = 1",
+        f"name = {tomlkit.item(name).as_string()}",
+    ]
+    parts = (
+        ("equipment and station, with the uncertainties that campaign.toml states", (*of_equipment(), *STATION)),
+        ("the sensors", SENSORS),
+        ("further effects that these runs determine beside all others", FURTHER),
+    )
+    rest = {effect for _, effects in parts for effect in effects}
+    for title, effects in (*parts, ("noise", None)):
+        own = [each for each in proposal.effects if each.spec.name in (effects or {each.spec.name} - rest)]
+        if own:
+            lines += ["", f"# {title}"]
+        if own and effects is SENSORS and proposal.turned_by_hand:
+            lines += ["# The accelerometers define the body frame: no table does."]
+        for effect in own:
+            lines += _entry(effect)
+    lines += _left_out(proposal)
+    return "\n".join(lines) + "\n"
+
+
+def _entry(effect: ProposedEffect) -> Iterator[str]:
+    spec = effect.spec
+    yield ""
+    yield "[[effect]]"
+    comment = "; ".join(dict.fromkeys(each.meaning for each in _declared(spec.name).values() if each.meaning))
+    if effect.shares is not None:
+        least, most = (percent(share) for share in effect.shares)
+        told = most if least == most else f"{least} to {most}"
+        comment += f"; the runs tell {told} of it"
+    yield f"name = {tomlkit.item(spec.name).as_string()}" + (f"  # {comment}" if comment else "")
+    if spec.channels is not None:
+        yield f"channels = {tomlkit.item(list(spec.channels)).as_string()}"
+    if spec.optional:
+        yield "optional = true"
+    if spec.prior:
+        priors = ", ".join(f"{key} = {tomlkit.item(text).as_string()}" for key, text in spec.prior.items())
+        yield f"prior = {{ {priors} }}"
+
+
+def _declared(name: str):
+    return declared_parameters(Registry().effects[name])
+
+
+def _left_out(proposal: EffectProposal) -> Iterator[str]:
+    if proposal.undetermined:
+        yield ""
+        yield "# Shown by these runs, and not determined by them beside what stands above:"
+        for name, share in proposal.undetermined.items():
+            yield f"#   {name}: they tell {percent(share)} of its best known coefficient at most"
+    if proposal.missing:
+        yield ""
+        yield "# What no run shows, and what it needs:"
+        for name, missing in proposal.missing.items():
+            yield f"#   {name}: {'; '.join(dict.fromkeys(map(remedy, missing)))}"
+
+
+def proposal_report(proposal: EffectProposal) -> Report:
+    """Return the effects of the model, and what is not in it and why."""
+    names = list(dict.fromkeys(each.spec.name for each in proposal.effects))
+    lines = [f"The model has {counted(len(names), 'effect')}: {listed(names, 20)}."]
+    return Report([*lines, *(line.removeprefix("#").strip() for line in _left_out(proposal) if line)])

@@ -1,0 +1,141 @@
+"""The effects that the runs of a campaign can determine, before anything is fitted.
+
+The model is linear about nominal equipment and sensors, with the noise that the campaign states: the share of the
+information on a coefficient that would come from the data follows from the rows alone, not from their readings.  What
+equipment and station are uncertain of is always part of the model.  Bias, scale factor and misalignment are, where
+these runs tell anything of them: to leave one out that they tell little of would make the others look too well known.
+Further effects are where the runs determine every coefficient, beside all others.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.effects.base import AmbientEffect
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.inference.laplace_marginal import inverse_of_precision, linearise, whitened_about
+from imubayes.model.bind import Model, bind
+from imubayes.model.bound_effects import observability
+from imubayes.model.effect_registry import Registry
+from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.parameters.declarations import declared_parameters
+
+STATION = ("station_heading", "station_level", "reference_alignment", "reference_scale_factor", "reference_bias",
+           "injection_error")  # fmt: skip
+SENSORS = ("gyro_bias", "gyro_scale_factor", "gyro_misalignment", "accel_bias", "accel_scale_factor",
+           "accel_misalignment")  # fmt: skip
+FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lever_arm", "gyro_bias_temperature",
+           "gyro_scale_temperature", "accel_bias_temperature", "accel_scale_temperature", "converter_gain_drift",
+           "converter_offset_drift")  # fmt: skip
+NOISE = ("white_noise", "run_scatter")
+# Of bias, scale factor and misalignment, and of further effects: the least share of the information from the data.
+_TOLD, _DETERMINED = 0.1, 0.5
+_HELD, _HELD_RAD = "normal(0, 0.001 arcsec)", 1e-8
+
+
+@dataclass(frozen=True)
+class ProposedEffect:
+    """An entry of a model: its settings, and the least and largest share of its coefficients that the data tell.
+
+    The shares are None for equipment, station and noise.
+    """
+
+    spec: EffectSpec
+    shares: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class EffectProposal:
+    """The effects of a model for some runs.
+
+    Attributes
+    ----------
+    effects : in the order of a model file: equipment and station, sensors, further ones, noise.
+    undetermined : further effects that the runs show and do not determine, with the largest share they tell.
+    missing : effects on channels of the unit that no run can show, with what is missing for each.
+    turned_by_hand : whether the accelerometers define the body frame, as no table does.
+    """
+
+    effects: tuple[ProposedEffect, ...]
+    undetermined: dict[str, float]
+    missing: dict[str, tuple[str, ...]]
+    turned_by_hand: bool
+
+
+def of_equipment() -> tuple[str, ...]:
+    """Return the effects whose width a campaign states of its equipment, in the order of the catalogue."""
+    return tuple(
+        name
+        for name, known in Registry().effects.items()
+        if any(each.equipment for each in declared_parameters(known).values())
+        and not issubclass(known, AmbientEffect)
+        and name != "gravity_anomaly"
+    )
+
+
+def propose_effects(campaign: Campaign) -> EffectProposal:
+    """Return the effects that the runs of a campaign can determine.
+
+    Raises
+    ------
+    InputError
+        where not even noise can be bound to the campaign.
+    """
+    by_hand = all(run.tumble is not None for run in campaign.runs)
+    wanted = (*of_equipment(), *STATION, *SENSORS, *FURTHER, *NOISE)
+    found = {each.effect_class.name: each.missing for each in observability(campaign)}
+    names = [name for name in wanted if not found[name]]
+    specs = [spec for name in names for spec in _entries(name, campaign, by_hand)]
+    model = bind(ModelSpec(campaign.name, tuple(specs)), campaign)
+    kept, shares = _kept(model, names)
+    own = {name: shares.get(name, (0.0, 0.0)) for name in names if name in (*SENSORS, *FURTHER)}
+    return EffectProposal(
+        effects=tuple(ProposedEffect(spec, own.get(spec.name)) for spec in specs if spec.name in kept),
+        undetermined={name: largest for name, (_, largest) in own.items() if name not in kept},
+        missing={name: found[name] for name in (*SENSORS, *FURTHER) if set(found[name]) - {"gyro", "accelerometer"}},
+        turned_by_hand=by_hand,
+    )
+
+
+def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpec]:
+    """Return the entries of an effect: one, but where a unit turned by hand has its frame by its accelerometers.
+
+    Gravity of unknown direction cannot tell a rotation of the unit from one of its axes: the first accelerometer lies
+    along its nominal axis, the second in the nominal plane of both.
+    """
+    if name == "white_noise" and by_hand:  # with room for what is slower than a rest
+        return (EffectSpec(name, prior={"sigma": "lognormal(2 noise, 1.0)"}),)
+    accelerometers = campaign.of_kind("accelerometer")
+    if name != "accel_misalignment" or not by_hand or len(accelerometers) < 3:
+        return (EffectSpec(name, optional=name not in NOISE),)
+    first, second, *others = accelerometers
+    along = np.abs(second.axes[1:] @ others[0].axes[0])
+    across = "toward_o" if along[0] > along[1] else "toward_p"
+    return (
+        EffectSpec(name, (first.name,), prior={"toward_o": _HELD, "toward_p": _HELD}),
+        EffectSpec(name, (second.name,), prior={across: _HELD}),
+        EffectSpec(name, tuple(channel.name for channel in others)),
+    )
+
+
+def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple[float, float]]]:
+    """Return the effects of the model, and the least and largest share of the coefficients of each, beside them."""
+    about = linearise(model.problem, jnp.zeros(len(model.layout)))
+    _, jacobian, widths = whitened_about(model.problem, about, np.zeros(len(model.hyper_layout)))
+    precision = jacobian.T @ jacobian + np.diag(widths**-2)
+    owner = np.array([parameter.effect for parameter in model.layout.parameters])
+    held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
+    judged, kept, shares = (*SENSORS, *FURTHER), set(names), {}
+    while True:
+        inside = np.flatnonzero(np.isin(owner, list(kept)))
+        told = 1 - np.diag(inverse_of_precision(precision[np.ix_(inside, inside)])) / widths[inside] ** 2
+        places = {name: (owner[inside] == name) & ~held[inside] for name in judged if name in kept}
+        now = {name: (float(told[own].min()), float(told[own].max())) for name, own in places.items() if own.any()}
+        shares |= now
+        below = {name: now[name][0] for name in FURTHER if name in now and now[name][0] < _DETERMINED}
+        below = below or {name: now[name][1] for name in SENSORS if name in now and now[name][1] < _TOLD}
+        if not below:
+            return kept, shares
+        kept.remove(min(below, key=below.__getitem__))

@@ -1,0 +1,98 @@
+"""`imubayes new`: from a recording, a campaign or nothing to a campaign and a model that are read, bound and right."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_convert import write_log
+from tumble_files import tumble_log
+
+import imubayes
+from imubayes.cli.main import run
+from imubayes.model.model_file import read_model
+
+DATA = Path(__file__).parents[2] / "data"
+
+
+def effects_of(folder: Path) -> list[str]:
+    return [each.name for each in read_model(folder / "model.toml").effects]
+
+
+@pytest.fixture(scope="module")
+def by_hand(tmp_path_factory) -> tuple[Path, str]:
+    """Return a campaign folder begun from a recording of a unit turned by hand, and what was printed."""
+    import contextlib
+    import io
+
+    folder, said = tmp_path_factory.mktemp("new") / "desk", io.StringIO()
+    columns, _ = tumble_log()
+    log = write_log(folder.parent / "unit.log", columns)
+    with contextlib.redirect_stdout(said):
+        assert run(["new", str(folder), str(log), "--sample-rate-hz", "100", "--gravity-m-s2", "9.8"]) == 0
+    return folder, said.getvalue()
+
+
+def test_a_recording_becomes_campaign_and_model(by_hand):
+    folder, said = by_hand
+    campaign = imubayes.load_campaign(folder)
+    assert campaign.site.gravity == 9.8
+    text = (folder / "campaign.toml").read_text()
+    assert "# measured or assumed" in text
+    assert "gravity_m_s2 = 9.8" in text
+    assert "next: imubayes check" in said
+    assert "written:" in said
+    effects = effects_of(folder)
+    assert {"accel_bias", "accel_scale_factor", "gyro_bias", "gyro_scale_factor", "gyro_misalignment"} <= set(effects)
+    assert not {"mounting_error", "accel_bias_temperature", "lever_arm"} & set(effects)
+    assert "accel_bias_temperature:" in (folder / "model.toml").read_text()
+
+
+def test_the_model_binds_and_holds_the_frame_once(by_hand):
+    folder, _ = by_hand
+    model = imubayes.bind(imubayes.load_model(folder / "model.toml"), imubayes.load_campaign(folder))
+    tilts = [each for each in model.layout.parameters if each.effect == "accel_misalignment"]
+    held = {each.name for each in tilts if each.prior.sd() < 1e-8}
+    assert len(tilts) == 6
+    # The three rotations of the frame, each held at one axis.
+    assert len(held) == 3
+    assert {"accel_misalignment.toward_o[ax]", "accel_misalignment.toward_p[ax]"} < held
+
+
+def test_what_the_runs_do_not_determine_is_a_comment(tmp_path, capsys):
+    shutil.copytree(DATA / "static-record", tmp_path / "still")
+    assert run(["new", str(tmp_path / "still")]) == 0
+    said = capsys.readouterr().out
+    effects = effects_of(tmp_path / "still")
+    # At rest in one attitude: a bias, and nothing that a bias could not be.
+    assert {"gyro_bias", "accel_bias", "mounting_error", "white_noise"} <= set(effects)
+    assert not {"gyro_scale_factor", "gyro_g_sensitivity", "accel_quadratic"} & set(effects)
+    assert "gyro_scale_factor" in said
+    assert run(["new", str(tmp_path / "still")]) == 2  # there is a model already
+
+
+def test_from_nothing_to_a_campaign_to_fill_in(tmp_path, capsys):
+    folder = tmp_path / "rates"
+    assert run(["new", str(folder)]) == 2
+    assert "--procedure" in capsys.readouterr().err
+    assert run(["new", str(folder), "--procedure", "rate_table", "--latitude-deg", "50", "--serial", "U1"]) == 0
+    columns = (folder / "runs" / "first.csv").read_text().strip().split(",")
+    assert columns[:2] == ["time_s", "table_rate_deg_s"]
+    rates = np.array([-100, -50, -10, 10, 50, 100.0])
+    rows = np.zeros((6, len(columns)))
+    rows[:, columns.index("time_s")] = 60.0 * np.arange(6)
+    rows[:, columns.index("table_rate_deg_s")] = rates
+    rows[:, columns.index("az")] = 9.81
+    rows[:, columns.index("gz")] = np.radians(rates)
+    rows = np.column_stack([rows, np.full(6, 1000)])
+    np.savetxt(folder / "runs" / "first.csv", rows, delimiter=",", header=",".join([*columns, "samples"]), comments="")
+    campaign = imubayes.load_campaign(folder)
+    assert campaign.serial == "U1"
+    assert campaign.runs[0].rows == 6
+    assert imubayes.bind(imubayes.load_model(folder / "model.toml"), campaign).layout.names
+
+
+def test_options_without_a_recording_are_refused(tmp_path, capsys):
+    shutil.copytree(DATA / "static-record", tmp_path / "still")
+    assert run(["new", str(tmp_path / "still"), "--gyro-unit", "deg/s"]) == 2
+    assert "no recording is named" in capsys.readouterr().err
