@@ -70,7 +70,7 @@ def commented_campaign(text: str) -> str:
     document = tomlkit.parse(text)
     for name, comments in _OF_CAMPAIGN.items():
         part: Any = document.get(name)
-        first = part[0] if isinstance(part, AoT) and len(part) else part
+        first: Any = part[0] if isinstance(part, AoT) and len(part) else part
         for key, comment in comments.items():
             if first is not None and key in first:
                 first[key].comment(comment)
