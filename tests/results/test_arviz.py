@@ -1,5 +1,7 @@
 """ArviZ on a sampled result: its functions run without options, and its diagnostics mean what they say."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import arviz_plots
@@ -52,6 +54,12 @@ def test_a_chain_is_an_ensemble(tree):
     assert tree.posterior.sizes["chain"] == 4
     assert tree.posterior.sizes["draw"] > 400
     assert tree.sample_stats["lp"].shape == (4, tree.posterior.sizes["draw"])
+
+
+def test_arviz_is_imported_after_a_fit_as_well_as_before():
+    """ArviZ looks at all modules when it is imported; a lazily loaded part of it would be imported half-made."""
+    code = "import imubayes; imubayes.fit; import imubayes.inference.convergence; import arviz_plots"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_the_file_is_what_xarray_would_write(tmp_path):

@@ -32,20 +32,12 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import lazy_loader
 import numpy as np
 from scipy.special import ndtri
 
 from imubayes.foundations.tail_probabilities import normal_survival
-from imubayes.inference.laplace_proposal import PARETO_K, WeighedProposal
-
-if TYPE_CHECKING:
-    import arviz_stats.sampling_diagnostics
-else:
-    arviz_stats = lazy_loader.load("arviz_stats")  # takes long to import, and only sampling needs it
-
+from imubayes.inference.laplace_proposal import PARETO_K, WeighedProposal, arviz
 
 INTERVAL = (0.025, 0.975)
 SD_BAR, END_BAR = 0.05, 0.1
@@ -100,7 +92,7 @@ def monte_carlo_errors(flat: np.ndarray, tail: np.ndarray) -> ChainErrors:
     """Return the errors of chains (walkers, steps, D) with effective sizes (D,) at the ends of the 95 % interval."""
     dimensions = flat.shape[-1]
     spread = flat.std(axis=(0, 1))
-    error = np.asarray(arviz_stats.sampling_diagnostics.mcse(flat, chain_axis=0, draw_axis=1, method="sd"))
+    error = np.asarray(arviz("sampling_diagnostics").mcse(flat, chain_axis=0, draw_axis=1, method="sd"))
     return ChainErrors(error / spread, end_errors(flat.reshape(-1, dimensions), tail) / spread[:, None])
 
 
@@ -255,7 +247,7 @@ def _by_walker(chain: np.ndarray) -> np.ndarray:
 def _effective_sizes(chain: np.ndarray) -> dict[str, np.ndarray]:
     """Return effective sizes (D,) of chains (ensembles, steps, walkers, D), by what they are effective for."""
     flat = _by_walker(chain)
-    ess = arviz_stats.sampling_diagnostics.ess
+    ess = arviz("sampling_diagnostics").ess
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         sizes = {what: np.asarray(ess(flat, chain_axis=0, draw_axis=1, method=what)) for what in ("bulk", "mean", "sd")}
@@ -323,7 +315,7 @@ def nested_r_hat(chain: np.ndarray) -> np.ndarray:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         return np.asarray(
-            arviz_stats.sampling_diagnostics.rhat_nested(
+            arviz("sampling_diagnostics").rhat_nested(
                 _by_walker(chain), superchain_ids=np.repeat(np.arange(ensembles), walkers), chain_axis=0, draw_axis=1
             )
         )

@@ -11,9 +11,11 @@ represents the posterior (Vehtari, Simpson, Gelman, Yao & Gabry 2024).  The larg
 which a walker stays where it was found, and so the measure of how long a chain has to be.
 """
 
+import importlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import jax
@@ -28,11 +30,9 @@ from imubayes.model.likelihood import log_density
 from imubayes.model.problem import Problem
 
 if TYPE_CHECKING:
-    import arviz_stats.base.array
     import emcee
 else:
     emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
-    arviz_stats = lazy_loader.load("arviz_stats")  # takes long to import, and only sampling needs it
 
 
 # Points per vectorised block: larger blocks exceed the cache of a core.
@@ -310,4 +310,13 @@ def pareto_k(log_weight: np.ndarray) -> float:
     if np.ptp(finite) < _ALIKE:
         return 0.0
     # ArviZ takes the negative, as of log likelihoods that are left out.
-    return float(arviz_stats.base.array.array_stats.psislw(-finite)[1])
+    return float(arviz("base.array").array_stats.psislw(-finite)[1])
+
+
+def arviz(module: str) -> ModuleType:
+    """Return a module of `arviz_stats`, which takes long to import and only sampling needs.
+
+    A lazily loaded module would do, but arviz_base looks at all modules when it is imported: it would import
+    arviz_stats, which imports it, before it is complete.
+    """
+    return importlib.import_module(f"arviz_stats.{module}")
