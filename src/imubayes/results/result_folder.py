@@ -14,18 +14,21 @@ from pathlib import Path
 from typing import Any
 
 import h5netcdf
-import h5py
+import numpy as np
 import polars as pl
 import tomlkit
 
 from imubayes.foundations.files import refuse_existing, write_text
-from imubayes.inference.posterior_groups import Group, Groups, Labelled, posterior_groups
+from imubayes.inference.posterior_groups import SAMPLE, Group, Groups, Labelled, Labels, posterior_groups
 from imubayes.loop.model_history import Node
 from imubayes.model.model_file import ModelSpec
 from imubayes.results import folder_files
 from imubayes.results.change_records import ModelChange
 from imubayes.results.fit_file import fit_record
 from imubayes.results.result import Result
+
+# Arrays of fewer bytes are not compressed.
+_COMPRESSED = 4096
 
 
 def write_posterior(groups: Groups, file: Path) -> None:
@@ -61,10 +64,31 @@ def _write(place: h5netcdf.Group, group: Group) -> None:
 
 
 def _create(place: h5netcdf.Group, name: str, each: Labelled) -> h5netcdf.Variable:
-    if each.values.dtype.kind != "U":
-        return place.create_variable(name, each.dimensions, data=each.values)
-    variable = place.create_variable(name, each.dimensions, dtype=h5py.string_dtype())
-    variable[...] = each.values.astype(object)
+    if each.values.dtype.kind == "U":
+        return _create_text(place, name, each)
+    return place.create_variable(name, each.dimensions, data=each.values, **_packing(each.dimensions, each.values))
+
+
+def _packing(dimensions: Labels, values: np.ndarray) -> dict[str, Any]:
+    """Return how values that take some room are compressed: byte planes together, all draws of a number in a block."""
+    if values.nbytes < _COMPRESSED:
+        return {}
+    block = tuple(size if name in SAMPLE else 1 for name, size in zip(dimensions, values.shape, strict=True))
+    of_draws = {"chunks": block} if dimensions[:2] == SAMPLE else {}
+    return {"compression": "gzip", "compression_opts": 1, "shuffle": True, **of_draws}
+
+
+def _create_text(place: h5netcdf.Group, name: str, each: Labelled) -> h5netcdf.Variable:
+    """Write labels as characters, (labels, length), which readers join; strings of variable length cannot be packed."""
+    letters = np.char.encode(each.values, "utf-8")
+    width = max(letters.dtype.itemsize, 1)
+    characters = np.ascontiguousarray(letters.astype(f"S{width}")).view("S1").reshape(*each.values.shape, width)
+    length = f"string{width}"
+    if length not in place.dimensions:
+        place.dimensions[length] = width
+    dimensions = (*each.dimensions, length)
+    variable = place.create_variable(name, dimensions, data=characters, **_packing(dimensions, characters))
+    variable.attrs["_Encoding"] = "utf-8"
     return variable
 
 
