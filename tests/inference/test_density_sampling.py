@@ -12,7 +12,7 @@ import imubayes
 from imubayes.foundations.errors import InputError
 from imubayes.inference.convergence import nested_r_hat
 from imubayes.inference.ensemble_sampling import Settings, without_strays
-from imubayes.inference.user_density import normal_about_mode
+from imubayes.inference.user_density import differentiable, normal_about_mode
 
 COVARIANCE = np.array([[4.0, 1.2], [1.2, 1.0]])
 MEAN = np.array([10.0, -3.0])
@@ -128,15 +128,49 @@ def log_banana(points):
     return -0.5 * (points[:, 0] ** 2 / 100 + (points[:, 1] + 0.1 * points[:, 0] ** 2 - 10) ** 2)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
+SHAPES = pytest.mark.parametrize(
     ("density", "start", "scale"),
     [(log_funnel, np.zeros(10), 3.0), (log_banana, [0.0, 10.0], [10.0, 14.0])],
     ids=["funnel", "banana"],
 )
+
+
+@pytest.mark.slow
+@SHAPES
 def test_shapes_that_the_moves_cannot_follow_do_not_converge(density, start, scale):
-    found = imubayes.sample(jax.jit(density), start, scale, settings=Settings(most_steps=1200))
+    """NumPy tells no gradient."""
+    found = imubayes.sample(
+        lambda points: np.asarray(density(points)), start, scale, settings=Settings(most_steps=1200)
+    )
     assert not found.converged
+
+
+@pytest.mark.slow
+@SHAPES
+def test_gradients_follow_shapes_that_the_moves_cannot(density, start, scale):
+    found = imubayes.sample(jax.jit(density), start, scale, settings=Settings(most_steps=15_000))
+    assert found.converged, found.message
+    first, true = found.draws[:, 0], 3.0 if density is log_funnel else 10.0
+    # Four standard errors at the 400 effective draws of a verdict.
+    assert abs(first.mean()) < 0.2 * true
+    assert first.std() == pytest.approx(true, rel=0.15)
+    # The neck, which ensemble moves never enter, and the ends of the banana.
+    assert np.mean(first < -5 / 3 * true) == pytest.approx(0.0478, abs=0.02)
+
+
+def test_gradient_moves_keep_a_density_and_resume(tmp_path):
+    """A funnel of two parameters: the share of its neck, and a chain that goes on where it was interrupted."""
+    log_density = jax.jit(lambda x: -(x[:, 0] ** 2) / 18 - 0.5 * x[:, 1] ** 2 * jnp.exp(-x[:, 0]) - 0.5 * x[:, 0])
+    file = tmp_path / "chain.h5"
+    part, whole = Settings(least_steps=300, most_steps=300), Settings(least_steps=600, most_steps=600)
+    imubayes.sample(log_density, [0.0, 0.0], 3.0, settings=part, checkpoint=file)
+    told = []
+    found = imubayes.sample(
+        log_density, [0.0, 0.0], 3.0, settings=whole, checkpoint=file, resume=True, progress=told.append
+    )
+    assert int(told[0].split()[2]) > 300
+    assert np.mean(found.draws[:, 0] < -5) == pytest.approx(0.0478, abs=0.03)
+    assert found.draws[:, 0].std() == pytest.approx(3, rel=0.2)
 
 
 @pytest.mark.slow
@@ -144,7 +178,8 @@ def test_two_modes_within_the_starts_are_both_sampled():
     def density(points):
         return jnp.logaddexp(-0.5 * (points**2).sum(axis=1), -0.5 * ((points - 5) ** 2).sum(axis=1))
 
-    assert normal_about_mode(density, np.zeros(2), np.ones(2)) is not None
+    about = np.zeros(2), np.ones(2)
+    assert normal_about_mode(differentiable(density, *about), *about) is not None
     found = imubayes.sample(jax.jit(density), [0.0, 0.0])
     assert found.converged, found.message
     assert 0.4 < np.mean(found.draws[:, 0] > 2.5) < 0.6
@@ -158,14 +193,15 @@ def test_the_normal_about_a_mode_has_its_covariance():
         away = points - MEAN[None]
         return -0.5 * jnp.einsum("ni,ij,nj->n", away, precision, away)
 
-    laplace = normal_about_mode(density, MEAN + 30, np.array([100.0, 0.01]))
+    about = MEAN + 30, np.array([100.0, 0.01])
+    laplace = normal_about_mode(differentiable(density, *about), *about)
     np.testing.assert_allclose(laplace.centre, MEAN, atol=1e-6)
     np.testing.assert_allclose(laplace.axes @ laplace.axes.T, COVARIANCE, rtol=1e-6)
     normal = np.random.default_rng(0).normal(size=(5, 2))
     points, height = laplace.to_point(normal)
     np.testing.assert_allclose(laplace.to_normal(points)[0], normal, atol=1e-9)
     np.testing.assert_allclose(np.ptp(height - np.asarray(density(points))), 0, atol=1e-6)
-    assert normal_about_mode(log_normal, MEAN, np.ones(2)) is None
+    assert differentiable(log_normal, MEAN, np.ones(2)) is None
 
 
 def test_only_walkers_that_stay_far_below_are_drawn_anew():

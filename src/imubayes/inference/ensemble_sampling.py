@@ -25,6 +25,7 @@ import numpy as np
 from imubayes.foundations.progress import duration, silent
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import MOST_DRAWS, STAYS, Convergence, diagnose, far_below, normal_length
+from imubayes.inference.gradient_moves import GradientMove
 from imubayes.inference.laplace_proposal import BatchedDensity, LaplaceMove, WeighedProposal
 
 if TYPE_CHECKING:
@@ -32,8 +33,9 @@ if TYPE_CHECKING:
 else:
     emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
 
-# The safety net for what is not Gaussian takes this share of the steps.  DESnookerMove of emcee 3.1.6 is biased.
-_STRETCH_SHARE = _DE_SHARE = 0.02
+# Stretch and DE moves, the safety net for what is not Gaussian, take this share of the steps beside a Laplace proposal,
+# and the second beside gradients, which lead to no other mode.  DESnookerMove of emcee 3.1.6 is biased.
+_OTHERS_SHARE_LAPLACE, _OTHERS_SHARE = 0.04, 0.4
 # Short steps of the Laplace move, and the share of them; where independent draws are mostly refused, half of all.
 # In ten steps two walkers of three take a short one: it frees those few from which independent draws rarely lead.
 _SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.1, 0.5
@@ -111,6 +113,7 @@ def sample(
     checkpoint: Checkpoint,
     weighed: WeighedProposal | None = None,
     progress: Callable[[str], None] | None = None,
+    gradients: GradientMove | None = None,
 ) -> Chains:
     """Sample until converged, or until the longest chain allowed.
 
@@ -120,10 +123,11 @@ def sample(
     starts : for each ensemble its first points, shape (walkers, D).
     names : of the D parameters.
     checkpoint : created or checked before; where it holds steps, they are continued.
-    weighed : the Laplace proposal with its importance weights; None for stretch and DE moves alone.
+    weighed : the Laplace proposal with its importance weights; None without one.
     progress : called with a line on the steps done, the time left, and how far the chains are from their goals.
+    gradients : the move of most steps where there is no proposal; None for stretch and DE moves alone.
     """
-    ensembles = _ensembles(log_density, starts, settings, checkpoint, weighed)
+    ensembles = _ensembles(log_density, starts, settings, checkpoint, weighed, gradients)
     walkers, dimensions = starts[0].shape
     least, most = _lengths(len(starts), walkers, dimensions, settings, weighed)
     settled = 0 if _good(weighed) else min(_SETTLING, burn_in(least, weighed))
@@ -210,7 +214,7 @@ class _Ensemble:
     """An ensemble with its sampler and where it stands."""
 
     sampler: "emcee.EnsembleSampler"
-    move: LaplaceMove | None
+    move: LaplaceMove | GradientMove | None
     state: "emcee.State"
 
     def advance(self, steps: int, backend: "emcee.backends.HDFBackend") -> None:
@@ -228,12 +232,13 @@ def _ensembles(
     settings: Settings,
     checkpoint: Checkpoint,
     weighed: WeighedProposal | None,
+    gradients: GradientMove | None,
 ) -> list[_Ensemble]:
     """Return the ensembles at their starts or where the checkpoint left them."""
     short_share = _SHORT_SHARE if _good(weighed) else _SHORT_SHARE_HARD
     ensembles = []
     for number, start in enumerate(starts):
-        move = LaplaceMove(weighed.proposal, _SHORT_STEP, short_share) if weighed is not None else None
+        move = LaplaceMove(weighed.proposal, _SHORT_STEP, short_share) if weighed is not None else gradients
         state = _state(number, start, settings, checkpoint)
         walkers, dimensions = start.shape
         ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move), move, state))
@@ -246,11 +251,12 @@ def _good(weighed: WeighedProposal | None) -> bool:
 
 
 def _sampler(
-    log_density: BatchedDensity, walkers: int, dimensions: int, move: LaplaceMove | None
+    log_density: BatchedDensity, walkers: int, dimensions: int, move: LaplaceMove | GradientMove | None
 ) -> "emcee.EnsembleSampler":
-    moves = [(emcee.moves.StretchMove(), _STRETCH_SHARE), (emcee.moves.DEMove(), _DE_SHARE)]
+    share = _OTHERS_SHARE if isinstance(move, GradientMove) else _OTHERS_SHARE_LAPLACE
+    moves = [(emcee.moves.StretchMove(), share / 2), (emcee.moves.DEMove(), share / 2)]
     if move is not None:
-        moves.append((move, 1 - _STRETCH_SHARE - _DE_SHARE))
+        moves.append((move, 1 - share))
     return emcee.EnsembleSampler(walkers, dimensions, log_density, moves=moves, vectorize=True)
 
 

@@ -2,7 +2,9 @@
 
 Where JAX can differentiate the density, the ensembles have the Laplace approximation about its mode as a proposal, if
 its importance weights show that it holds the posterior.  It does not where a mode is a spike that holds next to nothing
-(a funnel), a tail is heavy, or draws about the user's start find more mass elsewhere (a second mode).
+(a funnel), a tail is heavy, or draws about the user's start find more mass elsewhere (a second mode).  There most steps
+are Hamiltonian Monte Carlo with a step size that follows the local geometry (`imubayes.inference.gradient_moves`), if
+blackjax is installed.
 
 Strongly correlated parameters make a ridge; starts of the right standard deviations without the correlations lie far
 off it, and walkers that begin there may never arrive.  A JAX function tells its gradient, so the mode is found by
@@ -28,6 +30,7 @@ from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import BLIND, WORST_PARETO_K
 from imubayes.inference.ensemble_sampling import Chains, Settings, walkers_for
 from imubayes.inference.ensemble_sampling import sample as sample_ensembles
+from imubayes.inference.gradient_moves import GradientMove, Single, installed
 from imubayes.inference.laplace_proposal import BatchedDensity, WeighedProposal, weigh, weigh_tail
 
 if TYPE_CHECKING:
@@ -42,8 +45,6 @@ _NEWTON_STEPS, _DECREMENT = 100, 1e-6
 _DIFFERENCE = 1e-3
 # Curvatures below this share of the largest are taken for this share: flat directions are not followed for ever.
 _FLAT = 1e-14
-
-_Gradients = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -78,19 +79,22 @@ class NormalProposal:
         return -0.5 * np.sum(normal**2, axis=1) - constant
 
 
-def normal_about_mode(log_density: BatchedDensity, start: np.ndarray, scale: np.ndarray) -> NormalProposal | None:
+def normal_about_mode(scaled: Single, start: np.ndarray, scale: np.ndarray) -> NormalProposal | None:
     """Return the Laplace approximation of a log density, from Newton steps with the absolute values of its curvatures.
 
-    None where JAX cannot differentiate the function or runs in single precision, and where no mode is found.
+    None where no mode is found.
 
     Parameters
     ----------
-    log_density : points (n, D) → (n,).
+    scaled : log density at (x − start)/scale.
     start, scale : shape (D,), where the search begins, and rough standard deviations.
     """
-    gradients = _gradients(log_density, start, scale)
-    if gradients is None:
-        return None
+    whole = jax.jit(jax.vmap(jax.value_and_grad(scaled)))
+
+    def gradients(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        value, slope = whole(jnp.asarray(at))
+        return np.asarray(value), np.asarray(slope)
+
     size = len(start)
     at, apart = np.zeros(size), np.full(size, _DIFFERENCE)
     for _ in range(_NEWTON_STEPS):
@@ -115,26 +119,23 @@ def normal_about_mode(log_density: BatchedDensity, start: np.ndarray, scale: np.
     return None
 
 
-def _gradients(log_density: BatchedDensity, start: np.ndarray, scale: np.ndarray) -> _Gradients | None:
-    """Return values (n,) and gradients (n, D) at (x − start)/scale, (n, D); None where JAX cannot tell them."""
+def differentiable(log_density: BatchedDensity, start: np.ndarray, scale: np.ndarray) -> Single | None:
+    """Return the log density of one point (x − start)/scale, (D,); None where JAX cannot differentiate it.
+
+    None as well in single precision, where differences of gradients tell no curvature.
+    """
 
     def single(scaled: jax.Array) -> jax.Array:
         return jnp.asarray(log_density(jnp.asarray(start + scale * scaled)[None]))[0]  # pyright: ignore
 
-    whole = jax.jit(jax.vmap(jax.value_and_grad(single)))
-
-    def gradients(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        value, slope = whole(jnp.asarray(scaled))
-        return np.asarray(value), np.asarray(slope)
-
     if not jax.config.jax_enable_x64:
-        return None  # differences of gradients of single precision tell no curvature
+        return None
     try:
-        gradients(np.zeros((2 * len(start) + 1, len(start))))
+        jax.make_jaxpr(jax.value_and_grad(single))(jnp.zeros(len(start)))
     # Whatever the function does not take: it is of NumPy, it branches on values, it calls other programs.
     except Exception:
         return None
-    return gradients
+    return single
 
 
 # Starts are wider than the target is said to be, so that a second mode nearby is met by one of the ensembles.
@@ -207,9 +208,10 @@ def sample(
     """Sample a log density of your own by independent ensembles of stretch and differential-evolution moves.
 
     A function that JAX can differentiate, in double precision, is sampled from its mode and Laplace covariance, where
-    these hold it.  The ensembles run until nested R̂ and the effective sample sizes of all parameters and of the log
-    density are sufficient, or `settings.most_steps` (5000 where it is 0 and there is no proposal) is reached.  A mode
-    that no walker came near is not seen.
+    these hold it; where they do not, by Hamiltonian Monte Carlo that follows the local geometry, as of a funnel, if
+    `imubayes[gradient]` is installed.  The ensembles run until nested R̂ and the effective sample sizes of all
+    parameters and of the log density are sufficient, or `settings.most_steps` (5000 where it is 0 and there is no
+    proposal) is reached.  A mode that no walker came near is not seen.
 
     Parameters
     ----------
@@ -242,15 +244,19 @@ def sample(
     names = tuple(names) or tuple(f"x{place}" for place in range(len(centre)))
     wide = NormalProposal(centre, np.diag(_OVERDISPERSION * widths))
     _check(log_density, _starts(wide, None, settings)[0], names)
-    density, laplace = _without_nan(log_density), normal_about_mode(log_density, centre, widths)
+    density, scaled = _without_nan(log_density), differentiable(log_density, centre, widths)
+    laplace = None if scaled is None else normal_about_mode(scaled, centre, widths)
     weighed = _weighed(density, laplace, wide, settings)
+    gradients = None
+    if weighed is None and scaled is not None and installed():
+        gradients = GradientMove(scaled, centre, widths)
     starts = _starts(wide, weighed, settings)
     settings = settings if weighed is not None else _of_some_length(settings)
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(checkpoint) if checkpoint is not None else Path(folder) / "checkpoint.h5"
         file = _checkpoint(path, starts[0].shape, names, settings, resume)
-        return Samples(names, sample_ensembles(density, starts, names, settings, file, weighed, progress=progress))
+        return Samples(names, sample_ensembles(density, starts, names, settings, file, weighed, progress, gradients))
 
 
 def _of_some_length(settings: Settings) -> Settings:
