@@ -8,6 +8,7 @@ import polars as pl
 import pytest
 
 from imubayes.api import apply, correct, onboard_constants
+from imubayes.display.corrected_readings import inputs_lines
 from imubayes.foundations.errors import InputError
 from imubayes.results.result import read_result
 
@@ -54,8 +55,25 @@ def test_the_row_has_the_noise_of_its_samples(result):
 
 
 def test_temperatures_beyond_the_calibration_are_noted(result):
-    assert apply(result, readings(np.ones(2), np.array([25.0, 80.0]))).beyond == {"converter_temperature": 1}
-    assert apply(result, readings(np.ones(2), np.array([25.0, 26.0]))).beyond == {"converter_temperature": 0}
+    assert apply(result, readings(np.ones(2), np.array([25.0, 80.0]))).beyond["converter_temperature"] == 1
+    found = apply(result, readings(np.ones(2), np.array([25.0, 26.0])))
+    assert set(found.beyond.values()) == {0}
+    assert found.incomplete == 0
+
+
+def test_what_a_row_lacks_or_exceeds_is_told_of_single_channels_as_well(result):
+    """Inputs beyond those of the runs, means of no samples, and temperatures that are none."""
+    table = readings(np.array([1.0, 1.0, 1.0, 500.0]), np.full(4, 25.0)).with_columns(samples=pl.Series([1, 0, -3, 1]))
+    found = apply(result, table)
+    assert found.beyond["accelerometer"] == 1
+    assert found.incomplete == 2
+    assert found.table["ax_sd_g"].is_null().to_list() == [False, True, True, False]
+    said = inputs_lines(found, True)
+    assert "1 rows exceed the largest specific force" in said[1]
+    assert "2 rows lack" in said[0]
+    for value in (np.nan, np.inf, -300.0):
+        with pytest.raises(InputError, match="a temperature of"):
+            apply(result, table, temperatures={"converter_temperature": value})
 
 
 def test_bad_readings_are_refused(result, tmp_path):

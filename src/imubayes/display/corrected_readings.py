@@ -30,6 +30,12 @@ def left_in_lines(left_in: Iterable[UnexpressedEffect], uncertainty: str) -> lis
     return lines
 
 
+def incomplete_lines(rows: int) -> list[str]:
+    """Return that rows have empty cells, as a line; none where all are complete."""
+    said = "lack an output, a temperature or a number of samples; their cells are empty"
+    return [f"note: {rows} rows {said}"] * bool(rows)
+
+
 def taken_as_exact_lines(exact: Sequence[UncertainEquipment], uncertainty: str) -> list[str]:
     """Return what the model takes as exact and an uncertainty contains nevertheless, as a line; none for nothing."""
     return [f"note: {uncertainty} contains {exact_text(exact)}, taken as exact by the model"] * bool(exact)
@@ -64,8 +70,7 @@ def correction_lines(found: CorrectedRecording) -> list[str]:
     for kind, words in _INPUTS.items():
         if kind not in found.kinds and (names := [channel.name for channel in found.lacking if channel.kind == kind]):
             lines.append(f"note: there is no {words}: the recording lacks {', '.join(names)}")
-    if tally.incomplete:
-        lines.append(f"note: {tally.incomplete} rows lack an output or a temperature; their cells are empty")
+    lines += incomplete_lines(tally.incomplete)
     if tally.unsolved:
         lines.append(f"note: {tally.unsolved} rows are outside the range of the model; their cells are empty")
     lines += beyond_lines(tally.beyond, found.ranges)
@@ -77,7 +82,8 @@ def correction_lines(found: CorrectedRecording) -> list[str]:
 
 def inputs_lines(found: CalibratedInputs, nothing_across: bool) -> list[str]:
     """Return what to know about inputs along the axes of channels, one sentence each."""
-    lines = [*beyond_lines(found.beyond, found.ranges), *left_in_lines(found.left_in, "the uncertainty")]
+    lines = [*incomplete_lines(found.incomplete), *beyond_lines(found.beyond, found.ranges)]
+    lines += left_in_lines(found.left_in, "the uncertainty")
     lines += taken_as_exact_lines(found.exact, "the uncertainty")
     if found.left_in and not nothing_across:
         lines.append("note: each channel was treated alone; if there was no input across its axis, say --along-axes")

@@ -227,14 +227,20 @@ def included_shifts(fit: Fit) -> tuple[tuple[UncertainEquipment, np.ndarray], ..
 
 
 def with_included(
-    draws: np.ndarray, shifts: Iterable[tuple[UncertainEquipment, np.ndarray]]
+    draws: np.ndarray, shifts: Iterable[tuple[UncertainEquipment, np.ndarray]], told: np.ndarray | None = None
 ) -> tuple[np.ndarray, tuple[UncertainEquipment, ...]]:
-    """Return draws (S, A) that contain what shifts them, each by its vector (A,) for one sd, and what of it matters."""
+    """Return draws (S, A) that contain what shifts them, each by its vector (A,) for one sd, and what of it matters.
+
+    Parameters
+    ----------
+    told : shape (A,), bool, of the parameters that it may matter to; all where None.
+    """
     own, matters = draws.std(axis=0), []
     for place, (each, shift) in enumerate(shifts):
-        if np.any(np.abs(shift) > LEAST_SHIFT * own):
+        moved = np.abs(shift) > LEAST_SHIFT * own
+        draws = draws + np.outer(standard_draws(place, len(draws)), shift)
+        if np.any(moved if told is None else moved & told):
             matters.append(each)
-            draws = draws + np.outer(standard_draws(place, len(draws)), shift)
     return draws, tuple(matters)
 
 

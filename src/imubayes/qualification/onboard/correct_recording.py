@@ -13,7 +13,7 @@ scatter s of single samples was recorded within these rows, a mean of n samples 
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import jax
@@ -137,8 +137,8 @@ def _values(effect: BoundEffect, channel: Channel, means: dict[str, float]) -> d
 _ROWS_AT_ONCE = 2048
 # A row is solved where the last step is below this share of the largest component.
 _CONVERGED = 1e-9
-# Vibration and noise exceed the largest mean of a row by a part of it.
-_BEYOND = 1.1
+BEYOND = 1.1
+"""Vibration and noise exceed the largest mean of a row by a part of it."""
 VECTORS = {"gyro": ("rate", "rad_s"), "accelerometer": ("force", "m_s2")}
 """Kind of channel → name and unit of the vector of its columns."""
 
@@ -213,7 +213,7 @@ class Correction:
         tally.unsolved += int((unsolved & ~missing.any(axis=1)).sum())
         for place, kind in enumerate(kind for kind in ("gyro", "accelerometer") if kind in self.kinds):
             acting = np.abs(inputs[~missing.any(axis=1) & ~unsolved, 3 * place : 3 * place + 3])
-            self._count_beyond(kind, acting.max(axis=1) / _BEYOND, tally)
+            self._count_beyond(kind, acting.max(axis=1) / BEYOND, tally)
         return self._named(inputs, systematic, random, missing | unsolved[:, None])
 
     def _temperatures(self, batch: RowBatch, stated: dict[str, float], tally: RowTally) -> np.ndarray:
@@ -316,6 +316,17 @@ def not_given(temperature: str, where: str) -> Issue:
         f"{where}, header", f"a column '{COVARIATES[temperature].column}'",
         f"add the column, or state one value with --{temperature.replace('_', '-')}",
     )  # fmt: skip
+
+
+def check_stated(temperatures: Mapping[str, float]) -> None:
+    """Raise InputError where a temperature that is stated for all rows is none."""
+    issues = [
+        Issue(f"a temperature of {value:g} degC", f"--{name.replace('_', '-')}", "a number above -273.15", "correct it")
+        for name, value in temperatures.items()
+        if not -273.15 < value < math.inf
+    ]
+    if issues:
+        raise InputError(issues)
 
 
 def correction_of(result: Result, header: tuple[str, ...], where: str) -> Correction:

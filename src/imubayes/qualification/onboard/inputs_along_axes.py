@@ -28,6 +28,8 @@ from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.problem import Problem, values_of
 from imubayes.model.sensitive_axes import SensitivityInputs, acting_on, inputs_of
 from imubayes.qualification.onboard.correct_recording import (
+    BEYOND,
+    check_stated,
     left_in_sd,
     needed_temperatures,
     not_given,
@@ -52,10 +54,11 @@ class CalibratedInputs:
     ----------
     table : the readings, and for each channel its input, the standard uncertainty of the calibration, and that of the
         row: with the white noise of its samples.  In the input unit of the channel, named in the column.
-    beyond : temperature → rows outside its calibrated range.
-    ranges : temperature → calibrated range, °C.
+    beyond : temperature, or kind of channel → rows outside its range in the runs that were fitted.
+    ranges : temperature → calibrated range, °C; kind of channel → range of inputs, rad/s or m/s².
     left_in : effects that are not taken out; what they may do is in both uncertainties.
     exact : what the model takes as exact of site and equipment; it is in both uncertainties nevertheless.
+    incomplete : rows with an empty cell, for want of an output, a temperature or a number of samples.
     """
 
     table: pl.DataFrame
@@ -63,6 +66,7 @@ class CalibratedInputs:
     ranges: Mapping[str, tuple[float, float]]
     left_in: tuple[UnexpressedEffect, ...]
     exact: tuple[UncertainEquipment, ...] = ()
+    incomplete: int = 0
 
 
 def inputs_along_axes(
@@ -86,6 +90,7 @@ def inputs_along_axes(
     InputError
         where there are no posterior draws, or columns are missing or not numeric.
     """
+    check_stated(temperatures or {})
     fit = result.fit
     campaign = fit.model.campaign
     channels = [channel for channel in campaign.channels if channel.name in readings.columns]
@@ -94,26 +99,32 @@ def inputs_along_axes(
         pl.lit(value).alias(name) for name, value in stated.items() if name not in readings.columns
     )
     _check(readings, campaign, channels, needed_temperatures(result, channels), where)
-    ranges = temperature_ranges(campaign)
+    spans = input_ranges(campaign)
+    ranges = temperature_ranges(campaign) | {kind: (-span, span) for kind, span in spans.items()}
     felt, beyond = _temperatures(readings, ranges)
     outputs = {
         kind: np.stack([_numbers(readings, channel.name, 0.0) for channel in campaign.of_kind(kind)], axis=1)
         for kind in fit.derived.derivation.inputs.channels
     }
-    draws, exact = _draws(result)
+    draws, exact = _draws(result, channels)
     mean, spread = _inverted(fit, draws, outputs, felt)
     samples = _numbers(readings, "samples", 1.0)
+    samples = np.where(samples >= 1, samples, np.nan)
     left_in = effects_left_in(result, channels, nothing_across)
     noise = reading_noise(result, channels)
     sigmas = {parameter.name: parameter.mean or 0.0 for parameter in result.summary.parameters}
     columns: list[pl.Series] = []
+    incomplete = np.zeros(readings.height, dtype=bool)
     for channel in channels:
         place, scale = campaign.of_kind(channel.kind).index(channel), abs(channel.scale_si)
         white = sigmas.get(f"white_noise.sigma[{channel.name}]", 0.0) / scale / np.sqrt(samples)
         shared = math.hypot(noise.run_sd[channel.name], left_in_sd(left_in, channel)) / scale
         found, own = mean[channel.kind][:, place], np.hypot(spread[channel.kind][:, place], shared)
         columns += _columns(channel, campaign.site.gravity, found, own, white)
-    return CalibratedInputs(readings.with_columns(columns), beyond, ranges, left_in, exact)
+        rows = int(np.sum(np.abs(found) > BEYOND * spans[channel.kind]))
+        beyond[channel.kind] = max(beyond.get(channel.kind, 0), rows)
+        incomplete |= ~np.isfinite(found + own + white)
+    return CalibratedInputs(readings.with_columns(columns), beyond, ranges, left_in, exact, int(incomplete.sum()))
 
 
 def effects_left_in(result: Result, channels: Sequence[Channel], nothing_across: bool) -> tuple[UnexpressedEffect, ...]:
@@ -210,8 +221,8 @@ def _temperatures(readings: pl.DataFrame, ranges: dict[str, tuple[float, float]]
     return np.stack(found, axis=1), beyond
 
 
-def _draws(result: Result) -> tuple[np.ndarray, tuple[UncertainEquipment, ...]]:
-    """Return draws of the parameters in z, shape (S, P), with what a report includes of site and equipment; and that.
+def _draws(result: Result, channels: Sequence[Channel]) -> tuple[np.ndarray, tuple[UncertainEquipment, ...]]:
+    """Return draws in z, (S, P), with what a report includes of site and equipment, and what of it channels feel.
 
     Raises
     ------
@@ -222,7 +233,9 @@ def _draws(result: Result) -> tuple[np.ndarray, tuple[UncertainEquipment, ...]]:
     found = thinned(complete(draws_of(result.posterior, layout.names)), _MOST_DRAWS)
     values = np.stack([found[name] for name in layout.names], axis=1)
     points = np.stack([layout.z_of(row) for row in values])
-    return with_included(points, included_shifts(result.fit))
+    own = {channel.name for channel in channels}
+    told = np.array([bool(own & set(parameter.label)) for parameter in layout.parameters])
+    return with_included(points, included_shifts(result.fit), told)
 
 
 @kept

@@ -17,7 +17,7 @@ from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.files import replacing
 from imubayes.model.model_file import UncertainEquipment
-from imubayes.qualification.onboard.correct_recording import RowTally, correction_of, not_given
+from imubayes.qualification.onboard.correct_recording import RowTally, check_stated, correction_of, not_given
 from imubayes.qualification.onboard.record import UnexpressedEffect
 from imubayes.qualification.onboard.response import TEMPERATURES
 from imubayes.results.result import Result
@@ -88,6 +88,7 @@ def open_recording(
     InputError
         where it cannot be read, has no such run, or is of another unit.
     """
+    check_stated(stated or {})
     if path.is_dir() or path.suffix == ".toml":
         return _of_campaign(load_campaign(path), path, channels, run, dict(stated or {}))
     if not path.is_file():
