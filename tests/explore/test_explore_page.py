@@ -1,8 +1,10 @@
 """The walk on the shipped campaign in Debian's Chromium, from opening to the exported model, by mouse and by keys."""
 
+import base64
 import json
 import threading
 from urllib.parse import quote
+from xml.etree import ElementTree
 
 import pytest
 from explore_client import settled
@@ -136,6 +138,33 @@ def test_two_windows_agree(fresh, explored, first, client):
     finally:
         client.json("note", {"model": first})
         other.close()
+
+
+def test_the_panels_are_saved_as_pictures(fresh):
+    """What is downloaded is caught: SVG with every point and both labels, which is well formed, and PNG."""
+    fresh.driver.execute_script(
+        "window.caught = []; const made = URL.createObjectURL; HTMLAnchorElement.prototype.click = () => {};"
+        "URL.createObjectURL = (blob) => { blob.arrayBuffer().then((content) => caught.push([blob.type,"
+        "btoa([...new Uint8Array(content)].map((each) => String.fromCharCode(each)).join(''))])); return made(blob); };"
+    )
+    fresh.press("g", "G")
+    fresh.wait("caught.length === 2")
+    pictures = {kind: base64.b64decode(content) for kind, content in fresh.run("caught")}
+    svg = ElementTree.fromstring(pictures["image/svg+xml"])
+    paths, words = ([each for each in svg.iter() if each.tag.endswith(name)] for name in ("}path", "}text"))
+    # A filled circle is two arcs; the seventh run has triangles.
+    arcs = sum(each.attrib["d"].count("a") for each in paths) // 2
+    shown = fresh.run(
+        "Number(document.querySelector('#residuals').getAttribute('aria-label').match(/(\\d+) readings/)[1])"
+    )
+    closed = sum(each.attrib["d"].count("Z") for each in paths)
+    assert arcs + closed >= 2 * shown > 100
+    assert {"rate along the input axis / deg/s", "residual / known noise", "gz / pulse/s"} <= {
+        each.text for each in words
+    }
+    assert pictures["image/png"].startswith(b"\x89PNG")
+    assert len(pictures["image/png"]) > 5000
+    fresh.driver.refresh()
 
 
 def test_help_tour_theme_and_what_is_known(fresh):

@@ -20,7 +20,7 @@ from imubayes.foundations.records import Record
 
 _MODULES = (
     "dom", "offline", "net", "state", "chart", "verdict", "map", "causes", "knowledge", "below", "tasks", "formula",
-    "keys", "tour", "panels", "main",
+    "keys", "tour", "picture", "panels", "main",
 )  # fmt: skip
 _PREVIEWED, _MOST_NUMBERS = 6, 700_000
 """Causes of each model that are previewed, and numbers of each model that a file has room for."""

@@ -58,9 +58,13 @@ export class Chart {
     context.beginPath();
     context.rect(box.left, box.top, box.width, box.height);
     context.clip();
-    const ratio = devicePixelRatio || 1;
-    this.draw?.(context, { x: (v) => u.valToPos(v, "x", true), y: (v) => u.valToPos(v, "y", true), box, ratio });
+    this.paintOn(context);
     context.restore();
+  }
+
+  paintOn(context) {
+    const u = this.plot;
+    this.draw?.(context, { x: (v) => u.valToPos(v, "x", true), y: (v) => u.valToPos(v, "y", true), box: u.bbox, ratio: devicePixelRatio || 1 });
   }
 
   show(ranges, xLabel, yLabel) {

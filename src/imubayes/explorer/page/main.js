@@ -7,7 +7,7 @@ import { formulaDialog } from "./formula.js";
 import { helpDialog, listenToKeys } from "./keys.js";
 import { drawMap } from "./map.js";
 import { ask, latest, listen, points, text } from "./net.js";
-import { drawCharts, drawControls, focusRuns, makeCharts, restyle, zoomToSelection } from "./panels.js";
+import { drawCharts, drawControls, focusRuns, makeCharts, picture, restyle, zoomToSelection } from "./panels.js";
 import { atWork, hear, onChange, previewed, show, tell, told, view } from "./state.js";
 import { drawTasks } from "./tasks.js";
 import { tour } from "./tour.js";
@@ -27,8 +27,8 @@ async function attempt(work) {
   }
 }
 
-const download = (name) => attempt(async () => {
-  el("a", { href: URL.createObjectURL(new Blob([await text(name)])), download: name }).click();
+const download = (name, made) => attempt(async () => {
+  el("a", { href: URL.createObjectURL(made ? await made() : new Blob([await text(name)])), download: name }).click();
 });
 
 const actions = {
@@ -51,6 +51,7 @@ const actions = {
   }),
   export: () => download("model.toml"),
   save: () => download("session.html"),
+  picture: (kind) => download(`${view.channel}.${kind}`, () => picture(kind)),
   script: () => download("script.sh"),
   formula: (channel) => attempt(async () => {
     const found = await ask("formula", { model: view.model, channel });
@@ -140,7 +141,7 @@ function draw(seen, heard) {
   if (any(heard, "facts", "selection", "preview", "kept") || any(seen, "brushes", "ticked", "model")) drawCauses(place("causes"), actions);
   if (any(heard, "facts", "kept") || any(seen, "tab", "model")) drawBelow(place("below"), actions);
   drawTab(actions, seen, heard);
-  if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between")) drawControls();
+  if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between")) drawControls(actions);
   if (any(heard, "session", "fault", "lost", "dismissed", "preview")) drawTasks(place("notice"), actions);
 }
 
@@ -190,7 +191,7 @@ const turnX = (step) => show({ x: next(covariates(), view.x, step), between: nul
 listenToKeys({
   "?": () => helpDialog(dialog), t: () => tour(dialog), d: switchTheme,
   m: () => (place("map").querySelector(".cell.marked") ?? place("map").querySelector(".cell"))?.focus(), r: () => place("residuals").focus(),
-  c: () => place("causes").querySelector(".tick:not(:disabled)")?.focus(), a: actions.accept, u: actions.undo, e: actions.export, s: actions.aside,
+  c: () => place("causes").querySelector(".tick:not(:disabled)")?.focus(), a: actions.accept, u: actions.undo, e: actions.export, g: () => actions.picture("svg"), G: () => actions.picture("png"), s: actions.aside,
   x: () => told.session?.tasks.filter(atWork).forEach((task) => actions.cancel(task.number)),
   n: () => show({ channel: next(channels(), view.channel, 1) }), N: () => show({ channel: next(channels(), view.channel, -1) }),
   v: () => turnX(1), V: () => turnX(-1), y: () => show({ y: next(RESIDUALS, view.y, 1) }), o: focusRuns,

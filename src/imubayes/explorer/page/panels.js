@@ -2,6 +2,7 @@
 
 import { Chart, extent, shape } from "./chart.js";
 import { css, el, fill, sign } from "./dom.js";
+import { asPng, asSvg } from "./picture.js";
 import { show, told, view } from "./state.js";
 
 const MOST_NAMED = 14;
@@ -18,6 +19,10 @@ export function makeCharts(place) {
   below.append(el("div", { class: "title", id: "residual-title" }));
 }
 
+export async function picture(kind) {
+  return kind === "svg" ? asSvg([measurement, residuals]) : asPng([measurement, residuals]);
+}
+
 export function restyle() {
   measurement.build();
   residuals.build();
@@ -31,7 +36,7 @@ function brushed({ x, y }, added) {
   show({ brushes: added ? [...view.brushes, brush] : [brush] });
 }
 
-export function drawControls() {
+export function drawControls(actions) {
   const facts = told.facts;
   if (!facts) return;
   const pick = (name, label, options) => el("label", {}, label, el("select", {
@@ -44,7 +49,8 @@ export function drawControls() {
     pick("colour", "colour", facts.groupings.map((name) => [name, name])),
     el("label", {}, el("input", { type: "checkbox", "data-key": "only", checked: view.only.length > 0, onchange: focusRuns }), "only selected runs"),
     el("label", {}, el("input", { type: "checkbox", "data-key": "after", checked: view.after, onchange: (event) => show({ after: event.target.checked }) }), "residual after preview"),
-    view.between ? el("button", { onclick: () => show({ between: null }) }, "whole range") : null);
+    view.between ? el("button", { onclick: () => show({ between: null }) }, "whole range") : null,
+    ["svg", "png"].map((kind) => el("button", { class: "plain quiet", "data-key": kind, id: `picture-${kind}`, title: `the panels as ${kind.toUpperCase()}, key ${kind === "svg" ? "g" : "G"}`, onclick: () => actions.picture(kind) }, kind.toUpperCase())));
 }
 
 export function focusRuns() {
