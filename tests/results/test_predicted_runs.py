@@ -118,6 +118,8 @@ def test_what_the_new_runs_have_alone_is_fitted(first):
     changed = imubayes.predict(result, again, changed=[campaign.runs[0].mounting]).summary
     assert changed.changed == (campaign.runs[0].mounting,)
     assert len(changed.unknowns) == 3
+    assert changed.chi2 is not None
+    assert shared.chi2 is not None
     assert changed.chi2 < shared.chi2  # the seat is another one indeed
 
 

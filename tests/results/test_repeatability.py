@@ -24,14 +24,11 @@ SEATS = ("O-north", "O-south", "I-north")
 
 def campaigns(folder: Path, seed: int) -> tuple[Campaign, Campaign]:
     """Return the runs of two calibrations of a unit on one table, on seats that it did not leave."""
-    from polar_tumble import plan
-    from simulate import write_simulated
-
-    once = plan(seed)
+    once = __import__("polar_tumble").plan(seed)
     again = [
         replace(each, name=f"{each.name}-2", start=(each.start or "").replace("2026", "2027")) for each in once.runs
     ]
-    write_simulated(folder / f"unit-{seed}", replace(once, runs=(*once.runs, *again)), seed)
+    __import__("simulate").write_simulated(folder / f"unit-{seed}", replace(once, runs=(*once.runs, *again)), seed)
     whole = imubayes.load_campaign(folder / f"unit-{seed}")
     first, second = (whole.only(*[each.name for each in runs]) for runs in (once.runs, again))
     return first, second
@@ -93,11 +90,11 @@ def test_both_as_one_are_the_fit_to_all_runs(pairs, tmp_path):
     told = dict(zip(whole.model.layout.names, values_of(whole), strict=True))
     h = whole.h
     # At one noise for all: the fit to all runs knows it better, which moves estimates by half a deviation.
-    own = tuple(
+    one, other = (
         replace(fit, z=np.asarray(fit_at(fit.model.problem, jnp.asarray(fit.z), jnp.asarray(h))), h=h)
         for fit in pairs[0]
     )
-    lines = [each for each in repeatability_of(*own, (h, h)).quantities if each.name in told]
+    lines = [each for each in repeatability_of(one, other, (h, h)).quantities if each.name in told]
     assert len(lines) > 5
     for each in lines:
         assert each.pooled is not None

@@ -9,7 +9,7 @@ from .calibrated_unit import (
     report,
 )
 from .fitting import Result, Settings, fit, load, read_result
-from .held_against import Prediction, Repeatability, predict, repeatability
+from .held_against import Repeatability, RunPrediction, predict, repeatability
 from .loop import ModelChange, add, diagnose, export, history, plant, refit, remove
 from .new_campaign import NewCampaign, new
 from .own_equation import (
@@ -30,11 +30,11 @@ __all__ = [
     "InputQuantity",
     "ModelChange",
     "NewCampaign",
-    "Prediction",
     "Propagated",
     "Repeatability",
     "ReportSection",
     "Result",
+    "RunPrediction",
     "Settings",
     "add",
     "apply",

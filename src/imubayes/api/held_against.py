@@ -7,7 +7,7 @@ from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.qualification.repeatability import Repeatability, repeatability_of
-from imubayes.results.prediction import Prediction, broad_scales, prediction
+from imubayes.results.prediction import RunPrediction, broad_scales, prediction
 from imubayes.results.result import Result, read_result
 
 
@@ -18,7 +18,7 @@ def predict(
     changed: Sequence[str] = (),
     any_unit: bool = False,
     progress: Callable[[str], None] | None = None,
-) -> Prediction:
+) -> RunPrediction:
     """Hold a fitted model against runs that it has not seen; nothing is fitted but what these runs alone have.
 
     Parameters

@@ -32,7 +32,7 @@ from imubayes.qualification.repeatability import Repeatability
 from imubayes.qualification.value_conformity import ConformityStatement
 from imubayes.results.change_records import ModelChange
 from imubayes.results.history_tree import shown_place
-from imubayes.results.prediction import Prediction
+from imubayes.results.prediction import RunPrediction
 from imubayes.results.result import Result
 
 
@@ -70,11 +70,11 @@ def trials_headline(trials: Trials) -> str:
     return f"<Trials {trials.campaign}: {trials.detected} of {len(trials.trials)} injected effects detected>"
 
 
-def prediction_headline(found: Prediction) -> str:
+def prediction_headline(found: RunPrediction) -> str:
     """Return the verdict and χ²/n."""
     about = found.summary
     said = f"{about.verdict.replace('_', ' ')}, χ² {significant(about.chi2)} for {about.n}"
-    return f"<Prediction of {about.campaign} by {about.result_campaign}: {said}>"
+    return f"<RunPrediction {about.campaign} by {about.result_campaign}: {said}>"
 
 
 def repeatability_headline(found: Repeatability) -> str:
@@ -92,7 +92,7 @@ _REPORTS = {
     Diagnosis: partial(diagnosis_report, verbose=True),
     Tree: history_report,
     Trials: injection_report,
-    Prediction: partial(prediction_report, verbose=True),
+    RunPrediction: partial(prediction_report, verbose=True),
     Repeatability: partial(repeatability_report, verbose=True),
     Propagated: propagated_report,
     GumBudget: lambda found: Report((), [budget_sheet(found)]),
@@ -107,7 +107,7 @@ headline_of.register(Diagnosis, diagnosis_headline)
 headline_of.register(Tree, tree_headline)
 headline_of.register(Trials, trials_headline)
 headline_of.register(Result, result_headline)
-headline_of.register(Prediction, prediction_headline)
+headline_of.register(RunPrediction, prediction_headline)
 headline_of.register(Repeatability, repeatability_headline)
 headline_of.register(Propagated, propagated_headline)
 headline_of.register(GumBudget, budget_headline)

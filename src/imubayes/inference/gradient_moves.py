@@ -10,6 +10,7 @@ Bou-Rabee, Carpenter, Marsden, "GIST: Gibbs self-tuning for locally adaptive Ham
 implementation is blackjax's.
 """
 
+import importlib
 import importlib.util
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -47,8 +48,7 @@ class GradientMove:
     """
 
     def __init__(self, scaled: Single, start: np.ndarray, scale: np.ndarray):
-        from blackjax.mcmc.composed import step_size  # takes long to import, and is an extra
-
+        step_size = importlib.import_module("blackjax.mcmc.composed.step_size")  # takes long, and is an extra
         kernel, metric = step_size.build_kernel(max_search_steps=_DOUBLINGS), jnp.ones(len(start))
 
         def density(at: jax.Array) -> jax.Array:

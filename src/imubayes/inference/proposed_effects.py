@@ -127,15 +127,24 @@ def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple
     precision = jacobian.T @ jacobian + np.diag(widths**-2)
     owner = np.array([parameter.effect for parameter in model.layout.parameters])
     held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
-    judged, kept, shares = (*SENSORS, *FURTHER), set(names), {}
+    kept, shares = set(names), {}
     while True:
         inside = np.flatnonzero(np.isin(owner, list(kept)))
         told = 1 - np.diag(inverse_of_precision(precision[np.ix_(inside, inside)])) / widths[inside] ** 2
-        places = {name: (owner[inside] == name) & ~held[inside] for name in judged if name in kept}
-        now = {name: (float(told[own].min()), float(told[own].max())) for name, own in places.items() if own.any()}
+        now = _shares(told, owner[inside], ~held[inside])
         shares |= now
-        below = {name: now[name][0] for name in FURTHER if name in now and now[name][0] < _DETERMINED}
-        below = below or {name: now[name][1] for name in SENSORS if name in now and now[name][1] < _TOLD}
+        below = _below(now, FURTHER, 0, _DETERMINED) or _below(now, SENSORS, 1, _TOLD)
         if not below:
             return kept, shares
         kept.remove(min(below, key=below.__getitem__))
+
+
+def _shares(told: np.ndarray, owner: np.ndarray, free: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Return the least and largest share, (n,), of the coefficients of each effect of sensors and further ones."""
+    own = {name: told[(owner == name) & free] for name in (*SENSORS, *FURTHER)}
+    return {name: (float(values.min()), float(values.max())) for name, values in own.items() if len(values)}
+
+
+def _below(shares: dict[str, tuple[float, float]], names: Sequence[str], end: int, least: float) -> dict[str, float]:
+    """Return the effects among some whose least (0) or largest (1) share is too small."""
+    return {name: shares[name][end] for name in names if name in shares and shares[name][end] < least}

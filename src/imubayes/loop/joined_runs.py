@@ -113,14 +113,7 @@ def joined_campaign(
     _refuse_other_unit(known, campaign, any_unit)
     _refuse_unknown_names(campaign, changed)
     channels = _all_channels(known, campaign)
-    new = [run for run in campaign.runs if not any(_same_readings(run, old) for old in known.runs)]
-    if not new:
-        raise input_error(
-            f"all runs of '{campaign.name}' were fitted",
-            campaign.folder or campaign.name,
-            "a run that the fit has not seen",
-            "name a campaign with other runs, or fit a part of these",
-        )
+    new = _new_runs(known, campaign)
     tables, renamed_tables = _beside(known.tables, campaign.tables, changed)
     mountings, renamed_mountings = _beside(known.mountings, campaign.mountings, changed)
     taken = {run.name for run in known.runs}
@@ -148,6 +141,18 @@ def joined_campaign(
         fitted=tuple(run.name for run in campaign.runs if not any(run is other for other in new)),
         changed=(*renamed_tables, *renamed_mountings),
         elsewhere=campaign.site != known.site,
+    )
+
+
+def _new_runs(known: Campaign, campaign: Campaign) -> list[Run]:
+    new = [run for run in campaign.runs if not any(_same_readings(run, old) for old in known.runs)]
+    if new:
+        return new
+    raise input_error(
+        f"all runs of '{campaign.name}' were fitted",
+        campaign.folder or campaign.name,
+        "a run that the fit has not seen",
+        "name a campaign with other runs, or fit a part of these",
     )
 
 

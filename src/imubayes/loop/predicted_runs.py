@@ -20,15 +20,19 @@ from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Record
+from imubayes.foundations.tail_probabilities import normal_survival, t_survival
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import inverse_of_precision, linearise, precision_of, whitened_about
 from imubayes.loop.joined_runs import JoinedRuns, joined_runs
 from imubayes.model.noise_covariance import noise_deviation, whitener
 from imubayes.model.problem import Problem, prior_widths
+from imubayes.noise.components import SharedNoise
 
 _STEPS, _SHORTEST, _SETTLED = 30, 1e-3, 1e-3
 # The new runs test a direction where they know it better than the calibration does.
 _TESTED = 0.5
+# Share of its deviation by which an estimate may move at most that new runs tell nothing of.
+_UNMOVED = 1e-6
 
 
 class ShiftedEstimate(Record):
@@ -38,7 +42,8 @@ class ShiftedEstimate(Record):
     ----------
     before, sd : of the fit.
     shift : of its mean by the new runs.
-    pull : the shift over its standard deviation where the model describes the new runs; N(0, 1) there.
+    pull : the shift over its standard deviation where the model describes the new runs.
+    p : chance of so large a pull there: normal, or Student's t where the fit learnt from its few runs how they scatter.
     """
 
     name: str
@@ -47,6 +52,7 @@ class ShiftedEstimate(Record):
     sd: float
     shift: float
     pull: float
+    p: float
 
 
 @dataclass(frozen=True)
@@ -188,7 +194,7 @@ def predict_runs(
         chi2=float(np.sum(spread.whitened() ** 2)),
         calibration_chi2=calibration_chi2,
         directions=directions,
-        shifts=_shifts(joined, shared, z, root, (mean[count:], change[count:])),
+        shifts=_shifts(fit, joined, shared, z, root, (mean[count:], change[count:])),
     )
 
 
@@ -245,19 +251,33 @@ def _tested(mean: np.ndarray, change: np.ndarray) -> tuple[float, int]:
 
 
 def _shifts(
-    joined: JoinedRuns, shared: np.ndarray, z: np.ndarray, root: np.ndarray, update: tuple[np.ndarray, np.ndarray]
+    fit: Fit,
+    joined: JoinedRuns,
+    shared: np.ndarray,
+    z: np.ndarray,
+    root: np.ndarray,
+    update: tuple[np.ndarray, np.ndarray],
 ) -> tuple[ShiftedEstimate, ...]:
     moved, spread = root @ update[0], np.sqrt(np.sum((root @ update[1]) ** 2, axis=1))
     widths, found = np.sqrt(np.sum(root**2, axis=1)), []
+    scatters = any(issubclass(layer.noise, SharedNoise) for layer in fit.model.problem.noise)
+    freedom = max(len(fit.model.campaign.runs) - 1, 1)
     for place, shift, usual, sd in zip(np.flatnonzero(shared).tolist(), moved, spread, widths, strict=True):
         parameter = joined.model.layout.parameters[place]
-        if parameter.nuisance or not usual > 1e-6 * sd:
+        if parameter.nuisance or not usual > _UNMOVED * sd:
             continue
         slope = (parameter.value_at(z[place] + sd) - parameter.value_at(z[place] - sd)) / (2 * sd)
+        pull = float(shift / usual)
+        beyond = t_survival(abs(pull), freedom) if scatters else normal_survival(abs(pull))
         found.append(
             ShiftedEstimate(
-                name=parameter.name, unit=parameter.shown_unit, before=parameter.value_at(z[place]),
-                sd=float(abs(slope) * sd), shift=float(slope * shift), pull=float(shift / usual),
+                name=parameter.name,
+                unit=parameter.shown_unit,
+                before=parameter.value_at(z[place]),
+                sd=float(abs(slope) * sd),
+                shift=float(slope * shift),
+                pull=pull,
+                p=2 * float(beyond),
             )
-        )  # fmt: skip
+        )
     return tuple(sorted(found, key=lambda each: -abs(each.pull)))

@@ -179,33 +179,20 @@ def repeatability_of(
         as of `joined_campaign`, and for fits of the same runs or that did not converge.
     """
     campaigns = first.model.campaign, second.model.campaign
-    for fit in (first, second):
-        if not fit.converged:
-            raise input_error("the fit did not converge", fit.model.campaign.name, "two fits that did", fit.message)
     together = joined_campaign(*campaigns, changed, any_unit)
-    if together.fitted:
-        raise input_error(
-            f"both calibrations have the run{'s' if len(together.fitted) > 1 else ''} {', '.join(together.fitted)}",
-            " and ".join(campaign.folder or campaign.name for campaign in campaigns),
-            "two calibrations of runs of their own: what they share makes them agree",
-            "fit the runs apart; what other models say of the same runs is `imubayes history`",
-        )
+    _refuse_unfit(first, second, together)
     tell("comparing")
     one, other = _normal(first, scales[0]), _normal(second, scales[1])
     lasting = together.lasting(first.model) & together.lasting(second.model)
-    shared = [name for name in one.names if name in lasting]
-    alike = [name for name in shared if _same_prior(one.priors[name], other.priors[name])]
+    alike, unlike = _by_prior(one, other, lasting)
     cross = _cross(one, other, alike)
-    names = [name for name in one.quantities if name in other.quantities and _is_lasting(name, one, lasting, together)]
-    determined = [name for name in names if all(_from_data(each, name) >= _LEAST_FROM_DATA for each in (one, other))]
+    determined, left = _by_data(one, other, lasting, together)
     lines = [_compared(name, one, other, cross, len(determined)) for name in determined]
     chi2, freedom = _together([name for name in determined if one.quantities[name].is_parameter], one, other, cross)
     p = float(chi2_survival(chi2, freedom)) if freedom else 1.0
-    agree = 2 * min([p, *(len(lines) * line.p for line in lines)], default=1.0) >= LEAST_CHANCE
-    may_pool = agree and len(alike) == len(shared) and bool(lines)
+    agree = 2 * min([p, *(len(lines) * line.p for line in lines)]) >= LEAST_CHANCE
+    may_pool = agree and not unlike and bool(lines)
     dates = _first_run(campaigns[0]), _first_run(campaigns[1])
-    if may_pool:
-        lines = _pooled(lines, one, other, alike)
     return Repeatability(
         serial=campaigns[1].serial,
         campaigns=(campaigns[0].name, campaigns[1].name),
@@ -216,13 +203,46 @@ def repeatability_of(
         chi2=chi2,
         freedom=freedom,
         p=p,
-        quantities=tuple(sorted(lines, key=lambda line: -abs(line.e_n))),
-        not_determined=tuple(name for name in names if name not in determined),
-        other_priors=tuple(name for name in shared if name not in alike),
+        quantities=_worst_first(_pooled(lines, one, other, alike) if may_pool else lines),
+        not_determined=left,
+        other_priors=unlike,
         pooled=may_pool,
         changed=together.changed,
         elsewhere=together.elsewhere,
     )
+
+
+def _by_prior(one: _Normal, other: _Normal, lasting: set[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what both have with the same prior, and with another one."""
+    shared = [name for name in one.names if name in lasting]
+    alike = {name for name in shared if _same_prior(one.priors[name], other.priors[name])}
+    return tuple(name for name in shared if name in alike), tuple(name for name in shared if name not in alike)
+
+
+def _by_data(
+    one: _Normal, other: _Normal, lasting: set[str], together: JoinedCampaign
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the quantities of what lasts that both determine, and those that one of them leaves to its prior."""
+    names = [name for name in one.quantities if name in other.quantities and _is_lasting(name, one, lasting, together)]
+    known = {name for name in names if min(_from_data(one, name), _from_data(other, name)) >= _LEAST_FROM_DATA}
+    return tuple(name for name in names if name in known), tuple(name for name in names if name not in known)
+
+
+def _worst_first(lines: Sequence[ComparedQuantity]) -> tuple[ComparedQuantity, ...]:
+    return tuple(sorted(lines, key=lambda line: -abs(line.e_n)))
+
+
+def _refuse_unfit(first: Fit, second: Fit, together: JoinedCampaign) -> None:
+    for fit in (first, second):
+        if not fit.converged:
+            raise input_error("the fit did not converge", fit.model.campaign.name, "two fits that did", fit.message)
+    if together.fitted:
+        raise input_error(
+            f"both calibrations have the run{'s' if len(together.fitted) > 1 else ''} {', '.join(together.fitted)}",
+            " and ".join(fit.model.campaign.folder or fit.model.campaign.name for fit in (first, second)),
+            "two calibrations of runs of their own: what they share makes them agree",
+            "fit the runs apart; what other models say of the same runs is `imubayes history`",
+        )
 
 
 def _first_run(campaign: Campaign) -> str | None:

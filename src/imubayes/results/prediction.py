@@ -14,7 +14,7 @@ import polars as pl
 
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Presented, Record, finite
-from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
+from imubayes.foundations.tail_probabilities import chi2_survival
 from imubayes.loop.predicted_runs import PredictedRuns, ShiftedEstimate, predict_runs, root_mean_square_scales
 from imubayes.results.result import Predicted, Result, residual_table
 from imubayes.results.stored_tables import Residuals
@@ -64,7 +64,7 @@ class PredictionSummary(Record):
 
 
 @dataclass(frozen=True, repr=False)
-class Prediction(Presented):
+class RunPrediction(Presented):
     """Runs against their prediction; shows itself in a terminal and in a notebook.
 
     Attributes
@@ -96,13 +96,13 @@ def broad_scales(result: Result) -> np.ndarray:
 
 def prediction(
     result: Result, campaign: Campaign, changed: tuple[str, ...], any_unit: bool, tell: Callable[[str], None]
-) -> Prediction:
+) -> RunPrediction:
     """Return the runs of a campaign against their prediction by a result; see `imubayes.predict`."""
     found = predict_runs(result.fit, campaign, broad_scales(result), changed, any_unit, tell)
     residuals = _table(found)
     runs = residuals.by_run_and_channel()
     chances = [float(chi2_survival(run.chi2, run.n)) for run in runs if run.chi2 is not None]
-    pulls = [2 * float(normal_survival(abs(shift.pull))) for shift in found.shifts]
+    pulls = [shift.p for shift in found.shifts]
     p = float(chi2_survival(found.chi2, len(found.whitened)))
     worst_run, worst_shift = (min(1.0, len(each) * min(each, default=1.0)) for each in (chances, pulls))
     fails = not 3 * min(p, worst_run, worst_shift) >= LEAST_CHANCE
@@ -127,7 +127,7 @@ def prediction(
         elsewhere=found.joined.together.elsewhere,
         unknowns=tuple(name for name, known in zip(layout.names, shared.tolist(), strict=True) if not known),
     )
-    return Prediction(summary, residuals, result.summary)
+    return RunPrediction(summary, residuals, result.summary)
 
 
 def _table(found: PredictedRuns) -> Residuals:

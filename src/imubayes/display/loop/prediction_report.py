@@ -13,17 +13,16 @@ from imubayes.display.model_against_measurement import comparison_page, draw_fig
 from imubayes.display.numbers_and_labels import counted, listed, pretty, ratio_text, relation, significant, value_and_sd
 from imubayes.foundations.files import refuse_occupied, write_text
 from imubayes.foundations.progress import Tell
-from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.loop.predicted_runs import ShiftedEstimate
 from imubayes.results.folder_files import RESIDUALS
-from imubayes.results.prediction import LEAST_CHANCE, Prediction
+from imubayes.results.prediction import LEAST_CHANCE, RunPrediction
 from imubayes.results.summary import Summary
 
 PREDICTION, PREDICTION_PAGE = "prediction.json", "prediction.html"
 _MOST_ROWS, _MOST_CHANNELS = 8, 9
 
 
-def prediction_report(prediction: Prediction, verbose: bool = False) -> Report:
+def prediction_report(prediction: RunPrediction, verbose: bool = False) -> Report:
     """Return verdict, goodness of prediction by run and channel, and the estimates that the new runs would move."""
     summary = _as_fit(prediction)
     few = len({run.channel for run in summary.runs}) <= _MOST_CHANNELS
@@ -38,13 +37,13 @@ def _predictive(quality: Sheet) -> Sheet:
     return quality.changed(title=quality.title.replace("fit", "prediction"), note=note, alarm="")
 
 
-def _alarm(prediction: Prediction) -> str:
+def _alarm(prediction: RunPrediction) -> str:
     """Return the warning of the fit that predicts: what rests on it is as doubtful."""
     found = alarm_of(prediction.fit)
     return f"The fit: {found}" if found else ""
 
 
-def _as_fit(prediction: Prediction) -> Summary:
+def _as_fit(prediction: RunPrediction) -> Summary:
     """Return the prediction as tables and pictures of a fit take it: no estimates, each reading a degree of freedom."""
     found = prediction.summary
     return prediction.fit.model_copy(
@@ -55,7 +54,7 @@ def _as_fit(prediction: Prediction) -> Summary:
     )  # fmt: skip
 
 
-def _lines(prediction: Prediction) -> Iterator[str]:
+def _lines(prediction: RunPrediction) -> Iterator[str]:
     found = prediction.summary
     ratio = ratio_text(None if found.chi2 is None else found.chi2 / max(found.n, 1))
     names = list(dict.fromkeys(run.name for run in found.runs))
@@ -84,7 +83,7 @@ def _lines(prediction: Prediction) -> Iterator[str]:
         yield f"Fitted of the new runs alone, by their priors: {listed(own)} ({counted(len(found.unknowns), 'value')})."
 
 
-def _failures(prediction: Prediction) -> Iterator[str]:
+def _failures(prediction: RunPrediction) -> Iterator[str]:
     found, least = prediction.summary, LEAST_CHANCE / 3
     if found.shifts and found.worst_shift_p is not None and found.worst_shift_p < least:
         worst = found.shifts[0]
@@ -98,11 +97,11 @@ def _failures(prediction: Prediction) -> Iterator[str]:
         yield "No estimate explains it: look at the residuals of the runs and channels in red."
 
 
-def shift_sheet(prediction: Prediction, verbose: bool = False) -> Sheet:
+def shift_sheet(prediction: RunPrediction, verbose: bool = False) -> Sheet:
     """Return what the new runs would make of the estimates, largest pull first."""
     shifts = prediction.summary.shifts
     rows = [_shift_row(shift) for shift in shifts]
-    note = "pull: shift over its standard deviation where the model describes the new runs; N(0, 1) there."
+    note = "pull: shift over its standard deviation where the model describes the new runs; p: of so large a one."
     head = ("estimate", "fit", "shift", "unit", "pull", "p")
     sheet = Sheet("What the new runs would make of the estimates", head, rows, (0, 3), note=note)
     left = len(rows) - _MOST_ROWS
@@ -113,11 +112,11 @@ def _shift_row(each: ShiftedEstimate):
     value, sd = value_and_sd(each.before, each.sd)
     shift, _ = value_and_sd(each.shift, each.sd)
     pull = f"{each.pull:.1f}".replace("-", "−")
-    chance = relation(2 * float(normal_survival(abs(each.pull)))).removeprefix("= ")
+    chance = relation(each.p).removeprefix("= ")
     return cells(each.name, f"{value} ± {sd}", shift, pretty(each.unit), pull, chance)
 
 
-def save_prediction(prediction: Prediction, folder: Path, tell: Tell) -> Path:
+def save_prediction(prediction: RunPrediction, folder: Path, tell: Tell) -> Path:
     """Write summary, residuals, pictures and their page into a folder; return the page.
 
     Raises
