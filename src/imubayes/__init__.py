@@ -17,8 +17,8 @@ Public names, in four groups; everything else is private.
   `reference_temperature`, `Stage`, `Order`, `Decay`, `Play`, `Sample`, `Motion`, `Ambient`, `Experience`, `Entry`,
   `Scalar`, `vector3`, `compose`, `cross`, `exponential`, `rotate`; `trust` lets effect files run that came along.
 - Loop: `compare`, `diagnose`, `Diagnosis`, `add`, `refit`, `remove`, `ModelChange`, `history`, `export`, `plant`,
-  `explore`;
-  `predict`, `RunPrediction` for runs that were not fitted; `repeatability`, `Repeatability` for two calibrations.
+  `explore`; `predict`, `RunPrediction` for runs that were not fitted; `repeatability`, `Repeatability` for two
+  calibrations.
 - Results: `load`, `read_result`, `Result`, `report`, `ReportSection`, `apply`, `CalibratedInputs`; an equation of one's
   own: `propagate`, `Propagated`, `InputQuantity`, `budget`, `GumBudget`, `conformity`, `ConformityStatement`.
 """

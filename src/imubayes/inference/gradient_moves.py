@@ -33,11 +33,6 @@ Single = Callable[[jax.Array], jax.Array]
 _STEP, _LEAPS, _DOUBLINGS = 0.5, 16, 20
 
 
-def installed() -> bool:
-    """Tell whether blackjax, of the extra `gradient`, is installed."""
-    return importlib.util.find_spec("blackjax") is not None
-
-
 class GradientMove:
     """Move every walker by one transition of its own, whatever the others do.
 
@@ -71,3 +66,8 @@ class GradientMove:
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
             points, height, accepted = map(np.asarray, self._transitions(keys, state.coords))
         return emcee.moves.Move().update(state, emcee.State(points, log_prob=height), accepted), accepted
+
+
+def gradient_move(scaled: Single, start: np.ndarray, scale: np.ndarray) -> GradientMove | None:
+    """Return the move of a log density at (x − start)/scale; None without blackjax, of the extra `gradient`."""
+    return GradientMove(scaled, start, scale) if importlib.util.find_spec("blackjax") is not None else None

@@ -30,7 +30,7 @@ from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import BLIND, WORST_PARETO_K
 from imubayes.inference.ensemble_sampling import Chains, Settings, walkers_for
 from imubayes.inference.ensemble_sampling import sample as sample_ensembles
-from imubayes.inference.gradient_moves import GradientMove, Single, installed
+from imubayes.inference.gradient_moves import Single, gradient_move
 from imubayes.inference.laplace_proposal import BatchedDensity, WeighedProposal, weigh, weigh_tail
 
 if TYPE_CHECKING:
@@ -247,12 +247,9 @@ def sample(
     density, scaled = _without_nan(log_density), differentiable(log_density, centre, widths)
     laplace = None if scaled is None else normal_about_mode(scaled, centre, widths)
     weighed = _weighed(density, laplace, wide, settings)
-    gradients = None
-    if weighed is None and scaled is not None and installed():
-        gradients = GradientMove(scaled, centre, widths)
+    gradients = None if weighed is not None or scaled is None else gradient_move(scaled, centre, widths)
     starts = _starts(wide, weighed, settings)
     settings = settings if weighed is not None else _of_some_length(settings)
-
     with tempfile.TemporaryDirectory() as folder:
         path = Path(checkpoint) if checkpoint is not None else Path(folder) / "checkpoint.h5"
         file = _checkpoint(path, starts[0].shape, names, settings, resume)
