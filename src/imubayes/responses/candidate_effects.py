@@ -241,7 +241,7 @@ class CatalogueModel:
 
     def __init__(self, fitted: Fit):
         self.fitted = fitted
-        self._extended = _extend(fitted, _candidates(fitted)[0], _AT_NULLS)
+        self._extended = _extend(fitted, lacking_effects(fitted)[0], _AT_NULLS)
 
     def free(self, effects: Sequence[str], channels: Sequence[str] | None = None) -> dict[int, Parameter] | None:
         """Return the parameters of candidates by their places; None where one is shared beyond the channels wanted.
