@@ -63,8 +63,9 @@ def budget_section(report: QualificationReport) -> Iterator[Block]:
     yield Paragraph(_METHOD)
     yield Items(_NOTES)
     yield Paragraph(_sum_text(budgets) + _scaled_text(budgets))
-    if shown:
-        yield bar_drawings(shown)
+    if not shown:
+        return
+    yield bar_drawings(shown)
     yield from _improvements(shown, withheld)
     for place, each in enumerate(shown):
         yield _budget_table(each, place == 0, each.name in withheld)
