@@ -70,6 +70,7 @@ def received(tmp_path, request) -> Path:
         ("report", "RESULT", "--out", "OUT.html"),
         ("add", "accel_quadratic", "--to", "RESULT", "--out", "OUT"),
         ("remove", "mine", "--from", "RESULT", "--out", "OUT"),
+        ("refit", "RESULT", "--model", str(MODEL), "--out", "OUT"),
         ("plant", "--result", "RESULT"),
         ("export", "RESULT", "--out", "OUT.json"),
         ("apply", "RESULT", str(CAMPAIGN), "--out", "OUT.csv"),

@@ -78,10 +78,12 @@ def test_what_is_set_aside_is_recorded_with_its_reason(place, first, aside, caps
     tree = read_tree([first.folder])
     assert tree.nodes[str(aside.folder.resolve())].title == f"readings of {RUN}"
     assert tree.parents[str(aside.folder.resolve())] == str(first.folder.resolve())
-    assert run(["history", str(aside.folder)]) == 0
+    assert run(["history", str(aside.folder), "--html", str(place / "history.html")]) == 0
+    assert "Set aside: run rate-z-up gz, rows 2, 5: the table slipped." in (place / "history.html").read_text()
     assert f"readings of {RUN}" in capsys.readouterr().out
     change = refit(aside, first.folder / "model.toml")
     assert change.taken_back == (told,)
+    assert repr(change) == f"<ModelChange readings of {RUN}: taken, Δχ² –>"
     assert change.observed.delta_chi2 is None
     assert change.held_out is None
     said = "\n".join(change_lines(change))

@@ -54,8 +54,10 @@ def diagnosis_headline(found: Diagnosis) -> str:
 
 
 def change_headline(change: ModelChange) -> str:
-    """Return what was added and removed, whether it was taken, and Δχ²."""
+    """Return what was added, removed and edited, whether it was taken, and Δχ²."""
     names = [f"{sign} {_on(each.effect, each.channels)}" for sign, each in change.signed]
+    names += [f"prior of {name}" for name in change.priors]
+    names += [f"readings of {each.run}" for each in (*change.set_aside, *change.taken_back)]
     taken = "taken" if change.taken else "not taken"
     return f"<ModelChange {', '.join(names)}: {taken}, Δχ² {significant(change.observed.delta_chi2)}>"
 

@@ -209,6 +209,7 @@ class PointTable:
         places = order[here[order]]
         previewed = view.with_causes(wanted.effects) if refitted is None else refitted
         factor, label = self._scale_of(wanted, places)
+        label += " of the model before" if refitted is not None and wanted.y == "fitted" else ""
         y, after = (factor * self.ordinate(wanted.y, point)[places] for point in (None, previewed))
         marked = self.chosen(wanted.brushes)[places]
         kept = decimated(x[places], y, marked, wanted.most)

@@ -113,9 +113,10 @@ def _section(step: HistoryStep) -> StepSection:
     # All of them are in the text; titles of pictures have room for two.
     names = listed([choice.effect for choice in node.added or node.removed], 2)
     pictures = []
-    if step.before is not None and step.after is not None:
+    if step.before is not None and step.after is not None and not node.aside:  # the same readings
         floors = {each.channel: each.noise for each in node.rms if each.noise is not None}
         done, group = (f"adding {names}", step.group) if node.added else (f"removing {names}", None)
+        done = done if names else f"the prior of {listed(node.priors, 2)}"
         pictures.append(before_after(step.before, step.after, done, floors, group))
     if step.added_variable is not None:
         pictures.append(added_variable(step.added_variable, names, step.before))
