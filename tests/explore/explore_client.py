@@ -9,7 +9,8 @@ from typing import Any
 
 from imubayes.explorer.start import Exploration
 
-_PATIENCE = 400.0
+PATIENCE = 1200.0
+"""Seconds; a fit that compiles takes a minute of an idle machine."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Client:
         return json.loads(content)
 
 
-def wait_for(condition: Callable[[], Any], patience: float = _PATIENCE) -> Any:
+def wait_for(condition: Callable[[], Any], patience: float = PATIENCE) -> Any:
     until = time.monotonic() + patience
     while time.monotonic() < until:
         found = condition()

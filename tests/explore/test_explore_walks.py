@@ -85,7 +85,7 @@ def test_what_is_outside_the_catalogue_becomes_an_effect_by_its_formula(outside)
         [made] = [line for line in outside.session.state().tree if line.parent]
         assert made.taken
         assert made.chi2 < before - 50
-        page.wait("document.querySelector('#tab-panel').textContent.includes('found_shape')")
+        page.wait("document.querySelector('#tab-panel').textContent.includes('found_gyro_shape')")
         # Its file is needed beside the model: that is told, with the command that writes both.
         page.press("e")
         page.wait("document.querySelector('#notice .fault')")
@@ -106,6 +106,13 @@ def served(root: Path) -> tuple[subprocess.Popen[str], str]:
     raise AssertionError("no address was told")
 
 
+def ended(process: subprocess.Popen[str]) -> None:
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert process.stdout is not None
+    process.stdout.close()
+
+
 def test_a_server_that_is_killed_during_a_fit_loses_nothing_that_was_done(two, tmp_path):
     """Commands, notes and models are there again; of the fit at work nothing is left, and it can be begun anew."""
     root = tmp_path / "root"
@@ -121,8 +128,7 @@ def test_a_server_that_is_killed_during_a_fit_loses_nothing_that_was_done(two, t
         page = Page(address)
         try:
             done = client.json("state")
-            process.send_signal(signal.SIGKILL)
-            process.wait()
+            ended(process)
             page.wait("document.querySelector('#notice').textContent.includes('The server is gone')")
         finally:
             page.close()
@@ -136,5 +142,4 @@ def test_a_server_that_is_killed_during_a_fit_loses_nothing_that_was_done(two, t
         made = next(each for each in Client(address).json("state")["tasks"] if each["number"] == task)["made"]
         assert made in {line["id"] for line in Client(address).json("state")["tree"]}
     finally:
-        process.kill()
-        process.wait()
+        ended(process)

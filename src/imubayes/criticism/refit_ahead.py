@@ -19,7 +19,7 @@ from imubayes.inference.laplace_marginal import Linearised, whitened_about
 from imubayes.parameters.declarations import Parameter
 from imubayes.responses.candidate_effects import CatalogueModel
 
-_MOST_STEPS, _LENGTHS = 20, (1.0, 0.3, 0.1, 0.03, 0.01)
+_MOST_STEPS, _LENGTHS = 8, (1.0, 0.3, 0.1)
 _ARRIVED = 1e-3
 """Length of a step, in standard deviations of the readings all together, that ends the search.  Numerical: no residual
 moves by more."""
