@@ -20,6 +20,8 @@ from imubayes.results.summary import Summary
 
 PREDICTION, PREDICTION_PAGE = "prediction.json", "prediction.html"
 _MOST_ROWS, _MOST_CHANNELS = 8, 9
+# Where the runs fail, a pull beyond this is named, even where few runs leave its chance open.
+_FAR = 4.0
 
 
 def prediction_report(prediction: RunPrediction, verbose: bool = False) -> Report:
@@ -85,8 +87,8 @@ def _lines(prediction: RunPrediction) -> Iterator[str]:
 
 def _failures(prediction: RunPrediction) -> Iterator[str]:
     found, least = prediction.summary, LEAST_CHANCE / 3
-    if found.shifts and found.worst_shift_p is not None and found.worst_shift_p < least:
-        worst = found.shifts[0]
+    worst = next(iter(found.shifts), None)
+    if worst is not None and ((found.worst_shift_p or 0.0) < least or abs(worst.pull) > _FAR):
         shift, sd = value_and_sd(worst.shift, abs(worst.shift / worst.pull))
         yield (
             f"They would move {worst.name} by {shift} {pretty(worst.unit)}, where ±{sd} is to be expected: "
