@@ -42,7 +42,7 @@ def scales(fit: Fit) -> np.ndarray:
 def scores(drawn) -> tuple[float, float, float]:
     """Return the rms of the readings, of the tested combinations, and of the shifts, in their predictive deviations."""
     found = [predict_runs(fit, campaign, scales(fit)) for campaign, fit in drawn]
-    readings = np.sqrt(sum(each.chi2 for each in found) / sum(len(each.whitened) for each in found))
+    readings = np.sqrt(sum(each.chi2 for each in found) / sum(each.n for each in found))
     tested = np.sqrt(sum(each.calibration_chi2 for each in found) / sum(each.directions for each in found))
     pulls = np.sqrt(np.mean([shift.pull**2 for each in found for shift in each.shifts]))
     return float(readings), float(tested), float(pulls)
@@ -151,3 +151,24 @@ def test_the_command_writes_what_it_says(first, tmp_path, capsys, monkeypatch):
     assert {"prediction.json", "prediction.html", "residuals.parquet", "figures"} == {p.name for p in out.iterdir()}
     assert (out / "figures" / "run-tumble-O-south.png").stat().st_size > 10_000
     assert run(["predict", "RESULT", campaign.folder, "--out", str(tmp_path)]) == 2
+
+
+@pytest.mark.parametrize("free", [0, 3])
+def test_chi2_is_that_of_the_predictive_distribution(free):
+    rng = np.random.default_rng(1)
+    count, known, own = 12, 4, 5
+    noise = rng.normal(size=count)
+    shared, wide = 3 * rng.normal(size=(count, known)), rng.normal(size=(count, own)) * np.array([1e6, 2, 1e5, 1, 3e6])
+    procedural = np.arange(own) % 2 == 0 if free else np.zeros(own, dtype=bool)
+    values = rng.normal(size=own)
+    readings = noise + shared @ rng.normal(size=known) + wide @ values
+    best = np.linalg.lstsq(np.vstack([wide, np.eye(own)]), np.append(readings, np.zeros(own)), rcond=None)[0]
+    spread = predicted_runs._spread(readings - wide @ best, wide, best, procedural, shared)
+    whitened, freedom = spread.whitened()
+    # The density of what no unknown without a prior changes, in closed form.
+    across = np.linalg.svd(wide[:, procedural])[0][:, procedural.sum() :] if free else np.eye(count)
+    columns = across.T @ np.hstack([wide[:, ~procedural], shared])
+    left = across.T @ readings
+    covariance = np.eye(len(left)) + columns @ columns.T
+    assert freedom == len(left) == count - free
+    assert np.sum(whitened**2) == pytest.approx(left @ np.linalg.solve(covariance, left), rel=1e-5)

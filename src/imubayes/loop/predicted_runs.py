@@ -4,14 +4,15 @@ The readings of the new runs are y = f(θ, ν) + noise.  Of θ, what they share 
 unknowns ν of the new runs alone, such as a seat, have their priors.  About the posterior mean of θ, and about the ν
 that fit best there, the model is linear, and the predictive covariance is J_θ C J_θᵀ + J_ν W² J_νᵀ + Σ, with Σ the
 noise at the root mean square of its scales, offsets of runs included.  χ² of all readings, or of one run and channel,
-is that of their predictive distribution; it has as many degrees of freedom as readings.
+is that of their predictive distribution; it has as many degrees of freedom as readings, less the unknowns of a
+procedure itself: the attitudes of a unit turned by hand begin at what the readings say, and their priors say nothing.
 
 The same numbers say what the new runs would make of each estimate.  The shift of an estimate by data that the model
 describes has the variance by which these data reduce that of its posterior, which is what it is compared with.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -33,6 +34,8 @@ _STEPS, _SHORTEST, _SETTLED = 30, 1e-3, 1e-3
 _TESTED = 0.5
 # Share of its deviation by which an estimate may move at most that new runs tell nothing of.
 _UNMOVED = 1e-6
+# Share of the noise of a combination of readings that must be left beside unknowns without a prior, to be judged.
+_LEFT = 0.05
 
 
 class ShiftedEstimate(Record):
@@ -64,8 +67,8 @@ class PredictedRuns:
     joined : the model on all runs.
     predicted, model_sd, noise_sd : output units: at the fit, with the unknowns of the new runs as they fit best;
         standard deviations of the prediction, and of the noise.
-    whitened : the squares over one run and channel add up to its χ².
-    chi2 : of all readings together.
+    whitened, freedom : the squares over one run and channel add up to its χ², the others to its degrees of freedom.
+    chi2, n : of all readings together, and its degrees of freedom.
     calibration_chi2, directions : χ² of the combinations of estimates that the new runs know better than the fit, and
         how many there are.
     shifts : of what the fit estimates and the new runs tell of, largest pull first.
@@ -76,7 +79,9 @@ class PredictedRuns:
     model_sd: np.ndarray
     noise_sd: np.ndarray
     whitened: np.ndarray
+    freedom: np.ndarray
     chi2: float
+    n: int
     calibration_chi2: float
     directions: int
     shifts: tuple[ShiftedEstimate, ...]
@@ -91,20 +96,31 @@ class _Spread:
     residual : shape (n,).
     columns : K, shape (n, k).
     best : v̂, shape (k,), about which the residual is.
+    taken : shape (n, f), orthonormal over all readings: what unknowns without a prior take of residual and columns.
     """
 
     residual: np.ndarray
     columns: np.ndarray
     best: np.ndarray
+    taken: np.ndarray
 
     def of(self, rows: np.ndarray) -> "_Spread":
-        return _Spread(self.residual[rows], self.columns[rows], self.best)
+        return _Spread(self.residual[rows], self.columns[rows], self.best, self.taken[rows])
 
     def svd(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return np.linalg.svd(self.columns, full_matrices=False)
 
-    def whitened(self) -> np.ndarray:
-        """Return S^(−½) (r + K v̂), (n,), S = I + K Kᵀ: no term grows with the width of a prior."""
+    def whitened(self) -> tuple[np.ndarray, int]:
+        """Return S^(−½) (r + K v̂), (n,), S = I − F Fᵀ + K Kᵀ, and its rank: no term grows with the width of a prior."""
+        if not self.taken.shape[1]:
+            return self._whitened(), len(self.residual)
+        sizes, axes = np.linalg.eigh(np.eye(len(self.residual)) - self.taken @ self.taken.T)
+        left = axes[:, sizes > _LEFT]
+        scaled = left.T / np.sqrt(sizes[sizes > _LEFT])[:, None]
+        inner = replace(self, residual=scaled @ self.residual, columns=scaled @ self.columns)
+        return left @ inner._whitened(), left.shape[1]
+
+    def _whitened(self) -> np.ndarray:
         across, sizes, along = self.svd()
         outside = self.residual - across @ (across.T @ self.residual)
         own = (across.T @ self.residual + sizes * (along @ self.best)) / np.sqrt(1 + sizes**2)
@@ -171,31 +187,53 @@ def predict_runs(
     about = linearise(model.problem, jnp.asarray(z))
     residual, jacobian, widths = whitened_about(model.problem, about, h)
     residual, jacobian, root = residual[new], jacobian[new], _posterior_root(fit, joined, shared, scales)
-    own = jacobian[:, ~shared] * widths[~shared]
-    best = np.concatenate([z[~shared] / widths[~shared], np.zeros(root.shape[1])])
-    spread = _Spread(residual, np.hstack([own, jacobian[:, shared] @ root]), best)
-    count = own.shape[1]
+    own, best = jacobian[:, ~shared] * widths[~shared], z[~shared] / widths[~shared]
+    procedural = np.array([parameter.nuisance for parameter in model.layout.parameters], dtype=bool)[~shared]
+    spread = _spread(residual, own, best, procedural, jacobian[:, shared] @ root)
+    count = spread.columns.shape[1] - root.shape[1]
     mean, change = spread.update()
     calibration_chi2, directions = _tested(mean[count:], change[count:])
     unwhitened = np.asarray(about.jacobian)[new]
-    answered = np.linalg.solve(np.eye(count) + own.T @ own, own.T @ spread.columns[:, count:])
+    answered = np.linalg.solve(np.eye(own.shape[1]) + own.T @ own, own.T @ (jacobian[:, shared] @ root))
     felt = unwhitened[:, shared] @ root - (unwhitened[:, ~shared] * widths[~shared]) @ answered
     groups = np.asarray(model.problem.observations.group)[new]
-    whitened = np.zeros(len(residual))
+    whitened, freedom = np.zeros(len(residual)), np.zeros(len(residual))
     for group in np.unique(groups):
         rows = groups == group
-        whitened[rows] = spread.of(rows).whitened()
+        whitened[rows], rank = spread.of(rows).whitened()
+        freedom[rows] = rank / np.sum(rows)
+    together, n = spread.whitened()
     return PredictedRuns(
         joined=joined,
         predicted=(np.asarray(model.entries.value) - np.asarray(about.misfit))[new],
         model_sd=np.sqrt(np.sum(felt**2, axis=1)),
         noise_sd=np.asarray(_noise_sd(model.problem, jnp.asarray(h)))[new],
         whitened=whitened,
-        chi2=float(np.sum(spread.whitened() ** 2)),
+        freedom=freedom,
+        chi2=float(np.sum(together**2)),
+        n=n,
         calibration_chi2=calibration_chi2,
         directions=directions,
         shifts=_shifts(fit, joined, shared, z, root, (mean[count:], change[count:])),
     )
+
+
+def _spread(
+    residual: np.ndarray, own: np.ndarray, best: np.ndarray, procedural: np.ndarray, shared: np.ndarray
+) -> _Spread:
+    """Return what spreads the readings, (n,): own unknowns with a prior, (n, k) in units of it, and what is shared.
+
+    Parameters
+    ----------
+    best : shape (k,), where the own unknowns fit best.
+    procedural : which of them are unknowns of the procedure: what they change by more than the noise is taken out.
+    """
+    across, sizes, along = np.linalg.svd(own[:, procedural], full_matrices=False)
+    free = sizes > 1.0
+    taken = across[:, free]
+    columns = np.hstack([own[:, ~procedural], across[:, ~free] * sizes[~free], shared])
+    about = np.concatenate([best[~procedural], along[~free] @ best[procedural], np.zeros(shared.shape[1])])
+    return _Spread(residual - taken @ (taken.T @ residual), columns - taken @ (taken.T @ columns), about, taken)
 
 
 def _with_own_unknowns(problem: Problem, z: np.ndarray, h: np.ndarray, own: np.ndarray, new: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ class PredictionSummary(Record):
     campaign, result_campaign, model : what was predicted, and the fit.
     verdict : whether the runs are as predicted.
     runs : n, χ² by the predictive distribution and residual rms of each run and channel.
-    chi2, n, p : of all readings together.
+    chi2, n, p : of all readings together; n are degrees of freedom.
     calibration_chi2, directions, calibration_p : of the combinations of estimates that the new runs know better than
         the fit.
     worst_run_p, worst_shift_p : the least chance of a run and channel, and of a shift, each for all of them together.
@@ -100,10 +100,10 @@ def prediction(
     """Return the runs of a campaign against their prediction by a result; see `imubayes.predict`."""
     found = predict_runs(result.fit, campaign, broad_scales(result), changed, any_unit, tell)
     residuals = _table(found)
-    runs = residuals.by_run_and_channel()
-    chances = [float(chi2_survival(run.chi2, run.n)) for run in runs if run.chi2 is not None]
+    runs = _runs(residuals, found.freedom)
+    chances = [float(chi2_survival(run.chi2, run.n)) for run in runs if run.chi2 is not None and run.n]
     pulls = [shift.p for shift in found.shifts]
-    p = float(chi2_survival(found.chi2, len(found.whitened)))
+    p = float(chi2_survival(found.chi2, found.n))
     worst_run, worst_shift = (min(1.0, len(each) * min(each, default=1.0)) for each in (chances, pulls))
     fails = not 3 * min(p, worst_run, worst_shift) >= LEAST_CHANCE
     layout, shared = found.joined.model.layout, found.joined.shared_with(result.fit)
@@ -114,7 +114,7 @@ def prediction(
         verdict="not_as_predicted" if fails else "as_predicted",
         runs=runs,
         chi2=finite(found.chi2),
-        n=len(found.whitened),
+        n=found.n,
         p=finite(p),
         calibration_chi2=finite(found.calibration_chi2),
         directions=found.directions,
@@ -128,6 +128,13 @@ def prediction(
         unknowns=tuple(name for name, known in zip(layout.names, shared.tolist(), strict=True) if not known),
     )
     return RunPrediction(summary, residuals, result.summary)
+
+
+def _runs(residuals: Residuals, freedom: np.ndarray) -> tuple[RunSummary, ...]:
+    """Return the quality of each run and channel, with its degrees of freedom for n."""
+    shares = residuals.table.select("run", "channel", freedom=pl.Series(freedom)).group_by("run", "channel").sum()
+    count = {(run, channel): round(total) for run, channel, total in shares.iter_rows()}
+    return tuple(run.model_copy(update={"n": count[run.name, run.channel]}) for run in residuals.by_run_and_channel())
 
 
 def _table(found: PredictedRuns) -> Residuals:
