@@ -16,7 +16,8 @@ from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
 from imubayes.model.model_file import EffectSpec, read_model
-from imubayes.qualification.taken_as_exact import ExactInput, exact_equipment
+from imubayes.qualification.taken_as_exact import ExactInput, exact_equipment, included_shifts, with_included
+from imubayes.responses.uncertain_equipment import uncertain_equipment
 
 
 @cache
@@ -96,6 +97,30 @@ def test_what_is_included_is_what_a_fit_finds_that_knows_of_it():
     own, known = deviation(at), deviation(within)
     assert known > 5 * own, "a law that could not fail"
     assert np.hypot(own, gravity.shift(scale)) == pytest.approx(known, rel=0.03)
+
+
+def test_what_apply_and_export_contain_moves_the_parameters_as_it_would():
+    """A stated rate error of 20 ppm is in every gyro scale factor, 50 µg of gravity in every one of accelerometers."""
+    at = fitted(20.0)
+    listed = {each.effect: each for each in uncertain_equipment(at)}
+    assert (listed["table_rate_error"].stated, listed["gravity_anomaly"].stated) == (True, False)
+    assert listed["table_rate_error"].size == pytest.approx(20.0)
+    layout = at.model.layout
+    for each, shift in included_shifts(at):
+        family = {"table_rate_error": "gyro_scale_factor.scale", "gravity_anomaly": "accel_scale_factor.scale"}
+        own = [place for place, name in enumerate(layout.names) if name.startswith(family[each.effect])]
+        sizes = [abs(shift[place]) * layout.parameters[place].prior_sd for place in own]
+        np.testing.assert_allclose(sizes, each.size, rtol=0.05)
+    # Draws keep their mean, and those of one cause move together.
+    normal = np.random.default_rng(1).normal(size=(500, len(layout)))
+    draws, matters = with_included(normal, included_shifts(at))
+    assert {each.effect for each in matters} <= set(listed)
+    np.testing.assert_allclose(draws.mean(axis=0), normal.mean(axis=0), atol=1e-12)
+    # Stated to be exact, nothing is contained.
+    exact = replace(at.model.campaign.site, gravity_uncertainty=0.0)
+    tables = {name: replace(each, rate_uncertainty=0.0) for name, each in at.model.campaign.tables.items()}
+    declared = bind(at.model.spec, replace(at.model.campaign, site=exact, tables=tables))
+    assert uncertain_equipment(replace(at, model=declared)) == ()
 
 
 def test_a_table_rate_taken_as_exact_is_told():
