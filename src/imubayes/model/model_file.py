@@ -65,7 +65,7 @@ class UncertainEquipment(Record):
     ----------
     effect, parameter : what describes it, and its parameter as the model would name it.
     unit, size : its standard uncertainty.
-    stated : whether the campaign states that; else it is the one that normal gravity has.
+    stated : whether the campaign states that; else it is one that is plausible, as of normal gravity.
     """
 
     effect: str

@@ -45,25 +45,19 @@ class QuantityShift(Record):
     value: float
 
 
-class ExactInput(Record):
-    """A parameter of site or equipment that the model takes as exact.
+class ExactInput(UncertainEquipment):
+    """A parameter of site or equipment that the model takes as exact, whether or not the campaign says that it is not.
 
     Attributes
     ----------
-    effect, parameter, source : what describes it, its parameter as the model would name it, and what it is about.
-    unit, size, left : standard deviation that is plausible beforehand, and what the data leave of it, in its unit.
-    stated : whether the campaign states the size.
+    source : what it is about.
+    left : standard deviation that the data leave of it, in its unit.
     included : whether it is in the uncertainties of the report.
     shifts : of the quantities that it matters to.
     """
 
-    effect: str
-    parameter: str
     source: Source
-    unit: str
-    size: float
     left: float
-    stated: bool
     included: bool
     shifts: tuple[QuantityShift, ...]
 
