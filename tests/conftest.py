@@ -38,6 +38,8 @@ COMPILED = (
     "criticism",
     "explore/test_explore_answers.py",
     "explore/test_explore_page.py",
+    "explore/test_explore_session.py",
+    "explore/test_explore_walks.py",
     "cli",
     "readme/test_notebook.py",  # of what others have compiled
     "conformance",
@@ -105,8 +107,10 @@ GROUPS = {
         "criticism/test_noise_is_no_effect.py::test_complete_models",
         "criticism/test_known_noise_fit.py",
         "criticism/test_removal.py",
+        "criticism/test_refit_edited.py",
         "explore/test_explore_answers.py",
         "explore/test_explore_page.py",
+        "explore/test_explore_session.py",
     ),
     "polar-tumble": (
         "results/test_predicted_runs.py",

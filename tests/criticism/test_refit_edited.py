@@ -1,4 +1,4 @@
-"""A model file edited: readings set aside are as if never recorded, other priors are a branch of the tree."""
+"""Readings that a model file sets aside are as if they had never been recorded; other priors: explore/."""
 
 import shutil
 import tomllib
@@ -90,23 +90,6 @@ def test_what_is_set_aside_is_recorded_with_its_reason(place, first, aside, caps
     assert f"Taken back: run {RUN} gz, rows 2, 5: the table slipped." in said
     # Taken back, the fit is what it was.
     assert change.result.summary.known_noise.chi2 == pytest.approx(first.summary.known_noise.chi2, abs=1e-3)
-
-
-def test_another_prior_holds_the_estimate(place, first):
-    name, prior = "gyro_bias.bias", "normal(0, 0.001 deg/h)"
-    effects = tomlkit.parse((first.folder / "model.toml").read_text())["effect"]
-    for each in effects:
-        if each["name"] == "gyro_bias":
-            each["prior"] = {"bias": prior}
-    change = refit(first, edited(first, place / "prior.toml", effect=effects))
-    assert change.priors == {name: prior}
-    was, now = (
-        next(abs(each.mean) for each in r.summary.parameters if each.name == f"{name}[gz]")
-        for r in (first, change.result)
-    )
-    assert now < 0.1 * was
-    assert change.held_out is not None
-    assert f"Prior of {name}: {prior}." in change_lines(change)
 
 
 def test_a_whole_run_goes(first):

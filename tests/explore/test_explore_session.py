@@ -246,4 +246,6 @@ def test_another_prior_is_a_branch_that_its_command_makes_again(explored, first,
     both = [read_summary_and_residuals(each)[0].parameters for each in (explored.session.place_of(done["made"]), again)]
     own, by_command = ({each.name: each.mean for each in parameters} for parameters in both)
     assert own == pytest.approx(by_command, rel=1e-9, abs=1e-12)
+    free = {each.name: each.mean for each in read_summary_and_residuals(explored.session.root)[0].parameters}
+    assert abs(own[name]) < 0.1 * abs(free[name])
     client.json("select", {"model": first})

@@ -16,7 +16,7 @@ export function drawMap(place) {
   const head = el("tr", {}, el("th", { class: "run" }, "run"), facts.channels.map((channel) => el("th", {},
     el("button", { "data-key": `channel-${channel}`, onclick: () => show({ channel, brushes: [{ channels: [channel], runs: [] }] }), title: `select channel ${channel}` }, channel))));
   const rows = facts.runs.map((run) => el("tr", {},
-    el("th", { class: "run" }, el("button", { "data-key": `run-${run}`, title: `select run ${run}`, onclick: () => show({ brushes: [{ channels: [], runs: [run] }] }) }, shortened(run, 18))),
+    el("th", { class: "run" }, el("button", { "data-key": `run-${run}`, title: `select run ${run}`, onclick: () => show({ brushes: [{ channels: [], runs: [run] }] }) }, shortened(run, facts.runs.length > 24 ? 14 : 18))),
     facts.channels.map((channel) => {
       const found = known.get(JSON.stringify([run, channel]));
       return el("td", {}, found ? cellButton(found[0], expected ? expected[found[1]] : null) : null);
