@@ -97,7 +97,7 @@ class Variable:
 
     def of(self, draws: np.ndarray) -> Labelled:
         """Return draws (chain, draw, D) as (chain, draw, dimensions…)."""
-        values = rounded(draws, _SHARE * _spread(draws))[..., self.columns]
+        values = rounded(draws, _SHARE * _spread(draws.reshape(-1, draws.shape[-1])))[..., self.columns]
         return Labelled((*SAMPLE, *self.dimensions), values, {"units": self.unit})
 
 
@@ -203,9 +203,9 @@ ENTRY = "entry"
 _KEPT_VALUES, _FEWEST_KEPT, _MOST_KEPT = 1_000_000, 100, 1000
 _PRIOR_SHARE, _BATCH = 4, 20
 # Draws are rounded to binary places below these shares of their spread, since what follows is noise that no file can be
-# compressed with: a fifty-thousandth of a standard deviation for parameters, a fiftieth for replicated outputs, whose
-# variance it raises by a part in 3000; log densities to a 128th, a per cent of the weight of a draw.
-_SHARE, _REPLICATED_SHARE, _DENSITY_STEP = 2.0**-14, 2.0**-4, 2.0**-7
+# compressed with: less than a ten-thousandth of a standard deviation for parameters; replicated outputs to an eighth of
+# it, which raises their variance by a thousandth; log densities to a 128th, a per cent of the weight of a draw.
+_SHARE, _REPLICATED_SHARE, _DENSITY_STEP = 2.0**-12, 2.0**-3, 2.0**-7
 # Independent draws are divided into chains, since diagnostics of chains compare several.
 _INDEPENDENT_CHAINS = 4
 
@@ -342,7 +342,8 @@ def _predicted(problem: Problem, draws: np.ndarray, random: np.random.Generator)
     both = np.concatenate([predicted, points[:, size:]], axis=1)
     deviation, tail, entry = np.moveaxis(in_batches(lambda part: _likelihoods(problem, part), both, _BATCH), 1, 0)
     alone = random.normal(size=predicted.shape) * heavy_tailed(tail, random)
-    replicated = rounded(predicted + deviation * alone, _REPLICATED_SHARE * deviation.min(axis=0))
+    replicated = predicted + deviation * alone
+    replicated = rounded(replicated, _REPLICATED_SHARE * _spread(replicated))
     entry = rounded(entry, np.array(_DENSITY_STEP)).astype(np.float32)
     shape = (*draws.shape[:2], -1)
     return replicated.reshape(shape), entry.reshape(shape)
@@ -356,10 +357,9 @@ def rounded(values: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 
 def _spread(draws: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of draws (chain, draw, D), (D,), or that of their quartiles where it is smaller."""
-    flat = draws.reshape(-1, draws.shape[-1])
-    low, high = np.quantile(flat, (0.25, 0.75), axis=0)
-    return np.fmin(flat.std(axis=0), (high - low) / 1.349)
+    """Return the standard deviation of draws (S, D), (D,), or that of their quartiles where it is smaller."""
+    low, high = np.quantile(draws, (0.25, 0.75), axis=0)
+    return np.fmin(draws.std(axis=0), (high - low) / 1.349)
 
 
 def _variables(variables: Mapping[str, Variable], draws: np.ndarray) -> dict[str, Labelled]:

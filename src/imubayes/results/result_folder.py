@@ -27,8 +27,8 @@ from imubayes.results.change_records import ModelChange
 from imubayes.results.fit_file import fit_record
 from imubayes.results.result import Result
 
-# Arrays of fewer bytes are not compressed.
-_COMPRESSED = 4096
+# Arrays of fewer bytes are not compressed; a block of draws has about so many values, or all draws of a number.
+_COMPRESSED, _BLOCK = 4096, 1600
 
 
 def write_posterior(groups: Groups, file: Path) -> None:
@@ -73,9 +73,13 @@ def _packing(dimensions: Labels, values: np.ndarray) -> dict[str, Any]:
     """Return how values that take some room are compressed: byte planes together, all draws of a number in a block."""
     if values.nbytes < _COMPRESSED:
         return {}
-    block = tuple(size if name in SAMPLE else 1 for name, size in zip(dimensions, values.shape, strict=True))
-    of_draws = {"chunks": block} if dimensions[:2] == SAMPLE else {}
-    return {"compression": "gzip", "compression_opts": 1, "shuffle": True, **of_draws}
+    packing = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+    if dimensions[:2] != SAMPLE:
+        return packing
+    block = [size if name in SAMPLE else 1 for name, size in zip(dimensions, values.shape, strict=True)]
+    if len(block) > len(SAMPLE):
+        block[-1] = min(max(1, _BLOCK // (block[0] * block[1])), values.shape[-1])
+    return {**packing, "chunks": tuple(block)}
 
 
 def _create_text(place: h5netcdf.Group, name: str, each: Labelled) -> h5netcdf.Variable:
