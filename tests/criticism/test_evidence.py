@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 
-from imubayes.criticism.evidence.effect_variants import effect_variants
+from imubayes.criticism.evidence.effect_variants import effect_variants, gain_of_coefficients, summed_over_widths
 from imubayes.criticism.evidence.free_forms import FormHypothesis, free_forms
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
@@ -174,6 +174,24 @@ def test_variants_share_the_prior_of_their_effect() -> None:
     for each in effect_variants(problem(drawn(1))):
         of_effect[each.effect] = of_effect.get(each.effect, 0.0) + math.exp(each.log_odds)
     assert list(of_effect.values()) == pytest.approx([1 / len(EFFECTS)] * len(EFFECTS))
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_many_coefficients_have_the_evidence_of_one_solution_for_each_width(signed: bool) -> None:
+    """Three effects of some hundred runs, far more than what is diagonalised once for all widths."""
+    random, owner = np.random.default_rng(3), np.arange(90) % 3
+    design = random.normal(size=(200, 90))
+    own, right = design.T @ design, 3 * design.T @ random.normal(size=200)
+    sign = random.integers(-1, 2, 90) if signed else np.zeros(90, int)
+    grid = tuple(np.geomspace(1e-3, 10, 9).tolist())
+    best, total = summed_over_widths(own, right, owner, [grid] * 3, sign, [1.0] * 3)
+    expected = []
+    for n in range(3):
+        widths = np.where(owner == n, np.array(grid)[:, None], np.array(best)[owner])
+        expected.append(gain_of_coefficients(own, right, widths, sign))
+        assert best[n] == grid[int(np.argmax(expected[n]))]
+    means = [float(np.logaddexp.reduce(one)) - np.log(len(grid)) for one in expected]
+    assert total == pytest.approx(sum(means) - sum(one.max() for one in expected[1:]), rel=1e-9)
 
 
 def test_a_missing_effect_is_named_on_its_channel_with_its_coefficient() -> None:
