@@ -7,7 +7,7 @@ import pytest
 import xarray
 
 from imubayes.api import Result, fit
-from imubayes.inference.posterior_groups import SAMPLE, Group, Groups, Labelled, rounded
+from imubayes.inference.posterior_groups import SAMPLE, Group, Groups, Labelled, in_units, rounded
 from imubayes.results.result import read_result
 from imubayes.results.result_folder import write_posterior
 from imubayes.results.stored_tables import draws_of
@@ -91,6 +91,16 @@ def test_summary_and_residuals_as_data_frames(result):
     assert (scale["kind"], scale["mean"], scale["sd"]) == ("derived", line.mean, line.sd)
     residuals = result.residuals.to_dataframe()
     assert {"run", "channel", "residual", "whitened"} <= set(residuals.columns)
+
+
+def test_what_has_a_bound_is_stored_as_it_was_drawn(result, tree):
+    """Rounded to zero, a scale between runs would be infinitely far from the bulk of its prior."""
+    model = result.fit.model
+    drawn = in_units(model, result.fit.posterior.points)
+    names = [each.name for each in (*model.layout.parameters, *model.hyper_layout.parameters)]
+    place = next(place for place, name in enumerate(names) if name.startswith("run_scatter.tau"))
+    stored = read_result(result.folder).draws[names[place]]
+    np.testing.assert_array_equal(stored.reshape(-1), drawn[:, place])
 
 
 def test_draws_are_rounded_where_it_matters_to_nothing():

@@ -29,6 +29,7 @@ from imubayes.model.bind import Model
 from imubayes.model.likelihood import entry_log_likelihood
 from imubayes.model.noise_covariance import heavy_tailed, noise_distribution
 from imubayes.model.problem import Problem, predict_many
+from imubayes.parameters.priors import Normal
 
 SAMPLE = ("chain", "draw")
 # What the labels of a derived quantity are.
@@ -97,8 +98,7 @@ class Variable:
 
     def of(self, draws: np.ndarray) -> Labelled:
         """Return draws (chain, draw, D) as (chain, draw, dimensions…)."""
-        values = rounded(draws, _SHARE * _spread(draws.reshape(-1, draws.shape[-1])))[..., self.columns]
-        return Labelled((*SAMPLE, *self.dimensions), values, {"units": self.unit})
+        return Labelled((*SAMPLE, *self.dimensions), draws[..., self.columns], {"units": self.unit})
 
 
 class Dimensions:
@@ -286,8 +286,12 @@ def posterior_groups(fit: Fit) -> Groups:
     prior_predicted, _ = _predicted(problem, prior[None, : kept.shape[0] * kept.shape[1] // _PRIOR_SHARE], random)
     own, derived, labels = variables_of(fit)
 
+    # What has a bound is kept as it is: a scale rounded to 0 would be infinitely far from the bulk of its prior.
+    unbounded = [isinstance(each.prior, Normal) for each in (*model.layout.parameters, *model.hyper_layout.parameters)]
+
     def parameters(own_draws: np.ndarray, derived_draws: np.ndarray) -> Group:
-        found = _variables(own, own_draws) | _variables(derived, derived_draws)
+        kept_draws = np.where(unbounded, _without_noise(own_draws), own_draws)
+        found = _variables(own, kept_draws) | _variables(derived, _without_noise(derived_draws))
         return Group(found, _coordinates(found, labels) | _sample_coordinates(own_draws))
 
     groups = {
@@ -354,6 +358,12 @@ def rounded(values: np.ndarray, step: np.ndarray) -> np.ndarray:
     some = np.isfinite(step) & (step > 0)
     power = np.exp2(np.floor(np.log2(np.where(some, step, 1.0))))
     return np.where(some, np.round(values / power) * power, values)
+
+
+def _without_noise(draws: np.ndarray) -> np.ndarray:
+    """Return draws (chain, draw, D) rounded to a share of their spread, or of themselves where they are smaller."""
+    spread = _spread(draws.reshape(-1, draws.shape[-1]))
+    return rounded(draws, _SHARE * np.minimum(spread, np.abs(draws)))
 
 
 def _spread(draws: np.ndarray) -> np.ndarray:
