@@ -20,7 +20,7 @@ import numpy as np
 from imubayes.adequacy.adequacy_record import ChannelRms, KnownNoiseFit
 from imubayes.adequacy.known_noise import known_scales
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import in_batches
+from imubayes.foundations.arrays import Array, Float, in_batches
 from imubayes.foundations.campaign_data import INPUT_UNIT
 from imubayes.foundations.numerics import group_means
 from imubayes.foundations.units import to_si
@@ -86,7 +86,7 @@ class KnownNoisePoint:
 
     def _channels(self) -> tuple[ChannelRms, ...]:
         campaign, entries = self.model.campaign, self.model.entries
-        noise = np.asarray(_noise(self.model.problem, self.h))
+        noise = np.asarray(noise_sd(self.model.problem, jnp.asarray(self.h)))
         used = (np.asarray(self.model.problem.observations.weight) > 0) & ~entries.closing
         found = []
         for place, channel in enumerate(campaign.channels):
@@ -106,7 +106,8 @@ def whitened_rows(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.nd
 
 
 @kept
-def _noise(problem: Problem, h):
+def noise_sd(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E"]:
+    """Return the standard deviation of the noise of every entry at scales h, output units."""
     return noise_deviation(problem, whitener(problem, h))
 
 

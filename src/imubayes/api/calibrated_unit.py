@@ -27,7 +27,7 @@ from imubayes.qualification.onboard.recording_files import (
 )
 from imubayes.qualification.report_build import report_of
 from imubayes.qualification.report_record import QualificationReport, ReportSection
-from imubayes.results.result import Result, read_result
+from imubayes.results.result import Result, opened
 
 report_files: Any = lazy_loader.load("imubayes.display.qualification.report_files", suppress_warning=True)
 
@@ -55,7 +55,7 @@ def apply(
     InputError
         for a result without a posterior, and a table that cannot be read or lacks what the model needs.
     """
-    found = result if isinstance(result, Result) else read_result(result)
+    found = opened(result)
     table, where = (readings, "readings") if isinstance(readings, pl.DataFrame) else (
         read_readings(Path(readings)), str(readings))  # fmt: skip
     return inputs_along_axes(found, table, where, temperatures=temperatures, nothing_across=nothing_across)
@@ -88,7 +88,7 @@ def correct(
     """
     with progress_of(progress) as tell:
         tell("reading the fit")
-        found = result if isinstance(result, Result) else read_result(result)
+        found = opened(result)
         source = open_recording(Path(recording), found.fit.model.campaign.channels, run, temperatures)
         tell("correcting")
         return correct_recording(found, source, Path(out), tell)
@@ -106,7 +106,7 @@ def onboard_constants(result: Result | str | Path) -> OnboardConstants:
     InputError
         for a result without a posterior, and a unit whose channels do not span three axes.
     """
-    return constants_of(result if isinstance(result, Result) else read_result(result))
+    return constants_of(opened(result))
 
 
 def export_constants(
@@ -138,7 +138,7 @@ def export_constants(
     InputError
         where the format cannot hold the constants or needs what is not known, and for the noise of another unit.
     """
-    found = result if isinstance(result, Result) else read_result(result)
+    found = opened(result)
     constants = constants_of(found)
     known = of_fit(found, constants, rate)
     if noise is not None:

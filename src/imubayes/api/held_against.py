@@ -8,7 +8,7 @@ from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.qualification.repeatability import Repeatability, repeatability_of
 from imubayes.results.prediction import RunPrediction, broad_scales, prediction
-from imubayes.results.result import Result, read_result
+from imubayes.results.result import Result, opened
 
 
 def predict(
@@ -37,7 +37,7 @@ def predict(
     """
     with progress_of(progress) as tell:
         tell("reading the fit")
-        read = result if isinstance(result, Result) else read_result(result)
+        read = opened(result)
         loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
         return prediction(read, loaded, tuple(changed), any_unit, tell)
 
@@ -66,5 +66,5 @@ def repeatability(
         for calibrations of two units, of the same runs, or that did not converge.
     """
     with progress_of(progress) as tell:
-        one, other = (each if isinstance(each, Result) else read_result(each) for each in (first, second))
+        one, other = opened(first), opened(second)
         return repeatability_of(one.fit, other.fit, (broad_scales(one), broad_scales(other)), changed, any_unit, tell)

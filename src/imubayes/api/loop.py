@@ -37,7 +37,7 @@ from imubayes.results.change_records import (
 from imubayes.results.folder_files import CHECKPOINT
 from imubayes.results.folder_state import claimed_new
 from imubayes.results.history_tree import campaign_of, next_selection, read_tree
-from imubayes.results.result import Result, read_result, result_of
+from imubayes.results.result import Result, opened, result_of
 from imubayes.results.result_folder import write_result
 
 
@@ -64,7 +64,7 @@ def diagnose(
         tell("reading the fit")
         if isinstance(result, Fit):
             return judge(result, effect=effect, progress=tell)
-        read = result if isinstance(result, Result) else read_result(result)
+        read = opened(result)
         found = judge(read.fit, str(read.folder or "RESULT"), effect, tell)
     if read.folder is not None and not effect:
         with kept_if_possible(read.folder):
@@ -102,7 +102,7 @@ def plant(
     """
     with progress_of(progress) as tell:
         if result is not None:
-            fitted = (result if isinstance(result, Result) else read_result(result)).fit
+            fitted = opened(result).fit
         elif campaign is None or model is None:
             raise input_error(
                 "nothing to inject into", "plant", "a campaign with a model, or a result", "give one of the two"
@@ -146,7 +146,7 @@ def add(
     InputError
         for an effect that does not fit, a result that cannot be extended, an `out` that is taken.
     """
-    before = result if isinstance(result, Result) else read_result(result)
+    before = opened(result)
     if diagnosis is None and before.folder is not None:
         diagnosis = read_diagnosis(before.folder)
     files = tuple(word for word in effects if word.endswith(".py"))
@@ -186,7 +186,7 @@ def remove(
     InputError
         for an effect that the model does not have or that others of it require, and for an `out` that is taken.
     """
-    before = result if isinstance(result, Result) else read_result(result)
+    before = opened(result)
     words, parent = _words(effects), before.folder
     if not words:
         raise input_error("no effect is named", "remove", "effects of the model", "name one")
@@ -228,7 +228,7 @@ def refit(
     InputError
         for a model that does not fit the campaign, a result that cannot be gone on from, an `out` that is taken.
     """
-    before = result if isinstance(result, Result) else read_result(result)
+    before = opened(result)
     old = before.fit.model
     spec = model if isinstance(model, ModelSpec) else read_model(model)
     whole = campaign_of(before.folder) if old.campaign.set_aside and before.folder is not None else old.campaign

@@ -6,6 +6,7 @@ shows the models tried.
 """
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,16 +21,41 @@ if TYPE_CHECKING:
     from imubayes.results.change_records import ModelChange
 
 
+@cyclopts.Parameter(name="*")
+@dataclass(frozen=True)
+class _HowRefitted:
+    """How a changed model is fitted and shown: the options that `add`, `remove` and `refit` have in common.
+
+    Parameters
+    ----------
+    sample
+        Sample the posterior; by default the Laplace approximation is used.
+    seed
+        Seed of the sampler.
+    as_json
+        Print one JSON object on standard output.
+    verbose
+        List the residual rms of every channel and run, also where it did not change.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+
+    sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False
+    seed: int = 0
+    as_json: Json = False
+    verbose: Flag = False
+    trust: Trust = False
+
+
+_LAPLACE = _HowRefitted()
+
+
 def add(
     *effects: str,
     to: Path,
     out: Path,
     channels: Names = None,
-    sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False,
-    seed: int = 0,
-    as_json: Json = False,
-    verbose: Flag = False,
-    trust: Trust = False,
+    how: _HowRefitted = _LAPLACE,
 ) -> int:
     """Add effects to the model of a result, fit again from there, and show what that brought.
 
@@ -46,24 +72,14 @@ def add(
         Result folder to write.
     channels
         Channels that the effects act on; by default those the diagnosis named, or all they can act on.
-    sample
-        Sample the posterior; by default the Laplace approximation is used.
-    seed
-        Seed of the sampler.
-    as_json
-        Print one JSON object on standard output.
-    verbose
-        List the residual rms of every channel and run, also where it did not change.
-    trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
     with progress() as tell:
         start_jax("add")
-        trusting(to, trust)
+        trusting(to, how.trust)
         from imubayes.api import add as add_effects
 
-        change = add_effects(to, effects, out, split(channels), sample=sample, seed=seed, progress=tell)
-    return print_change(change, as_json, verbose)
+        change = add_effects(to, effects, out, split(channels), sample=how.sample, seed=how.seed, progress=tell)
+    return print_change(change, how.as_json, how.verbose)
 
 
 def print_change(change: "ModelChange", as_json: bool, verbose: bool) -> int:
@@ -269,11 +285,7 @@ def remove(
     *effects: str,
     source: Annotated[Path, cyclopts.Parameter(name="--from")],
     out: Path,
-    sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False,
-    seed: int = 0,
-    as_json: Json = False,
-    verbose: Flag = False,
-    trust: Trust = False,
+    how: _HowRefitted = _LAPLACE,
 ) -> int:
     """Remove effects from the model of a result, fit again from there, and show what that costs.
 
@@ -287,26 +299,16 @@ def remove(
         Result folder of the model to go on from; it stays as it is.
     out
         Result folder to write.
-    sample
-        Sample the posterior; by default the Laplace approximation is used.
-    seed
-        Seed of the sampler.
-    as_json
-        Print one JSON object on standard output.
-    verbose
-        List the residual rms of every channel and run, also where it did not change.
-    trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
     if not effects:
         raise input_error("no effect is named", "command line", "effects of the model", "name one")
     with progress() as tell:
         start_jax("remove")
-        trusting(source, trust)
+        trusting(source, how.trust)
         from imubayes.api import remove as remove_effects
 
-        change = remove_effects(source, effects, out, sample=sample, seed=seed, progress=tell)
-    return print_change(change, as_json, verbose)
+        change = remove_effects(source, effects, out, sample=how.sample, seed=how.seed, progress=tell)
+    return print_change(change, how.as_json, how.verbose)
 
 
 def refit(
@@ -314,11 +316,7 @@ def refit(
     *,
     model: Path,
     out: Path,
-    sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False,
-    seed: int = 0,
-    as_json: Json = False,
-    verbose: Flag = False,
-    trust: Trust = False,
+    how: _HowRefitted = _LAPLACE,
 ) -> int:
     """Fit again with the model file of a result edited: other priors, readings set aside with a reason.
 
@@ -332,21 +330,11 @@ def refit(
         Its model file, edited: RESULT/model.toml is a copy to begin with.
     out
         Result folder to write.
-    sample
-        Sample the posterior; by default the Laplace approximation is used.
-    seed
-        Seed of the sampler.
-    as_json
-        Print one JSON object on standard output.
-    verbose
-        List the residual rms of every channel and run, also where it did not change.
-    trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
     with progress() as tell:
-        start_jax("add")
-        trusting(result, trust)
+        start_jax("add")  # whose programs it uses
+        trusting(result, how.trust)
         from imubayes.api import refit as refit_edited
 
-        change = refit_edited(result, model, out, sample=sample, seed=seed, progress=tell)
-    return print_change(change, as_json, verbose)
+        change = refit_edited(result, model, out, sample=how.sample, seed=how.seed, progress=tell)
+    return print_change(change, how.as_json, how.verbose)

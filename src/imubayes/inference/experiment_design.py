@@ -318,7 +318,7 @@ def _near_zero(fit: Fit, quantities: Sequence[str]) -> dict[str, Components]:
     """Return the components of those quantities that are angles near zero."""
     problem = fit.model.problem
     about = linearise(problem, jnp.asarray(fit.z))
-    precision = precision_of(problem, about, jnp.asarray(fit.h), np.ones(len(fit.model.entries.run), dtype=bool))
+    precision = precision_of(problem, about, jnp.asarray(fit.h))
     covariance = inverse_of_precision(precision + np.eye(len(fit.z)))
     return components_near_zero(fit, quantities, covariance)
 

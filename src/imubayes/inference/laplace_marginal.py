@@ -76,9 +76,11 @@ def _precision(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Fl
     return knowledge(problem, about, h).precision
 
 
-def precision_of(problem: Problem, about: Linearised, h: Float[Array, " H"], chosen: np.ndarray) -> np.ndarray:
-    """Return what chosen entries, (E,) bool, say of θ in z, without the prior; shape (P, P)."""
-    weight = problem.observations.weight * jnp.asarray(chosen.astype(float))
+def precision_of(
+    problem: Problem, about: Linearised, h: Float[Array, " H"], chosen: np.ndarray | None = None
+) -> np.ndarray:
+    """Return what chosen entries, (E,) bool, or all say of θ in z, without the prior; shape (P, P)."""
+    weight = problem.observations.weight * (1.0 if chosen is None else jnp.asarray(chosen.astype(float)))
     return np.asarray(_precision(eqx.tree_at(lambda p: p.observations.weight, problem, weight), about, h))
 
 

@@ -19,8 +19,7 @@ from imubayes.inference.laplace_marginal import inverse_of_precision, linearise,
 from imubayes.model.bind import Model, bind
 from imubayes.model.bound_effects import observability
 from imubayes.model.effect_registry import Registry
-from imubayes.model.model_file import EffectSpec, ModelSpec
-from imubayes.parameters.declarations import declared_parameters
+from imubayes.model.model_file import GRAVITY, EffectSpec, ModelSpec
 
 STATION = ("station_heading", "station_level", "reference_alignment", "reference_scale_factor", "reference_bias",
            "injection_error")  # fmt: skip
@@ -65,14 +64,10 @@ class EffectProposal:
 
 
 def of_equipment() -> tuple[str, ...]:
-    """Return the effects whose width a campaign states of its equipment, in the order of the catalogue."""
-    return tuple(
-        name
-        for name, known in Registry().effects.items()
-        if any(each.equipment for each in declared_parameters(known).values())
-        and not issubclass(known, AmbientEffect)
-        and name != "gravity_anomaly"
-    )
+    """Return the effects whose width a campaign states of its equipment, without those of ambient and gravity."""
+    known = Registry()
+    ambient = {name for name, member in known.effects.items() if issubclass(member, AmbientEffect)}
+    return tuple(name for name in known.of_equipment() if name not in ambient and name != GRAVITY)
 
 
 def propose_effects(campaign: Campaign) -> EffectProposal:

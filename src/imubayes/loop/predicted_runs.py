@@ -17,15 +17,19 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float
+from imubayes.adequacy.known_noise_fit import noise_sd
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Record
 from imubayes.foundations.tail_probabilities import normal_survival, t_survival
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import inverse_of_precision, linearise, precision_of, whitened_about
+from imubayes.inference.laplace_marginal import (
+    Linearised,
+    inverse_of_precision,
+    linearise,
+    precision_of,
+    whitened_about,
+)
 from imubayes.loop.joined_runs import JoinedRuns, joined_runs
-from imubayes.model.noise_covariance import noise_deviation, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.noise.components import SharedNoise
 
@@ -151,11 +155,6 @@ def root_mean_square_scales(fit: Fit, estimates: Mapping[str, tuple[float, float
     return found
 
 
-@kept
-def _noise_sd(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E"]:
-    return noise_deviation(problem, whitener(problem, h))
-
-
 def predict_runs(
     fit: Fit,
     campaign: Campaign,
@@ -183,10 +182,10 @@ def predict_runs(
     h = model.hyper_layout.carried(fit.model.hyper_layout, scales)
     z = np.where(shared, model.layout.carried(fit.model.layout, fit.z), 0.0)
     tell("fitting what is new")
-    z = _with_own_unknowns(model.problem, z, h, ~shared, new)
-    about = linearise(model.problem, jnp.asarray(z))
-    residual, jacobian, widths = whitened_about(model.problem, about, h)
-    residual, jacobian, root = residual[new], jacobian[new], _posterior_root(fit, joined, shared, scales)
+    fitted = _with_own_unknowns(model.problem, z, h, ~shared, new)
+    about, (residual, jacobian, widths) = fitted.about, fitted.white
+    z, residual, jacobian = np.asarray(about.z), residual[new], jacobian[new]
+    root = _posterior_root(fit, joined, shared, scales)
     own, best = jacobian[:, ~shared] * widths[~shared], z[~shared] / widths[~shared]
     procedural = np.array([parameter.nuisance for parameter in model.layout.parameters], dtype=bool)[~shared]
     spread = _spread(residual, own, best, procedural, jacobian[:, shared] @ root)
@@ -207,7 +206,7 @@ def predict_runs(
         joined=joined,
         predicted=(np.asarray(model.entries.value) - np.asarray(about.misfit))[new],
         model_sd=np.sqrt(np.sum(felt**2, axis=1)),
-        noise_sd=np.asarray(_noise_sd(model.problem, jnp.asarray(h)))[new],
+        noise_sd=np.asarray(noise_sd(model.problem, jnp.asarray(h)))[new],
         whitened=whitened,
         freedom=freedom,
         chi2=float(np.sum(together**2)),
@@ -236,33 +235,51 @@ def _spread(
     return _Spread(residual - taken @ (taken.T @ residual), columns - taken @ (taken.T @ columns), about, taken)
 
 
-def _with_own_unknowns(problem: Problem, z: np.ndarray, h: np.ndarray, own: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Return z with what new runs alone know, (P,) bool, as fits them best, by Gauss–Newton steps."""
+@dataclass(frozen=True)
+class _OwnFit:
+    """The model linearised, whitened residual, Jacobian and prior widths of all runs, and the step of new ones there.
 
-    def at(point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    Attributes
+    ----------
+    left, slope : of the new entries and of the priors of what they alone know, (n + k,) and (n + k, k).
+    """
+
+    about: Linearised
+    white: tuple[np.ndarray, np.ndarray, np.ndarray]
+    left: np.ndarray
+    slope: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        return float(self.left @ self.left)
+
+
+def _with_own_unknowns(problem: Problem, z: np.ndarray, h: np.ndarray, own: np.ndarray, new: np.ndarray) -> _OwnFit:
+    """Return the model where what new runs alone know, (P,) bool, fits them best, by Gauss–Newton steps."""
+
+    def at(point: np.ndarray) -> _OwnFit:
         about = linearise(problem, jnp.asarray(point))
-        residual, jacobian, widths = whitened_about(problem, about, h)
+        residual, jacobian, widths = white = whitened_about(problem, about, h)
         left = np.concatenate([residual[new], -point[own] / widths[own]])
-        slope = np.concatenate([jacobian[new][:, own], np.diag(1 / widths[own])])
-        return float(left @ left), left, slope
+        return _OwnFit(about, white, left, np.concatenate([jacobian[new][:, own], np.diag(1 / widths[own])]))
 
-    cost, left, slope = at(z)
+    here = at(z)
     for _ in range(_STEPS if own.any() else 0):
-        step = np.linalg.lstsq(slope, left, rcond=None)[0]
+        step = np.linalg.lstsq(here.slope, here.left, rcond=None)[0]
         length = 1.0
         while length > _SHORTEST:
             further = z.copy()
             further[own] += length * step
             ahead = at(further)
-            if ahead[0] <= cost:
+            if ahead.cost <= here.cost:
                 break
             length *= 0.3
         else:
             break
-        z, (cost, left, slope) = further, ahead
-        if np.linalg.norm(slope @ step) < _SETTLED:
+        z, here = further, ahead
+        if np.linalg.norm(here.slope @ step) < _SETTLED:
             break
-    return z
+    return here
 
 
 def _posterior_root(fit: Fit, joined: JoinedRuns, shared: np.ndarray, scales: np.ndarray) -> np.ndarray:
@@ -271,7 +288,7 @@ def _posterior_root(fit: Fit, joined: JoinedRuns, shared: np.ndarray, scales: np
     h = model.hyper_layout.carried(old.hyper_layout, scales)
     widths = np.asarray(prior_widths(model.problem, jnp.asarray(h)))
     about = linearise(old.problem, jnp.asarray(fit.z))
-    told = precision_of(old.problem, about, jnp.asarray(scales), np.ones(len(old.entries), dtype=bool))
+    told = precision_of(old.problem, about, jnp.asarray(scales))
     places = [model.layout.index(name) for name in old.layout.names]
     precision = np.diag(widths**-2)
     precision[np.ix_(places, places)] += told

@@ -46,6 +46,14 @@ class Registry:
             )
         return self.effects[name]
 
+    def of_equipment(self) -> tuple[str, ...]:
+        """Return the effects whose width a campaign states of its equipment or site, in the order of the catalogue."""
+        return tuple(
+            name
+            for name, member in self.effects.items()
+            if any(declared.equipment for declared in declared_parameters(member).values())
+        )
+
     def with_files(self, files: Iterable[str | Path]) -> "Registry":
         """Return the registry with the effects that Python files define."""
         effects = dict(self.effects)

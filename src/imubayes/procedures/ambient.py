@@ -1,6 +1,6 @@
 """Covariates available to effects: recorded ones, temperature rates, and time since the start of the campaign."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
@@ -75,6 +75,11 @@ def instant(start: str) -> datetime:
     """Return date and time as UTC unless a time zone is given, so that instants can be compared."""
     at = datetime.fromisoformat(start)
     return at if at.tzinfo else at.replace(tzinfo=UTC)
+
+
+def starts_of(runs: Iterable[Run]) -> list[str]:
+    """Return date and time at which runs began, where that is stated, the first first whatever their time zones."""
+    return sorted((run.start for run in runs if run.start), key=instant)
 
 
 def rate_of_change(time: np.ndarray, values: np.ndarray) -> np.ndarray | None:

@@ -43,6 +43,7 @@ from imubayes.campaign import file_schemas
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Record
+from imubayes.procedures.ambient import instant, starts_of
 
 
 def _visible(text: str) -> str:
@@ -224,14 +225,14 @@ def _equipment_of(campaign: Campaign) -> dict[str, str | None]:
     found: dict[str, str | None] = {}
     for run in campaign.runs:
         for name in filter(None, (run.table, run.procedure if run.procedure in _WITH_STANDARD else None)):
-            found[name] = max(filter(None, (found.get(name), run.start)), default=None)
+            found[name] = max(filter(None, (found.get(name), run.start)), key=instant, default=None)
     return found
 
 
 def missing_items(found: Certificate, campaign: Campaign) -> tuple[Missing, ...]:
     """Return what ISO/IEC 17025 requires and a certificate lacks, and what in it contradicts the campaign."""
     item, laboratory, customer = found.item, found.laboratory, found.customer
-    starts = sorted(run.start for run in campaign.runs if run.start)
+    starts = starts_of(campaign.runs)
     required: dict[MissingItem, object] = {
         "number": found.number, "date": found.date, "laboratory_name": laboratory.name,
         "laboratory_address": laboratory.address, "location": found.location, "customer_name": customer.name,
@@ -257,7 +258,8 @@ def _of_standards(
             yield Missing(item="unused", of=f"{standard.name}: {name}")
         if standard.certificate is None:
             yield Missing(item="standard_certificate", of=standard.name)
-        last = max(filter(None, (used[name] for name in own if name in used)), default=starts[-1] if starts else None)
+        ends = filter(None, (used[name] for name in own if name in used))
+        last = max(ends, key=instant, default=starts[-1] if starts else None)
         if standard.valid_until is None:
             yield Missing(item="standard_validity", of=standard.name)
         elif last is not None and _day(last) > standard.valid_until:

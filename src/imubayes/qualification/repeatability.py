@@ -18,7 +18,6 @@ from typing import Literal
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Presented, Record
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
@@ -29,7 +28,7 @@ from imubayes.loop.joined_runs import JoinedCampaign, joined_campaign
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import prior_widths
 from imubayes.parameters.declarations import Parameter, prior_slopes
-from imubayes.procedures.ambient import instant
+from imubayes.procedures.ambient import instant, starts_of
 from imubayes.results.prediction import LEAST_CHANCE
 
 _EXPANDED = 2.0  # coverage factor of E_n
@@ -140,7 +139,7 @@ def _normal(fit: Fit, scales: np.ndarray) -> _Normal:
     model, problem = fit.model, fit.model.problem
     h, layout = jnp.asarray(scales), model.layout
     widths = np.asarray(prior_widths(problem, h))
-    told = precision_of(problem, linearise(problem, jnp.asarray(fit.z)), h, np.ones(len(model.entries), dtype=bool))
+    told = precision_of(problem, linearise(problem, jnp.asarray(fit.z)), h)
     precision = told + np.diag(widths**-2)
     values = in_units(model, np.concatenate([fit.z, fit.h])[None])[0]
     slopes = np.asarray(prior_slopes(problem.priors, jnp.asarray(fit.z))) / layout.factors()
@@ -192,7 +191,8 @@ def repeatability_of(
     p = float(chi2_survival(chi2, freedom)) if freedom else 1.0
     agree = 2 * min([p, *(len(lines) * line.p for line in lines)]) >= LEAST_CHANCE
     may_pool = agree and not unlike and bool(lines)
-    dates = _first_run(campaigns[0]), _first_run(campaigns[1])
+    begun = [next(iter(starts_of(campaign.runs)), None) for campaign in campaigns]
+    dates = begun[0], begun[1]
     return Repeatability(
         serial=campaigns[1].serial,
         campaigns=(campaigns[0].name, campaigns[1].name),
@@ -243,10 +243,6 @@ def _refuse_unfit(first: Fit, second: Fit, together: JoinedCampaign) -> None:
             "two calibrations of runs of their own: what they share makes them agree",
             "fit the runs apart; what other models say of the same runs is `imubayes history`",
         )
-
-
-def _first_run(campaign: Campaign) -> str | None:
-    return min((run.start for run in campaign.runs if run.start), key=instant, default=None)
 
 
 def _days(first: str | None, second: str | None) -> float | None:

@@ -18,6 +18,7 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import shown
 from imubayes.foundations.units import to_si
 from imubayes.loop.model_history import Tree
+from imubayes.procedures.ambient import starts_of
 from imubayes.qualification import report_estimates as estimates
 from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
@@ -42,7 +43,7 @@ from imubayes.results.change_records import read_diagnosis
 from imubayes.results.fit_file import software
 from imubayes.results.folder_files import HISTORY, checked
 from imubayes.results.history_tree import read_fit_record, read_tree
-from imubayes.results.result import Result, read_result
+from imubayes.results.result import Result, opened
 from imubayes.results.stored_tables import draws_of
 from imubayes.results.summary import ParameterSummary, Quantity, is_constant
 
@@ -169,7 +170,7 @@ def report_of(
         for a result that cannot be read, one whose campaign is gone or has changed, and a specification that cannot be
         used with it.
     """
-    found = result if isinstance(result, Result) else read_result(result)
+    found = opened(result)
     assert found.folder is not None, "a report is made of a result folder"
     diagnosis, tree = read_diagnosis(found.folder), _tree(found.folder)
     campaign = found.fit.model.campaign
@@ -415,7 +416,7 @@ def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) ->
                     name=covariate.name, phrase=covariate.phrase, unit=covariate.unit, lowest=low, highest=high
                 )
             )
-    starts = sorted(run.start for run in campaign.runs if run.start is not None)
+    starts = starts_of(campaign.runs)
     undetectable = diagnosis.undetectable if diagnosis is not None else ()
     lines = [*result.summary.parameters, *(each for each in result.summary.derived if not each.repeats_misalignments)]
     return record.StatisticalScope(

@@ -8,7 +8,6 @@ from imubayes.foundations.campaign_data import Site
 from imubayes.foundations.earth import normal_gravity
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.model_file import GRAVITY, UncertainEquipment
-from imubayes.parameters.declarations import declared_parameters
 from imubayes.responses.candidate_effects import coefficients_of, lacking_effects, stated_size
 
 
@@ -20,12 +19,7 @@ def is_normal_gravity(site: Site) -> bool:
 def uncertain_equipment(fit: Fit) -> tuple[UncertainEquipment, ...]:
     """Return what the campaign of a fit says is not exact and its model takes as exact."""
     model, found = fit.model, []
-    of_equipment = [
-        name
-        for name, member in model.registry.effects.items()
-        if any(declared.equipment for declared in declared_parameters(member).values())
-    ]
-    for effect in lacking_effects(fit, of_equipment)[0]:
+    for effect in lacking_effects(fit, model.registry.of_equipment())[0]:
         assumed = effect.name == GRAVITY and is_normal_gravity(model.campaign.site)
         for coefficient in coefficients_of(effect):
             own, stated = coefficient.parameter, stated_size(model, effect.name, coefficient)

@@ -25,7 +25,7 @@ from imubayes.inference.run_fit import campaign_hash, model_hash
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_carried_model
 from imubayes.parameters.declarations import Layout
-from imubayes.procedures.ambient import instant
+from imubayes.procedures.ambient import starts_of
 from imubayes.results.folder_files import FIT, MODEL
 from imubayes.results.history_tree import CampaignPlaces, FitRecord, _folder, read_fit_record
 from imubayes.results.summary import FitProvenance, SoftwareVersion
@@ -120,7 +120,7 @@ PACKAGES = ("imubayes", "jax", "equinox", "optimistix", "emcee", "arviz-base", "
 def provenance(fit: Fit, seed: int) -> FitProvenance:
     """Return what a fit made now comes from."""
     campaign = fit.model.campaign
-    starts = sorted((run.start for run in campaign.runs if run.start), key=instant)
+    starts = starts_of(campaign.runs)
     return FitProvenance(
         serial=campaign.serial,
         first_run=starts[0] if starts else None,

@@ -287,6 +287,11 @@ def result_of(fit: Fit, folder: Path | None = None, seed: int = 0, load_seconds:
     return Result(summarise(fit, residuals, load_seconds, seed), residuals, folder, _fit=fit)
 
 
+def opened(result: Result | str | Path) -> Result:
+    """Return a result, read where it is given by its folder; see `read_result`."""
+    return result if isinstance(result, Result) else read_result(result)
+
+
 def read_result(folder: str | Path) -> Result:
     """Read a result folder: summary and residuals at once, fit and posterior when they are asked for.
 
