@@ -71,11 +71,36 @@ def test_what_the_runs_do_not_determine_is_a_comment(tmp_path, capsys):
     assert run(["new", str(tmp_path / "still")]) == 2  # there is a model already
 
 
+def fill_in(campaign: Path) -> None:
+    """State what the template leaves open."""
+    stated = {"gravity_m_s2": "9.81", "scale": "1.0", "temperature_degC": "23.0", "preset": '"aligned"'}
+    stated |= {
+        "azimuth_deg": "0.0",
+        "elevation_deg": "90.0",
+        "axis_uncertainty_arcsec": "30.0",
+        "uncertainty_arcmin": "5.0",
+    }
+    kind, lines = "", []
+    for line in campaign.read_text().splitlines():
+        kind = line.split('"')[1] if line.startswith("kind") else kind
+        unit = '"m/s^2"' if kind == "accelerometer" else '"rad/s"'
+        key = line.partition(" = ")[0]
+        lines.append(line.replace('"?"', {"output_unit": unit, "per": unit, **stated}.get(key, '"?"')))
+    campaign.write_text("\n".join(lines))
+
+
 def test_from_nothing_to_a_campaign_to_fill_in(tmp_path, capsys):
     folder = tmp_path / "rates"
     assert run(["new", str(folder)]) == 2
     assert "--procedure" in capsys.readouterr().err
     assert run(["new", str(folder), "--procedure", "rate_table", "--latitude-deg", "50", "--serial", "U1"]) == 0
+    # Nothing that nobody stated stands there as a fact.
+    assert run(["check", str(folder), "--model", str(folder / "model.toml")]) == 2
+    refused = capsys.readouterr().err
+    for key in ("gravity_m_s2", "channel[5].scale", "per", "elevation_deg", "axis_uncertainty_arcsec", "preset"):
+        assert key in refused
+    assert "latitude_deg" not in refused
+    fill_in(folder / "campaign.toml")
     columns = (folder / "runs" / "first.csv").read_text().strip().split(",")
     assert columns[:2] == ["time_s", "table_rate_deg_s"]
     rates = np.array([-100, -50, -10, 10, 50, 100.0])

@@ -3,13 +3,14 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from imubayes.campaign import load_campaign
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.campaign.convert import read_recordings
 from imubayes.campaign.convert.options import read_options
-from imubayes.display.model_writer import commented_campaign, commented_model, start_proposal, template
+from imubayes.campaign.file_schemas import ChannelEntry
+from imubayes.display.model_writer import OPEN, commented_campaign, commented_model, start_proposal, template
 from imubayes.display.progress import progress_of
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import new_folder, refuse_existing, refuse_occupied, write_text
@@ -17,6 +18,7 @@ from imubayes.inference.proposed_effects import EffectProposal, propose_effects
 from imubayes.procedures import PROCEDURES, procedure_named
 
 MODEL_FILE = "model.toml"
+_UNITS_OF_INPUT = get_args(ChannelEntry.model_fields["per"].annotation)
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,14 @@ class NewCampaign:
     folder, model : the campaign folder, and the model file in it.
     proposal : the effects of the model, and why others are not in it.
     notes : what was taken from the recording, and what was guessed, with its evidence.
+    to_state : number of values of the campaign that no option states; it is refused until they are.
     """
 
     folder: Path
     model: Path
     proposal: EffectProposal
     notes: tuple[str, ...]
+    to_state: int = 0
 
 
 def new(
@@ -92,12 +96,14 @@ def _from_nothing(folder: Path, options: Mapping[str, Any]) -> NewCampaign:
             ", ".join(PROCEDURES),
             "name the recordings, or --procedure for a campaign to fill in",
         )
-    site = {key: getattr(given, key) for key in ("latitude_deg", "height_m", "gravity_m_s2")}
+    site = {key: getattr(given, key) for key in ("latitude_deg", "height_m", "gravity_m_s2") if key in options}
     known = {key: float(value) for key, value in site.items() if value is not None}
+    stated = {"accelerometer": given.accel_unit, "gyro": given.gyro_unit}
+    units = {kind: unit for kind, unit in stated.items() if unit in _UNITS_OF_INPUT}
     name, proposal = given.name or folder.name, start_proposal()
-    campaign, header = template(name, procedure_named(given.procedure), known, given.serial)
+    campaign, header = template(name, procedure_named(given.procedure), known, given.serial, units)
     with new_folder(folder) as draft:
         write_text(draft / CAMPAIGN_FILE, campaign)
         write_text(draft / "runs" / "first.csv", header)
         write_text(draft / MODEL_FILE, commented_model(name, proposal, 0))
-    return NewCampaign(folder, folder / MODEL_FILE, proposal, ())
+    return NewCampaign(folder, folder / MODEL_FILE, proposal, (), campaign.count(f'"{OPEN}"'))

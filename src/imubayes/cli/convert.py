@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.campaign.convert import ConvertOptions, read_recordings
 from imubayes.campaign.convert.mapping_file import MAPPING_FILE
 from imubayes.cli.session import progress, start_jax
@@ -83,7 +84,7 @@ def new(
     ----------
     folder
         Campaign folder to write. Without files: one that has a campaign and lacks model.toml, or, with --procedure, a
-        campaign to fill in.
+        campaign to fill in: what no option states is "?" there.
     files
         The recording, as of convert.
     mapping
@@ -103,7 +104,12 @@ def new(
     for note in made.notes:
         print(f"note: {note}")
     print_report(proposal_report(made.proposal))
-    print(f"written: {folder / 'campaign.toml'} and {made.model}; next: imubayes check {folder} --model {made.model}")
+    print(f"written: {folder / CAMPAIGN_FILE} and {made.model}")
+    if made.to_state:
+        print(
+            f'to be stated in {CAMPAIGN_FILE}: the {made.to_state} values that are "?"; then the rows of runs/first.csv'
+        )
+    print(f"next: imubayes check {folder} --model {made.model}")
 
 
 def _given(options: _Options, column: list[str] | None) -> dict[str, Any]:

@@ -28,32 +28,51 @@ _OF_CAMPAIGN = {
         "per": "of what input",
         "offset": "output at zero input",
     },
-    "table": {"elevation_deg": "90: a rate table, 0: a dividing head", "azimuth_deg": "clockwise from North"},
-    "mounting": {"preset": "how the unit sits on the table, or body_to_table = [[…], […], […]]"},
+    "table": {
+        "elevation_deg": "90: a rate table, 0: a dividing head",
+        "azimuth_deg": "clockwise from North",
+        "axis_uncertainty_arcsec": "one standard deviation; without this line the axis is exact",
+    },
+    "mounting": {
+        "preset": "'aligned' or 'trihedral', or body_to_table = [[…], […], […]]",
+        "uncertainty_arcmin": "one standard deviation about each axis; without this line the seat is exact",
+    },
     "run": {"procedure": "`imubayes schema campaign` lists them all", "file": "CSV or Parquet"},
 }
+# A value that nobody has stated: no key takes it.
+OPEN = "?"
 
 
-def template(name: str, procedure: Procedure, site: Mapping[str, float], serial: str) -> tuple[str, str]:
-    """Return a `campaign.toml` to be filled in, of an IMU and one run of a procedure, and the header of its table."""
+def template(
+    name: str, procedure: Procedure, site: Mapping[str, float], serial: str, units: Mapping[str, str]
+) -> tuple[str, str]:
+    """Return a `campaign.toml` to be filled in, of an IMU and one run of a procedure, and the header of its table.
+
+    What `site` and `units` (of each kind of channel) do not state is left open: the campaign is refused, with line and
+    key, until it is stated.
+    """
     axes = [[float(row == column) for column in range(3)] for row in range(3)]
-    channels = [
-        {"name": f"{kind[0]}{axis}", "kind": kind, "input_axis": axes[place], "output_unit": unit, "scale": 1.0,
-         "per": unit, "offset": 0.0}
-        for kind, unit in (("accelerometer", "m/s^2"), ("gyro", "rad/s"))
+    document: dict[str, Any] = {"format": 1, "name": name}
+    document["site"] = {"latitude_deg": OPEN, "gravity_m_s2": OPEN, **site}
+    document["unit"] = {"serial": serial}
+    document["channel"] = [
+        {"name": f"{kind[0]}{axis}", "kind": kind, "input_axis": axes[place], "output_unit": units.get(kind, OPEN),
+         "scale": 1.0 if kind in units else OPEN, "per": units.get(kind, OPEN)}
+        for kind in ("accelerometer", "gyro")
         for place, axis in enumerate("xyz")
     ]  # fmt: skip
-    run = {"name": "first", "procedure": procedure.name, "file": "runs/first.csv", "temperature_degC": 23.0}
-    document = {"format": 1, "name": name, "site": {"latitude_deg": 45.0, **site}, "unit": {"serial": serial}}
-    document["channel"] = channels
+    run = {"name": "first", "procedure": procedure.name, "file": "runs/first.csv", "temperature_degC": OPEN}
     if procedure.needs_table:
-        document["table"] = [
-            {"name": "table", "azimuth_deg": 0.0, "elevation_deg": 90.0, "axis_uncertainty_arcsec": 30.0}
-        ]
-        document["mounting"] = [{"name": "seat", "preset": "aligned", "uncertainty_arcmin": 5.0}]
+        table = {"azimuth_deg": OPEN, "elevation_deg": OPEN, "axis_uncertainty_arcsec": OPEN}
+        document["table"] = [{"name": "table", **table}]
+        document["mounting"] = [{"name": "seat", "preset": OPEN, "uncertainty_arcmin": OPEN}]
         run |= {"table": "table", "mounting": "seat"}
     document["run"] = [run]
-    columns = ["time_s", *(group[0] for group in procedure.columns), *(channel["name"] for channel in channels)]
+    columns = [
+        "time_s",
+        *(group[0] for group in procedure.columns),
+        *(f"{kind}{axis}" for kind in "ag" for axis in "xyz"),
+    ]
     return commented_campaign(tomlkit.dumps(document)), ",".join(dict.fromkeys(columns)) + "\n"
 
 
