@@ -3,6 +3,7 @@ from .api import (
     ConformityStatement,
     GumBudget,
     InputQuantity,
+    KnownAnswer,
     ModelChange,
     NewCampaign,
     Propagated,
@@ -28,6 +29,7 @@ from .api import (
     remove,
     repeatability,
     report,
+    selftest,
 )
 from .campaign import check_campaign, load_campaign
 from .criticism.diagnosis_record import Diagnosis
@@ -73,6 +75,7 @@ __all__ = [
     "GumBudget",
     "InputError",
     "InputQuantity",
+    "KnownAnswer",
     "Model",
     "ModelChange",
     "Motion",
@@ -131,6 +134,7 @@ __all__ = [
     "report",
     "rotate",
     "sample",
+    "selftest",
     "time_constant",
     "to_si",
     "trust",

@@ -16,10 +16,12 @@ from .own_equation import (
     ConformityStatement,
     GumBudget,
     InputQuantity,
+    KnownAnswer,
     Propagated,
     budget,
     conformity,
     propagate,
+    selftest,
 )
 
 __all__ = [
@@ -28,6 +30,7 @@ __all__ = [
     "CorrectedRecording",
     "GumBudget",
     "InputQuantity",
+    "KnownAnswer",
     "ModelChange",
     "NewCampaign",
     "Propagated",
@@ -57,4 +60,5 @@ __all__ = [
     "remove",
     "repeatability",
     "report",
+    "selftest",
 ]

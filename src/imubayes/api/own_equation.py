@@ -1,4 +1,4 @@
-"""Uncertainty of an equation of one's own: propagation, budget, conformity.
+"""Uncertainty of an equation of one's own, and the known answers of this installation.
 
 mass = imubayes.propagate(lambda m, rho: m / rho, [
 imubayes.InputQuantity.normal("m", 0.1, 2e-5), imubayes.InputQuantity.between("rho", 7900, 8100),
@@ -7,6 +7,7 @@ print(mass, mass.gum, imubayes.conformity(mass, upper=1.3e-5))
 """
 
 from imubayes.qualification.input_quantities import InputQuantity
+from imubayes.qualification.known_answers import KnownAnswer, selftest
 from imubayes.qualification.law_of_propagation import GumBudget, budget
 from imubayes.qualification.propagation import Propagated, propagate
 from imubayes.qualification.value_conformity import ConformityStatement, conformity
@@ -15,8 +16,10 @@ __all__ = [
     "ConformityStatement",
     "GumBudget",
     "InputQuantity",
+    "KnownAnswer",
     "Propagated",
     "budget",
     "conformity",
     "propagate",
+    "selftest",
 ]

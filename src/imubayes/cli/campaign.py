@@ -2,7 +2,7 @@
 
 `check` says what is there, and what is wrong.  `effects` shows the catalogue.  `noise` gives Allan deviation and noise
 terms of static records.  `schema` prints the JSON Schema of the files, for editors and readers of results.  `simulate`
-makes a synthetic campaign from a plan, with a truth file.
+makes a synthetic campaign from a plan, with a truth file.  `selftest` computes what is known already.
 """
 
 import json
@@ -244,3 +244,27 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = F
         tell("simulating")
         folder = simulate_plan(plan, out, seed)
     print(f"campaign in {folder}, truth in {folder / 'truth.toml'}; next: imubayes check {folder}")
+
+
+def selftest(as_json: Json = False) -> int:
+    """Compute published values, and a campaign whose answer is known by construction: for the records of a laboratory.
+
+    Allan deviations (NIST SP 1065), propagation (JCGM 101), conformity (JCGM 106), sampling (GUM H.3) and a joint fit.
+    The exit status is 1 where a value differs.
+
+    Example: imubayes selftest
+
+    Parameters
+    ----------
+    as_json
+        Print one JSON object on standard output.
+    """
+    with progress() as tell:
+        start_jax("known answers")
+        from imubayes.api import selftest as known_answers
+        from imubayes.display.own_equation import selftest_record, selftest_report
+
+        answers = known_answers(tell)
+        record = selftest_record(answers)
+    show(lambda: record, lambda: selftest_report(record), as_json)
+    return 0 if all(answer.agrees for answer in answers) else 1

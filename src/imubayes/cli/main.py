@@ -17,7 +17,7 @@ import cyclopts
 from imubayes import __version__
 from imubayes.cli.batch import archive, batch
 from imubayes.cli.calibrated_unit import apply, carrier, export, report
-from imubayes.cli.campaign import check, effects, noise, schema, simulate
+from imubayes.cli.campaign import check, effects, noise, schema, selftest, simulate
 from imubayes.cli.explore import explore
 from imubayes.cli.fit import classical, compare, fit, predict
 from imubayes.cli.loop import add, diagnose, history, plant, refit, remove
@@ -31,7 +31,7 @@ _COLLECTION_THRESHOLD = 2_000_000
 # In the order of work: what `imubayes --help` shows together.
 _GROUPS = {
     "The loop": (fit, compare, predict, diagnose, add, remove, refit, history, explore, plant),
-    "Data": (check, noise, classical, carrier, effects, simulate, schema),
+    "Data": (check, noise, classical, carrier, effects, simulate, schema, selftest),
     "Results": (report, apply, export),
     "Many units": (archive, batch),
 }

@@ -1,13 +1,19 @@
-"""What `propagate`, `budget` and `conformity` found, as tables."""
+"""What `propagate`, `budget`, `conformity` and `selftest` found, as tables."""
 
 import math
+import platform
 from collections.abc import Sequence
+from datetime import UTC, datetime
 
-from imubayes.display.layout import Report, Sheet, cells
+from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.numbers_and_labels import percent, rounded, significant
+from imubayes.foundations.records import Record
+from imubayes.qualification.known_answers import KnownAnswer
 from imubayes.qualification.law_of_propagation import GumBudget
 from imubayes.qualification.propagation import OutputQuantity, Propagated
 from imubayes.qualification.value_conformity import ConformityStatement
+from imubayes.results.fit_file import software
+from imubayes.results.summary import SoftwareVersion
 
 
 def propagated_report(found: Propagated) -> Report:
@@ -100,3 +106,34 @@ def budget_headline(found: GumBudget) -> str:
 def conformity_headline(found: ConformityStatement) -> str:
     """Return the decision in one line."""
     return f"<ConformityStatement {found.outcome.replace('_', ' ')}, p_c {significant(found.conformance, 3)}>"
+
+
+def selftest_report(record: "Selftest") -> Report:
+    """Return every known answer beside the value of this installation."""
+    answers, rows = record.answers, []
+    for each in answers:
+        known, found = f"{each.known:.7g}", f"{each.found:.7g}"
+        verdict = Cell("agrees") if each.agrees else Cell("DIFFERS", "bad")
+        rows.append(cells(each.subject, each.source, known, found, f"{each.allowed:.1g}", verdict))
+    wrong = sum(not each.agrees for each in answers)
+    alarm = f"{wrong} of {len(answers)} values DIFFER: do not use this installation for measurements" if wrong else ""
+    head = ("quantity", "source", "known", "found", "allowed", "")
+    note = "Allowed: half of the last published digit, or what the number of draws and the optimiser leave open."
+    versions = ", ".join(f"{each.package} {each.version}" for each in record.software)
+    lines = [f"{record.date:%Y-%m-%d %H:%M} UTC, {record.machine}: {versions}."]
+    return Report(lines, [Sheet("Known answers", head, rows, (0, 1, 5), note=note).with_few(0, 2, 3, 5)], alarm=alarm)
+
+
+class Selftest(Record):
+    """The known answers with what computed them, where and when: what `imubayes selftest --json` prints."""
+
+    software: tuple[SoftwareVersion, ...]
+    machine: str
+    date: datetime
+    answers: tuple[KnownAnswer, ...]
+
+
+def selftest_record(answers: Sequence[KnownAnswer]) -> Selftest:
+    """Return the known answers with versions, machine and date."""
+    machine, now = f"{platform.system()} {platform.machine()}", datetime.now(UTC)
+    return Selftest(software=software(), machine=machine, date=now, answers=tuple(answers))
