@@ -1,12 +1,17 @@
 """Whether the intervals of a fit can be trusted: white noise raises no alarm, other noise does."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from null_data import fitted_to, redrawn, with_values
 from scipy import stats
 
+import imubayes
 from imubayes.adequacy.noise_tests import _skew_tail, grid_step, judged_noise
+from imubayes.cli.main import run
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import joint_fit
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +100,21 @@ def test_the_step_of_a_grid(values, step):
 def test_the_tail_of_a_skew_statistic_is_that_of_pearson(skew):
     for z in (-3.0, -0.5, 0.0, 2.0, 9.0):
         assert _skew_tail(z, skew) == pytest.approx(float(stats.pearson3.sf(z, skew)), rel=1e-4, abs=1e-300)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_nothing_is_said_of_noise_that_no_reading_is_left_to_tell(tmp_path, seed):
+    """Six faces of a triad laid by hand: attitudes and sensors describe every reading."""
+    random = np.random.default_rng(seed)
+    faces = np.repeat(np.eye(3), 2, axis=0) * np.tile([1, -1], 3)[:, None]
+    true = faces + np.radians(2) * random.normal(size=faces.shape)
+    true /= np.linalg.norm(true, axis=1, keepdims=True)
+    means = [0.030, 0.004, -0.030] + true * [1.005, 1.001, 1.009] + random.normal(0, 0.004 / 1000**0.5, (6, 3))
+    lines = ["ax (g),ay (g),az (g),samples", *(",".join(map(str, [*mean, 1000])) for mean in means)]
+    (tmp_path / "six.csv").write_text("\n".join(lines) + "\n")
+    assert run(["convert", str(tmp_path / "six.csv"), "--out", str(tmp_path / "six"), "--latitude-deg", "31"]) == 0
+    model = imubayes.load_model(Path(__file__).parents[2] / "models" / "free-tumble.toml")
+    fit = joint_fit(imubayes.bind(model, imubayes.load_campaign(tmp_path / "six")), None)
+    judgement = judged_noise(fit)
+    assert not judgement.violations
+    assert not judgement.suspected

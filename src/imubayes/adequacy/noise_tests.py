@@ -30,6 +30,10 @@ deviation is known to 5 %; the tail is that of a Pearson III distribution."""
 _STRONGEST_ANTICORRELATION = 0.95
 """Bound of the estimated negative noise statistic (a correlation cannot be −1).  Numerical."""
 
+_LEAST_FREEDOM = 3.0
+"""Degrees of freedom of the entries below which nothing is said of their noise.  Convention: where parameters describe
+every reading, as in six poses of a triad, the residual is that of the priors and of rounding."""
+
 OUTLIERS = "outliers"
 # Below this the law is normal to all digits.
 _NO_SKEW = 1e-5
@@ -131,6 +135,9 @@ def screen_noise(
         for effect, statistic in kinds:
             chosen = _groups(projection, names, effect)
             if not chosen.any():
+                continue
+            here = np.unique(projection.turn.members[chosen])
+            if np.mean(np.sum(entries[here[here < len(entries)], 1:] ** 2, axis=0)) < _LEAST_FREEDOM:
                 continue
             values = statistic(projection, entries, chosen)
             mean, sd = float(np.mean(values[1:])), float(np.std(values[1:]))
