@@ -93,6 +93,7 @@ def test_posteriors_in_lanes_are_those_of_single_fits(units):
 @pytest.mark.parametrize(
     "name", ["polar-tumble", *(pytest.param(n, marks=pytest.mark.slow) for n in ("trihedral-imu", "redundant-imu"))]
 )
+@pytest.mark.slow
 def test_rounding_changes_no_digit_that_counts(name):
     # Other processors and compilers round otherwise; parameters without data have degenerate directions.
     model, random = model_of(DATA / name, name), np.random.default_rng(1)
@@ -119,6 +120,7 @@ def in_lanes(models: list[Model]) -> list[UnitPosterior]:
     return [posterior_of(fit, BatchSettings(), UnitIdentity("", "", "", "")) for fit in fits if fit is not None]
 
 
+@pytest.mark.slow
 def test_programs_of_lanes_outlast_the_process(tmp_path, command_environment):
     script = Path(__file__).parent / "kept_lanes.py"
     environment = command_environment | {"IMUBAYES_KEEP_PROGRAMS": "1"}

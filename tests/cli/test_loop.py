@@ -87,6 +87,7 @@ def test_the_loop(place, capsys):
     assert said(capsys, "add", LACKING, "--to", first, "--out", second)[0] == 2
 
 
+@pytest.mark.slow
 def test_planting_on_the_command_line(place, capsys):
     words = ["plant", "--result", place / "first", "--effects", "converter_offset_drift_quadratic", "--draws", "1"]
     status, out, _ = said(capsys, *words, "--json")

@@ -85,6 +85,7 @@ def test_the_campaign_is_no_place_for_a_result(tmp_path, refused):
     assert sorted(campaign.rglob("*")) == there
 
 
+@pytest.mark.slow
 def test_what_cannot_be_kept_is_shown(result, tmp_path, capsys):
     def said(folder: Path, *words: str) -> tuple[int, str, list[str]]:
         status = run([words[0], str(folder), *words[1:]])

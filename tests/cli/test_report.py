@@ -245,6 +245,7 @@ def test_a_report_of_a_fit_evaluates_no_model(result, tmp_path, monkeypatch, cap
     assert not again.exists()
 
 
+@pytest.mark.slow
 def test_budgets_that_are_kept_are_those_of_the_result(result, tmp_path):
     file = result / "budgets.json"
     _, first, _ = written(result, tmp_path)

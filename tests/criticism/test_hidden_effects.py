@@ -153,6 +153,7 @@ def test_a_drift_quadratic_in_g_is_named_first(tmp_path: Path) -> None:
     assert len(found.groups) == 1, told(found)
 
 
+@pytest.mark.slow
 def test_an_effect_between_few_runs_is_not_passed_over_for_scatter() -> None:
     """Seven runs, whose scatter its prior bounds."""
     found = judge(planted(polar(), 5, of_typical(polar(), BETWEEN, 0.2)))

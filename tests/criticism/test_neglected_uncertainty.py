@@ -123,6 +123,7 @@ def test_what_apply_and_export_contain_moves_the_parameters_as_it_would():
     assert uncertain_equipment(replace(at, model=declared)) == ()
 
 
+@pytest.mark.slow
 def test_a_table_rate_taken_as_exact_is_told():
     at = fitted(20.0)
     found = judge(at)

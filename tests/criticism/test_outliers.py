@@ -101,6 +101,7 @@ def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole: Fit) -> None:
     assert set(form.channels) == {model.campaign.channels[k].name for k in gyros}, told(found)
 
 
+@pytest.mark.slow
 def test_a_step_is_no_matter_of_outliers(whole: Fit) -> None:
     """The last three readings of one channel in one run are off alike."""
     entries = whole.model.entries

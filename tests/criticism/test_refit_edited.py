@@ -54,6 +54,7 @@ def aside(place, first) -> Result:
     return read_result(place / "aside")
 
 
+@pytest.mark.slow
 def test_readings_set_aside_are_as_if_they_had_not_been_recorded(place, first, aside):
     """The fit is that of a campaign whose cells are empty."""
     emptied = place / "emptied"

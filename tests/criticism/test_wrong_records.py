@@ -77,6 +77,7 @@ def test_a_rate_that_is_wrong_in_one_run_is_named_with_its_factor() -> None:
     assert "rate-y-up" in {each.run for each in doubted_runs(fitted)}
 
 
+@pytest.mark.slow
 def test_an_angle_mistyped_in_one_row_is_named_with_the_true_one() -> None:
     sound = fitted_to("hidden-none")
     true = next(run for run in sound.model.campaign.runs if run.name == "head-x-up").covariates["table_angle"][4]

@@ -102,6 +102,7 @@ def test_it_shows_itself(compared: Comparison):
     assert compared._repr_html_().startswith("<div")
 
 
+@pytest.mark.slow
 def test_a_tumble_without_table_and_without_samples(tumble: Path):
     found = compare(tumble)
     names = [path.name for path in found.pictures]
@@ -116,6 +117,7 @@ def test_one_run_of_one_channel(single: Path):
     assert {"fit-of-runs.png", "run-rate-pyramid-25C.png", "residuals-table-rate.png"} <= names
 
 
+@pytest.mark.slow
 def test_two_rows_are_enough(tmp_path: Path):
     residuals = made.trihedral_residuals(temperatures=(25,), channels=("gx",))
     residuals = residuals.filter(pl.col("run") == "rate-pyramid-25C").head(2)
@@ -125,6 +127,7 @@ def test_two_rows_are_enough(tmp_path: Path):
     assert compare(folder).pictures
 
 
+@pytest.mark.slow
 def test_missing_values_are_left_out(tmp_path: Path):
     residuals = made.trihedral_residuals(temperatures=(25,), channels=("gx", "ax"))
     holes = pl.int_range(pl.len()) % 7 == 0
@@ -171,6 +174,7 @@ def test_what_an_earlier_comparison_drew_goes_and_the_rest_stays(single: Path):
     assert not any(name.endswith(".part") for name in names)
 
 
+@pytest.mark.slow
 def test_chosen_parameters(tmp_path: Path):
     folder = made.trihedral_folder(tmp_path / "sampled", temperatures=(25,), channels=("gx",))
     assert "corner.png" in {path.name for path in compare(folder, ["gyro_bias.bias[gx]", "accel_bias.bias"]).pictures}

@@ -386,6 +386,7 @@ def test_what_is_cancelled_leaves_nothing(client, explored, first):
     assert sorted(each.name for each in explored.session.root.parent.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_a_change_is_that_of_the_command(client, explored, first, facts):
     """Added as the command that is shown adds it: a result of its own, selected, and taken back."""
     task = client.json("change", {"model": first, "add": [HIDDEN]})["task"]

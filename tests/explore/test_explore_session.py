@@ -224,6 +224,7 @@ def test_the_prior_of_a_parameter_is_checked_with_its_unit(explored, first):
         with_prior(fitted, "gyro_bias.bais[gz]", "normal(0, 2 deg/h)")
 
 
+@pytest.mark.slow
 def test_another_prior_is_a_branch_that_its_command_makes_again(explored, first, client, tmp_path):
     """The refit is that of `imubayes refit`, whose file stays beside the results; what is set aside needs a reason."""
     refused = client.ask("change", {"model": first, "aside": [{"runs": ["rate-z-up"]}], "reason": " "})

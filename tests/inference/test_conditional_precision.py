@@ -29,6 +29,7 @@ def mode() -> Mode:
 
 
 @pytest.mark.parametrize("far", [0.0, -4.0, 4.0])
+@pytest.mark.slow
 def test_precision_and_gradient_follow_the_scatter_between_runs(far):
     problem = made().problem
     scatter = np.array([parameter.effect == "run_scatter" for parameter in made().hyper_layout.parameters])

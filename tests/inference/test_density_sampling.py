@@ -158,6 +158,7 @@ def test_gradients_follow_shapes_that_the_moves_cannot(density, start, scale):
     assert np.mean(first < -5 / 3 * true) == pytest.approx(0.0478, abs=0.02)
 
 
+@pytest.mark.slow
 def test_gradient_moves_keep_a_density_and_resume(tmp_path):
     """A funnel of two parameters: the share of its neck, and a chain that goes on where it was interrupted."""
     log_density = jax.jit(lambda x: -(x[:, 0] ** 2) / 18 - 0.5 * x[:, 1] ** 2 * jnp.exp(-x[:, 0]) - 0.5 * x[:, 0])

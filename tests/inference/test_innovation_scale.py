@@ -64,6 +64,7 @@ def test_a_point_and_its_standard_normal_vector_belong_together():
     np.testing.assert_allclose(again, density, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_scale_of_the_innovations_is_the_same_along_the_ridge():
     model, mode, proposal = made()
     names = [str(name) for name in model.parameter_names][model.problem.size[0] :]

@@ -35,6 +35,7 @@ def away(seed: int, far: float) -> jax.Array:
     return jnp.asarray(np.random.default_rng(seed).normal(size=made().problem.size[1]) * far)
 
 
+@pytest.mark.slow
 def test_curvature_is_that_of_the_second_derivative():
     h = away(1, 0.3)
     found = marginal.curvature(made().problem, about(), h)

@@ -21,6 +21,7 @@ def test_a_skewed_density():
     np.testing.assert_allclose(table.sd(), stats.skewnorm.std(3.0), rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_two_modes_keep_their_masses():
     table = table_of(lambda x: np.logaddexp(np.log(0.8) - 0.5 * (x + 3) ** 2, np.log(0.2) - 0.5 * (x - 3) ** 2))
     u = stats.norm.ppf((np.arange(4000) + 0.5) / 4000)

@@ -97,6 +97,7 @@ def test_the_heading_of_a_free_tumble_has_its_whole_width():
     assert good.largest < bad.largest
 
 
+@pytest.mark.slow
 def test_steps_have_the_covariance_of_stretched_normal_ones(shape: TabulatedDirections, factor):
     """Of exact widths the linear map makes the covariance of the drawn steps; without it, widths are off by a tenth."""
     normal = jnp.asarray(np.random.default_rng(6).normal(size=(200_000, 5)))

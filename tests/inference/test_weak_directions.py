@@ -5,6 +5,7 @@ from functools import cache
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from imubayes.inference.laplace_marginal import inverse_of_precision
 from imubayes.inference.nested_laplace import bends, curved_directions, posterior_precision
@@ -43,6 +44,7 @@ def left_over(weak: np.ndarray, reach: np.ndarray, bend: np.ndarray) -> float:
     return float(np.sqrt((whitened**2).sum(axis=0)).max())
 
 
+@pytest.mark.slow
 def test_bent_steps_keep_to_the_ridge():
     problem, at = made().problem, mode()
     weak, reach, bend = curved_directions(problem, at)

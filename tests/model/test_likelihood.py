@@ -181,6 +181,7 @@ def test_the_sparse_derivative_is_the_dense_one():
     assert colours < len(model.layout), "the colouring saves nothing"
 
 
+@pytest.mark.slow
 def test_the_sparse_derivative_of_a_tumble_is_the_dense_one():
     model = tumbling()
     z, _ = point(model, 3)

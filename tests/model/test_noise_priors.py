@@ -76,6 +76,7 @@ def deviation_of_bias() -> float:
     return 3600 * float(np.sqrt(np.linalg.inv(design.T @ np.linalg.solve(covariance, design))[0, 0]))
 
 
+@pytest.mark.slow
 def test_priors_of_a_static_record_give_the_interval_of_its_noise(written: Path, with_priors, deviation_of_bias: float):
     model, sd, values, _ = with_priors
     assert {"flicker_noise.b[gx]", "random_walk_noise.k[gx]"} <= set(model.hyper_layout.names)
@@ -99,6 +100,7 @@ def test_a_static_record_informs_the_noise_of_other_runs(written: Path, deviatio
     assert 0.5 * deviation_of_bias < joint < 1.1 * deviation_of_bias
 
 
+@pytest.mark.slow
 def test_the_prior_of_correlated_parameters_is_that_of_a_normal_distribution(with_priors):
     model: Model = with_priors[0]
     problem = model.problem

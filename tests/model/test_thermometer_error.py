@@ -91,6 +91,7 @@ def slope_errors(found: dict[str, tuple[float, float]]) -> dict[str, float]:
     return {name: (value - SLOPES[name]) / sd for name, (value, sd) in stated.items()}
 
 
+@pytest.mark.slow
 def test_an_uncertain_temperature_is_estimated_and_the_slopes_are_right():
     found, *_ = fitted(bind(thermal("thermometer_error"), measured(15.0)))
     assert max(map(abs, slope_errors(found).values())) < 2.5

@@ -42,6 +42,7 @@ def seen(faint_walks: list[NoiseLikelihood]) -> list[TermEvidence]:
     return [term_evidence(likelihood) for likelihood in faint_walks]
 
 
+@pytest.mark.slow
 def test_a_random_walk_is_not_called_flicker_noise(seen: list[TermEvidence]):
     """At 2 % of the records there are three or more in 2 % of such tests."""
     for term in (FLICKER, QUANTISATION, NoiseTerm.MARKOV):

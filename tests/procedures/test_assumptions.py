@@ -131,6 +131,7 @@ def test_a_fixture_that_errs_passes_for_accelerometer_bias(tmp_path):
         assert gyro.value == pytest.approx(truth[gyro.name], abs=0.1)
 
 
+@pytest.mark.slow
 def test_what_is_left_of_an_unfinished_turn(tmp_path):
     """After 2½ turns 2/Φ of the turning part is left, after whole turns nothing; along the axis all of it."""
     plan = rotation_modulation.plan(3, model=model_of("rotation-modulation"))
@@ -167,6 +168,7 @@ def test_the_carrier_stands_still(tmp_path):
 # matched speeds
 
 
+@pytest.mark.slow
 def test_matched_speeds_over_replicates(tmp_path):
     scores = []
     for seed in range(10):
@@ -216,6 +218,7 @@ def servo(folder, seed, hours, **more):
     return loaded(folder), values
 
 
+@pytest.mark.slow
 def test_the_servo_table_over_replicates(tmp_path):
     """Blocks of an angle with white noise are not independent: errors alternate, and the textbook's sd is safe."""
     for seed in range(4):

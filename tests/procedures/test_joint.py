@@ -64,6 +64,7 @@ def test_the_angle_of_a_servo_table_has_no_input_axis(servo):
     assert not {covariate.name for covariate in found} & {"rate_i", "force_i"}
 
 
+@pytest.mark.slow
 def test_the_derivative_through_the_differential_equation(servo):
     """Against central differences of two steps, extrapolated, to a part in a million of each column."""
     model, mode, _ = servo

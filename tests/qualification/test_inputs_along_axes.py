@@ -32,6 +32,7 @@ def result(accel_channel):
     return read_result(accel_channel)
 
 
+@pytest.mark.slow
 def test_the_acceleration_is_found_within_its_uncertainty(result):
     acceleration = np.repeat([0.5, 0.75, 1.0], 4)
     temperature = np.tile([15.0, 25.0, 35.0, 45.0], 3)

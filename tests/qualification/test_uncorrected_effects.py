@@ -53,6 +53,7 @@ def largest_lag() -> float:
     return largest
 
 
+@pytest.mark.slow
 def test_effects_with_memory_or_limit_are_named_with_their_size(result):
     correction = correction_of(result, ("gx", "gy", "gz", "ax", "ay", "az"), "recording")
     found = {each.effect: each for each in correction.left_in}
@@ -72,6 +73,7 @@ def test_effects_with_memory_or_limit_are_named_with_their_size(result):
     assert f"up to {lag.size:.2g}" in said
 
 
+@pytest.mark.slow
 def test_what_constants_cannot_express_has_the_size_of_its_nonlinear_part(result):
     """A quadratic term at the largest input; bias and scale factor are linear, and no constant leaves them out."""
     spans = input_ranges(result.fit.model.campaign)

@@ -39,6 +39,7 @@ def test_the_draws_of_a_normal_posterior_leave_a_digit_whatever_it_is():
     assert digits_of(Marginal(draws, float(LAPLACE_DRAWS))) == 1
 
 
+@pytest.mark.slow
 def test_draws_are_made_until_every_quantity_deserves_a_digit(monkeypatch):
     monkeypatch.setattr("imubayes.qualification.posterior_quantities.LAPLACE_DRAWS", 1000)
     result = fit(CAMPAIGN, MODEL, sample=False, until_digits=1)

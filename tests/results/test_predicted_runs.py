@@ -63,6 +63,7 @@ def hold_out(folder: Path, monkeypatch, seeds: range) -> None:
     assert tested > 1.5
 
 
+@pytest.mark.slow
 def test_held_out_runs_spread_as_predicted(tmp_path, monkeypatch):
     hold_out(tmp_path, monkeypatch, range(101, 101 + DRAWS))
 

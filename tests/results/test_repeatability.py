@@ -84,6 +84,7 @@ def test_one_that_moved_is_found(pairs, tmp_path):
     assert found.days == pytest.approx(365)
 
 
+@pytest.mark.slow
 def test_both_as_one_are_the_fit_to_all_runs(pairs, tmp_path):
     first, second = campaigns(tmp_path, 1)
     whole = fitted(replace(first, runs=(*first.runs, *second.runs)))

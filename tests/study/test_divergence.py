@@ -57,6 +57,7 @@ def test_unknown_noise_hides_a_part(sight: detectability.Sight):
     assert seen_past_noise(sight, {}) == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_what_scatter_between_few_runs_frees_is_not_seen(tmp_path):
     """Seven runs; S 54 of a drift linear in g, 36 of it against priors that a larger scatter relieves."""
     sizes = {"d_i": 1.0, "d_o": 1.2, "d_s": -2.1}

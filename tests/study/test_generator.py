@@ -239,6 +239,7 @@ def test_run_offsets_hide_what_is_constant_in_a_run():
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind == "large" else kind for kind in hidden.KINDS]
 )
+@pytest.mark.slow
 def test_a_random_campaign_is_what_it_says(kind, tmp_path):
     drawn = hidden.random_campaign(tmp_path / "one", 3, kind)
     again = hidden.random_campaign(tmp_path / "two", 3, kind)
@@ -273,6 +274,7 @@ LONG = ("free_tumble", "multi_axis_table", "centrifuge", "rotation_modulation", 
     "procedure",
     [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in (*ALONE, "servo_table")],
 )
+@pytest.mark.slow
 def test_a_campaign_of_one_procedure_holds_that_alone(procedure, tmp_path):
     """It is read as a campaign of that procedure; its model is a shipped one that lacks what is hidden."""
     if procedure == "servo_table":

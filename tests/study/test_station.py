@@ -43,6 +43,7 @@ def scores(folder: Path, seed: int, left_out: tuple[str, ...] = ()) -> np.ndarra
     )
 
 
+@pytest.mark.slow
 def test_drift_terms_where_north_is_off(tmp_path):
     found = np.concatenate([scores(tmp_path / str(seed), seed) for seed in range(3)])
     assert np.sqrt(np.mean(found**2)) < 1.5
