@@ -24,9 +24,9 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import linearise
 from imubayes.noise.components import Outliers
 
-_NOISE_DRAWS, _NOISE_DRAWS_AT_ONCE = 200, 20_000_000
-"""Simulations of white noise through the projection, and rows times simulations held at once.  Effort: the standard
-deviation is known to 5 %; the tail is that of a Pearson III distribution."""
+_NOISE_DRAWS, _NOISE_DRAWS_AT_ONCE, _NOISE_BLOCK = 200, 20_000_000, 20
+"""Simulations of white noise through the projection, rows times simulations, and simulations projected at once.
+Effort: the standard deviation is known to 5 %; the tail is that of a Pearson III distribution."""
 _STRONGEST_ANTICORRELATION = 0.95
 """Bound of the estimated negative noise statistic (a correlation cannot be −1).  Numerical."""
 
@@ -125,30 +125,48 @@ def screen_noise(
     kinds : names and statistics; a statistic takes projection, entries (E, columns) and groups (G,) bool.
     """
     model = projection.fitted.model
-    rows = len(projection.residual)
-    draws = np.random.default_rng(seed).normal(size=(rows, max(20, min(_NOISE_DRAWS, _NOISE_DRAWS_AT_ONCE // rows))))
-    both = np.concatenate([projection.residual[:, None], projection.project(draws)], axis=1)
-    entries = to_entries(projection, both)
-    found = []
+    tested = []
     for kind in dict.fromkeys(channel.kind for channel in model.campaign.channels):
         names = tuple(channel.name for channel in model.campaign.channels if channel.kind == kind)
-        for effect, statistic in kinds:
-            chosen = _groups(projection, names, effect)
-            if not chosen.any():
-                continue
-            here = np.unique(projection.turn.members[chosen])
-            if np.mean(np.sum(entries[here[here < len(entries)], 1:] ** 2, axis=0)) < _LEAST_FREEDOM:
-                continue
-            values = statistic(projection, entries, chosen)
-            mean, sd = float(np.mean(values[1:])), float(np.std(values[1:]))
-            z = (float(values[0]) - mean) / max(sd, 1e-12)
-            # Quadratic statistics are skew: a normal tail would understate the p-value.
-            skew = float(np.mean((values[1:] - mean) ** 3)) / sd**3 if sd > 1e-9 * abs(mean) else 0.0
-            p = _skew_tail(z, float(np.clip(skew, 0.0, 4.0)))
-            value = float(np.clip(values[0] - mean, -_STRONGEST_ANTICORRELATION, None))
-            found.append(NoiseCandidate(effect, names, value, p, max(z, 0.0) ** 2))
+        tested += [(effect, names, statistic, _groups(projection, names, effect)) for effect, statistic in kinds]
+    tested = [each for each in tested if each[-1].any()]
+    found = []
+    for (effect, names, *_), (values, freedom) in zip(tested, _simulated(projection, seed, tested), strict=True):
+        if np.mean(freedom[1:]) < _LEAST_FREEDOM:
+            continue
+        mean, sd = float(np.mean(values[1:])), float(np.std(values[1:]))
+        z = (float(values[0]) - mean) / max(sd, 1e-12)
+        # Quadratic statistics are skew: a normal tail would understate the p-value.
+        skew = float(np.mean((values[1:] - mean) ** 3)) / sd**3 if sd > 1e-9 * abs(mean) else 0.0
+        p = _skew_tail(z, float(np.clip(skew, 0.0, 4.0)))
+        value = float(np.clip(values[0] - mean, -_STRONGEST_ANTICORRELATION, None))
+        found.append(NoiseCandidate(effect, names, value, p, max(z, 0.0) ** 2))
     # p-values have a floor: where several are at it, the drop decides.
     return sorted(found, key=lambda candidate: (candidate.p, -candidate.drop))
+
+
+def _simulated(projection: Projection, seed: int, tested: Sequence[tuple]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return statistic and sum of squares of the tested entries, of the residual and of white noise, each (draws + 1,).
+
+    Draws go through the projection a block at a time: of a large campaign each copy of all takes as much as the fit.
+    """
+    rows, found = len(projection.residual), list[list[np.ndarray]]()
+    count = max(20, min(_NOISE_DRAWS, _NOISE_DRAWS_AT_ONCE // rows))
+    draws = np.random.default_rng(seed).normal(size=(rows, count))
+    for begin in range(0, count, _NOISE_BLOCK):
+        block = projection.project(draws[:, begin : begin + _NOISE_BLOCK])
+        if begin == 0:
+            block = np.concatenate([projection.residual[:, None], block], axis=1)
+        entries = to_entries(projection, block)
+        members = [np.unique(projection.turn.members[chosen]) for *_, chosen in tested]
+        squares = [np.sum(entries[here[here < len(entries)]] ** 2, axis=0) for here in members]
+        found.append(
+            [
+                np.stack([statistic(projection, entries, chosen), square])
+                for (_, _, statistic, chosen), square in zip(tested, squares, strict=True)
+            ]
+        )
+    return [tuple(np.concatenate(parts, axis=1)) for parts in zip(*found, strict=True)]
 
 
 def _skew_tail(z: float, skew: float) -> float:

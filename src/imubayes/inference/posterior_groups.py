@@ -341,14 +341,21 @@ def _prior_points(problem: Problem, posterior: Posterior, random: np.random.Gene
 def _predicted(problem: Problem, draws: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return replicated outputs and log likelihoods of draws in z (chain, draw, P + H), each (chain, draw, E)."""
     size, points = problem.size[0], draws.reshape(-1, draws.shape[-1])
-    predicted = predict_many(problem, points[:, :size])
-    # One compiled function for any number of draws.
-    both = np.concatenate([predicted, points[:, size:]], axis=1)
-    deviation, tail, entry = np.moveaxis(in_batches(lambda part: _likelihoods(problem, part), both, _BATCH), 1, 0)
-    alone = random.normal(size=predicted.shape) * heavy_tailed(tail, random)
-    replicated = predicted + deviation * alone
-    replicated = rounded(replicated, _REPLICATED_SHARE * _spread(replicated))
-    entry = rounded(entry, np.array(_DENSITY_STEP)).astype(np.float32)
+    blocks = [slice(begin, begin + _BATCH) for begin in range(0, len(points), _BATCH)]
+    replicated = np.empty((len(points), len(problem.observations.value)))
+    entry = np.empty(replicated.shape, dtype=np.float32)
+    # A block at a time: of a large campaign each copy of all takes as much memory as the fit.
+    for block in blocks:
+        predicted = predict_many(problem, points[block, :size])
+        # One compiled function for any number of draws.
+        both = np.concatenate([predicted, points[block, size:]], axis=1)
+        deviation, tail, density = np.moveaxis(in_batches(lambda part: _likelihoods(problem, part), both, _BATCH), 1, 0)
+        alone = random.normal(size=predicted.shape) * heavy_tailed(tail, random)
+        replicated[block] = predicted + deviation * alone
+        entry[block] = rounded(density, np.array(_DENSITY_STEP))
+    step = _REPLICATED_SHARE * _spread(replicated)
+    for block in blocks:
+        replicated[block] = rounded(replicated[block], step)
     shape = (*draws.shape[:2], -1)
     return replicated.reshape(shape), entry.reshape(shape)
 

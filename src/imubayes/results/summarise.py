@@ -19,6 +19,7 @@ from imubayes.adequacy.deletion_diagnostics import doubted_runs
 from imubayes.adequacy.known_noise import compare_with_known
 from imubayes.adequacy.known_noise_fit import fit_at_known_noise
 from imubayes.adequacy.noise_tests import NoiseJudgement, judged_noise_in, projected
+from imubayes.adequacy.projection import Projection
 from imubayes.foundations.records import finite
 from imubayes.inference.determined_combinations import (
     DeterminedCombination,
@@ -209,8 +210,11 @@ def _noise(fit: Fit) -> tuple[NoiseJudgement, tuple[NoiseComparison, ...], Known
     """Return how the noise departs from its model, what contradicts the noise known beforehand, and the fit at it."""
     if fit.posterior is None:
         return NoiseJudgement((), ()), (), None
-    at = projected(fit)
-    return judged_noise_in(at), compare_with_known(at).contradicted, fit_at_known_noise(fit)
+    return (*_noise_of_residual(projected(fit)), fit_at_known_noise(fit))
+
+
+def _noise_of_residual(at: Projection) -> tuple[NoiseJudgement, tuple[NoiseComparison, ...]]:
+    return judged_noise_in(at), compare_with_known(at).contradicted
 
 
 def _sampling(chains: Chains | None) -> dict[str, Any]:
