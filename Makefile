@@ -12,25 +12,25 @@ INSTALL = $(UV) pip install --quiet --compile-bytecode --python $(BIN)/python
 
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo archive-demo test types tests test-fast laws study bench data lock clean
+.PHONY: help setup demo archive-demo test types tests test-fast laws study release-check bench data lock clean
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make demo    fit, sample and compare the shipped trihedral campaign"
+	@echo "make demo    fit, sample, compare and diagnose the shipped trihedral campaign"
 	@echo "make archive-demo  fit the shipped archive of units and ask what no single unit can answer"
 	@echo "make test    style, types and tests"
 	@echo "make test-fast  tests that compile no model and search no set-up, below a minute"
 	@echo "make laws    the laws over all registered effects and noise components"
 	@echo "make study   the long statistical studies (coverage, simulation-based calibration)"
 	@echo "make bench   benchmarks"
+	@echo "make release-check  build source archive and wheel, check them, install the wheel alone and run it"
 	@echo "make data    regenerate the shipped synthetic campaigns"
 	@echo "make lock    resolve the requirements anew (UPGRADE=--upgrade for the newest)"
 
 setup: $(READY)
 
 demo: $(READY)
-	$(BIN)/imubayes fit data/trihedral-imu --model models/trihedral-imu.toml --out results/trihedral-imu --replace
-	$(BIN)/imubayes compare results/trihedral-imu
+	$(BIN)/imubayes demo --out . --replace
 
 # An effect is missing in the shipped archive: diagnose names it.
 archive-demo: $(READY)
@@ -60,6 +60,10 @@ laws: $(READY)
 # What the studies print, shares with their binomial intervals, is shown at the end, with those that took longest.
 study: $(READY)
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m slow -rP --durations=40
+
+# The long tests as well: the demonstration and the commands of the README, by the installed wheel.
+release-check: $(READY)
+	$(BIN)/pytest -m "slow or not slow" tests/release
 
 bench: $(VENV)/.ready-bench
 	$(BIN)/python benchmarks/run.py

@@ -26,7 +26,7 @@ Public names, in four groups; everything else is private.
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # The public names stand in `__init__.pyi` and are loaded when they are first used: JAX takes seconds to import, and
 # `imubayes --help` needs none of it.

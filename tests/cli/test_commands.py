@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from imubayes.cli.main import run
+from imubayes.cli.main import app, run
 from imubayes.foundations.units import BIAS_CONVENTION
 
 ROOT = Path(__file__).parents[2]
@@ -255,9 +255,11 @@ def test_every_command_stands_in_a_group_and_has_an_example(capsys):
     frames = dict(re.findall(r"╭─ ([A-Z][a-z ]+) ─+╮\n(.*?)╰", out, re.DOTALL))
     assert list(frames) == ["Commands", "The loop", "Data", "Results", "Many units"]
     named = [name for title in list(frames)[1:] for name in re.findall(r"^│ ([a-z]+) ", frames[title], re.MULTILINE)]
-    assert len(named) == len(set(named)) == 25
+    assert len(named) == len(set(named)) == 27
     assert not re.findall(r"^│ ([a-z]+) ", frames["Commands"], re.MULTILINE)
-    for name in set(named) - {"archive", "batch"}:  # they have commands of their own
-        status, out, _ = said(capsys, name, "--help")
+    own = [f"{name} {each}" for name in ("archive", "batch") for each in app[name] if not each.startswith("-")]
+    assert len(own) == 8
+    for words in (*named, *own):
+        status, out, _ = said(capsys, *words.split(), "--help")
         assert status == 0
-        assert f"Example: imubayes {name}" in out, name
+        assert f"Example: imubayes {words} " in out.replace("\n", " "), words

@@ -13,26 +13,11 @@ import pytest
 
 from imubayes.cli.main import run
 from imubayes.foundations.units import BIAS_CONVENTION
+from readme_commands import sections
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "README.md").read_text()
-GUIDE = (ROOT / "data" / "archives.md").read_text()
-
-
-def sections(text: str) -> dict[str, list[str]]:
-    """Return the commands under each heading of a document."""
-    blocks = {
-        part.splitlines()[0]: "".join(re.findall(r"```sh\n(.*?)```", part, re.DOTALL))
-        for part in text.split("\n## ")[1:]
-    }
-    found = {
-        heading: [line.split("#")[0].strip() for line in block.splitlines() if line.startswith("imubayes ")]
-        for heading, block in blocks.items()
-    }
-    return {heading: commands for heading, commands in found.items() if commands}
-
-
-COMMANDS = sections(TEXT) | sections(GUIDE)
+COMMANDS = sections("README.md") | sections("data/archives.md")
 
 
 def test_what_a_bias_is_referred_to_stands_as_everywhere():

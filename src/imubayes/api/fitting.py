@@ -40,7 +40,7 @@ def fit(
     Parameters
     ----------
     campaign : a campaign, or its folder.
-    model : a model, or its file.
+    model : a model, its file, or the name of a shipped one.
     out : result folder to write; None for none.
     sample : whether to sample, or to stay with the Laplace approximation.
     seed : of the sampler.

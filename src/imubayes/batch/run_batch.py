@@ -103,7 +103,7 @@ def run_batch(
     Parameters
     ----------
     place : archive, or folder of campaign folders.
-    model : model file.
+    model : model file, or name of a shipped model.
     out : results folder; what it holds is kept.
     executor : fits the chunks.
     retry : whether campaigns without estimates are tried again; without, only those whose files have changed.
@@ -118,7 +118,7 @@ def run_batch(
     settings, spec, sources = settings or BatchSettings(), read_model(model), sources_of(place)
     parts = PartFiles(Path(out), batch_key(spec, settings), code_version())
     with parts.writing():
-        parts.keep_model(Path(model), spec)
+        parts.keep_model(Path(spec.where), spec)
         missing = still_to_do(parts, sources, retry)
         clock, before, done, failed = time.perf_counter(), len(sources) - len(missing), 0, 0
         state = BatchProgress(parts.key, len(sources), before, 0, 0, 0.0)

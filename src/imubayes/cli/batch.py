@@ -21,7 +21,11 @@ if TYPE_CHECKING:
     from imubayes.batch.run_batch import Executor
 
 
-batch = cyclopts.App(name="batch", help="Fit every campaign of an archive with one model, and compare the units.")
+batch = cyclopts.App(
+    name="batch",
+    help="Fit every campaign of an archive with one model, and compare the units.\n\n"
+    "Example: imubayes batch data/unit-archive --model accel-channel --out results/units",
+)
 
 
 @batch.default
@@ -50,7 +54,7 @@ def fit_all(
     archive
         Archive, or folder with campaign folders.
     model
-        Model file.
+        Model file, or the name of a shipped model.
     out
         Results folder.
     sample
@@ -359,7 +363,11 @@ def trends(
     show(lambda: found, lambda: trends_report(found), as_json)
 
 
-archive = cyclopts.App(name="archive", help="Keep many campaigns as one Parquet dataset: pack, list, check.")
+archive = cyclopts.App(
+    name="archive",
+    help="Keep many campaigns as one Parquet dataset: pack, list, check.\n\n"
+    "Example: imubayes archive pack campaigns/A-7 campaigns/A-8 --out archive",
+)
 
 
 @archive.command

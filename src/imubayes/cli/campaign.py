@@ -46,7 +46,7 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, v
     campaign
         Folder with campaign.toml.
     model
-        Model file to check against the campaign.
+        Model file to check against the campaign, or the name of a shipped model.
     as_json
         Print one JSON object on standard output.
     verbose

@@ -26,9 +26,9 @@ def explore(
     Parameters
     ----------
     place
-        Result folder, or the folder of a campaign with --model; without it the shipped data/hidden-gyro.
+        Result folder, or the folder of a campaign with --model; without it the example hidden-gyro.
     model
-        Model file, fitted first.
+        Model file, or the name of a shipped model; fitted first.
     out
         Result folder of that fit; by default results/CAMPAIGN-MODEL, which is opened where it is there already.
     port

@@ -218,7 +218,7 @@ def fit(
     campaign
         Folder with campaign.toml.
     model
-        Model file.
+        Model file, or the name of a shipped model.
     out
         Result folder to write.
     sample

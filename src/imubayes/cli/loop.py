@@ -249,7 +249,7 @@ def plant(
     campaign
         Folder with campaign.toml; not needed with --result.
     model
-        Model file, fitted first.
+        Model file, or the name of a shipped model; fitted first.
     result
         Result folder to take instead of fitting.
     effects

@@ -18,6 +18,7 @@ from imubayes import __version__
 from imubayes.cli.batch import archive, batch
 from imubayes.cli.calibrated_unit import apply, carrier, export, report
 from imubayes.cli.campaign import check, effects, noise, schema, selftest, simulate
+from imubayes.cli.examples import demo, example
 from imubayes.cli.explore import explore
 from imubayes.cli.fit import classical, compare, fit, predict
 from imubayes.cli.loop import add, diagnose, history, plant, refit, remove
@@ -30,8 +31,8 @@ _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *rang
 _COLLECTION_THRESHOLD = 2_000_000
 # In the order of work: what `imubayes --help` shows together.
 _GROUPS = {
-    "The loop": (fit, compare, predict, diagnose, add, remove, refit, history, explore, plant),
-    "Data": (check, noise, classical, carrier, effects, simulate, schema, selftest),
+    "The loop": (demo, fit, compare, predict, diagnose, add, remove, refit, history, explore, plant),
+    "Data": (example, check, noise, classical, carrier, effects, simulate, schema, selftest),
     "Results": (report, apply, export),
     "Many units": (archive, batch),
 }
@@ -40,7 +41,8 @@ app = cyclopts.App(
     name="imubayes",
     version=__version__,
     help="Bayesian calibration and uncertainty for inertial sensors.\n\n"
-    "Example: imubayes fit data/trihedral-imu --model models/trihedral-imu.toml --out results/trihedral-imu",
+    "Begin: imubayes demo\n\n"
+    "Example: imubayes fit data/trihedral-imu --model trihedral-imu --out results/trihedral-imu",
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )

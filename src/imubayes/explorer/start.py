@@ -15,13 +15,14 @@ from imubayes.explorer.guard import HOST, new_token
 from imubayes.explorer.server import application
 from imubayes.explorer.session import Session
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.shipped import example, shipped
 from imubayes.model.model_file import read_model
 from imubayes.results.folder_files import MANIFEST, checked
 from imubayes.results.result import Result
 
 _PATIENCE = 10.0
-SHIPPED = Path("data/hidden-gyro"), Path("models/hidden-effects.toml")
-"""What is explored where nothing is named: the shipped campaign with a hidden effect."""
+SHIPPED = "hidden-gyro"
+"""The example that is explored where nothing is named: an effect is hidden in it."""
 
 
 class Exploration:
@@ -86,8 +87,8 @@ def explore(
 
     Parameters
     ----------
-    place : a result, its folder, or the folder of a campaign; the shipped `data/hidden-gyro` where None.
-    model : model file, to fit a campaign with.
+    place : a result, its folder, or the folder of a campaign; the example `hidden-gyro` where None.
+    model : model file to fit a campaign with, or the name of a shipped one.
     out : result folder of that fit; by default results/CAMPAIGN-MODEL, which is opened where it is there already.
     port : of the server; any free one where 0.
     browser : whether to open the page in the browser.
@@ -99,13 +100,8 @@ def explore(
     """
     prepare_jax("explore")
     if place is None and model is None:
-        place, model = SHIPPED
-        if not (place / CAMPAIGN_FILE).is_file():
-            what, allowed = (
-                "nothing is named, and the shipped campaign is not here",
-                "a result, or a campaign with --model",
-            )
-            raise input_error(what, str(place), allowed, "name one, or go to the repository")
+        chosen = example(SHIPPED)
+        place, model = shipped(chosen.data), shipped(chosen.model)
     begun = _of_result(place) if isinstance(place, Result) else _of_folder(Path(place or "."), model, out)
     found = Exploration(begun, port).start()
     if browser:

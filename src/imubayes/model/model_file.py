@@ -21,6 +21,7 @@ from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.files import only_writer, write_text
 from imubayes.foundations.records import Record
+from imubayes.foundations.shipped import model_file
 
 
 @dataclass(frozen=True)
@@ -171,14 +172,14 @@ def _digest(file: Path) -> str:
 
 
 def read_model(path: str | Path) -> ModelSpec:
-    """Read a model file; its own effects are looked for beside it.
+    """Read a model file, or a shipped model by its name; its own effects are looked for beside it.
 
     Raises
     ------
     InputError
         with everything that is wrong with the file.
     """
-    path = Path(path)
+    path = model_file(path)
     return spec_of_file(read_model_file(path), path)
 
 

@@ -1,0 +1,139 @@
+"""The wheel that is published works alone: built from the source archive, in an environment that lacks the repository.
+
+What the package depends on is lent by the environment of the tests, so that no index is needed.  `make release-check`
+runs these tests, the long ones as well.
+"""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import tomllib
+import venv
+import zipfile
+from email.parser import Parser
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from packaging.metadata import Metadata
+
+import imubayes
+from readme_commands import sections
+
+ROOT = Path(__file__).parents[2]
+MOST_EXAMPLES = 1_000_000  # bytes of the wheel
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """The wheel, built from an unpacked source archive, as an index or a packager builds it."""
+    place, backend, here = tmp_path_factory.mktemp("build"), import_module("hatchling.build"), Path.cwd()
+    try:
+        os.chdir(ROOT)
+        with tarfile.open(place / backend.build_sdist(str(place))) as archive:
+            archive.extractall(place, filter="data")
+        os.chdir(next(path for path in place.iterdir() if path.is_dir()))
+        return place / backend.build_wheel(str(place))
+    finally:
+        os.chdir(here)
+
+
+@pytest.fixture(scope="module")
+def alone(wheel, tmp_path_factory) -> Path:
+    """An environment with the wheel and no other imubayes."""
+    place = tmp_path_factory.mktemp("alone")
+    venv.create(place, symlinks=True)
+    paths = sysconfig.get_paths("venv", {"base": str(place), "platbase": str(place)})
+    Path(paths["purelib"], "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    python = Path(paths["scripts"], "python")
+    pip = ["-m", "pip", "--python", python, "--disable-pip-version-check", "install", "--quiet"]
+    flags = ["--no-deps", "--no-index", "--ignore-installed", "--no-compile"]
+    subprocess.run([sys.executable, *pip, *flags, wheel], check=True)
+    return python.parent
+
+
+@pytest.fixture(scope="module")
+def outside(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("outside")
+
+
+@pytest.fixture
+def ran(alone, outside, command_environment):
+    """Run a command of the installed wheel outside the repository, and return what it prints."""
+    environment = {key: value for key, value in command_environment.items() if key != "PYTHONPATH"}
+
+    def run(command: str) -> str:
+        words = shlex.split(command)
+        done = subprocess.run(
+            [alone / words[0], *words[1:]], cwd=outside, env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+        return done.stdout
+
+    return run
+
+
+def test_the_metadata_are_valid(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        text = archive.read(next(name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))).decode()
+    found = Metadata.from_email(text, validate=True)
+    assert Parser().parsestr(text)["Description-Content-Type"] == "text/markdown"
+    assert found.license_expression == "Apache-2.0"
+    assert str(found.version) == imubayes.__version__
+
+
+def test_every_place_states_the_same_version():
+    newest = re.search(r"^## \[(\d+\.\d+\.\d+)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    cited = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert newest is not None
+    assert cited is not None
+    assert {newest[1], cited[1]} == {imubayes.__version__}
+    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dynamic"] == ["version"]
+
+
+def test_examples_are_few_enough(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        entries = archive.infolist()
+    examples = [entry for entry in entries if entry.filename.startswith("imubayes/examples/")]
+    assert 100_000 < sum(entry.compress_size for entry in examples) <= MOST_EXAMPLES
+    # Nothing stands beside the package, and nothing that makes or tests it is in it.
+    assert {entry.filename.partition("/")[0] for entry in entries if ".dist-info/" not in entry.filename} == {
+        "imubayes"
+    }
+    assert not [entry.filename for entry in examples if entry.filename.endswith((".py", ".ipynb", ".png"))]
+
+
+def test_the_wheel_stands_alone(ran, alone, outside):
+    """It is the installed package that runs, and its examples are found and copied without a repository."""
+    place = ran("python -c 'import imubayes; print(imubayes.__file__)'").strip()
+    assert Path(place).is_relative_to(alone.parent)
+    listed = ran("imubayes example")
+    assert all(name in listed for name in ("trihedral-imu", "hidden-gyro", "desk-imu", "accel-channel", "unit-archive"))
+    assert "static-record" not in listed  # too large for a wheel; its plan simulates another
+    ran("imubayes example accel-channel --out tour")
+    checked = ran("imubayes check tour/data/accel-channel --model accel-channel")
+    assert "accel-channel" in checked
+    assert not (outside / "accel-channel").exists()
+
+
+@pytest.mark.slow
+def test_the_demonstration_runs(ran, outside):
+    said = ran("imubayes demo --no-sample --out demo")
+    page = re.search(r"^open this page: (.*)$", said, re.MULTILINE)
+    assert page is not None
+    assert Path(page[1]).read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert "The model explains the data" in said
+    assert (outside / "demo" / "results" / "trihedral-imu" / "diagnosis.json").is_file()
+
+
+@pytest.mark.slow
+def test_the_loop_of_the_readme_runs(ran, outside):
+    ran("imubayes example hidden-gyro --out .")
+    (commands,) = (found for heading, found in sections("README.md").items() if heading.startswith("The loop"))
+    for command in commands:
+        ran(command)
+    assert (outside / "results" / "history.html").is_file()
