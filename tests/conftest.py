@@ -84,8 +84,10 @@ COMPILED = (
     "noise_analysis/test_term_evidence.py",
     "parameters",
     "procedures/test_rate_series.py",
+    "test_docstrings.py",  # after those that fit the same campaign
     "test_kept_programs.py",
     "test_rotations.py",
+    "release",
 )
 
 # Tests that fit the same campaign run in one process, for what they share; other tests stay with their file.
@@ -147,6 +149,7 @@ GROUPS = {
         "qualification/test_until_digits.py",
         "qualification/test_inputs_along_axes.py",
         "qualification/test_uncertainty_budget.py",
+        "test_docstrings.py",
     ),
 }
 

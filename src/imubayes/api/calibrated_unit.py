@@ -54,6 +54,15 @@ def apply(
     ------
     InputError
         for a result without a posterior, and a table that cannot be read or lacks what the model needs.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> import polars as pl
+    >>> readings = pl.DataFrame({"ax": [20000.0, 0.0], "converter_temperature_degC": [25.0, 40.0]})
+    >>> found = imubayes.apply("results/accel-channel", readings, nothing_across=True)
+    >>> found.table.columns
+    ['ax', 'converter_temperature_degC', 'ax_g', 'ax_calibration_sd_g', 'ax_sd_g']
     """
     found = opened(result)
     table, where = (readings, "readings") if isinstance(readings, pl.DataFrame) else (
@@ -177,6 +186,13 @@ def report(
     InputError
         for a result that cannot be read, one whose campaign is gone or has changed, a specification that cannot be
         used with it, a function that returns no section, and a file that exists and is no report.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> found = imubayes.report("results/accel-channel", out=["report.html"])
+    >>> found.accepted
+    True
     """
     files = [Path(file) for file in out]
     # The record alone needs nothing that draws.

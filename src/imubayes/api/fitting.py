@@ -55,6 +55,14 @@ def fit(
     ------
     InputError
         for anything that cannot be used; nothing is written then.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> result = imubayes.fit("data/accel-channel", "accel-channel", sample=False)
+    >>> drift = result["converter_gain_drift.slope[ax]"]
+    >>> print(f"{drift.mean:.1f} ± {drift.sd:.1f} {drift.unit}")
+    -3.2 ± 0.3 ppm/degC
     """
     clock = time.perf_counter()
     declared = bound(campaign, model)
@@ -84,6 +92,13 @@ def load(folder: str | Path) -> Result:
     ------
     InputError
         if it is missing, incomplete or damaged; every issue is in it.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> result = imubayes.load("results/accel-channel")
+    >>> result.converged, result.summary.campaign
+    (True, 'accel-channel')
     """
     return read_result(folder)
 

@@ -34,6 +34,13 @@ def predict(
     ------
     InputError
         for a campaign of another unit, with other channels, or without a run that was not fitted.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> found = imubayes.predict("results/accel-channel", "campaigns/later")
+    >>> found.summary.verdict
+    'as_predicted'
     """
     with progress_of(progress) as tell:
         tell("reading the fit")
@@ -64,6 +71,12 @@ def repeatability(
     ------
     InputError
         for calibrations of two units, of the same runs, or that did not converge.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.repeatability("results/accel-channel", "results/later").verdict
+    'agree'
     """
     with progress_of(progress) as tell:
         one, other = opened(first), opened(second)

@@ -59,6 +59,13 @@ def diagnose(
     ------
     InputError
         for a folder that holds no result, or one whose campaign is gone or has changed.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> found = imubayes.diagnose("results/accel-channel")
+    >>> found.verdict
+    'adequate'
     """
     with progress_of(progress) as tell:
         tell("reading the fit")
@@ -99,6 +106,13 @@ def plant(
     ------
     InputError
         for anything that cannot be used, and for free tumbles, which cannot be simulated.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> trials = imubayes.plant(result="results/accel-channel", effects=["converter_gain_drift_quadratic"], draws=2)
+    >>> [trial.effect for trial in trials.trials]
+    ['converter_gain_drift_quadratic']
     """
     with progress_of(progress) as tell:
         if result is not None:
@@ -145,6 +159,13 @@ def add(
     ------
     InputError
         for an effect that does not fit, a result that cannot be extended, an `out` that is taken.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> change = imubayes.add("results/accel-channel", ["converter_gain_drift_quadratic"])
+    >>> change.taken
+    True
     """
     before = opened(result)
     if diagnosis is None and before.folder is not None:
@@ -185,6 +206,14 @@ def remove(
     ------
     InputError
         for an effect that the model does not have or that others of it require, and for an `out` that is taken.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> extended = imubayes.add("results/accel-channel", ["converter_gain_drift_quadratic"]).result
+    >>> change = imubayes.remove(extended, ["converter_gain_drift_quadratic"])
+    >>> [choice.effect for choice in change.removed]
+    ['converter_gain_drift_quadratic']
     """
     before = opened(result)
     words, parent = _words(effects), before.folder
@@ -227,6 +256,13 @@ def refit(
     ------
     InputError
         for a model that does not fit the campaign, a result that cannot be gone on from, an `out` that is taken.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> change = imubayes.refit("results/accel-channel", "accel-channel")  # nothing was edited
+    >>> abs(change.observed.delta_chi2) < 0.01
+    True
     """
     before = opened(result)
     old = before.fit.model
@@ -338,7 +374,24 @@ def _sampled(refit: Refit, folder: Path | None, sampling: Settings, tell: Callab
 
 
 def history(*folders: str | Path) -> Tree:
-    """Return the tree of models tried that result folders stand in."""
+    """Return the tree of models tried that result folders stand in.
+
+    Parameters
+    ----------
+    folders : result folders; the models before and after each are found from it.
+
+    Raises
+    ------
+    InputError
+        for a folder that holds no result.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> tree = imubayes.history("results/accel-channel")
+    >>> len(tree.selected)
+    1
+    """
     return read_tree(folders)
 
 
@@ -346,6 +399,23 @@ def export(folder: str | Path, file: str | Path) -> str:
     """Write the selected model of the tree that a result stands in to a model file; return its place.
 
     The user's own effect files go beside it.
+
+    Parameters
+    ----------
+    folder : result folder of any model of the tree.
+    file : model file to write.
+
+    Raises
+    ------
+    InputError
+        for a folder that holds no result, and where another effect file is in the way.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> chosen = imubayes.export("results/accel-channel", "next/model.toml")
+    >>> imubayes.load_model("next/model.toml").name
+    'accel-channel'
     """
     tree, place = read_tree([folder]), str(Path(folder).resolve())
     together = tree.together_with(place)

@@ -31,6 +31,13 @@ class NewCampaign:
     proposal : the effects of the model, and why others are not in it.
     notes : what was taken from the recording, and what was guessed, with its evidence.
     to_state : number of values of the campaign that no option states; it is refused until they are.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> made = imubayes.new("begun", procedure="dividing_head")
+    >>> made.model.name, made.notes
+    ('model.toml', ())
     """
 
     folder: Path
@@ -60,6 +67,13 @@ def new(
     ------
     InputError
         with everything that prevents it; nothing is written then, unless the campaign can be read.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> made = imubayes.new("mine", procedure="rate_table", latitude_deg=47.4)
+    >>> sorted(path.name for path in made.folder.iterdir())
+    ['campaign.toml', 'model.toml', 'runs']
     """
     folder = Path(folder)
     model = folder / MODEL_FILE

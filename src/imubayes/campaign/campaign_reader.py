@@ -166,6 +166,13 @@ def load_campaign(path: str | Path, *, judge_setup: bool = True) -> Campaign:
     ------
     InputError
         with every issue of the campaign.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> campaign = imubayes.load_campaign("data/accel-channel")
+    >>> [(run.name, run.procedure) for run in campaign.runs]
+    [('ramp-1g', 'thermal_ramp'), ('ramp-trihedral', 'thermal_ramp'), ('inject-12g', 'current_injection')]
     """
     inspection = inspect_campaign(path, judge_setup=judge_setup)
     if inspection.campaign is None:
@@ -174,7 +181,18 @@ def load_campaign(path: str | Path, *, judge_setup: bool = True) -> Campaign:
 
 
 def check_campaign(path: str | Path) -> tuple[Finding, ...]:
-    """Return the findings in the data of a campaign, warnings included."""
+    """Return the findings in the data of a campaign, errors and warnings alike; it raises for no fault of the data.
+
+    Parameters
+    ----------
+    path : the folder, or its `campaign.toml`.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.check_campaign("data/accel-channel")
+    ()
+    """
     return inspect_campaign(path).findings
 
 

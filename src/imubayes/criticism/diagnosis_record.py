@@ -202,6 +202,13 @@ class Diagnosis(Presented, Record):
     contradicted : noise scales of the fit that contradict what is known of them, the least probable first.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
     asked : the effect that was asked about, where one was.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> found = imubayes.diagnose("results/accel-channel")
+    >>> found.verdict, found.suggested
+    ('adequate', None)
     """
 
     __repr__, __str__ = Presented.__repr__, Presented.__str__

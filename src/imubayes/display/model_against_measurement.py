@@ -160,6 +160,13 @@ def compare(
     ------
     InputError
         if the folder is missing or damaged, a parameter or run is not in it, or no prediction is a finite number.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> found = imubayes.compare("results/accel-channel")
+    >>> found.page.name
+    'compare.html'
     """
     folder = Path(folder)
     summary, read = read_summary_and_residuals(folder)

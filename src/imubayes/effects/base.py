@@ -38,7 +38,16 @@ from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, 
 
 
 class Decay(eqx.Module):
-    """One step of a first-order linear recurrence: x → gain·x + shift, 0 ≤ gain ≤ 1."""
+    """One step of a first-order linear recurrence: x → gain·x + shift, 0 ≤ gain ≤ 1.
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> half = imubayes.Decay(gain=jnp.array(0.5), shift=jnp.array(1.0))
+    >>> half.then(half).from_rest().item()
+    1.5
+    """
 
     gain: Scalars
     shift: Scalars
@@ -70,7 +79,16 @@ class Decay(eqx.Module):
 
 
 class Play(eqx.Module):
-    """One step of a play (backlash) operator: x → clip(x + shift, low, high)."""
+    """One step of a play (backlash) operator: x → clip(x + shift, low, high).
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> step = imubayes.Play(shift=jnp.array(3.0), low=jnp.array(-1.0), high=jnp.array(1.0))
+    >>> step.from_rest().item()
+    1.0
+    """
 
     shift: Scalars
     low: Scalars
@@ -121,7 +139,14 @@ def _sequential_scan(compose: Callable, steps: Any) -> Any:
 
 
 class Stage(IntEnum):
-    """The stages of the signal path, in the order in which they are passed."""
+    """The stages of the signal path, in the order in which they are passed.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> [stage.name for stage in imubayes.Stage]
+    ['STAND', 'TABLE', 'PLACE', 'SENSOR', 'CONVERTER']
+    """
 
     STAND = 1  # how table and unit stand, constant over a run or pose: axis, mounting
     TABLE = 2  # the table's motion: its rate and angle
@@ -137,6 +162,12 @@ class Order(IntEnum):
     factor multiplies the sum.  What the input along the true axis causes by itself precedes what else is added, so
     that it does not act on a drift.  For the table, the circumstances are corrected first, then the instant, the angle,
     and last rate and axis.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.Order.BIAS < imubayes.Order.SCALE
+    True
     """
 
     CIRCUMSTANCES = -30
@@ -168,6 +199,13 @@ class Effect(eqx.Module):
     confused_with : effects with a similar signature, in words.
     reference : source of the formula.
     nuisance : whether its values are of no interest in a report.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> bases = (imubayes.SignalEffect, imubayes.RecordEffect, imubayes.PlaceEffect, imubayes.MotionEffect)
+    >>> all(issubclass(base, imubayes.Effect) for base in bases)
+    True
     """
 
     name: ClassVar[str]
@@ -209,6 +247,20 @@ class MotionEffect(Effect):
     """An effect on how the unit stands and moves, at the stages STAND and TABLE.
 
     At STAND it may change `base` and `mounting`, and is evaluated once per run or pose, not at every node.
+
+    Examples
+    --------
+    >>> import equinox as eqx
+    >>> import imubayes
+    >>> class Zero(imubayes.MotionEffect):
+    ...     name = "my_angle_zero"
+    ...     stage, order, per = imubayes.Stage.TABLE, imubayes.Order.ANGLE, ("table",)
+    ...     zero: imubayes.Scalar = imubayes.parameter("arcsec", "normal(0, 30 arcsec)", (1, 600), "the zero")
+    ...
+    ...     def apply(self, motion: imubayes.Motion, ambient: imubayes.Ambient) -> imubayes.Motion:
+    ...         return eqx.tree_at(lambda each: each.table_angle, motion, motion.table_angle + self.zero)
+    >>> Zero.per
+    ('table',)
     """
 
     @abstractmethod
@@ -248,7 +300,26 @@ class AmbientEffect(MotionEffect):
 
 
 class PlaceEffect(Effect):
-    """An effect of where in the unit a channel's sensor sits, at the stage PLACE."""
+    """An effect of where in the unit a channel's sensor sits, at the stage PLACE.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> class Shifted(imubayes.PlaceEffect):
+    ...     name = "my_lever_arm"
+    ...     stage = imubayes.Stage.PLACE
+    ...     x: imubayes.Scalar = imubayes.parameter("mm", "normal(0, 5 mm)", (0.1, 50), "the lever arm along body x")
+    ...
+    ...     def apply(self, experience: imubayes.Experience) -> imubayes.Experience:
+    ...         arm = imubayes.vector3(self.x, 0 * self.x, 0 * self.x)
+    ...         turning = imubayes.cross(experience.rate, imubayes.cross(experience.rate, arm))
+    ...         return imubayes.Experience(
+    ...             experience.rate, experience.force + turning, experience.table_rate, experience.table_acceleration,
+    ...             experience.north, experience.up,
+    ...         )
+    >>> Shifted.stage.name
+    'PLACE'
+    """
 
     @abstractmethod
     def apply(self, experience: Experience) -> Experience:
@@ -261,7 +332,22 @@ class PlaceEffect(Effect):
 
 
 class SignalEffect(Effect):
-    """An effect on one channel's signal, at the stages SENSOR and CONVERTER."""
+    """An effect on one channel's signal, at the stages SENSOR and CONVERTER.
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> class Asymmetry(imubayes.SignalEffect):
+    ...     name = "my_asymmetry"
+    ...     stage, order, kinds = imubayes.Stage.SENSOR, imubayes.Order.SCALE, ("gyro",)
+    ...     asymmetry: imubayes.Scalar = imubayes.parameter("ppm", "normal(0, 100 ppm)", (10, 300), "the asymmetry")
+    ...
+    ...     def apply(self, signal: imubayes.Scalar, sample: imubayes.Sample) -> imubayes.Scalar:
+    ...         return signal + self.asymmetry * jnp.abs(sample.rate[0])
+    >>> Asymmetry(jnp.array(1e-5)).asymmetry.item()
+    1e-05
+    """
 
     @abstractmethod
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
@@ -284,6 +370,24 @@ class RecordEffect(Effect):
 
     The memory is one number that starts from 0 in every run (steady state) and is carried from one instant to the
     next, for all runs and channels at once.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> class Lag(imubayes.RecordEffect):
+    ...     name = "my_lag"
+    ...     stage, order, kinds = imubayes.Stage.SENSOR, imubayes.Order.BIAS, ("gyro",)
+    ...     needs = ("temperature",)
+    ...     slope: imubayes.Scalar = imubayes.parameter("deg/h/degC", "normal(0, 1 deg/h/degC)", (0.01, 1), "the slope")
+    ...     time: imubayes.Scalar = imubayes.time_constant("the time constant")
+    ...
+    ...     def carry(self, before, now, seconds):
+    ...         return imubayes.Decay.lag(now.temperature - before.temperature, seconds / self.time)
+    ...
+    ...     def apply(self, signal, sample, memory):
+    ...         return signal + self.slope * memory
+    >>> Lag.needs
+    ('temperature',)
     """
 
     @abstractmethod

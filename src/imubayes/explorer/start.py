@@ -97,6 +97,14 @@ def explore(
     ------
     InputError
         for a place that is neither, a result without a folder, and a port that is taken.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> page = imubayes.explore("results/accel-channel")
+    >>> page.address.startswith("http://127.0.0.1:")
+    True
+    >>> page.stop()
     """
     prepare_jax("explore")
     if place is None and model is None:

@@ -35,7 +35,15 @@ Flag = Bool[Array, ""]
 
 
 def vector3(x: Scalar, y: Scalar, z: Scalar) -> Vector3:
-    """Return the vector of three components."""
+    """Return the vector, shape (3,), of three components x, y, z.
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> imubayes.vector3(jnp.array(1.0), jnp.array(2.0), jnp.array(3.0)).tolist()
+    [1.0, 2.0, 3.0]
+    """
     return jnp.stack([x, y, z])
 
 
@@ -94,7 +102,16 @@ _traced_once = partial(jax.jit, inline=True)
 
 @_traced_once
 def rotate(matrix: Matrix3, vector: Vector3) -> Vector3:
-    """Return matrix · vector."""
+    """Return matrix · vector, shapes (3, 3) and (3,).
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> quarter = imubayes.exponential(jnp.array([0.0, 0.0, jnp.pi / 2]))
+    >>> imubayes.rotate(quarter, jnp.array([1.0, 0.0, 0.0])).round(12).tolist()
+    [0.0, 1.0, 0.0]
+    """
     x, y, z = vector[0], vector[1], vector[2]
     return jnp.stack([matrix[i, 0] * x + matrix[i, 1] * y + matrix[i, 2] * z for i in range(3)])
 
@@ -108,22 +125,46 @@ def rotate_back(matrix: Matrix3, vector: Vector3) -> Vector3:
 
 @_traced_once
 def compose(first: Matrix3, second: Matrix3) -> Matrix3:
-    """Return first · second."""
+    """Return the product first · second of two matrices, shape (3, 3).
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> eighth = imubayes.exponential(jnp.array([0.0, 0.0, jnp.pi / 4]))
+    >>> imubayes.compose(eighth, eighth)[1, 0].round(12).item()
+    1.0
+    """
     return jnp.stack([rotate(first, second[:, column]) for column in range(3)], axis=1)
 
 
 @_traced_once
 def cross(a: Vector3, b: Vector3) -> Vector3:
-    """Return a × b."""
+    """Return the vector product a × b, shape (3,).
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> imubayes.cross(jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 1.0, 0.0])).tolist()
+    [0.0, 0.0, 1.0]
+    """
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 @_traced_once
 def exponential(rotation: Vector3) -> Matrix3:
-    """Return exp([rotation]×), the matrix of a rotation vector in rad.
+    """Return exp([rotation]×), the matrix, shape (3, 3), of a rotation vector in rad, shape (3,).
 
     At small angles the coefficients are series, and the unused branch is evaluated at a safe angle, so that first
     and second derivatives are finite and correct at zero.
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> imubayes.exponential(jnp.zeros(3)).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
     x, y, z = rotation[0], rotation[1], rotation[2]
     square = x * x + y * y + z * z

@@ -275,6 +275,13 @@ class Campaign:
     `digest` identifies the data (SHA-256 of files as read), `folder` is where they were read; both empty where the
     campaign came from no files.  `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all
     inputs, as a ratio; None for the default.  `set_aside` are readings that a model has taken out of its runs.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> campaign = imubayes.load_campaign("data/accel-channel")
+    >>> campaign.name, [channel.name for channel in campaign.channels], round(campaign.site.gravity, 3)
+    ('accel-channel', ['ax'], 9.795)
     """
 
     name: str

@@ -38,7 +38,17 @@ class Issue:
 
 
 class InputError(Exception):
-    """An input that cannot be used; `issues` holds every fault found in it."""
+    """An input that cannot be used; `issues` holds every fault found in it.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> try:
+    ...     imubayes.load_model("hidden-efects")
+    ... except imubayes.InputError as error:
+    ...     print(error.issues[0].what)
+    there is no model 'hidden-efects', neither a file nor a shipped one
+    """
 
     def __init__(self, issues: Issue | Iterable[Issue]):
         self.issues = (issues,) if isinstance(issues, Issue) else tuple(issues)
@@ -54,7 +64,16 @@ def input_error(what: str, where: str, allowed: str, remedy: str) -> InputError:
 
 
 class NotKept(UserWarning):
-    """What a command found is shown, but could not be written beside the result that it was made of, in `folder`."""
+    """What a command found is shown, but could not be written beside the result that it was made of, in `folder`.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import imubayes
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", imubayes.NotKept)  # an error in a script that must keep what it finds
+    ...     found = imubayes.diagnose("results/accel-channel")
+    """
 
     def __init__(self, folder: Path, reason: str):
         self.folder = folder

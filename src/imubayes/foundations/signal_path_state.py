@@ -18,6 +18,14 @@ class Ambient(eqx.Module):
 
     A covariate that the run does not carry is 0 here.  An effect that needs it does not act on that run, and cannot be
     bound where the covariate has some value in spite of that (`Covariate.absent`).
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> warm = imubayes.Ambient(temperature=jnp.array(55.0))
+    >>> warm.updated(temperature=jnp.array(25.0)).temperature.item()
+    25.0
     """
 
     values: dict[str, Scalars]
@@ -68,6 +76,12 @@ class Motion(eqx.Module):
     earth_rate : the Earth's rotation in n, rad/s; zero where the reference has measured it along.
     outer : the axes that carry the inner one, with `base` the frame of the outer one at angle 0; None where no run has
         any.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> [name for name in imubayes.Motion.__dataclass_fields__ if name.startswith("table")]
+    ['table_angle', 'table_rate', 'table_acceleration']
     """
 
     base: Matrices
@@ -151,6 +165,15 @@ class Experience(eqx.Module):
     `rate` is inertial (rad/s), `force` the specific force (m/s²); `table_rate` and `table_acceleration` are the
     table's rotation, which moves a point off the axis; `north` and `up` are unit vectors of the local level,
     zero where nobody knows how the unit stands.
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> still, up = jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])
+    >>> at_rest = imubayes.Experience(still, 9.81 * up, still, still, jnp.array([0.0, 1.0, 0.0]), up)
+    >>> at_rest.force[2].item()
+    9.81
     """
 
     rate: Vectors
@@ -166,6 +189,12 @@ class Sample(eqx.Module):
 
     `acceleration` is angular, of the table; the other vectors are those of `Experience`.
     `output_scale` is the channel's nominal scale, output units per rad/s or m/s².
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> list(imubayes.Sample.__dataclass_fields__)
+    ['rate', 'force', 'acceleration', 'north', 'up', 'ambient', 'output_scale']
     """
 
     rate: Vectors

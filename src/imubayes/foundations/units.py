@@ -88,6 +88,12 @@ def to_si(
     ------
     InputError
         if a unit name is not in the table.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> round(imubayes.to_si("deg/h") * 1e6, 3)  # µrad/s
+    4.848
     """
     factor, gravity_power, _ = _parse(unit, where, own or {})
     return factor * gravity**gravity_power
@@ -108,10 +114,21 @@ def with_output_unit(unit: str, output: str) -> str:
 def dimension(unit: str, where: str = "") -> tuple[int, ...]:
     """Return the dimension of `unit` as exponents of (rad, s, m, K, A, output, T).
 
+    Parameters
+    ----------
+    unit : as in model files, such as deg/h/g.
+    where : place of the unit, for errors.
+
     Raises
     ------
     InputError
         if a unit name is not in the table.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.dimension("ppm/degC") == imubayes.dimension("1/K")
+    True
     """
     return _parse(unit, where, {})[2]
 

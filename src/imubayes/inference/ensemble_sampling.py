@@ -65,6 +65,12 @@ class Settings:
     `least_steps` are taken by each ensemble after the burn-in even when fewer would do; `most_steps` of 0 is what
     memory allows.  Of longer chains some steps are kept, `most_kept` draws in all, fewer where the parameters are many;
     the checkpoint has them all.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.Settings(ensembles=6, least_steps=2000, seed=3)
+    Settings(ensembles=6, walkers=0, seed=3, least_steps=2000, most_steps=0, most_kept=100000)
     """
 
     ensembles: int = 4

@@ -159,6 +159,13 @@ class Samples:
     ----------
     names : of the D parameters.
     chains : draws, log densities, acceptance and convergence, with burn-in removed.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> found = imubayes.sample(lambda x: -0.5 * (x**2).sum(axis=1), [0.0, 0.0], names=["a", "b"])
+    >>> found.names, found.draws.shape[1]
+    (('a', 'b'), 2)
     """
 
     names: tuple[str, ...]

@@ -248,6 +248,15 @@ class Model:
     problem : the arrays.
     assembly : the effects and channels they are made from.
     left_out : effects of the model that the campaign, having one run of their channels, cannot tell.
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> model = imubayes.load("results/accel-channel").fit.model
+    >>> prior_median = jnp.zeros(len(model.parameter_names))
+    >>> model.log_density(prior_median).shape
+    ()
     """
 
     spec: ModelSpec
@@ -313,6 +322,7 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, 
 
     Parameters
     ----------
+    spec, campaign : as `load_model` and `load_campaign` return them.
     registry : effects by name, user effects in it are not dry-run again; by default the package's own.
     single_runs : see `imubayes.model.bound_effects.bind_effect`.
 
@@ -320,6 +330,14 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, 
     ------
     InputError
         with everything in the model that does not fit the campaign.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> campaign = imubayes.load_campaign("data/accel-channel")
+    >>> model = imubayes.bind(imubayes.load_model("accel-channel"), campaign)
+    >>> model.parameter_names[0], model.parameter_units[0]
+    ('mounting_error.x[pyramid]', 'arcsec')
     """
     prepare_jax()
     _refuse_unknown_procedures(campaign)

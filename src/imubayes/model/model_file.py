@@ -174,10 +174,21 @@ def _digest(file: Path) -> str:
 def read_model(path: str | Path) -> ModelSpec:
     """Read a model file, or a shipped model by its name; its own effects are looked for beside it.
 
+    Parameters
+    ----------
+    path : the file, or the name that `imubayes example` lists; a file on disk comes first.
+
     Raises
     ------
     InputError
         with everything that is wrong with the file.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> spec = imubayes.load_model("accel-channel")
+    >>> [effect.name for effect in spec.effects][:2]
+    ['mounting_error', 'accel_bias']
     """
     path = model_file(path)
     return spec_of_file(read_model_file(path), path)

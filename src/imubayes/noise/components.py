@@ -33,6 +33,13 @@ class Entry(eqx.Module):
     rate : magnitude of the nominal table rate along a gyro's input axis in output units, 0 for all else.
     reference : magnitude of a gyro's nominal scale in a run beside a reference gyro, output units per rad/s, 0 for all
         else.
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> imubayes.Entry(samples=jnp.array(600.0), rate=jnp.array(0.0), reference=jnp.array(0.0)).samples.item()
+    600.0
     """
 
     samples: Scalars
@@ -41,7 +48,14 @@ class Entry(eqx.Module):
 
 
 class Noise(eqx.Module):
-    """Base of all noise components; `kinds` says what it applies to (gyro, accelerometer, angle, closure)."""
+    """Base of all noise components; `kinds` says what it applies to (gyro, accelerometer, angle, closure).
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.Noise.kinds
+    ('gyro', 'accelerometer', 'angle')
+    """
 
     name: ClassVar[str]
     per: ClassVar[tuple[str, ...]] = ("channel",)
@@ -54,7 +68,22 @@ class Noise(eqx.Module):
 
 
 class EntryNoise(Noise):
-    """Independent from entry to entry."""
+    """Independent from entry to entry.
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> class Rounding(imubayes.EntryNoise):
+    ...     name = "my_rounding"
+    ...     step: imubayes.Scalar = imubayes.parameter("output", "lognormal(0.3 noise, 1)", (1e-9, 0.1), "the step")
+    ...
+    ...     def variance(self, entry: imubayes.Entry) -> imubayes.Scalar:
+    ...         return self.step**2 / 12
+    >>> entry = imubayes.Entry(jnp.array(600.0), jnp.array(0.0), jnp.array(0.0))
+    >>> Rounding(jnp.array(6.0)).variance(entry).item()
+    3.0
+    """
 
     @abstractmethod
     def variance(self, entry: Entry) -> Scalar:
@@ -62,7 +91,21 @@ class EntryNoise(Noise):
 
 
 class SharedNoise(Noise):
-    """Common to all entries of one run and channel."""
+    """Common to all entries of one run and channel.
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> class Offset(imubayes.SharedNoise):
+    ...     name = "my_run_offset"
+    ...     width: imubayes.Scalar = imubayes.parameter("output", "halfnormal(0.5 noise)", (1e-9, 0.1), "the spread")
+    ...
+    ...     def shared_variance(self) -> imubayes.Scalar:
+    ...         return self.width**2
+    >>> Offset(jnp.array(0.5)).shared_variance().item()
+    0.25
+    """
 
     @abstractmethod
     def shared_variance(self) -> Scalar:
@@ -70,7 +113,21 @@ class SharedNoise(Noise):
 
 
 class SeriesNoise(Noise):
-    """Autocorrelated within one run and channel: the independent noise becomes AR(1)."""
+    """Autocorrelated within one run and channel: the independent noise becomes AR(1).
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> class Memory(imubayes.SeriesNoise):
+    ...     name = "my_memory"
+    ...     correlation: imubayes.Scalar = imubayes.parameter("1", "uniform(0, 0.9)", (0.05, 0.9), "the correlation")
+    ...
+    ...     def lag_one_correlation(self) -> imubayes.Scalar:
+    ...         return self.correlation
+    >>> Memory(jnp.array(0.25)).lag_one_correlation().item()
+    0.25
+    """
 
     @abstractmethod
     def lag_one_correlation(self) -> Scalar:
@@ -127,6 +184,19 @@ class TailNoise(Noise):
     """Heavy tails: the independent noise of a run and channel follows Student's t instead of a normal law.
 
     The variances of the other components are then the square of its scale.
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> import imubayes
+    >>> class Tails(imubayes.TailNoise):
+    ...     name = "my_tails"
+    ...     nu: imubayes.Scalar = imubayes.parameter("1", "lognormal(8, 0.8)", (3, 30), "the degrees of freedom")
+    ...
+    ...     def degrees(self) -> imubayes.Scalar:
+    ...         return self.nu
+    >>> Tails(jnp.array(4.0)).degrees().item()
+    4.0
     """
 
     @abstractmethod

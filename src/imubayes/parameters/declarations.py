@@ -53,26 +53,7 @@ GRAVITY_ERROR = Domain(-6, 6, "mg")
 
 @dataclass(frozen=True)
 class Declared:
-    """The declaration of one parameter.
-
-    Attributes
-    ----------
-    unit : datasheet unit used in files, tables and reports.
-    prior : default prior, as written in a model file.
-    typical : smallest and largest magnitude met in practice, in `unit`; where that is of the output, in `scale`
-        instead of `output`, since channels differ in their output units.
-    meaning : a phrase that completes "this is …".
-    equipment : name of the equipment fact (see `imubayes.model.bind`) that replaces the default prior's
-        width where the campaign states it, or empty.
-    null : the value, in SI, at which the effect is the identity.
-    per : what a value belongs to, where that differs from the effect's own `per`.
-    spread : name of the effect's parameter that is this one's standard deviation, learnt from the data.
-    shape : for a nonlinear parameter that is not identified while the effect's coefficient is zero (a time constant,
-        a limit): the grid, in `unit`, of the profile scan.
-    coarse : width of the default prior for an industrial and for a consumer unit, in `unit`; None where it is the same
-        for all grades.
-    domain : what it can be, by its unit where none is declared; None where only the prior says so.
-    """
+    """The declaration of one parameter; `parameter` explains its facts."""
 
     unit: str
     prior: str
@@ -104,14 +85,51 @@ def parameter(
     coarse: tuple[float, float] | None = None,
     domain: Domain | None = None,
 ) -> Any:
-    """Declare a field of an effect as a parameter; see `Declared` for the arguments."""
+    """Declare a field of an effect as a parameter.
+
+    Parameters
+    ----------
+    unit : datasheet unit used in files, tables and reports.
+    prior : default prior, as written in a model file.
+    typical : smallest and largest magnitude met in practice, in `unit`; where that is of the output, in `scale`
+        instead of `output`, since channels differ in their output units.
+    meaning : a phrase that completes "this is …".
+    equipment : name of the equipment fact (see `imubayes.model.bind`) that replaces the default prior's
+        width where the campaign states it, or empty.
+    null : the value, in SI, at which the effect is the identity.
+    per : what a value belongs to, where that differs from the effect's own `per`.
+    spread : name of the effect's parameter that is this one's standard deviation, learnt from the data.
+    shape : for a nonlinear parameter that is not identified while the effect's coefficient is zero (a time constant,
+        a limit): the grid, in `unit`, of the profile scan.
+    coarse : width of the default prior for an industrial and for a consumer unit, in `unit`; None where it is the same
+        for all grades.
+    domain : what it can be, by its unit where none is declared; None where only the prior says so.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> bias = imubayes.parameter("deg/h", "normal(0, 10 deg/h)", (0.1, 50), "the bias")
+    >>> bias.metadata["parameter"].prior
+    'normal(0, 10 deg/h)'
+    """
     possible = domain or DOMAINS.get(unit)
     declared = Declared(unit, prior, typical, meaning, equipment, null, per, spread, shape, coarse, possible)
     return eqx.field(metadata={"parameter": declared})
 
 
 def time_constant(meaning: str) -> Any:
-    """Declare a field as the time constant of a transient, minutes to hours, with a scan grid of half-decades."""
+    """Declare a field as the time constant of a transient, minutes to hours, with a scan grid of half-decades.
+
+    Parameters
+    ----------
+    meaning : a phrase that completes "this is …".
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.time_constant("the time constant").metadata["parameter"].unit
+    'min'
+    """
     shape = (1.0, 3.0, 10.0, 30.0, 100.0)
     return parameter("min", "lognormal(10 min, 1.0)", (0.5, 120), meaning, null=600.0, shape=shape)
 
@@ -124,13 +142,32 @@ def thermal_play() -> Any:
 
 
 def option(default: float, meaning: str) -> Any:
-    """Declare a field of an effect as a fixed setting that a model file may change, such as a reference."""
+    """Declare a field of an effect as a fixed setting that a model file may change, such as a reference.
+
+    Parameters
+    ----------
+    default : its value where the model file states none, in SI.
+    meaning : a phrase that completes "this is …".
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.option(9.81, "reference specific force, m/s²").default
+    9.81
+    """
     # By keyword, so that a shared formula can declare it before the parameters of the effects.
     return eqx.field(default=default, kw_only=True, metadata={"option": meaning})
 
 
 def reference_temperature() -> Any:
-    """Declare a field as the reference temperature of a temperature coefficient, °C."""
+    """Declare a field as the reference temperature of a temperature coefficient, °C.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.reference_temperature().default
+    25.0
+    """
     return option(25.0, "reference temperature T_ref, °C")
 
 

@@ -33,6 +33,13 @@ class InputQuantity:
     half_width, inexact : half the distance of the limits, and what they are known to; 0 without limits.
     top : of a trapezoid, its upper side over its base.
     draws : shape (S,), where these are the distribution; inputs with as many draws as each other are paired.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> mean = imubayes.InputQuantity.readings("t", [20.1, 20.3, 20.2])
+    >>> round(mean.value, 3), round(mean.uncertainty, 4), mean.degrees_of_freedom
+    (20.2, 0.0577, 2.0)
     """
 
     name: str

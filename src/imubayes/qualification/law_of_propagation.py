@@ -68,6 +68,14 @@ class GumBudget(Presented):
     degrees_of_freedom : ν_eff.
     probability, coverage_factor, expanded_uncertainty : p, k from ν_eff, and U = k u of first order.
     lines : contributions, in the order of the inputs.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> inputs = [imubayes.InputQuantity.normal(name, 1.0, 0.01) for name in ("a", "b")]
+    >>> (found,) = imubayes.budget(lambda a, b: a + b, inputs)
+    >>> len(found.lines), round(found.expanded_uncertainty, 4)
+    (2, 0.0277)
     """
 
     name: str
@@ -100,6 +108,14 @@ def budget(
     ------
     InputError
         as `propagate` does.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> mass, density = imubayes.InputQuantity.normal("m", 0.1, 2e-5), imubayes.InputQuantity.between("rho", 7900, 8100)
+    >>> (volume,) = imubayes.budget(lambda m, rho: m / rho, [mass, density])
+    >>> f"{volume.value:.4g} ± {volume.uncertainty:.2g}"
+    '1.25e-05 ± 9e-08'
     """
     return budgets_of_outputs(bound_equation(function, inputs, names, correlation, probability), probability)
 

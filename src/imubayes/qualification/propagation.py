@@ -71,6 +71,14 @@ class Propagated(Presented):
     stable : whether the draws are as many as the digits ask for; False where the most draws were reached, or
         where those that an input is given by are too few.
     effective : number of draws, or of those of the input that is given by the fewest.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> angle = imubayes.InputQuantity.between("angle", 0.0, 0.1)
+    >>> found = imubayes.propagate(lambda angle: angle**2, [angle], digits=1)
+    >>> found.draws.shape[1], [output.name for output in found.outputs]
+    (1, ['y'])
     """
 
     outputs: tuple[OutputQuantity, ...]
@@ -174,6 +182,14 @@ def propagate(
         for inputs that the equation does not take, repeated names, correlations that are none, and an equation that
         returns something else; and for an input of two degrees of freedom or fewer, whose distribution has no standard
         deviation (JCGM 101, 6.4.9.4): `budget` takes it.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> mass, density = imubayes.InputQuantity.normal("m", 0.1, 2e-5), imubayes.InputQuantity.between("rho", 7900, 8100)
+    >>> volume = imubayes.propagate(lambda m, rho: m / rho, [mass, density])
+    >>> volume.stable, f"{volume['y'].value:.4g} ± {volume['y'].uncertainty:.1g}"
+    (True, '1.25e-05 ± 9e-08')
     """
     equation = bound_equation(function, inputs, names, correlation, probability)
     _check_deviations(equation.inputs)

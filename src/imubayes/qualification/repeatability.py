@@ -83,6 +83,13 @@ class Repeatability(Presented, Record):
     other_priors : what has another prior in the two, which are then compared as if nothing were common to them.
     pooled : whether both may be taken as one: they agree, and have the same priors.
     changed, elsewhere : equipment and site that is not the same in both.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> found = imubayes.repeatability("results/accel-channel", "results/later")
+    >>> found.freedom, found.pooled
+    (5, True)
     """
 
     format: Literal[1] = 1

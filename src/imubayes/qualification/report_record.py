@@ -417,6 +417,14 @@ class ReportSection(Record):
     Attributes
     ----------
     head, rows : of the table; its first column names the row.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> def traceability(report):
+    ...     return imubayes.ReportSection(title="Traceability", head=("table", "certificate"), rows=(("rate", "K-17"),))
+    >>> imubayes.report("results/accel-channel", sections=[traceability]).supplied[0].title
+    'Traceability'
     """
 
     title: str

@@ -37,6 +37,13 @@ class ConformityStatement(Presented):
     conformance : p_c, the probability that the quantity is within the limits; None where it is withheld.
     consumer_risk, producer_risk : specific risks, of the decision that was taken.
     global_consumer_risk, global_producer_risk : shares of all units tested, where the production is known.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> stated = imubayes.conformity((1.2, 0.1), upper=1.5, rule="simple_acceptance")
+    >>> stated.outcome, round(stated.conformance, 4)
+    ('pass', 0.9987)
     """
 
     value: float
@@ -90,6 +97,12 @@ def conformity(
     InputError
         for what is no measured value, limits that are crossed or none, a rule that there is not, what the rule does not
         use or may not be, and a global risk without a production.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.conformity((1.2, 0.1), upper=1.5).outcome
+    'pass'
     """
     _check_measured(measured)
     _check(lower, upper, rule, production)

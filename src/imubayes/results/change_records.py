@@ -1,8 +1,7 @@
 """What a change of a model brought, and the files that keep it: `history.json`, `diagnosis.json`, `change.json`.
 
-The record of a change holds what was predicted and what was observed, the cross-validation, the residual rms before and
-after, and how far the estimates of a result moved.  `history.json` of a result says the model, and what it was made
-from; `diagnosis.json` and `change.json` document the steps from one model to the next.
+The record of a change holds prediction and observation, cross-validation, residual rms, and the estimates that moved.
+`history.json` of a result says the model and what it was made from, the others document the steps between models.
 """
 
 import os
@@ -114,8 +113,7 @@ class Observation(Record):
 
     Attributes
     ----------
-    delta_chi2 : drop at the noise known beforehand, negative where χ² rose; where noise itself was changed, twice the
-        rise of the log likelihood; None where other readings were fitted.
+    delta_chi2 : drop at the noise known beforehand; of changed noise, 2 Δ ln L; None where other readings were fitted.
     coefficients : the new parameters.
     """
 
@@ -140,11 +138,15 @@ class ModelChange(Presented, Record):
     channels : the same at the noise known beforehand, offsets of runs included.
     moved : estimates that both fits have, those that moved most first; empty where the refit is not taken.
     undistinguished : of the effects added, those that the data do not distinguish.
-    log_odds : natural logarithm of the odds of the effects removed, by the diagnosis that led to adding them; None
-        where that is not at hand.
-    offsets_moved : the channels whose residual rms rose although the residual within runs did not: the new effect no
-        longer takes up the offsets of their runs.
+    log_odds : ln odds of the effects removed, by the diagnosis that led to adding them; None where that is not at hand.
+    offsets_moved : channels whose rms rose only because the new effect no longer takes up the offsets of their runs.
     parent, folder : result folders before and after; None where there are none.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.add("results/accel-channel", ["converter_gain_drift_quadratic"]).added[0].effect
+    'converter_gain_drift_quadratic'
     """
 
     __repr__, __str__ = Presented.__repr__, Presented.__str__

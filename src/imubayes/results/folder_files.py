@@ -115,10 +115,20 @@ def trust(place: str | Path) -> tuple[Path, ...]:
     Effect files are code.  They run where the user names their model; those that come along with a result run only
     where they are trusted, as they are: a file that was changed is another one.
 
+    Parameters
+    ----------
+    place : result folder, model file or effect file.
+
     Raises
     ------
     InputError
         where they cannot be read.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.trust("models/start.toml")  # it has no effect files
+    ()
     """
     place = Path(place)
     if place.is_dir():

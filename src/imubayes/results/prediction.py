@@ -72,6 +72,13 @@ class RunPrediction(Presented):
     summary : what is said of them.
     residuals : one row per new run, row and channel; `whitened` is by the predictive distribution.
     fit : summary of the fit.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> found = imubayes.predict("results/accel-channel", "campaigns/later")
+    >>> found.holds, found.residuals.table["run"].n_unique()
+    (True, 3)
     """
 
     summary: PredictionSummary

@@ -165,6 +165,15 @@ class Result(Presented):
     residuals : one row per run, row and channel.
     folder : the result folder; None for none.
     identity : of the fit in the folder, by its manifest; empty where none was written yet.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> result = imubayes.load("results/accel-channel")
+    >>> result.to_polars().columns[:5]
+    ['kind', 'name', 'unit', 'mean', 'sd']
+    >>> sorted(result.draws)[0], result.draws["accel_bias.bias[ax]"].ndim
+    ('accel_bias.bias[ax]', 1)
     """
 
     summary: Summary
@@ -299,6 +308,12 @@ def read_result(folder: str | Path) -> Result:
     ------
     InputError
         if it is missing, incomplete, altered or damaged; every issue is in it.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.read_result("results/accel-channel").summary.model
+    'accel-channel'
     """
     folder = Path(folder)
     identity = checked(folder).identity

@@ -59,6 +59,15 @@ class CalibratedInputs:
     left_in : effects that are not taken out; what they may do is in both uncertainties.
     exact : what the model takes as exact of site and equipment; it is in both uncertainties nevertheless.
     incomplete : rows with an empty cell, for want of an output, a temperature or a number of samples.
+
+    Examples
+    --------
+    >>> import polars as pl
+    >>> import imubayes
+    >>> readings = pl.DataFrame({"ax": [20000.0], "converter_temperature_degC": [25.0]})
+    >>> found = imubayes.apply("results/accel-channel", readings, nothing_across=True)
+    >>> found.table["ax_g"].round(2).to_list(), found.incomplete
+    ([1.0], 0)
     """
 
     table: pl.DataFrame
