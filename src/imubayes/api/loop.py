@@ -110,9 +110,9 @@ def plant(
     Examples
     --------
     >>> import imubayes
-    >>> trials = imubayes.plant(result="results/accel-channel", effects=["converter_gain_drift_quadratic"], draws=2)
+    >>> trials = imubayes.plant(result="results/accel-channel", effects=["converter_offset_drift_quadratic"], draws=1)
     >>> [trial.effect for trial in trials.trials]
-    ['converter_gain_drift_quadratic']
+    ['converter_offset_drift_quadratic']
     """
     with progress_of(progress) as tell:
         if result is not None:
@@ -163,7 +163,8 @@ def add(
     Examples
     --------
     >>> import imubayes
-    >>> change = imubayes.add("results/accel-channel", ["converter_gain_drift_quadratic"])
+    >>> lacking = imubayes.remove("results/accel-channel", ["converter_offset_drift"]).result
+    >>> change = imubayes.add(lacking, ["converter_offset_drift"])
     >>> change.taken
     True
     """
@@ -210,10 +211,9 @@ def remove(
     Examples
     --------
     >>> import imubayes
-    >>> extended = imubayes.add("results/accel-channel", ["converter_gain_drift_quadratic"]).result
-    >>> change = imubayes.remove(extended, ["converter_gain_drift_quadratic"])
-    >>> [choice.effect for choice in change.removed]
-    ['converter_gain_drift_quadratic']
+    >>> change = imubayes.remove("results/accel-channel", ["converter_offset_drift"])
+    >>> change.observed.delta_chi2 < -20  # what it costs
+    True
     """
     before = opened(result)
     words, parent = _words(effects), before.folder

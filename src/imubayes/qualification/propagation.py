@@ -186,17 +186,13 @@ def propagate(
     Examples
     --------
     >>> import imubayes
-    >>> mass, density = imubayes.InputQuantity.normal("m", 0.1, 2e-5), imubayes.InputQuantity.between("rho", 7900, 8100)
-    >>> volume = imubayes.propagate(lambda m, rho: m / rho, [mass, density])
+    >>> inputs = [imubayes.InputQuantity.normal("m", 0.1, 2e-5), imubayes.InputQuantity.between("rho", 7900, 8100)]
+    >>> volume = imubayes.propagate(lambda m, rho: m / rho, inputs)
     >>> volume.stable, f"{volume['y'].value:.4g} ± {volume['y'].uncertainty:.1g}"
     (True, '1.25e-05 ± 9e-08')
     """
     equation = bound_equation(function, inputs, names, correlation, probability)
-    _check_deviations(equation.inputs)
-    if digits not in (1, 2):
-        raise input_error(f"digits = {digits}", "digits", "1 or 2", "correct it")
-    if most_draws < _FEWEST_DRAWS:
-        raise input_error(f"most_draws = {most_draws}", "most_draws", f"{_FEWEST_DRAWS} or more", "correct it")
+    _check(equation.inputs, digits, most_draws)
     random = np.random.default_rng(seed)
     needed = max(_BLOCK, math.ceil(100 / (1 - probability)))
     size = min(needed, most_draws // _FEWEST_BLOCKS)
@@ -212,10 +208,17 @@ def propagate(
     if stable and given:
         stable = _is_stable(_by_parts_of_draws(equation, min(given), size, tails, seed), digits)
     budgets = budgets_of_outputs(equation, probability)
-    found = tuple(
-        _output(name, own, gum, probability, digits) for name, own, gum in zip(names, draws.T, budgets, strict=True)
-    )
+    outputs = zip(names, draws.T, budgets, strict=True)
+    found = tuple(_output(name, own, gum, probability, digits) for name, own, gum in outputs)
     return Propagated(found, draws, probability, stable, min([len(draws), *given]))
+
+
+def _check(inputs: Sequence[InputQuantity], digits: int, most_draws: int) -> None:
+    _check_deviations(inputs)
+    if digits not in (1, 2):
+        raise input_error(f"digits = {digits}", "digits", "1 or 2", "correct it")
+    if most_draws < _FEWEST_DRAWS:
+        raise input_error(f"most_draws = {most_draws}", "most_draws", f"{_FEWEST_DRAWS} or more", "correct it")
 
 
 def _check_deviations(inputs: Sequence[InputQuantity]) -> None:

@@ -82,8 +82,7 @@ def conformity(
 
     Parameters
     ----------
-    measured : what `propagate` found; or (estimate, standard uncertainty) of a normal quantity;
-        or draws of it, shape (S,), 400 or more.
+    measured : what `propagate` found; or (estimate, standard uncertainty) if normal; or draws, shape (S,), S ≥ 400.
     lower, upper : limits.
     rule : of the decision: simple_acceptance, guard_band (w = 1.65 u), ilac_g8_non_binary (w = U),
         conformance_probability, specific_risk, or global_risk, which needs a production.
@@ -95,8 +94,7 @@ def conformity(
     Raises
     ------
     InputError
-        for what is no measured value, limits that are crossed or none, a rule that there is not, what the rule does not
-        use or may not be, and a global risk without a production.
+        for what is no measured value, crossed limits or none, an unknown rule, and what a rule does not use or lacks.
 
     Examples
     --------
@@ -104,8 +102,7 @@ def conformity(
     >>> imubayes.conformity((1.2, 0.1), upper=1.5).outcome
     'pass'
     """
-    _check_measured(measured)
-    _check(lower, upper, rule, production)
+    _check(measured, lower, upper, rule, production)
     tolerance = rules.ToleranceInterval(lower, upper)
     chosen = _rule(rule, factor, width, probability)
     estimate = _estimate(measured, tolerance, output, chosen)
@@ -233,7 +230,10 @@ def _draws(found: Propagated, output: str) -> np.ndarray:
     return found.draws[:, found.outputs.index(found[output]) if output else 0]
 
 
-def _check(lower: float, upper: float, rule: str, production: tuple[float, float] | None) -> None:
+def _check(
+    measured: object, lower: float, upper: float, rule: str, production: tuple[float, float] | None
+) -> None:  # fmt: skip
+    _check_measured(measured)
     if rule not in get_args(rules.RuleName):
         allowed = closest_first(rule, get_args(rules.RuleName))
         raise input_error(f"there is no rule '{rule}'", "rule", allowed, "name a rule")

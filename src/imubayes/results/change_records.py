@@ -145,8 +145,8 @@ class ModelChange(Presented, Record):
     Examples
     --------
     >>> import imubayes
-    >>> imubayes.add("results/accel-channel", ["converter_gain_drift_quadratic"]).added[0].effect
-    'converter_gain_drift_quadratic'
+    >>> imubayes.remove("results/accel-channel", ["converter_offset_drift"]).removed[0].effect
+    'converter_offset_drift'
     """
 
     __repr__, __str__ = Presented.__repr__, Presented.__str__
