@@ -23,7 +23,7 @@ help:
 	@echo "make laws    the laws over all registered effects and noise components"
 	@echo "make study   the long statistical studies (coverage, simulation-based calibration)"
 	@echo "make bench   benchmarks"
-	@echo "make release-check  build source archive and wheel, check them, install the wheel alone and run it"
+	@echo "make release-check  build dist, check it, install the wheel alone and run it"
 	@echo "make data    regenerate the shipped synthetic campaigns"
 	@echo "make lock    resolve the requirements anew (UPGRADE=--upgrade for the newest)"
 
@@ -61,9 +61,11 @@ laws: $(READY)
 study: $(READY)
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m slow -rP --durations=40
 
-# The long tests as well: the demonstration and the commands of the README, by the installed wheel.
+# What is tested stays in dist.  The long tests as well: the demonstration and the commands of the README, by the wheel.
 release-check: $(READY)
-	$(BIN)/pytest -m "slow or not slow" tests/release
+	rm -rf dist
+	mkdir dist
+	BUILT=dist $(BIN)/pytest -m "slow or not slow" tests/release
 
 bench: $(VENV)/.ready-bench
 	$(BIN)/python benchmarks/run.py

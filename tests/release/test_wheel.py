@@ -30,13 +30,14 @@ MOST_EXAMPLES = 1_000_000  # bytes of the wheel
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
-    """The wheel, built from an unpacked source archive, as an index or a packager builds it."""
-    place, backend, here = tmp_path_factory.mktemp("build"), import_module("hatchling.build"), Path.cwd()
+    """The wheel, built from an unpacked source archive, as an index or a packager builds it; in the folder BUILT."""
+    source, backend, here = tmp_path_factory.mktemp("source"), import_module("hatchling.build"), Path.cwd()
+    place = Path(os.environ.get("BUILT") or tmp_path_factory.mktemp("built")).resolve()
     try:
         os.chdir(ROOT)
         with tarfile.open(place / backend.build_sdist(str(place))) as archive:
-            archive.extractall(place, filter="data")
-        os.chdir(next(path for path in place.iterdir() if path.is_dir()))
+            archive.extractall(source, filter="data")
+        os.chdir(next(source.iterdir()))
         return place / backend.build_wheel(str(place))
     finally:
         os.chdir(here)
