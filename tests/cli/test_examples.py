@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from imubayes.cli.main import run
+from imubayes.explorer.start import SHIPPED
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.shipped import copy_examples, example, examples, model_names, shipped
 from imubayes.model.model_file import read_model
@@ -63,6 +64,10 @@ def test_an_unknown_name_is_told_with_the_known_ones(place, capsys):
 def test_a_path_is_no_name(place):
     with pytest.raises(InputError, match=r"no file 'start\.toml'"):
         read_model("models/start.toml")
+
+
+def test_the_loop_in_the_browser_begins_with_an_example():
+    assert example(SHIPPED).is_campaign
 
 
 def test_a_copy_is_the_example(place, capsys):
