@@ -96,7 +96,6 @@ GROUPS = {
     "trihedral-imu": (f"{README}commands_run_as_written[The main job", "results/test_posterior.py"),
     "hidden": (
         f"{README}commands_run_as_written[The loop",
-        f"{README}the_users_effect",
         "criticism/test_outliers.py",
         "criticism/test_shipped.py",
         "criticism/test_known_noise.py::test_scatter_of_one",
@@ -125,7 +124,6 @@ GROUPS = {
         "criticism/test_hidden_effects.py::test_an_effect_between_few_runs",
     ),
     "desk-imu": (
-        f"{README}commands_run_as_written[An IMU",
         "qualification/test_correct_recording.py",
         "inference/test_negligible_modes.py",
     ),

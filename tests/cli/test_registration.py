@@ -15,7 +15,7 @@ def commands_of(text: str) -> set[str]:
 
 def test_every_command_of_the_readme_is_there() -> None:
     named = commands_of(README.read_text(encoding="utf-8"))
-    assert {"fit", "diagnose", "archive", "batch", "export"} <= named
+    assert {"fit", "diagnose", "batch", "export"} <= named
     assert named <= set(app)
 
 

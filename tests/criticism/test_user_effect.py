@@ -63,7 +63,19 @@ def test_it_is_screened_and_proposed(house):
     assert document["groups"][0]["effects"] == ["house_regulator"], document["sentence"]
 
 
-@pytest.mark.slow  # two fits; at every run the README has one of a user's effect, and test_loop.py adds one of another
+def test_a_model_that_has_it_is_fitted(house, tmp_path):
+    """It finds the planted size, and the result keeps the file."""
+    text = (house / "model.toml").read_text() + '\n[[effect]]\nname = "house_regulator"\n'
+    shutil.copyfile(house / "house.py", tmp_path / "house.py")
+    (tmp_path / "model.toml").write_text(text)
+    result = fit(house / "campaign", tmp_path / "model.toml", tmp_path / "out", sample=False)
+    found = result["house_regulator.size[ax]"]
+    assert abs(found.mean - PLANTED) < 4 * found.sd
+    assert (tmp_path / "out" / "house.py").read_text() == SOURCE
+    assert read_model(tmp_path / "out" / "model.toml").files == (str(tmp_path / "out" / "house.py"),)
+
+
+@pytest.mark.slow  # two fits; at every run the test above has one, and test_loop.py adds another effect
 def test_it_is_added_and_the_error_falls(house):
     before = fit(house / "campaign", house / "model.toml", house / "before", sample=False)
     after = add(house / "before", ["house_regulator"], house / "after", channels=["ax"]).result
