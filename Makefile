@@ -12,7 +12,7 @@ INSTALL = $(UV) pip install --quiet --compile-bytecode --python $(BIN)/python
 
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo archive-demo test types tests test-fast laws study release-check bench data lock clean
+.PHONY: help setup demo archive-demo test types tests test-fast laws study release-check bench docs data lock clean
 .DEFAULT_GOAL := help
 
 help:
@@ -23,6 +23,7 @@ help:
 	@echo "make laws    the laws over all registered effects and noise components"
 	@echo "make study   the long statistical studies (coverage, simulation-based calibration)"
 	@echo "make bench   benchmarks"
+	@echo "make docs    the documentation site, results/docs/index.html"
 	@echo "make release-check  build dist, check it, install the wheel alone and run it"
 	@echo "make data    regenerate the shipped synthetic campaigns"
 	@echo "make lock    resolve the requirements anew (UPGRADE=--upgrade for the newest)"
@@ -70,6 +71,9 @@ release-check: $(READY)
 bench: $(VENV)/.ready-bench
 	$(BIN)/python benchmarks/run.py
 
+docs: $(VENV)/.ready-docs
+	$(BIN)/python src/docs/build.py
+
 data: $(READY)
 	$(BIN)/python data/generators/make_all.py
 
@@ -77,6 +81,7 @@ lock: | $(UV)
 	$(COMPILE) .requirements/uv.in -o .requirements/uv.txt
 	$(COMPILE) pyproject.toml --extra plots --extra pdf --extra gradient --extra cluster --extra notebook --extra explore --extra recordings --extra test .requirements/build.in -o .requirements/main+test.txt
 	$(COMPILE) pyproject.toml --extra bench -c .requirements/main+test.txt -o .requirements/bench.txt
+	$(COMPILE) pyproject.toml --extra docs -c .requirements/main+test.txt -o .requirements/docs.txt
 
 clean:
 	rm -rf $(VENV) .cache .pytest_cache .ruff_cache results
@@ -104,4 +109,8 @@ $(READY): $(LOCK) pyproject.toml | $(UV)
 
 $(VENV)/.ready-bench: .requirements/bench.txt $(READY)
 	@$(INSTALL) --require-hashes -r .requirements/bench.txt
+	@touch $@
+
+$(VENV)/.ready-docs: .requirements/docs.txt $(READY)
+	@$(INSTALL) --require-hashes -r .requirements/docs.txt
 	@touch $@

@@ -1,0 +1,196 @@
+"""Pages of the gallery of effects: one for each member of the catalogue, from its class and from its responses."""
+
+import inspect
+import tomllib
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from reference_pages import Pages, table
+from responses import CAMPAIGNS, DRAWN, SHOWN, Left, LinearCampaign
+
+from imubayes.display.effect_catalogue import _acts_on
+from imubayes.display.figure_style import BAND, BLUE, QUIET, STYLE
+from imubayes.effects.base import Effect, Order
+from imubayes.effects.shared_formulas import Sensor
+from imubayes.foundations.covariates import remedy
+from imubayes.foundations.units import BIAS_CONVENTION
+from imubayes.model.effect_registry import EffectClass, Registry
+from imubayes.parameters.declarations import declared_options, declared_parameters
+
+CAUSES = tomllib.loads((Path(__file__).parent / "causes.toml").read_text(encoding="utf-8"))
+_TEXT = {file.stem: file.read_text(encoding="utf-8") for file in (Path(__file__).parent / "_templates").glob("*.md")}
+
+
+def gallery_pages(source: Path) -> Pages:
+    """Return the pages of all effects and their index; pictures are written below `source`."""
+    folder = source / "effects"
+    folder.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        found = [each for part in pool.map(_drawn, CAMPAIGNS, [folder] * len(CAMPAIGNS)) for each in part]
+    return effect_pages(found)
+
+
+def _drawn(campaign: str, folder: Path) -> list[Left]:
+    """Return what every effect leaves in a campaign; the pictures of those that stand out are written."""
+    found = list(LinearCampaign(campaign).left_by_all())
+    for left in found:
+        if left.standing >= SHOWN:
+            draw(left, folder / _picture(left))
+    return found
+
+
+def _picture(left: Left) -> str:
+    return f"{left.effect}-{left.procedure}.svg"
+
+
+def draw(left: Left, file: Path) -> None:
+    """Draw response and residual of one channel against their covariate."""
+    x = left.covariate.values
+    chosen = np.unique(np.linspace(0, len(x) - 1, min(len(x), 600)).astype(int))
+    with mpl.rc_context({**STYLE, "svg.fonttype": "none", "svg.hashsalt": left.effect}):
+        figure = Figure(figsize=(6.0, 3.7), layout="constrained")
+        FigureCanvasSVG(figure)
+        above, below = figure.subplots(2, 1, sharex=True)
+        above.plot(x[chosen], left.response[chosen], "o", color=QUIET, markersize=3)
+        order = chosen[np.argsort(x[chosen], kind="stable")]
+        below.fill_between(x[order], -left.noise[order], left.noise[order], color=BAND, linewidth=0)
+        below.plot(x[chosen], left.left[chosen], "o", color=BLUE, markersize=3)
+        unit = f" / {left.covariate.unit}" if left.covariate.unit else ""
+        below.set_xlabel(left.covariate.phrase + unit)
+        above.set_ylabel(f"response / {left.unit}")
+        below.set_ylabel(f"left / {left.unit}")
+        figure.savefig(file, format="svg", metadata={"Date": None})
+
+
+def effect_pages(found: Sequence[Left]) -> Pages:
+    """Return a page for each member of the catalogue, and the index."""
+    members = Registry().effects
+    by_effect: dict[str, list[Left]] = {name: [] for name in members}
+    for left in found:
+        by_effect[left.effect].append(left)
+    pages = {f"effects/{name}.md": _page(members[name], lefts) for name, lefts in by_effect.items()}
+    return {"effects/index.md": _index(members, by_effect), **pages}
+
+
+def _page(member: EffectClass, lefts: Sequence[Left]) -> str:
+    formula, _, further = (inspect.getdoc(member) or "").partition("\n\n")
+    bias = BIAS_CONVENTION if issubclass(member, Sensor) and member.order == Order.BIAS else ""
+    facts = [
+        ("acts on", _acts_on(member)),
+        ("needs of a run", "; ".join(dict.fromkeys(map(remedy, member.needs))) or "nothing special"),
+        ("one value per", ", ".join(member.per)),
+        ("not together with", _links(member.excludes)),
+        ("confused with", member.confused_with),
+        ("settings", ", ".join(f"`{name}` = {value:g}" for name, value in declared_options(member).items())),
+        ("source", member.reference),
+    ]
+    parts = [
+        f"# {member.name}\n",
+        CAUSES[member.name] + "\n",
+        "```{admonition} Formula\n" + _plain(formula) + "\n```\n",
+        _plain(further) + "\n",
+        bias + "\n",
+        table(("", ""), [fact for fact in facts if fact[1]]),
+        "## Parameters\n",
+        _parameters(member),
+        f'In a model file: `[[effect]]` with `name = "{member.name}"`.\n',
+    ]
+    if issubclass(member, Effect):
+        parts += _left_behind(lefts)
+    return "\n".join(part for part in parts if part.strip())
+
+
+def _plain(text: str) -> str:
+    return text.replace("*", "\\*").replace("<", "&lt;").replace("``", "`")
+
+
+def _links(names: Iterable[str]) -> str:
+    return ", ".join(f"[`{name}`]({name}.md)" for name in names)
+
+
+def _parameters(member: EffectClass) -> str:
+    rows = []
+    for name, declared in declared_parameters(member).items():
+        low, high = declared.typical
+        scanned = f"; `diagnose` scans {', '.join(f'{each:g}' for each in declared.shape)}" if declared.shape else ""
+        wider = [f"{declared.prior_of(grade)} ({grade})" for grade in ("industrial", "consumer")]
+        priors = "; ".join([declared.prior, *(wider if declared.coarse is not None else [])])
+        rows.append((f"`{name}`", declared.meaning + scanned, declared.unit, f"{low:g} … {high:g}", priors))
+    return table(("parameter", "meaning", "unit", "met in practice", "default prior"), rows)
+
+
+def _left_behind(lefts: Sequence[Left]) -> list[str]:
+    if not lefts:
+        return ["## What it leaves in the residuals\n", "No run of the campaigns that are drawn here responds to it.\n"]
+    lefts = sorted(lefts, key=lambda left: -left.standing)
+    shown = [left for left in lefts if left.standing >= SHOWN]
+    figures = [f"```{{figure}} {_picture(left)}\n:alt: {_said(left)}\n\n{_said(left)}\n```\n" for left in shown]
+    rows = [
+        (
+            f"`{left.procedure}`", _rounded(left.standing), _percent(left.retained),
+            ", ".join(f"{family} {_percent(share)}" for family, share in left.absorbed) or "–",
+            ", ".join(f"[{name}]({name}.md) {_percent(share)}" for name, share in left.imitators) or "–",
+        )
+        for left in lefts
+    ]  # fmt: skip
+    none = "At the largest size met in practice, no run that is drawn here shows it beside the model.\n"
+    header = ("procedure", "standing", "retained", "taken up by", "imitated by")
+    parts = [_filled("left", figures="\n".join(figures) or none, shown=f"{SHOWN:g}", table=table(header, rows))]
+    runs = [
+        (f"`{left.procedure}`", _links([left.imitators[0][0]]), *_separating(left))
+        for left in shown if left.separating is not None
+    ]  # fmt: skip
+    if runs:
+        parts.append(_filled("separating", table=table(("beside the runs of", "from", "further run", "Δχ²"), runs)))
+    return parts
+
+
+def _said(left: Left) -> str:
+    drawn = f"`{left.coefficient.name}` = {left.coefficient.size:.3g} {left.coefficient.unit}"
+    return f"`{left.procedure}` (campaign `{left.campaign}`): {drawn}, residual of {left.channel}."
+
+
+def _separating(left: Left) -> tuple[str, str]:
+    run, before, after = left.separating or ("", 0.0, 0.0)
+    return run, f"{_rounded(before)} → {_rounded(after)}"
+
+
+def _rounded(value: float) -> str:
+    return "< 1" if value < 1 else f"{value:.2g}" if value < 100 else f"{value:.0f}" if value < 1000 else "> 1000"
+
+
+def _filled(text: str, **values: str) -> str:
+    filled = _TEXT.get(text, text)
+    for name, value in values.items():
+        filled = filled.replace(f"{{{name}}}", value)
+    return filled
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if 0.001 < share < 0.9995 else "> 99.9 %" if share >= 0.9995 else "< 0.1 %"
+
+
+def _index(members: dict[str, EffectClass], found: dict[str, list[Left]]) -> str:
+    groups: dict[str, list[str]] = {}
+    for name, member in members.items():
+        groups.setdefault(_acts_on(member), []).append(name)
+    parts = []
+    for group, names in groups.items():
+        parts.append(f"## {group[0].upper()}{group[1:]}\n\n::::{{container}} thumbnails")
+        for name in names:
+            best = max(found[name], key=lambda left: left.standing, default=None)
+            drawn = best is not None and best.standing >= SHOWN
+            picture = f"[![{name}]({_picture(best)})]({name}.md)\\\n" if best is not None and drawn else ""
+            parts.append(f":::{{container}} thumbnail\n{picture}[{name}]({name}.md)\n:::")
+        parts.append("::::\n")
+    return _filled(
+        (Path(__file__).parent / "effects" / "index.md").read_text(encoding="utf-8"),
+        members=str(len(members)), thumbnails="\n".join(parts), drawn=f"{DRAWN:g}", tree="\n".join(members),
+        campaigns=", ".join(f"`{name}`" for name in CAMPAIGNS),
+    )  # fmt: skip

@@ -1,0 +1,224 @@
+"""Pages of the reference, made from what they describe: public names, commands, schemas, tables of symbols, documents.
+
+Every function returns pages, file below the sources → text in MyST Markdown.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import imubayes
+from imubayes.cli.campaign import _RECORDS
+from imubayes.cli.main import app
+from imubayes.foundations.covariates import COVARIATES
+from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES
+
+ROOT = Path(__file__).parents[2]
+Pages = dict[str, str]
+
+
+def reference_pages() -> Pages:
+    """Return all of them."""
+    return {**api_pages(), **command_pages(), **schema_pages(), **symbol_pages(), **adopted_pages()}
+
+
+def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """Return a Markdown table; bars and line breaks in a cell are written so that they stay in it."""
+    lines = [header, ("---",) * len(header), *rows]
+    return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def contents(title: str, intro: str, pages: Mapping[str, str]) -> str:
+    """Return an index page: its pages, file → what it has, as a table, and for the navigation."""
+    rows = [(f"[]({file}.md)", text) for file, text in pages.items()]
+    tree = "\n".join(pages)
+    return f"# {title}\n\n{intro}\n\n{table(('page', 'contents'), rows)}\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
+
+
+def public_groups() -> dict[str, tuple[str, list[str]]]:
+    """Return the groups of public names as the package states them: name → sentence and names in its order."""
+    groups = re.findall(r"^- (\w+): (.*?)(?=^- |\Z)", imubayes.__doc__ or "", re.MULTILINE | re.DOTALL)
+    return {name: (" ".join(text.split()), re.findall(r"`(\w+)`", text)) for name, text in groups}
+
+
+def api_pages() -> Pages:
+    """Return a page for each group of public names, documented by their docstrings."""
+    pages, index = {}, {}
+    for group, (_, names) in public_groups().items():
+        body = "".join(_documented(name) for name in names)
+        file = f"api-{group.lower()}"
+        pages[f"reference/{file}.md"] = f"# Python: {group.lower()}\n\n{body}"
+        index[file] = ", ".join(f"{{py:obj}}`~imubayes.{name}`" for name in names)
+    intro = f"`import imubayes`; imubayes {imubayes.__version__}. What is not listed here is private and may change."
+    return {"reference/api.md": contents("Python interface", intro, index), **pages}
+
+
+def _documented(name: str) -> str:
+    member = getattr(imubayes, name)
+    if isinstance(member, type):
+        kind, options = "autoclass", "   :members:\n"
+    elif callable(member):
+        kind, options = "autofunction", ""
+    else:
+        kind, options = "autodata", "   :no-value:\n"
+    return f"## {name}\n\n```{{eval-rst}}\n.. {kind}:: imubayes.{name}\n{options}```\n\n"
+
+
+def commands() -> list[str]:
+    """Return the names of all commands, in the order of `imubayes --help`."""
+    return [name for name in app if not name.startswith("-")]
+
+
+def command_pages() -> Pages:
+    """Return a page for each command: usage, example and options, from the command itself."""
+    pages, rows = {}, {}
+    for name in commands():
+        text = app[name].generate_docs(output_format="markdown", heading_level=1, usage_name=f"imubayes {name}")
+        text = re.sub(r"## Table of Contents\n.*?(?=^\*\*|^## )", "", text, flags=re.DOTALL | re.MULTILINE)
+        text = re.sub(r"\[(`[^`]+`)\]\(#[^)]*\)", r"\1", text)
+        text = re.sub(r"^Example: (.*)$", r"```console\n$ \1\n```", text, flags=re.MULTILINE)
+        pages[f"reference/commands/{name}.md"] = text.replace(f"# {name}", f"# imubayes {name}", 1)
+        rows[f"commands/{name}"] = (app[name].help or "").strip().partition("\n")[0]
+    intro = (
+        "Every command has `--help`. Exit status: 0 done, 1 a negative result (not converged, a limit missed), 2 "
+        "unusable input. `--json` prints one object on standard output."
+    )
+    return {"reference/command-line.md": contents("Command line", intro, rows), **pages}
+
+
+def schema_pages() -> Pages:
+    """Return a page for each kind of file: its keys with type, default and meaning, from the JSON Schema."""
+    pages, index = {}, {}
+    for kind, (module, record) in _RECORDS.items():
+        schema = getattr(import_module(module), record).model_json_schema()
+        summary, _ = _described(schema)
+        nested = schema.get("$defs", {})
+        body = [f"# File format: {kind}\n\n{summary}\n\n`imubayes schema {kind}` prints the JSON Schema.\n"]
+        body += [
+            _keys(schema),
+            *(f"## {name}\n\n{_described(part)[0]}\n\n{_keys(part)}" for name, part in nested.items()),
+        ]
+        pages[f"reference/formats/{kind}.md"] = "\n".join(body)
+        index[f"formats/{kind}"] = summary.partition("\n\n")[0]
+    intro = "Units are in the names of the keys (`_deg`, `_ug`, `_degC`) or in a key `unit` beside the value."
+    return {"reference/file-formats.md": contents("File formats", intro, index), **pages}
+
+
+def _described(schema: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
+    """Return the description of a record, and that of its keys where its docstring lists them as attributes."""
+    text, _, attributes = schema.get("description", "").partition("Attributes\n----------\n")
+    found = re.findall(r"^(\w[\w, ]*) : (.*?)(?=^\w[\w, ]* : |\Z)", attributes, re.MULTILINE | re.DOTALL)
+    known = {name.strip(): " ".join(meaning.split()) for names, meaning in found for name in names.split(",")}
+    return text.strip(), known
+
+
+def _keys(schema: Mapping[str, Any]) -> str:
+    _, known = _described(schema)
+    required = schema.get("required", ())
+    rows = []
+    for key, value in schema.get("properties", {}).items():
+        default = (
+            "required" if key in required else f"`{value['default']}`" if value.get("default") is not None else "–"
+        )
+        rows.append((f"`{key}`", _type(value), default, value.get("description") or known.get(key, "")))
+    if rows:
+        return table(("key", "type", "default", "meaning"), rows)
+    return f"One of: {_type(schema)}.\n" if schema.get("enum") or schema.get("anyOf") else ""
+
+
+def _type(value: Mapping[str, Any]) -> str:
+    for several in ("anyOf", "oneOf"):
+        if several in value:
+            return " or ".join(_type(each) for each in value[several] if each.get("type") != "null")
+    if "$ref" in value:
+        name = value["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower()})"
+    if "enum" in value or "const" in value:
+        return ", ".join(f"`{each}`" for each in value.get("enum", [value.get("const")]))
+    if value.get("type") == "array":
+        return f"list of {_type(value.get('items', {}))}"
+    if value.get("type") == "object" and isinstance(value.get("additionalProperties"), Mapping):
+        return f"table of {_type(value['additionalProperties'])}"
+    signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+    limits = [f"{sign} {value[key]:g}" for key, sign in signs.items() if key in value]
+    return " ".join([value.get("type", "any"), ", ".join(limits)]).strip()
+
+
+def symbol_pages() -> Pages:
+    """Return the quantities of the standards, the covariates, and the glossary."""
+    quantities = [
+        (each.symbol, each.name, each.standard, each.term, f"`{each.key}`", ", ".join(map(effect_link, each.effects)))
+        for each in STANDARD_QUANTITIES
+    ]
+    standards = (
+        "# Symbols of the standards\n\nNames and symbols under which the uncertainty report lists its quantities: IEEE "
+        "Std 952 (optical gyros), IEEE Std 517 (their g-sensitive terms) and IEEE Std 1293 (accelerometers). The key "
+        "names a quantity in a specification.\n\n"
+        + table(("symbol", "quantity", "standard", "term", "key", "effects"), quantities)
+    )
+    columns = [
+        (f"`{each.column}`", each.unit, each.symbol or "–", each.phrase, each.origin) for each in COVARIATES.values()
+    ]
+    covariates = (
+        "# Covariates\n\nWhat a run may carry beside the outputs of its channels: the column in run tables and "
+        "residuals, its unit, its symbol in formulas, and whether it is recorded, derived from recorded columns by the "
+        "procedure, or evaluated by the model at each sample.\n\n"
+        + table(("column", "unit", "symbol", "meaning", "origin"), columns)
+    )
+    rows = re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", _section(ROOT / "ARCHITECTURE.md", "Glossary"), re.MULTILINE)
+    terms = "\n\n".join(f"{term}\n: {meaning}" for term, meaning in rows[1:] if set(term) != {"-"})
+    glossary = f"# Glossary\n\n```{{glossary}}\n{terms.replace(chr(10) + ': ', chr(10) + '  ')}\n```\n"
+    return {
+        "reference/standards-symbols.md": standards,
+        "reference/covariates.md": covariates,
+        "reference/glossary.md": glossary,
+    }
+
+
+def effect_link(name: str) -> str:
+    """Return a link to the page of an effect, from a page one folder below the sources."""
+    return f"[`{name}`](../effects/{name}.md)"
+
+
+def _section(file: Path, heading: str) -> str:
+    text = file.read_text(encoding="utf-8")
+    return text.partition(f"## {heading}\n")[2].partition("\n## ")[0]
+
+
+_ADOPTED = {
+    "CHANGELOG.md": "reference/changelog.md",
+    "data/README.md": "reference/data-dictionary.md",
+    "data/your-campaign.md": "how-to/your-campaign.md",
+    "data/archives.md": "how-to/archives.md",
+    "CONTRIBUTING.md": "how-to/contributing.md",
+    **{f"benchmarks/results/{file.name}": f"trust/{file.name}" for file in (ROOT / "benchmarks/results").glob("*.md")},
+}
+"""Documents of the repository that are pages of the site as they stand."""
+
+
+def adopted_pages() -> Pages:
+    """Return the documents of the repository, their links led to the pages of the site; others stay as text."""
+    return {page: "\n".join(_linked(ROOT / file, page)) for file, page in _ADOPTED.items()}
+
+
+def _linked(file: Path, page: str) -> Iterator[str]:
+    def lead(match: re.Match[str]) -> str:
+        bang, text, target = match.groups()
+        place, _, anchor = target.partition("#")
+        if "://" in target or not place:
+            return match[0]
+        found = (file.parent / place).resolve()
+        known = _ADOPTED.get(str(found.relative_to(ROOT))) if found.is_relative_to(ROOT) else None
+        if known is not None:
+            up = "../" * page.count("/")
+            return f"[{text}]({up}{known}{'#' * bool(anchor)}{anchor})"
+        return f"![{text}](/repository/{found.relative_to(ROOT)})" if bang and found.is_file() else text
+
+    for line in file.read_text(encoding="utf-8").splitlines():
+        yield re.sub(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)", lead, line)

@@ -1,0 +1,69 @@
+"""The documentation site has a page for every effect, command, public name and kind of file; Sphinx is not run here."""
+
+import sys
+from pathlib import Path
+
+import imubayes
+from imubayes.campaign.file_schemas import CampaignFile
+from imubayes.cli.main import app
+from imubayes.effects.base import Effect
+from imubayes.model.effect_registry import Registry
+from imubayes.procedures import PROCEDURES
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "docs"))
+import gallery
+import reference_pages
+import responses
+
+
+def test_every_member_of_the_catalogue_has_a_page_with_cause_formula_and_parameters():
+    pages = gallery.effect_pages([])
+    members = Registry().effects
+    assert set(gallery.CAUSES) == set(members)
+    assert set(pages) == {"effects/index.md", *(f"effects/{name}.md" for name in members)}
+    for name, member in members.items():
+        page = pages[f"effects/{name}.md"]
+        assert gallery.CAUSES[name] in page
+        assert member.reference in page
+        assert all(f"`{field}`" in page for field in gallery.declared_parameters(member))
+        assert ("## What it leaves" in page) == issubclass(member, Effect)
+        assert f"[{name}]({name}.md)" in pages["effects/index.md"]
+
+
+def test_every_procedure_that_is_drawn_exists_and_only_two_are_not():
+    drawn = {procedure for procedures in responses.CAMPAIGNS.values() for procedure in procedures}
+    assert set(PROCEDURES) - drawn == {"free_tumble", "static_record"}
+
+
+def test_every_command_has_a_page():
+    pages = reference_pages.command_pages()
+    names = {name for name in app if not name.startswith("-")}
+    assert {f"reference/commands/{name}.md" for name in names} == set(pages) - {"reference/command-line.md"}
+    assert all(f"commands/{name}\n" in pages["reference/command-line.md"] for name in names)
+    assert "--no-sample" in pages["reference/commands/fit.md"]
+
+
+def test_every_public_name_is_documented_in_its_group():
+    pages = "".join(reference_pages.api_pages().values())
+    assert all(f"imubayes.{name}\n" in pages for name in imubayes.__all__)
+
+
+def test_every_key_of_a_campaign_is_listed():
+    page = reference_pages.schema_pages()["reference/formats/campaign.md"]
+    schema = CampaignFile.model_json_schema()
+    keys = [key for part in (schema, *schema["$defs"].values()) for key in part.get("properties", {})]
+    assert len(keys) > 40
+    assert all(f"| `{key}` |" in page for key in keys)
+
+
+def test_every_symbol_of_the_standards_and_every_term_of_the_glossary_is_listed():
+    pages = reference_pages.symbol_pages()
+    symbols = [quantity.symbol for quantity in reference_pages.STANDARD_QUANTITIES]
+    assert all(f"| {symbol} |" in pages["reference/standards-symbols.md"] for symbol in symbols)
+    assert "retained fraction" in pages["reference/glossary.md"]
+
+
+def test_links_of_documents_lead_to_pages_of_the_site():
+    pages = reference_pages.adopted_pages()
+    assert "](../reference/data-dictionary.md#columns)" in pages["how-to/your-campaign.md"]
+    assert "](README.md" not in "".join(pages.values())
