@@ -4,7 +4,9 @@ import contextlib
 import io
 import os
 import shlex
+import sys
 from importlib import import_module
+from pathlib import Path
 
 import rich.console
 
@@ -16,10 +18,13 @@ rich.console._is_jupyter = lambda: False  # commands print text, as in a termina
 
 
 def _command(line: str) -> None:
-    """Run a line that begins with `!`; a comment `# exit status 1` says that this is what is expected."""
-    errors = io.StringIO()
-    with contextlib.redirect_stderr(errors):
-        status = run(shlex.split(line, comments=True)[1:])
+    """Run a line that begins with `!`; `> FILE` writes a file, a comment `# exit status 1` states that."""
+    words, _, file = (shlex.split(part, comments=True) for part in line.partition(" > "))
+    errors, output = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(output if file else sys.stdout):
+        status = run(words[1:])
+    if file:
+        Path(file[0]).write_text(output.getvalue(), encoding="utf-8")
     if status != (1 if "exit status 1" in line else 0):
         raise RuntimeError(f"{line}: exit status {status}\n{errors.getvalue()}")
 

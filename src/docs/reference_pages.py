@@ -220,5 +220,5 @@ def _linked(file: Path, page: str) -> Iterator[str]:
             return f"[{text}]({up}{known}{'#' * bool(anchor)}{anchor})"
         return f"![{text}](/repository/{found.relative_to(ROOT)})" if bang and found.is_file() else text
 
-    for line in file.read_text(encoding="utf-8").splitlines():
+    for line in file.read_text(encoding="utf-8").replace("```csv", "```text").splitlines():
         yield re.sub(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)", lead, line)
