@@ -46,6 +46,8 @@ _ENTRY = re.compile(r"^(\*{0,2}\w[\w, *`]*?) : (.*)$")
 def _as_numpydoc(app: Any, what: str, name: str, member: Any, options: Any, lines: list[str]) -> None:
     """Put what follows the colon of an entry, a meaning here, on the next line as numpydoc does; escape RST."""
     section, found = "", []
+    if what in ("attribute", "property") and lines:
+        lines[0] = lines[0].replace(": ", " – ")  # napoleon takes what precedes a colon for the type
     for place, line in enumerate(lines):
         ruled = place + 1 < len(lines) and set(lines[place + 1]) == {"-"}
         section = line if ruled and _SECTION.match(line) else section
@@ -53,7 +55,7 @@ def _as_numpydoc(app: Any, what: str, name: str, member: Any, options: Any, line
         text = line if literal else re.sub(r"([|*\\])", r"\\\1", line)
         entry = _ENTRY.match(line) if section in ("Parameters", "Attributes") else None
         if entry:
-            found += [entry[1], "    " + re.sub(r"([|*\\])", r"\\\1", entry[2])]
+            found += [entry[1].replace(", ", ",\u200b"), "    " + re.sub(r"([|*\\])", r"\\\1", entry[2])]
         elif literal and found and not found[-1].strip() and not any(each.startswith("    ") for each in found[-2:]):
             found += ["::", "", text]
         else:
@@ -73,7 +75,19 @@ def _mathml(block: bool) -> tuple[Any, Any]:
     return visit, None
 
 
+def _spread(app: Any, env: Any, documents: list[str]) -> None:
+    """Spread executed pages among the others: processes take the pages in blocks of neighbours."""
+    first = {name: Path(env.doc2path(name)).read_text(encoding="utf-8")[:30] for name in documents}
+    executed = [name for name in documents if "file_format: mystnb" in first[name]]
+    others = [name for name in documents if name not in executed]
+    every = max(1, len(others) // max(1, len(executed)))
+    for place, name in reversed(list(enumerate(executed))):
+        others.insert(place * every, name)
+    documents[:] = others
+
+
 def setup(app: Any) -> None:
     """Register what Sphinx lacks: formulae as MathML, which browsers draw themselves, and the docstrings' own form."""
     app.add_html_math_renderer("mathml", inline_renderers=_mathml(False), block_renderers=_mathml(True))
+    app.connect("env-before-read-docs", _spread)
     app.connect("autodoc-process-docstring", _as_numpydoc, priority=100)

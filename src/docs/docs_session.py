@@ -13,7 +13,7 @@ import rich.console
 from imubayes.cli.main import run
 
 os.chdir(os.environ["IMUBAYES_DOCS"])
-os.environ["COLUMNS"] = "110"
+os.environ["COLUMNS"] = "100"
 rich.console._is_jupyter = lambda: False  # commands print text, as in a terminal
 
 
