@@ -123,12 +123,12 @@ def _keys(schema: Mapping[str, Any]) -> str:
     required = schema.get("required", ())
     rows = []
     for key, value in schema.get("properties", {}).items():
-        default = (
-            "required" if key in required else f"`{value['default']}`" if value.get("default") is not None else "–"
-        )
-        rows.append((f"`{key}`", _type(value), default, value.get("description") or known.get(key, "")))
+        known_default = value.get("default")
+        stated = "–" if isinstance(known_default, dict | list | None) else f"`{known_default}`"
+        default = "required" if key in required else stated
+        rows.append((f"`{key}`", value.get("description") or known.get(key, ""), _type(value), default))
     if rows:
-        return table(("key", "type", "default", "meaning"), rows)
+        return table(("key", "meaning", "type", "default"), rows)
     return f"One of: {_type(schema)}.\n" if schema.get("enum") or schema.get("anyOf") else ""
 
 
