@@ -22,6 +22,7 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 280
 nb_execution_show_tb = True
 nb_merge_streams = True
+nb_output_stderr = "remove"
 exclude_patterns = ["repository", "_templates"]
 default_role = "literal"
 smartquotes = False
@@ -40,6 +41,7 @@ html_theme_options = {"navigation_with_keys": True}
 html_math_renderer = "mathml"
 
 _SECTION = re.compile(r"^(Parameters|Attributes|Returns|Raises)$")
+_PRIME = re.compile(r"<msup><mi>(\w)</mi><mi>&#x02032;</mi></msup>")
 _ENTRY = re.compile(r"^(\*{0,2}\w[\w, *`]*?) : (.*)$")
 
 
@@ -69,6 +71,7 @@ def _mathml(block: bool) -> tuple[Any, Any]:
 
     def visit(writer: Any, node: Any) -> None:
         formula = convert(node.astext(), display="block" if block else "inline")
+        formula = _PRIME.sub(r'<mi mathvariant="italic">\1′</mi>', formula)  # fonts have it raised already
         writer.body.append(f'<div class="formula">{formula}</div>' if block else formula)
         raise skip
 
