@@ -19,7 +19,8 @@ Public names, in four groups; everything else is private.
 - Loop: `compare`, `diagnose`, `Diagnosis`, `add`, `refit`, `remove`, `ModelChange`, `history`, `export`, `plant`,
   `explore`; `predict`, `RunPrediction` for runs that were not fitted; `repeatability`, `Repeatability` for two
   calibrations.
-- Results: `load`, `read_result`, `Result`, `report`, `ReportSection`, `apply`, `CalibratedInputs`; an equation of one's
+- Results: `load`, `read_result`, `Result`, `report`, `ReportSection`, `apply`, `CalibratedInputs`,
+  `navigation_impact`, `NavigationImpact`; an equation of one's
   own: `propagate`, `Propagated`, `InputQuantity`, `budget`, `GumBudget`, `conformity`, `ConformityStatement`;
   `selftest`, `KnownAnswer` for the known answers that an installation reproduces.
 """

@@ -1,10 +1,12 @@
 from .calibrated_unit import (
     CalibratedInputs,
     CorrectedRecording,
+    NavigationImpact,
     ReportSection,
     apply,
     correct,
     export_constants,
+    navigation_impact,
     onboard_constants,
     report,
 )
@@ -32,6 +34,7 @@ __all__ = [
     "InputQuantity",
     "KnownAnswer",
     "ModelChange",
+    "NavigationImpact",
     "NewCampaign",
     "Propagated",
     "Repeatability",
@@ -50,6 +53,7 @@ __all__ = [
     "fit",
     "history",
     "load",
+    "navigation_impact",
     "new",
     "onboard_constants",
     "plant",

@@ -1,5 +1,6 @@
 """Use and report the calibration of a unit."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -19,6 +20,8 @@ from imubayes.qualification.onboard.inputs_along_axes import (
     read_readings,
 )
 from imubayes.qualification.onboard.losses import Loss, of_fit, read_noise, refuse_other_unit
+from imubayes.qualification.onboard.navigation_impact import NavigationImpact, level_mission, read_mission
+from imubayes.qualification.onboard.navigation_impact import navigation_impact as impact_of
 from imubayes.qualification.onboard.record import OnboardConstants
 from imubayes.qualification.onboard.recording_files import (
     CorrectedRecording,
@@ -156,6 +159,62 @@ def export_constants(
             refuse_other_unit(record, campaign, str(noise))
         known |= of_record(record, campaign)
     return write_constants(constants, format, Path(out), ExportOptions(rate, topic, known, accept_loss))
+
+
+def navigation_impact(
+    result: Result | str | Path,
+    trajectory: str | Path | None = None,
+    *,
+    duration: float = 3600.0,
+    speed: float = 0.0,
+    heading: float = 0.0,
+    latitude: float | None = None,
+    temperature: float | None = None,
+    rate: float | None = None,
+    aided_height: bool = True,
+) -> NavigationImpact:
+    """Return the position, velocity and attitude errors that the uncertainty of a calibration leaves in a mission.
+
+    The joint covariance of the constants on board goes through the strapdown error equations in the ψ-angle form;
+    start and alignment are exact.  Body axes are forward, right, down.
+
+    Parameters
+    ----------
+    result : a fit of the unit, or its folder.
+    trajectory : CSV file with time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg and heading_deg;
+        without one the mission is level.
+    duration, speed, heading : of a level mission: s, m/s and deg clockwise from North.
+    latitude : of its beginning, deg; that of the site where None.
+    temperature : of the unit, degC; the reference temperature of the constants where None.
+    rate : of the samples, Hz; without it their noise is left out, which the record says.
+    aided_height : whether height and vertical velocity are known from elsewhere, as by a barometer.
+
+    Raises
+    ------
+    InputError
+        for a unit without three axes of gyros and of accelerometers, and a mission that cannot be used.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imu = imubayes.fit("data/desk-imu", "desk-imu", sample=False)
+    >>> hour = imubayes.navigation_impact(imu, duration=3600, speed=50)
+    >>> hour.errors[-1].time_s, hour.sources[0].horizontal_m > 0
+    (3600.0, True)
+    """
+    found = opened(result)
+    for name, value in (("duration", duration), ("speed", speed), ("heading", heading), ("rate", rate or 1.0)):
+        if not math.isfinite(value) or (name == "rate" and value <= 0):
+            raise input_error(f"a {name} of {value:g}", name, "a finite number, of a rate above 0", "correct it")
+    if trajectory is not None:
+        mission, name = read_mission(Path(trajectory)), f"trajectory {Path(trajectory).name}"
+    else:
+        site = found.fit.model.campaign.site
+        at = site.latitude if latitude is None else math.radians(latitude)
+        mission = level_mission(duration, at, speed, math.radians(heading))
+        moving = f"{speed:g} m/s, heading {heading:g}°" if speed else "at rest"
+        name = f"{duration / 60:g} min {moving}, latitude {math.degrees(at):.4g}°"
+    return impact_of(constants_of(found), mission, name, temperature, rate, aided_height)
 
 
 def report(

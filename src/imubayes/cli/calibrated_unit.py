@@ -1,8 +1,8 @@
-"""Commands for a calibrated unit: `imubayes apply`, `carrier`, `export` and `report`.
+"""Commands for a calibrated unit: `imubayes apply`, `carrier`, `export`, `mission` and `report`.
 
 `apply` turns recordings of the unit into rate and specific force, with uncertainty.  `carrier` gives the motion of what
-carries a rotating unit, with the rotation taken out.  `export` writes constants for the computer on board.  `report`
-writes the uncertainty report for qualification.
+carries a rotating unit, with the rotation taken out.  `export` writes constants for the computer on board, `mission`
+says what they are worth in navigation.  `report` writes the uncertainty report for qualification.
 """
 
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import cyclopts
 
-from imubayes.cli.session import Flag, Trust, progress, start_jax, trusting
+from imubayes.cli.session import Flag, Json, Trust, progress, show, start_jax, trusting
 from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
@@ -192,6 +192,68 @@ def export(
     ):  # fmt: skip
         print(f"left out: {in_words(loss)}")
     print(f"wrote {out}")
+
+
+def mission(
+    result: Path,
+    *,
+    trajectory: Path | None = None,
+    duration_min: float = 60.0,
+    speed_m_s: float = 0.0,
+    heading_deg: float = 0.0,
+    latitude_deg: float | None = None,
+    temperature: float | None = None,
+    rate_hz: float | None = None,
+    aided_height: bool = True,
+    picture: Path | None = None,
+    as_json: Json = False,
+    trust: Trust = False,
+) -> None:
+    """Say what the calibration leaves in navigation; start and alignment are exact, body axes forward, right, down.
+
+    Example: imubayes mission results/desk-imu --duration-min 10 --speed-m-s 20
+
+    Parameters
+    ----------
+    result
+        Result folder of a fit of a unit with three axes of gyros and of accelerometers.
+    trajectory
+        CSV file with time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg and heading_deg. Without it the
+        mission is level.
+    duration_min
+        Duration of a level mission.
+    speed_m_s
+        Its speed; 0 is at rest.
+    heading_deg
+        Its heading, clockwise from North.
+    latitude_deg
+        Latitude of its beginning; by default that of the site.
+    temperature
+        Temperature of the unit in degC; by default the reference temperature of the constants.
+    rate_hz
+        Rate of the samples; without it their noise is left out.
+    aided_height
+        Whether height and vertical velocity are known, as from a barometer.
+    picture
+        PNG file to draw.
+    as_json
+        Print one JSON object on standard output.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+    """
+    with progress("propagating"):
+        start_jax()
+        trusting(result, trust)
+        from imubayes.api import navigation_impact
+        from imubayes.display.onboard.navigation import navigation_figure, navigation_report
+
+        found = navigation_impact(
+            result, trajectory, duration=60 * duration_min, speed=speed_m_s, heading=heading_deg,
+            latitude=latitude_deg, temperature=temperature, rate=rate_hz, aided_height=aided_height,
+        )  # fmt: skip
+        if picture is not None:
+            navigation_figure(found).save(picture)
+    show(lambda: found, lambda: navigation_report(found), as_json)
 
 
 Out = Annotated[list[Path], cyclopts.Parameter(consume_multiple=True, negative="")]

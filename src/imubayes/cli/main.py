@@ -16,7 +16,7 @@ import cyclopts
 
 from imubayes import __version__
 from imubayes.cli.batch import archive, batch
-from imubayes.cli.calibrated_unit import apply, carrier, export, report
+from imubayes.cli.calibrated_unit import apply, carrier, export, mission, report
 from imubayes.cli.campaign import check, effects, noise, schema, selftest, simulate
 from imubayes.cli.examples import demo, example
 from imubayes.cli.explore import explore
@@ -33,7 +33,7 @@ _COLLECTION_THRESHOLD = 2_000_000
 _GROUPS = {
     "The loop": (demo, fit, compare, predict, diagnose, add, remove, refit, history, explore, plant),
     "Data": (example, check, noise, classical, carrier, effects, simulate, schema, selftest),
-    "Results": (report, apply, export),
+    "Results": (report, apply, export, mission),
     "Many units": (archive, batch),
 }
 

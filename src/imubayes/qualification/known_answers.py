@@ -40,6 +40,13 @@ class KnownAnswer(Record):
     source : where the known value was published, or how it is known.
     known, found : in the unit that the subject names.
     allowed : largest difference; half of the last published digit, or what a finite number of draws explains.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> answer = imubayes.KnownAnswer(subject="π", source="series", known=3.1416, found=3.14159, allowed=5e-5)
+    >>> answer.agrees
+    True
     """
 
     subject: str
