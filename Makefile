@@ -71,8 +71,9 @@ release-check: $(READY)
 bench: $(VENV)/.ready-bench
 	$(BIN)/python benchmarks/run.py
 
+# Most programs run once: compiling them takes most of the time.
 docs: $(VENV)/.ready-docs
-	$(BIN)/python src/docs/build.py
+	JAX_DISABLE_MOST_OPTIMIZATIONS=1 $(BIN)/python src/docs/build.py
 
 data: $(READY)
 	$(BIN)/python data/generators/make_all.py
