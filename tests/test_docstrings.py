@@ -18,6 +18,9 @@ from later_campaign import write_later
 ROOT = Path(__file__).parents[1]
 ALIASES = ("Scalar",)  # of an annotation; it has no docstring of its own
 NAMES = [name for name in imubayes.__all__ if name not in ALIASES]
+# What their examples take long for is computed by tests of their own as well.
+LONG = ("navigation_impact", "selftest")
+EXAMPLES = [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in NAMES]
 FUNCTIONS = [name for name in NAMES if not isinstance(getattr(imubayes, name), type)]
 FORM = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
@@ -45,7 +48,7 @@ def folder(accel_channel, tmp_path_factory) -> Path:
     return place
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_the_example_gives_what_it_shows(name, folder, monkeypatch):
     monkeypatch.chdir(folder)
     text = text_of(name)
