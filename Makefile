@@ -20,7 +20,7 @@ help:
 	@echo "make archive-demo  fit the shipped archive of units and ask what no single unit can answer"
 	@echo "make test    style, types and tests"
 	@echo "make test-fast  tests that compile no model and search no set-up, below a minute"
-	@echo "make laws    the laws over all registered effects and noise components"
+	@echo "make laws    the laws over all registered effects and noise components (EFFECT=name: over one)"
 	@echo "make study   the long statistical studies (coverage, simulation-based calibration)"
 	@echo "make bench   benchmarks"
 	@echo "make docs    the documentation site, results/docs/index.html"
@@ -56,7 +56,7 @@ test-fast: $(READY)
 	$(BIN)/pytest -n 2 -m "not slow and not compiled"
 
 laws: $(READY)
-	$(BIN)/pytest -n 2 tests/conformance
+	$(BIN)/pytest -n 2 -m "slow or not slow" $(if $(EFFECT),-k "$(EFFECT)") tests/conformance
 
 # What the studies print, shares with their binomial intervals, is shown at the end, with those that took longest.
 study: $(READY)

@@ -93,7 +93,6 @@ COMPILED = (
 # Tests that fit the same campaign run in one process, for what they share; other tests stay with their file.
 README = "readme/test_readme.py::test_"
 GROUPS = {
-    "trihedral-imu": (f"{README}commands_run_as_written[The main job", "results/test_posterior.py"),
     "hidden": (
         f"{README}commands_run_as_written[The loop",
         "criticism/test_outliers.py",
@@ -108,7 +107,7 @@ GROUPS = {
         "criticism/test_noise_is_no_effect.py::test_complete_models",
         "criticism/test_known_noise_fit.py",
         "criticism/test_removal.py",
-        "criticism/test_refit_edited.py",
+        "results/test_posterior.py",
         "explore/test_explore_answers.py",
         "explore/test_explore_page.py",
         "explore/test_explore_session.py",
@@ -129,6 +128,7 @@ GROUPS = {
     ),
     "accel-channel": (
         f"{README}python_runs_as_written",
+        "criticism/test_refit_edited.py",
         "criticism/test_cross_validation.py",
         "criticism/test_hidden_effects.py",
         "criticism/test_injection_recovery.py",

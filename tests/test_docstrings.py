@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 ALIASES = ("Scalar",)  # of an annotation; it has no docstring of its own
 NAMES = [name for name in imubayes.__all__ if name not in ALIASES]
 # What their examples take long for is computed by tests of their own as well.
-LONG = ("navigation_impact", "selftest")
+LONG = ("navigation_impact", "plant", "selftest")
 EXAMPLES = [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in NAMES]
 FUNCTIONS = [name for name in NAMES if not isinstance(getattr(imubayes, name), type)]
 FORM = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE

@@ -40,6 +40,7 @@ def test_a_draw_with_all_the_weight_is_flagged():
     assert WeightShape(float("nan"), 0.0, 10.0, 0.0).flagged
 
 
+@pytest.mark.slow
 def test_flagged_units_are_sampled_and_the_others_are_not(tmp_path, monkeypatch):
     make_units(tmp_path, 2)
     asked = []

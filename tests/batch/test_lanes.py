@@ -152,6 +152,7 @@ def test_the_slope_of_the_marginal_is_the_derivative_of_its_value():
         assert np.allclose(gradient[:, place], difference, rtol=1e-5, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_noise_scales_that_are_given_are_kept(units):
     model = model_of(units[0])
     structure = LaneStructure.of(model.problem)
@@ -173,6 +174,7 @@ def test_a_fault_of_the_lanes_does_not_go_unseen(monkeypatch):
         assert chunks._in_lanes_if_possible([], True) == []
 
 
+@pytest.mark.slow
 def test_a_unit_is_the_same_whatever_stands_beside_it(units):
     together = fitted(units)
     for place, unit in enumerate(units):

@@ -24,6 +24,14 @@ MEMBERS = Registry().effects
 EFFECTS = {name: member for name, member in MEMBERS.items() if issubclass(member, Effect)}
 NOISES = {name: member for name, member in MEMBERS.items() if issubclass(member, Noise)}
 
+# One of every base, stage and kind at every run of the tests; each effect by `make laws`.
+RECOVERED = (
+    "table_axis_tilt", "table_wobble", "lever_arm", "gyro_scale_asymmetry", "gyro_thermal_lag", "accel_misalignment",
+    "accel_warm_up", "converter_gain_drift",
+)  # fmt: skip
+# What compiles derivatives of every effect.
+DERIVATIVES = (laws.gradients_are_finite, laws.linear_coefficients_show_at_null)
+
 
 def called(law) -> str:
     return law.__name__
@@ -35,9 +43,17 @@ def test_law_of_all(name, law):
     law(MEMBERS[name])
 
 
-@pytest.mark.parametrize("law", laws.OF_EFFECTS, ids=called)
+@pytest.mark.parametrize("law", [law for law in laws.OF_EFFECTS if law not in DERIVATIVES], ids=called)
 @pytest.mark.parametrize("name", EFFECTS)
 def test_law_of_effects(name, law):
+    law(EFFECTS[name])
+
+
+@pytest.mark.parametrize("law", DERIVATIVES, ids=called)
+@pytest.mark.parametrize(
+    "name", [name if name in RECOVERED else pytest.param(name, marks=pytest.mark.slow) for name in EFFECTS]
+)
+def test_law_of_derivatives(name, law):
     law(EFFECTS[name])
 
 
@@ -45,13 +61,6 @@ def test_law_of_effects(name, law):
 @pytest.mark.parametrize("name", NOISES)
 def test_law_of_noise(name, law):
     law(NOISES[name])
-
-
-# One of every base, stage and kind at every run of the tests, in one model; each effect alone by `make study`.
-RECOVERED = (
-    "table_axis_tilt", "table_wobble", "lever_arm", "gyro_scale_asymmetry", "gyro_thermal_lag", "accel_misalignment",
-    "accel_warm_up", "converter_gain_drift",
-)  # fmt: skip
 
 
 @pytest.fixture(scope="module")

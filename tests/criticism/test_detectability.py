@@ -56,6 +56,7 @@ def log_odds(residual: np.ndarray, effect: str) -> float:
     "effect",
     ["scale_cubic", *(pytest.param(one, marks=pytest.mark.slow) for one in ("scale_asymmetry", "bias_temperature"))],
 )
+@pytest.mark.slow
 def test_at_the_smallest_detectable_size_four_of_five_are_named(effect: str) -> None:
     seen = next(each for each in absorbed().of_effects if each.effect == effect)
     assert not seen.undetectable

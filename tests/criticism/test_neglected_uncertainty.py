@@ -60,8 +60,8 @@ def gravity_of(at: Fit, scale: str) -> tuple[ExactInput | None, float]:
     [
         (None, 0.0, 50.0, True),  # normal gravity
         (None, 1e-4, 50.0, False),  # measured, nobody says how well
-        (20.0, 1e-4, 20.0, True),
-        (0.0, 0.0, 0.0, False),  # exact, and stated so
+        pytest.param(20.0, 1e-4, 20.0, True, marks=pytest.mark.slow),
+        pytest.param(0.0, 0.0, 0.0, False, marks=pytest.mark.slow),  # exact, and stated so
     ],
 )
 def test_gravity_is_as_uncertain_as_the_way_it_was_got(stated, excess, size, included):
@@ -143,6 +143,7 @@ def test_a_table_rate_taken_as_exact_is_told():
     assert next_command(found).startswith("imubayes add table_rate_error --to")
 
 
+@pytest.mark.slow
 def test_what_hardly_matters_is_not_told():
     at = fitted(1e-3)
     found = judge(at)

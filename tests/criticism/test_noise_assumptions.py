@@ -102,6 +102,14 @@ def test_the_tail_of_a_skew_statistic_is_that_of_pearson(skew):
         assert _skew_tail(z, skew) == pytest.approx(float(stats.pearson3.sf(z, skew)), rel=1e-4, abs=1e-300)
 
 
+def test_nothing_is_said_of_few_degrees_of_freedom(whole, monkeypatch):
+    wandering = _walking(whole, 1, 1.0)
+    assert judged_noise(wandering).violations
+    monkeypatch.setattr("imubayes.adequacy.noise_tests._LEAST_FREEDOM", 1e6)
+    assert not judged_noise(wandering).violations
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nothing_is_said_of_noise_that_no_reading_is_left_to_tell(tmp_path, seed):
     """Six faces of a triad laid by hand: attitudes and sensors describe every reading."""

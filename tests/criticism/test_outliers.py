@@ -85,6 +85,7 @@ def test_white_noise_has_no_outliers(whole: Fit) -> None:
     assert not sum(len(judge(redrawn(whole, seed)).outliers) for seed in range(2))
 
 
+@pytest.mark.slow
 def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole: Fit) -> None:
     """All readings of the gyros at one rate about their own axes are off alike: many outliers, and one cause."""
     model = whole.model

@@ -22,8 +22,8 @@ from imubayes.model.set_aside import without
 from imubayes.results.history_tree import read_tree
 
 ROOT = Path(__file__).parents[2]
-CAMPAIGN = ROOT / "data" / "hidden-gyro"
-RUN, ROWS, CHANNEL = "rate-z-up", [2, 5], "gz"
+CAMPAIGN = ROOT / "data" / "accel-channel"
+RUN, ROWS, CHANNEL = "ramp-1g", [2, 5], "ax"
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def place(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def first(place) -> Result:
-    return fit(CAMPAIGN, ROOT / "models" / "hidden-effects.toml", place / "first", sample=False)
+    return fit(CAMPAIGN, ROOT / "models" / "accel-channel.toml", place / "first", sample=False)
 
 
 def edited(first: Result, file: Path, **changes) -> Path:
@@ -80,7 +80,7 @@ def test_what_is_set_aside_is_recorded_with_its_reason(place, first, aside, caps
     assert tree.nodes[str(aside.folder.resolve())].title == f"readings of {RUN}"
     assert tree.parents[str(aside.folder.resolve())] == str(first.folder.resolve())
     assert run(["history", str(aside.folder), "--html", str(place / "history.html")]) == 0
-    assert "Set aside: run rate-z-up gz, rows 2, 5: the table slipped." in (place / "history.html").read_text()
+    assert f"Set aside: run {RUN} {CHANNEL}, rows 2, 5: the table slipped." in (place / "history.html").read_text()
     assert f"readings of {RUN}" in capsys.readouterr().out
     change = refit(aside, first.folder / "model.toml")
     assert change.taken_back == (told,)
@@ -88,7 +88,7 @@ def test_what_is_set_aside_is_recorded_with_its_reason(place, first, aside, caps
     assert change.observed.delta_chi2 is None
     assert change.held_out is None
     said = "\n".join(change_lines(change))
-    assert f"Taken back: run {RUN} gz, rows 2, 5: the table slipped." in said
+    assert f"Taken back: run {RUN} {CHANNEL}, rows 2, 5: the table slipped." in said
     # Taken back, the fit is what it was.
     assert change.result.summary.known_noise.chi2 == pytest.approx(first.summary.known_noise.chi2, abs=1e-3)
 
@@ -105,8 +105,8 @@ def test_a_whole_run_goes(first):
 @pytest.mark.parametrize(
     ("changes", "what", "allowed"),
     [
-        ({"run": "rate-z-upp"}, "no run 'rate-z-upp'", RUN),
-        ({"channels": ["gzz"]}, "no channel 'gzz'", "gz"),
+        ({"run": "ramp-1gg"}, "no run 'ramp-1gg'", RUN),
+        ({"channels": ["axx"]}, "no channel 'axx'", "ax"),
         ({"rows": [400]}, "no row 400", "rows 1 to "),
         ({"rows": [0]}, "rows", "1"),
         ({"reason": ""}, "reason", ""),

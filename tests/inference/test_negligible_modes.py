@@ -21,6 +21,7 @@ def tumble() -> Model:
     return bind(read_model(ROOT / "models" / "desk-imu.toml"), load_campaign(ROOT / "data" / "desk-imu"))
 
 
+@pytest.mark.slow
 def test_no_ensemble_begins_in_a_mode_without_mass(tumble: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     mode, ends = run_fit._best_start(tumble.problem, Settings(seed=SEED), None, lambda text: None)
 

@@ -47,6 +47,7 @@ def test_curvature_is_that_of_the_second_derivative():
 
 
 @pytest.mark.parametrize("far", [0.3, 2.0])
+@pytest.mark.slow
 def test_the_mode_is_that_of_scipy(far):
     def downhill(h):
         at = marginal.slope(made().problem, about(), jnp.asarray(h))

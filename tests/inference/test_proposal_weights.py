@@ -67,6 +67,7 @@ def chains_of(precision, folder: Path, seed: int, settings: Settings):
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_proposal_that_follows_the_scatter_gives_its_whole_width(tmp_path, seed):
     weighed, chains = chains_of(exact_precision, tmp_path, seed, Settings(seed=seed))
     assert weighed.pareto_k < 0.5

@@ -68,6 +68,7 @@ def test_steps_along_a_direction_have_its_marginal(shape: TabulatedDirections, f
     assert wide > 1.15
 
 
+@pytest.mark.slow
 def test_a_linear_model_has_no_such_direction():
     model = bind(spec("gyro_bias", noise=("white_noise", "run_scatter")), campaign())
     mode = find_mode(model.problem, *(jnp.zeros(size) for size in model.problem.size))

@@ -126,6 +126,7 @@ def test_conditional_densities_of_correlated_entries():
         assert float(found.group[group]) == pytest.approx(whole, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_simulated_noise_has_the_correlation_of_the_likelihood():
     found = []
     for noise in (("white_noise",), ("white_noise", "correlated_noise")):

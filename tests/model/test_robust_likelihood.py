@@ -139,6 +139,7 @@ def test_the_gradient_of_the_noise_marginal():
     np.testing.assert_allclose(jax.jit(jax.grad(marginal))(h), ahead, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_whitened_pseudo_values_have_unit_variance():
     plain = contaminated(WITH_OFFSETS)
     squares = []

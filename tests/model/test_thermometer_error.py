@@ -128,6 +128,7 @@ def test_one_uncertain_run_leaves_the_others_exact():
     np.testing.assert_allclose(predict(uncertain.problem, at), predict(known.problem, z), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_temperature_far_from_what_was_stated_is_told():
     model = bind(thermal(), measured(1.0))
     _, z, precision = fitted(model)
@@ -137,6 +138,7 @@ def test_a_temperature_far_from_what_was_stated_is_told():
     assert conflict.distance > 15
 
 
+@pytest.mark.slow
 def test_it_is_of_the_run_and_no_part_of_the_calibration():
     model = bind(thermal(), measured(15.0))
     derived = derived_quantities(model.assembly).derivation
@@ -181,8 +183,14 @@ CONVERTERS = ("gyro_bias", "accel_bias", "converter_gain_drift", "converter_offs
     [
         (wide_campaign, "cycle-fast", "temperature", WARM),
         (wide_campaign, "cycle-fast", "converter_temperature", CONVERTERS),
-        (tumble_campaign, "tumble", "temperature", ("gyro_bias", "accel_bias", "gyro_bias_temperature")),
-        (driven_campaign, "day", "temperature", ("gyro_bias", "gyro_bias_temperature", "gyro_scale_temperature")),
+        pytest.param(
+            tumble_campaign, "tumble", "temperature", ("gyro_bias", "accel_bias", "gyro_bias_temperature"),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            driven_campaign, "day", "temperature", ("gyro_bias", "gyro_bias_temperature", "gyro_scale_temperature"),
+            marks=pytest.mark.slow,
+        ),
     ],
 )  # fmt: skip
 def test_an_offset_is_another_temperature_in_the_whole_run(campaign, run, covariate, effects):

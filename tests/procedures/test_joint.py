@@ -50,6 +50,7 @@ def servo():
     return fitted("servo-table")
 
 
+@pytest.mark.slow
 def test_the_servo_table_is_integrated_to_the_truth(servo):
     found = scores(*servo)
     assert np.abs(found).max() < 4

@@ -240,6 +240,7 @@ def test_all_axes_are_solved_jointly_with_the_nonlinear_terms(nonlinear):
         assert np.median(spread / stated) == pytest.approx(1.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_gyros_alone_are_right_within_an_uncertainty_that_has_their_g_sensitivity():
     """Turned by hand at rest in between: the specific force is g in directions that the recording does not tell."""
     model = bind(spec("gyro_bias", "gyro_g_sensitivity", "accel_bias"), campaign())

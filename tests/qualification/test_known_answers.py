@@ -25,8 +25,16 @@ def test_an_installation_reproduces_the_known_answers(capsys):
     assert fitted["found"] < 1e-8
 
 
-def test_the_formula_and_the_models_differ_by_no_part_in_a_million(monkeypatch):
-    monkeypatch.setattr(known_answers, "_EARTH", known_answers._EARTH * (1 + 1e-6))
+def test_a_formula_to_first_order_is_told_from_the_models(monkeypatch):
+    """An input axis without its norm differs by some parts in ten million of the scale factor."""
+
+    def first_order(axis, theta, inputs):
+        norm = np.sqrt(1 + theta[2] ** 2 + theta[3] ** 2)
+        bias = axis.kind.scale * (1 + theta[1]) * theta[0]
+        return (known(axis, theta, inputs) - bias) * norm + bias
+
+    known = known_answers._Axis.output
+    monkeypatch.setattr(known_answers._Axis, "output", first_order)
     assert wrong(known_answers._constructed()) == ["joint fit: largest distance of an estimate from its value, in u"]
 
 

@@ -19,7 +19,7 @@ SCALE = "gyro_scale_factor.scale"
 @pytest.fixture(scope="module")
 def result(tmp_path_factory) -> Result:
     folder = tmp_path_factory.mktemp("posterior") / "result"
-    return fit(ROOT / "data" / "trihedral-imu", ROOT / "models" / "trihedral-imu.toml", folder, sample=False)
+    return fit(ROOT / "data" / "hidden-gyro", ROOT / "models" / "hidden-effects.toml", folder, sample=False)
 
 
 @pytest.fixture(scope="module")

@@ -144,6 +144,7 @@ def files_in(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
 
 
+@pytest.mark.slow
 def test_what_is_simulated_is_loaded_and_recovered(plan: Path):
     folder = simulate_plan(plan, plan.parent / "out")
     campaign = load_campaign(folder)
