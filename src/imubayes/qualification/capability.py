@@ -2,12 +2,15 @@
 
 ILAC-P14:09/2020, 5.4.  Where U by the budget is smaller, the draws of the quantity are widened about their mean until
 U is the CMC, so that every table, decision, probability and covariance agrees with what is stated.  What the CMC is
-larger by is a line of the budget.
+larger by is a line of the budget.  A quantity that a result has twice, as the scale factor beside its error, has one
+capability: that of one is that of the other, in its unit.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.qualification.budget_parts import BudgetLine, QuantityBudget
@@ -16,9 +19,12 @@ from imubayes.qualification.conformity import resolved_limits
 from imubayes.qualification.coverage import KnownUncertainty
 from imubayes.qualification.report_budgets import UnitWithBudgets
 from imubayes.qualification.specification import LimitEntry, SpecificationFile
-from imubayes.qualification.unit_under_test import is_measured
+from imubayes.qualification.unit_under_test import TestedUnit, is_measured
 
 _PATH = ("certificate", "cmc")
+# Share of a standard deviation by which a quantity may differ from another one of its label, in another unit; draws are
+# stored to a ten-thousandth of theirs.
+_SAME = 5e-4
 
 
 def with_capability(
@@ -45,6 +51,7 @@ def with_capability(
             "its components", "name the components, such as gyro_misalignment.toward_o",
         )  # fmt: skip
         ledger.stop_if_any()
+    floors = _of_the_same(unit, floors)
     draws, known, raised = dict(unit.quantities.draws), dict(unit.known), []
     for name, floor in floors.items():
         quantity, stated = unit.quantities.entries[name], unit.coverage(name)
@@ -62,17 +69,31 @@ def with_capability(
     return replace(found, unit=widened, budgets=made), tuple(raised)
 
 
+def _of_the_same(unit: TestedUnit, floors: Mapping[str, float]) -> dict[str, float]:
+    """Return floors with those of the quantities that are the same in another unit, or with another zero or sign."""
+    found, draws = dict(floors), unit.quantities.draws
+    for name, floor in floors.items():
+        label, own = name.partition("[")[2], draws[name] - draws[name].mean()
+        for other in (each for each in draws if each.partition("[")[2] == label and each not in unit.lengths):
+            values = draws[other] - draws[other].mean()
+            slope = float(values @ own / (own @ own))
+            if other != name and np.std(values - slope * own) < _SAME * np.std(values):
+                found[other] = max(abs(slope) * floor, found.get(other, 0.0))
+    return found
+
+
 def _raised(budget: QuantityBudget, factor: float) -> QuantityBudget:
     """Return a budget with what makes its U larger by a factor; nothing that was measured would narrow it."""
     if factor == 1:
         return budget
-    u, share = budget.standard_uncertainty, factor**-2
+    u, share, degrees = budget.standard_uncertainty, factor**-2, budget.degrees_of_freedom
     own = u * factor * math.sqrt(1 - share)
     lines = [line.model_copy(update={"share": line.share * share}) for line in budget.lines]
     added = BudgetLine(kind="cmc", input="", type="B", contribution=own, share=1 - share)
     return budget.model_copy(
         update={
             "standard_uncertainty": factor * u,
+            "degrees_of_freedom": degrees and degrees * factor**4,  # the CMC has none of its own (GUM G.4.1)
             "monte_carlo_error": factor * budget.monte_carlo_error,
             "lines": (added, *lines),
             "contributed": math.hypot(budget.contributed, own),

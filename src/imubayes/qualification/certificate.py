@@ -27,8 +27,9 @@ It stands as ``[certificate]`` in the specification, or in a file of its own::
     unit = "ug"
 
 Nothing of it is required of the file; what ISO/IEC 17025:2017, 7.8.2 and 7.8.4, require of a certificate and the block
-lacks is listed as missing on its last page, and so is what contradicts the campaign: equipment that no standard traces,
-standards of equipment that no run used or that had expired, dates in the wrong order.
+lacks is listed as missing on its last page, and so is what contradicts the campaign: equipment that no standard traces
+(gravity, of accelerometers, is one), standards of equipment that no run used or that had expired, dates in the wrong
+order.
 """
 
 import datetime
@@ -175,12 +176,13 @@ MissingItem = Literal[
     "number", "date", "laboratory_name", "laboratory_address", "location", "customer_name", "customer_address",
     "method", "item_description", "serial", "received", "performed", "environment", "standards",
     "standard_certificate", "standard_validity", "expired", "untraced", "unused", "received_late", "issued_early",
-    "omitted", "signatories",
+    "omitted", "validity", "cmc", "signatories",
 ]  # fmt: skip
 """What ISO/IEC 17025 requires and a certificate lacks.
 
 `expired` is a standard whose validity ended before the last run that used it, `untraced` equipment of the runs that no
-standard names, `unused` what a standard names and no run used, `omitted` what U is known to lack.
+standard names, `unused` what a standard names and no run used, `omitted` what U is known to lack, `validity` that of
+the model or the fit, `cmc` the capabilities of a laboratory that states an accreditation.
 """
 
 
@@ -214,17 +216,19 @@ def read_certificate(file: str | Path) -> tuple[Certificate, Ledger]:
     return document.entry.certificate, document.ledger
 
 
+GRAVITY = "gravity"
 # Procedures whose stimulus comes from a standard that is no table.
 _WITH_STANDARD = ("reference_gyro", "current_injection")
 # What a standard may be of beside the equipment that needs one.
-_OTHERS = ("gravity", "temperature")
+_OTHERS = (GRAVITY, "temperature")
 
 
 def _equipment_of(campaign: Campaign) -> dict[str, str | None]:
-    """Return what runs used as standards, tables and procedures with one, each with the start of its last run."""
+    """Return what runs used as standards, each with the start of its last run: tables, procedures with one, gravity."""
     found: dict[str, str | None] = {}
+    gravity = (GRAVITY,) if any(channel.kind == "accelerometer" for channel in campaign.channels) else ()
     for run in campaign.runs:
-        for name in filter(None, (run.table, run.procedure if run.procedure in _WITH_STANDARD else None)):
+        for name in filter(None, (run.table, run.procedure if run.procedure in _WITH_STANDARD else None, *gravity)):
             found[name] = max(filter(None, (found.get(name), run.start)), key=instant, default=None)
     return found
 
@@ -241,7 +245,7 @@ def missing_items(found: Certificate, campaign: Campaign) -> tuple[Missing, ...]
         "performed": starts, "environment": any(found.environment.model_dump().values()), "standards": found.standard,
         "received_late": not (item.received and starts and item.received > _day(starts[0])),
         "issued_early": not (found.date and starts and found.date < _day(starts[-1])),
-        "signatories": found.signatory,
+        "signatories": found.signatory, "cmc": found.cmc or not found.accreditation,
     }  # fmt: skip
     absent = [Missing(item=name) for name, given in required.items() if not given]
     return (*absent, *(_of_standards(found.standard, campaign, starts) if found.standard else ()))

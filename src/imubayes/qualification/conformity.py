@@ -241,7 +241,7 @@ def _decisions(
         return decisions
     if _passes_with_exact(limit, values, unit.unstated.get(name, 0.0), unit.quantities.effective[name]):
         return decisions
-    return [_without_pass(each) for each in decisions]
+    return [_without_pass(each, "taken_as_exact") for each in decisions]
 
 
 def _overall(
@@ -252,10 +252,10 @@ def _overall(
     return rules.global_risks(production, standard, limit.tolerance, accepted)
 
 
-def _without_pass(decision: rules.Decision) -> rules.Decision:
-    """Return a decision that is none where it would pass on what is taken as exact."""
+def _without_pass(decision: rules.Decision, reason: rules.NoDecision) -> rules.Decision:
+    """Return a decision that is none where it would pass, for a reason."""
     accepted = decision.outcome in rules.ACCEPTED
-    return replace(decision, outcome="withheld", withheld="taken_as_exact") if accepted else decision
+    return replace(decision, outcome="withheld", withheld=reason) if accepted else decision
 
 
 def _passes_with_exact(limit: ResolvedLimit, values: np.ndarray, sd: float, effective: float) -> bool:
@@ -355,10 +355,20 @@ def assess(
     if result.summary.converged:
         unit = unit or unit_under_test(result)
         limits = tuple(conformity(limit, unit) for limit in resolved_limits(file, ledger, unit))
-    return Assessment(file.name, limits, (*_obstacles(result, diagnosis), *others))
+    against = (*obstacles(result, diagnosis), *others)
+    if against:
+        limits = tuple(_undecided(each) for each in limits)
+    return Assessment(file.name, limits, against)
 
 
-def _obstacles(result: Result, diagnosis: Diagnosis | None) -> tuple[Obstacle, ...]:
+def _undecided(found: ConformityOfQuantity) -> ConformityOfQuantity:
+    """Return the outcome for a limit that nothing can pass on what stands against the unit."""
+    decision = _without_pass(found.decision, "obstacle")
+    return found if decision is found.decision else replace(found, decision=decision, consumer=None)
+
+
+def obstacles(result: Result, diagnosis: Diagnosis | None) -> tuple[Obstacle, ...]:
+    """Return why a unit cannot pass on a result, whatever its specification says."""
     if not result.summary.converged:
         return ("not_converged",)
     found: list[Obstacle] = []

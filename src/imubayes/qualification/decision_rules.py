@@ -193,9 +193,9 @@ ACCEPTED: tuple[Outcome, ...] = ("pass", "conditional_pass")
 """Outcomes with which a unit is delivered."""
 REJECTED: tuple[Outcome, ...] = ("conditional_fail", "fail")
 """Outcomes with which it is not; `withheld` is no decision."""
-NoDecision = Literal["probability", "not_determined", "taken_as_exact"]
-"""Why there is none: a probability that the rule needs is withheld; the data do not determine the quantity; or what the
-model takes as exact of the equipment could plausibly put it beyond the limit.
+NoDecision = Literal["probability", "not_determined", "taken_as_exact", "obstacle"]
+"""Why there is none: a probability that the rule needs is withheld; the data do not determine the quantity; what the
+model takes as exact of the equipment could plausibly put it beyond the limit; something stands against the whole unit.
 """
 
 

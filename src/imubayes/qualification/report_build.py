@@ -24,7 +24,7 @@ from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
 from imubayes.qualification.capability import with_capability
 from imubayes.qualification.certificate import CapabilityFloor, Certificate, Missing, missing_items, read_certificate
-from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, Obstacle, assess
+from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, Obstacle, assess, obstacles
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
 from imubayes.qualification.report_budgets import UnitWithBudgets, unit_with_budgets
 from imubayes.qualification.report_pictures import (
@@ -179,7 +179,10 @@ def report_of(
     unit = None if evaluated is None else evaluated.unit
     exact = TakenAsExact() if evaluated is None else evaluated.exact
     angles, standards = estimates.mounting_angles(found, unit), estimates.standard_estimates(unit)
-    missing = () if block is None else (*missing_items(block, campaign), *_omitted(standards, exact))
+    missing: tuple[Missing, ...] = ()
+    if block is not None:
+        invalid = [Missing(item="validity")] if obstacles(found, diagnosis) else []
+        missing = (*missing_items(block, campaign), *_omitted(standards, exact), *invalid)
     expired: tuple[Obstacle, ...] = ("expired_standard",) if any(each.item == "expired" for each in missing) else ()
     assessment = assess(found, specification, diagnosis, unit, expired) if specification is not None else None
     scope = scope_of(campaign, found, diagnosis)

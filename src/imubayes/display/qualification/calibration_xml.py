@@ -2,7 +2,9 @@
 
 A DCC is XML: administrative data from the certificate block and the campaign, then each quantity of the standards that
 was measured, with U, k and the coverage probability in a D-SI `real`.  Where the posterior is not symmetric, the
-standard uncertainty stands there and the interval in words.  What D-SI has no unit for is left out and named.
+standard uncertainty stands there and the interval in words.  The statements are those of the pages: decision rules,
+conformity to each limit, traceability, what stands against the certificate, what it lacks and what U omits.  What D-SI
+has no unit for is left out and named.
 
 The table of covariances is for programs that propagate uncertainty (GTC, METAS UncLib): a CSV file with a line for each
 quantity: its name, D-SI unit, value, standard uncertainty and degrees of freedom, and its row of the covariance.
@@ -12,12 +14,15 @@ GTC takes them by `multiple_ureal` and `set_correlation`, UncLib by `ulinprop` o
 import csv
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from xml.etree import ElementTree
 
 import numpy as np
 
-from imubayes.display.qualification.words import value_text
+from imubayes.display.numbers_and_labels import pretty, ratio_text
+from imubayes.display.qualification.certificate_pages import all_statements
+from imubayes.display.qualification.exact_tables import omissions
+from imubayes.display.qualification.words import limits_text, value_text
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.qualification.certificate import Certificate, Party
 from imubayes.qualification.decision_rules import Outcome
@@ -157,18 +162,20 @@ def _contact(parent: ElementTree.Element, party: Party) -> None:
 
 
 def _statements(parent: ElementTree.Element, report: QualificationReport, block: Certificate) -> None:
-    said = [
-        "Expanded uncertainties are standard uncertainties times the coverage factor k, for a coverage probability of "
-        "95 %; evaluated by JCGM 100 and JCGM 101.",
-        "The results relate only to the item calibrated.",
-        *filter(None, (None if report.missing else block.accreditation, block.remarks)),
-    ]
-    for text in said:
+    for text in all_statements(report, block):
         _text(_child(parent, "statement"), "declaration", text)
-    if report.conformity is not None:
+    found = report.conformity
+    if found is None:
+        return
+    judged: list[tuple[str, Outcome]] = [(f"Conformity to the specification {found.specification}", found.outcome)]
+    for each in found.limits:
+        over = "" if each.temperature_range is None else " from {:g} °C to {:g} °C".format(*each.temperature_range)
+        what = f"{each.symbol or each.name} of {each.label}{over}: {value_text(each)}, limits {limits_text(each)}"
+        judged.append((f"{what} {pretty(each.unit)}", each.outcome))
+    for text, outcome in judged:
         own = _child(parent, "statement")
-        _text(own, "declaration", f"Conformity to the specification {report.conformity.specification}")
-        _child(own, "conformity", _CONFORMITY[report.conformity.outcome])
+        _text(own, "declaration", text)
+        _child(own, "conformity", _CONFORMITY[outcome])
 
 
 def _measured(parent: ElementTree.Element, report: QualificationReport, block: Certificate) -> None:
@@ -184,17 +191,20 @@ def _measured(parent: ElementTree.Element, report: QualificationReport, block: C
         _child(method, "norm", standard)
     _equipment(result, block)
     _conditions(result, block)
-    _results(_child(result, "results"), [each for each in report.standards if each not in left_out])
+    ratios = {(each.symbol, each.label): each.ratio for each in omissions(report) if each.kind == "standard"}
+    _results(_child(result, "results"), [each for each in report.standards if each not in left_out], ratios)
 
 
-def _results(parent: ElementTree.Element, shown: Sequence[StandardEstimate]) -> None:
+def _results(
+    parent: ElementTree.Element, shown: Sequence[StandardEstimate], ratios: Mapping[tuple[str, str], float]
+) -> None:
     for standard in dict.fromkeys(each.standard for each in shown):
         own = _child(parent, "result")
         _text(own, "name", standard)
         data = _child(own, "data")
         for each in shown:
             if each.standard == standard:
-                _quantity(data, each)
+                _quantity(data, each, ratios.get((each.symbol, each.label)))
 
 
 def _equipment(parent: ElementTree.Element, block: Certificate) -> None:
@@ -204,7 +214,11 @@ def _equipment(parent: ElementTree.Element, block: Certificate) -> None:
     for each in block.standard:
         own = _child(equipment, "measuringEquipment")
         _text(own, "name", each.name)
-        known = {"serial number": each.serial, "certificate": each.certificate}
+        until = None if each.valid_until is None else each.valid_until.isoformat()
+        known = {
+            "serial number": each.serial, "certificate": each.certificate, "certificate issued by": each.issued_by,
+            "certificate valid until": until,
+        }  # fmt: skip
         if any(known.values()):
             listed = _child(own, "identifications")
             for name, value in known.items():
@@ -235,13 +249,14 @@ def _conditions(parent: ElementTree.Element, block: Certificate) -> None:
             _child(real, "unit", unit, SI)
 
 
-def _quantity(parent: ElementTree.Element, each: StandardEstimate) -> None:
+def _quantity(parent: ElementTree.Element, each: StandardEstimate, omitted: float | None) -> None:
     assert each.d_si is not None, "quantities without a D-SI unit are left out"
     factor, own = each.d_si.factor, _child(parent, "quantity")
     _text(own, "name", f"{each.quantity} {each.symbol} of {each.label}")
     symmetric = each.interval == "symmetric" and each.expanded_uncertainty is not None
     shape = "" if symmetric else f" 95 % {each.interval} interval: {value_text(each)} {each.unit}."
-    _text(own, "description", f"{each.term}.{shape}")
+    lacks = "" if omitted is None else f" Known contributions that U omits would multiply it by {ratio_text(omitted)}."
+    _text(own, "description", f"{each.term}.{shape}{lacks}")
     real = _child(own, "real", space=SI)
     _child(real, "value", _number(each.estimate, factor), SI)
     _child(real, "unit", each.d_si.unit, SI)

@@ -13,6 +13,7 @@ from imubayes.display.qualification.document import (
     texts,
     without_empty_columns,
 )
+from imubayes.display.qualification.first_page import alarms, rules_text
 from imubayes.model.model_file import GRAVITY
 from imubayes.qualification.certificate import (
     Certificate,
@@ -49,6 +50,8 @@ _MISSING: dict[MissingItem, str] = {
     "unused": "a standard that was used, as no run used this one — {of} (7.8.4.1 c)",
     "received_late": "a date of receipt that is not after the first run (7.8.2.1 h)",
     "issued_early": "a date of issue that is not before the last run (7.8.2.1 j)",
+    "validity": "results of a fit that converged and of a model that a diagnosis found adequate (7.2.2, 7.7.1)",
+    "cmc": "the capabilities (CMC) of the accredited laboratory, below which no U is stated (ILAC-P14)",
     "omitted": "all known contributions in U: those that it omits of {of} are on the first page (7.6.1)",
     "signatories": "persons who authorise the certificate (7.8.2.1 o)",
 }
@@ -80,38 +83,57 @@ def certificate_section(report: QualificationReport) -> Iterator[Block]:
         yield Paragraph(unit_g_text(report))
         return
     yield Heading("Method, traceability and conditions")
-    yield Paragraph(
-        f"Method: {found.method or _NOT_STATED}." + (f" Deviations: {found.deviations}." * bool(found.deviations))
-    )
+    yield Paragraph(_method(found))
     if found.standard:
         yield _standards_table(report, found.standard)
-        if not any(each.item in _OF_STANDARDS for each in report.missing):
-            yield Paragraph("The results are metrologically traceable to the SI through these standards.")
-    yield Paragraph(f"Conditions: {_conditions(found.environment)}. Adjustment: {found.adjustment or _NOT_STATED}.")
-    yield Paragraph(unit_g_text(report))
+    for text in statements(report, found):
+        yield Paragraph(text)
+    if found.signatory:
+        rows = [texts(each.name, each.function or "–", "_" * 14, "_" * 36) for each in found.signatory]
+        yield ReportTable("Authorised by", ("name", "function", "date", "signature"), rows, (0, 1, 2, 3))
+
+
+def _method(found: Certificate) -> str:
+    return f"Method: {found.method or _NOT_STATED}." + (f" Deviations: {found.deviations}." * bool(found.deviations))
+
+
+def all_statements(report: QualificationReport, found: Certificate) -> list[str]:
+    """Return what a certificate states in words, with what stands against it and what it lacks."""
+    rules = [] if report.conformity is None else rules_text(report.conformity.limits)
+    lacks = [f"Missing from this certificate: {'; '.join(missing_texts(report.missing))}."] if report.missing else []
+    return [*alarms(report), *lacks, *rules, _method(found), *statements(report, found)]
+
+
+def statements(report: QualificationReport, found: Certificate) -> Iterator[str]:
+    """Yield traceability, conditions, capability, what results and U are of, remarks and accreditation."""
+    if found.standard and not any(each.item in _OF_STANDARDS for each in report.missing):
+        yield "The results are metrologically traceable to the SI through the standards used."
+    yield f"Conditions: {_conditions(found.environment)}. Adjustment: {found.adjustment or _NOT_STATED}."
+    yield unit_g_text(report)
     if report.floors:
         named = "; ".join(
             f"{' '.join(standard_symbol(each.name))}: {significant(each.own, 2)} → {significant(each.expanded, 2)} "
             f"{pretty(each.unit)}"
             for each in report.floors
         )
-        yield Paragraph(
+        yield (
             "U by the budget is smaller than the calibration and measurement capability (CMC) of the laboratory, and "
             f"the CMC is stated in its place (ILAC-P14), for {named}."
         )
-    yield Paragraph(
+    yield (
         "The results relate only to the item calibrated, at the time and under the conditions of the calibration. The "
         "expanded uncertainty U is the standard uncertainty times the coverage factor k, which for the posterior of "
         "the quantity corresponds to a coverage probability of 95 %; it was evaluated by JCGM 100 and JCGM 101 and "
         "contains no contribution of long-term stability. This certificate may be reproduced only in full."
     )
     if found.remarks:
-        yield Paragraph(f"Remarks: {found.remarks}")
+        yield f"Remarks: {found.remarks}"
     if found.accreditation and not report.missing:
-        yield Paragraph(found.accreditation)
-    if found.signatory:
-        rows = [texts(each.name, each.function or "–", "_" * 14, "_" * 36) for each in found.signatory]
-        yield ReportTable("Authorised by", ("name", "function", "date", "signature"), rows, (0, 1, 2, 3))
+        covered = dict.fromkeys(" ".join(standard_symbol(each.quantity)).strip() for each in found.cmc)
+        yield (
+            f"{found.accreditation.rstrip('.')}. The accreditation covers the quantities with a CMC: "
+            f"{', '.join(covered)}. Other results are outside its scope."
+        )
 
 
 def _standards_table(report: QualificationReport, standards: Sequence[MeasurementStandard]) -> ReportTable:
@@ -165,8 +187,13 @@ def missing_section(missing: Sequence[Missing]) -> Iterator[Block]:
         return
     yield Heading("Missing from this certificate")
     yield Paragraph(
-        "ISO/IEC 17025:2017 requires the following of a calibration certificate, and it was not stated. Without it, "
+        "ISO/IEC 17025:2017 requires the following of a calibration certificate, and it is missing. Without it, "
         "this document is no certificate of an accredited laboratory.",
         "weak",
     )
-    yield Items([_MISSING[each.item].format(of=each.of) for each in missing])
+    yield Items(missing_texts(missing))
+
+
+def missing_texts(missing: Sequence[Missing]) -> list[str]:
+    """Return each thing that is missing, with its clause."""
+    return [_MISSING[each.item].format(of=each.of) for each in missing]

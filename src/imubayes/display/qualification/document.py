@@ -144,6 +144,7 @@ class ReportDocument:
     facts : label and value.
     blocks : everything that follows.
     footer : at the foot of each page.
+    author : in the metadata.
     """
 
     title: str
@@ -153,6 +154,7 @@ class ReportDocument:
     facts: Sequence[tuple[str, str]]
     blocks: Sequence[Block] = field(default=())
     footer: str = ""
+    author: str = "imubayes"
 
 
 WIDTH = 4.4

@@ -32,7 +32,9 @@ def _sentence(found: Conformity) -> str:
     if not found.limits:
         return f"The limits of the specification “{found.specification}” could not be judged: the fit did not converge."
     if found.outcome == "withheld" and found.obstacles:
-        return f"{limits} The unit cannot pass, for the reasons below."
+        return (
+            f"None of the {of} limits of the specification “{found.specification}” can be met, for the reasons below."
+        )
     for reason, why in words.NO_DECISION.items():
         if undecided := [limit.name for limit in found.limits if limit.withheld == reason]:
             limits += f" There is no decision on {words.enumerated(undecided, 4)}: {why}."
@@ -76,6 +78,7 @@ def facts(report: QualificationReport) -> list[tuple[str, str]]:
     if scope.first_start is not None and scope.last_start is not None:
         when = f"{_day(scope.first_start)} to {_day(scope.last_start)}"
     method = "sampled posterior" if report.convergence.sampled else "Laplace approximation of the posterior"
+    versions = [f"; imubayes {each.version}" for each in report.provenance.software if each.package == "imubayes"]
     verdict = report.adequacy.verdict
     return [
         ("Unit", (subject.serial or "no serial number") + (f", {subject.grade} grade" if subject.grade else "")),
@@ -83,7 +86,7 @@ def facts(report: QualificationReport) -> list[tuple[str, str]]:
         ("Procedures", ", ".join(name.replace("_", " ") for name in procedures)),
         ("Channels", ", ".join(f"{channel.name} ({channel.kind})" for channel in subject.channels)),
         ("Model", f"{report.provenance.model}, {len(report.provenance.effects)} effects"),
-        ("Evaluation", _evaluation(report.convergence, method)),
+        ("Evaluation", "".join([_evaluation(report.convergence, method), *versions])),
         ("Converged", "yes" if report.convergence.converged else "NO"),
         ("Model adequacy", words.VERDICTS[verdict] if verdict is not None else "NOT DIAGNOSED"),
     ]
@@ -167,7 +170,7 @@ def rules_text(limits: Sequence[LimitOutcome]) -> list[str]:
     groups: dict[str, list[str]] = {}
     for limit in limits:
         symbol = limit.symbol or limit.name.partition("[")[0]
-        groups.setdefault(words.rule_text(limit), []).append(symbol)
+        groups.setdefault(f"{words.rule_text(limit)} ({words.RULE_MEANS[limit.rule]})", []).append(symbol)
     return [
         f"Decision rule: {rule}, for {', '.join(dict.fromkeys(symbols))} ({len(symbols)} limits)."
         for rule, symbols in groups.items()

@@ -28,7 +28,14 @@ from imubayes.display.qualification.document import (
     ReportDocument,
     ReportTable,
 )
-from imubayes.display.qualification.exact_tables import Omission, included_table, omissions, omitted_note, omitted_table
+from imubayes.display.qualification.exact_tables import (
+    Kind,
+    Omission,
+    included_table,
+    omissions,
+    omitted_note,
+    omitted_table,
+)
 from imubayes.display.qualification.first_page import (
     alarms,
     banner,
@@ -99,8 +106,8 @@ def _prose(text: str) -> Markup:
 
 
 def _symbols(text: str) -> str:
-    """Return escaped text with the subscripts of symbols of one letter, ``D_F``, ``ΔK_1``; names stay as they are."""
-    return re.sub(r"\b(Δ?[^\W\d_])_(\w{1,3})\b(?!\[)", r"\1<sub>\2</sub>", text)
+    """Return escaped text with the subscripts of symbols of one letter, ``D_F``, ``ΔK_1``; names, ``d_i``, stay."""
+    return re.sub(r"\b(Δ?[^\W\d_dk])_(\w{1,3})\b(?!\[)", r"\1<sub>\2</sub>", text)
 
 
 def _anchor(heading: str) -> str:
@@ -114,6 +121,8 @@ _TITLES: dict[Annex, str] = {
     "budgets": "uncertainty budgets",
     "evidence": "model, convergence and record",
 }
+# Annex that has the table of a kind of quantity; those of the standards are in all.
+_ANNEX_OF: dict[Kind, Annex] = {"angle": "results", "combination": "results", "result": "evidence"}
 
 
 def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNEXES) -> ReportDocument:
@@ -130,6 +139,7 @@ def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNE
         alarms=alarms(report),
         facts=(*own, *facts(report)),
         blocks=tuple(filter(None, _blocks(report, annexes))),
+        author=(block and block.laboratory.name) or "imubayes",
         footer=f"{number}Unit {serial} · data {made.data_sha256[:12]} · model {made.model_sha256[:12]}",
     )
 
@@ -140,7 +150,7 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
     if conformity is not None and conformity.limits:
         yield limits_table(conformity.limits, components_of(report), words.reference_temperature(report))
     omitted = omissions(report)
-    yield omitted_table(omitted)
+    yield omitted_table([each for each in omitted if _ANNEX_OF.get(each.kind) in (None, *annexes)])
     yield included_table(report)
     if conformity is None:  # then the quantities themselves are what is certified
         yield from result_sections.standards_section(report, omitted_note(omitted, "standard"))
@@ -161,6 +171,8 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
         yield Heading(f"Annex {letter}: {_TITLES[annex]}", 1)
         yield from made[annex]()
     yield from missing_section(report.missing)
+    name = "report" if report.certificate is None else f"certificate {report.certificate.number or ''}".rstrip()
+    yield Paragraph(f"End of the {name}.", "dim")
 
 
 def _results(report: QualificationReport, omitted: Sequence[Omission]) -> Iterator[Block | None]:

@@ -44,6 +44,7 @@ NO_DECISION: dict[NoDecision, str] = {
     "probability": "a probability that the rule needs is withheld",
     "not_determined": "less than half of the information came from the data",
     "taken_as_exact": "what the model takes as exact of the equipment could put it beyond the limit",
+    "obstacle": "see above",
 }
 WITHHELD: dict[Withheld, str] = {
     "disagreement": "withheld: the two methods disagree",
@@ -67,6 +68,16 @@ _RULES: dict[RuleName, str] = {
     "specific_risk": "specific consumer's risk",
     "global_risk": "global consumer's risk",
 }
+
+RULE_MEANS: dict[RuleName, str] = {
+    "simple_acceptance": "accepted within the limits, w = 0",
+    "guard_band": "accepted within the limits less w at each, rejected otherwise",
+    "ilac_g8_non_binary": "passed within the limits less w, failed beyond them by more than w, conditional between",
+    "conformance_probability": "accepted where p_c is at least that",
+    "specific_risk": "accepted where 1 − p_c is at most that",
+    "global_risk": "accepted within the limits less w at each, which the production and this risk determine",
+}
+"""What a rule accepts (ISO/IEC 17025, 7.8.6)."""
 
 
 def rule_text(limit: record.LimitOutcome) -> str:
