@@ -133,6 +133,9 @@ def test_nothing_passes_on_an_expired_standard(result, tmp_path):
         status, record, page = written(result, tmp_path, "--spec", specification(tmp_path, text))
         assert record.conformity is not None
         assert record.conformity.outcome == outcome
+        assert {each.outcome for each in record.conformity.limits} == {outcome}, "no row passes where the unit cannot"
+        assert ("None of the limits" in visible(page)) == (outcome == "withheld")
+        assert "End of the certificate." in visible(page)
         assert status == (outcome == "withheld")
         assert ("had expired when runs used it" in visible(page)) == (outcome == "withheld")
 
@@ -407,8 +410,19 @@ def test_a_certificate_has_two_pages_its_date_and_what_is_missing(result, tmp_pa
     assert f"ISO/IEC 17025 requires {missing} items more" in first
     assert "2026-01-01: expired" in rest
     assert "Accredited as D-K" not in said
+    assert b"<rdf:li>Example Laboratory</rdf:li>" in (tmp_path / "all.pdf").read_bytes(), "the author of a certificate"
     assert f"1 g = {record.subject.gravity_m_s2:.6f} m/s²" in said
     assert record.budgets is not None, "the record has everything"
+
+
+def test_no_accreditation_on_a_result_that_was_never_diagnosed(result, tmp_path):
+    (tmp_path / "certificate.toml").write_text(CERTIFICATE)
+    given = ("--certificate", str(tmp_path / "certificate.toml"))
+    _, record, page = written(result, tmp_path, *given)
+    assert "validity" in {each.item for each in record.missing}
+    assert "of a model that a diagnosis found adequate" in visible(page)
+    judged(result, "adequate")
+    assert "validity" not in {each.item for each in written(result, tmp_path, *given)[1].missing}
 
 
 def test_what_a_format_lacks_is_told_before_any_file_is_written(result, tmp_path):

@@ -14,14 +14,18 @@ from imubayes.foundations.errors import InputError
 from imubayes.qualification.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
 from imubayes.qualification.certificate import Certificate, CertifiedItem, Environment, Missing
 from imubayes.qualification.report_record import (
+    Adequacy,
     Conformity,
+    LimitOutcome,
     MonteCarloError,
     QualificationReport,
+    ReportedConvergence,
     StandardEstimate,
     StatisticalScope,
 )
 from imubayes.qualification.report_subject import Provenance, Subject
 from imubayes.qualification.standard_quantities import DigitalUnit
+from imubayes.qualification.taken_as_exact import QuantityShift, TakenAsExact
 from imubayes.results.summary import SoftwareVersion
 
 WRITTEN = Path(__file__).parent / "dcc_written.rng"
@@ -32,7 +36,8 @@ BLOCK = Certificate.model_validate(
         "customer": {"name": "测试 <customer>", "address": "Street 3"},
         "item": {"description": "unit", "manufacturer": "Maker", "model": "M 1", "received": "2026-10-30"},
         "accreditation": "Accredited as D-K",
-        "standard": [{"name": "rate table", "certificate": "NMI 2026-0815"}],
+        "standard": [{"name": "rate table", "certificate": "NMI 2026-0815", "issued_by": "NMI",
+                      "valid_until": "2027-03-01"}],
         "environment": {"temperature_degC": [22.6, 23.4]},
         "signatory": [{"name": "A. Example", "function": "head"}, {"name": "B. Example"}],
     }
@@ -71,19 +76,27 @@ def report(**changes) -> QualificationReport:
     names = tuple(each.name for each in STANDARDS)
     budgets = UncertaintyBudgets.model_construct(
         quantities=tuple(
-            QuantityBudget.model_construct(name=name, degrees_of_freedom=None if place else 12.0)
+            QuantityBudget.model_construct(
+                name=name, degrees_of_freedom=None if place else 12.0, standard_uncertainty=place + 2.0
+            )
             for place, name in enumerate(names)
         ),
         correlation=CorrelationMatrix(names=names, rows=((1.0,), (0.75, 1.0), (0, 0, 1.0), (0.1, 0, 0, 1.0))),
     )
     known = {
-        "subject": Subject.model_construct(serial="U7", campaign="c"),
+        "subject": Subject.model_construct(
+            serial="U7", campaign="c", latitude_deg=34.0, height_m=400.0, gravity_m_s2=G, gravity_is_normal=True,
+            gravity_uncertainty_ug=50.0,
+        ),
+        "convergence": ReportedConvergence.model_construct(converged=True),
+        "adequacy": Adequacy.model_construct(verdict="adequate", intervals_valid=True, prior_conflicts=()),
+        "mounting_angles": (), "combinations": (), "results": (),
         "provenance": Provenance.model_construct(
             model="m", data_sha256="d" * 64, software=(SoftwareVersion(package="imubayes", version="1"),)
         ),
         "scope": StatisticalScope.model_construct(first_start="2026-11-01T08:00:00", last_start="2026-11-04T08:00:00"),
         "conformity": Conformity(specification="FQ", sha256="", outcome="conditional_pass", obstacles=(), limits=()),
-        "standards": STANDARDS, "budgets": budgets, "certificate": BLOCK, "missing": (),
+        "standards": STANDARDS, "budgets": budgets, "certificate": BLOCK, "missing": (), "exact": TakenAsExact(),
     }  # fmt: skip
     return QualificationReport.model_construct(**(known | changes))
 
@@ -158,6 +171,44 @@ def test_numbers_are_in_d_si_units_with_their_coverage():
     assert "Accredited as D-K" in text
     lacking = dcc_file(report(missing=(Missing(item="location"),))).decode()
     assert "Accredited as D-K" not in lacking
+
+
+def test_statements_are_those_of_the_pages():
+    """Decision rule, conformity to each limit, traceability, and what stands against the certificate."""
+    limit = LimitOutcome.model_construct(
+        name="K_0[ax]", symbol="K_0", label="ax", unit="ug", lower=-101.0, upper=101.0, temperature_range=(10.0, 45.0),
+        estimate=100.0, standard_uncertainty=2.0, expanded_uncertainty=4.0, coverage_factor=2.0,
+        monte_carlo=STANDARDS[0].monte_carlo, rule="ilac_g8_non_binary", outcome="conditional_pass",
+    )  # fmt: skip
+    found = Conformity(specification="FQ", sha256="", outcome="conditional_pass", obstacles=(), limits=(limit,))
+
+    def said(**changes) -> str:
+        document = dcc_file(report(conformity=found, **changes))
+        assert faults(document) == []
+        return "\n".join(ElementTree.fromstring(document).itertext())
+
+    whole = said()
+    for text in (
+        "Decision rule: ILAC-G8 non-binary, w = U (passed within the limits less w, failed beyond them by more than w",
+        "K_0 of ax from 10 °C to 45 °C: 100.0 ± 4.0, limits -101 … 101 µg",
+        "metrologically traceable to the SI through the standards used", "Adjustment: not stated.",
+        "1 g = 9.790000 m/s²", "2027-03-01", "NMI",
+    ):  # fmt: skip
+        assert text in whole, text
+    assert "No certificate of an accredited laboratory" not in whole
+    assert "U omits" not in whole
+    lacking = said(
+        missing=(Missing(item="untraced", of="gravity"),),
+        adequacy=Adequacy.model_construct(verdict=None, intervals_valid=True, prior_conflicts=()),
+        exact=TakenAsExact(unstated=(QuantityShift(name="K_0[ax]", value=2.0),)),
+    )
+    for text in (
+        "No certificate of an accredited laboratory: ISO/IEC 17025 requires 1 item more",
+        "Missing from this certificate: a standard for gravity", "The model was never diagnosed",
+        "Known contributions that U omits would multiply it by 1.41.",
+    ):  # fmt: skip
+        assert text in lacking, text
+    assert "metrologically traceable" not in lacking
 
 
 def test_what_a_dcc_needs_is_asked_for_at_once():

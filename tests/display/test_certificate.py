@@ -1,7 +1,10 @@
 """The certificate block: what a laboratory states is on the pages, what ISO/IEC 17025 asks beside it is listed."""
 
 import datetime
+import re
 from collections.abc import Sequence
+from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +26,17 @@ from imubayes.display.qualification.pdf_file import _blocks, breakable, missing_
 from imubayes.display.qualification.report_files import html_page
 from imubayes.foundations.campaign_data import Campaign, Run, Site
 from imubayes.foundations.errors import InputError
+from imubayes.qualification.budget_parts import QuantityBudget, UncertaintyBudgets
+from imubayes.qualification.capability import with_capability
 from imubayes.qualification.certificate import Certificate, Missing, missing_items, read_certificate
+from imubayes.qualification.posterior_quantities import PosteriorQuantities
+from imubayes.qualification.report_budgets import UnitWithBudgets
 from imubayes.qualification.specification import read_specification
+from imubayes.qualification.taken_as_exact import TakenAsExact
+from imubayes.qualification.temperature_range import ThermalModel
+from imubayes.qualification.unit_under_test import TestedUnit
+from imubayes.results.summary import Quantity
+from small_campaign import channels
 
 WHOLE = """
 format = 1
@@ -152,6 +164,51 @@ def test_standards_are_held_against_the_equipment_of_the_runs(tmp_path):
     assert "rate table: head" in items.items[1]
 
 
+def test_accelerometers_need_a_traced_gravity_and_an_accreditation_its_capabilities(tmp_path):
+    block, _ = read_certificate(written(tmp_path, WHOLE))
+    accelerometers = replace(campaign_of(), channels=channels())
+    assert {channel.kind for channel in accelerometers.channels} == {"gyro", "accelerometer"}
+    assert lacking(block, accelerometers) == {("untraced", "gravity")}
+    gravity = 'equipment = ["rate", "gravity"]'
+    traced, _ = read_certificate(written(tmp_path, WHOLE.replace('equipment = ["rate"]', gravity)))
+    assert lacking(traced, accelerometers) == set()
+    accredited, _ = read_certificate(written(tmp_path, WHOLE.replace("number =", 'accreditation = "D-K"\nnumber =')))
+    assert lacking(accredited) == {("cmc", "")}
+
+
+def test_one_quantity_has_one_capability_under_both_of_its_names(tmp_path):
+    """30 ppm of the error of a scale factor of 1000 are 0.03 of the scale factor; ν has no part in what is added."""
+    entry = '[[certificate.cmc]]\nquantity = "gyro_scale_factor.scale"\nexpanded = 30\nunit = "ppm"\n'
+    block, ledger = read_certificate(written(tmp_path, WHOLE + entry))
+    error = 3.0 * np.random.default_rng(4).standard_normal(4000)
+    own, other, angle = "gyro_scale_factor.scale[gx]", "scale_factor[gx]", "gyro_bias.bias[gx]"
+    draws = {own: error, other: 1000 * (1 + 1e-6 * error), angle: error + 0.1 * error[::-1]}
+    units = {own: "ppm", other: "pulse/s per deg/s", angle: "deg/h"}
+    entries = {
+        name: Quantity(name=name, unit=units[name], mean=x.mean(), sd=x.std(), from_data=0.99)
+        for name, x in draws.items()
+    }
+    known = PosteriorQuantities(entries, draws, dict.fromkeys(draws, 4000.0))
+    unit = TestedUnit(known, channels()[:1], {}, 9.8, None, ThermalModel({}, {}, 25.0))
+    budgets = UncertaintyBudgets.model_construct(
+        quantities=tuple(
+            QuantityBudget.model_construct(
+                name=name, standard_uncertainty=x.std(), monte_carlo_error=0.0, lines=(), contributed=x.std(),
+                remainder=0.0, degrees_of_freedom=10.0, expanded_uncertainty=1.96 * x.std(),
+            )
+            for name, x in draws.items()
+        )
+    )  # fmt: skip
+    made, raised = with_capability(UnitWithBudgets(unit, budgets, TakenAsExact()), block.cmc, ledger)
+    assert {each.name: each.expanded for each in raised} == pytest.approx({own: 30, other: 0.03})
+    assert made.unit.coverage(other).expanded == pytest.approx(0.03)
+    assert made.unit.coverage(angle).expanded == unit.coverage(angle).expanded
+    error_budget, _, bias_budget = made.budgets.quantities
+    factor = 30 / unit.coverage(own).expanded
+    assert error_budget.degrees_of_freedom == pytest.approx(10 * factor**4)
+    assert bias_budget.degrees_of_freedom == 10
+
+
 @pytest.mark.parametrize(
     ("text", "what"),
     [
@@ -206,6 +263,29 @@ def test_symbols_in_prose_have_subscripts_and_names_and_commands_stay():
     page = html_page(ReportDocument("t", "s", Banner("", "", ""), (), (), blocks))
     for text in ("for D<sub>F</sub>, ΔK<sub>1</sub>/K<sub>1</sub> and γ", "gyro_bias of run_a: <code>d_ss x</code>"):
         assert text in page
+    names = html_page(ReportDocument("t", "s", Banner("", "", ""), (), (), (Items(["d_i – normal; k_ip; x.d_o[gx]"]),)))
+    assert "d_i – normal; k_ip; x.d_o[gx]" in names, "a parameter that is copied has its name"
+
+
+def test_names_break_and_parameters_have_no_subscripts_on_paper():
+    """In the template of PDF files: a name breaks where U+200B stands, and only symbols have subscripts."""
+    typst = pytest.importorskip("typst", reason="typst is not installed")
+    template = files("imubayes.display").joinpath("templates/qualification.typ").read_text(encoding="utf-8")
+    symbols = template[template.index("#let symbols") : template.index("// Commands stand")]
+
+    def drawn(content: str, width: str = "9cm") -> str:
+        text = f"{symbols}\n#set page(width: {width}, height: auto)\n#set par(leading: 9pt)\n#{content}"
+        return typst.compile(text.encode(), format="svg").decode()
+
+    def height(text: str) -> float:
+        found = re.search(r'viewBox="0 0 \S+ (\S+)"', drawn(f'symbols("{text}")', "7cm"))
+        assert found is not None
+        return float(found[1])
+
+    assert height("accel_bias_\u200btemperature_\u200bquadratic") > height("accel_bias") + 10
+    for name in ("d_i", "k_ip", "gyro_g_sensitivity.d_o"):
+        assert drawn(f'symbols("{name}")') == drawn(f'"{name}"')
+    assert drawn('symbols("D_F")') != drawn('"D_F"')
 
 
 def test_an_empty_column_is_left_out():

@@ -76,7 +76,7 @@ def _of_the_same(unit: TestedUnit, floors: Mapping[str, float]) -> dict[str, flo
         label, own = name.partition("[")[2], draws[name] - draws[name].mean()
         for other in (each for each in draws if each.partition("[")[2] == label and each not in unit.lengths):
             values = draws[other] - draws[other].mean()
-            slope = float(values @ own / (own @ own))
+            slope = float(values @ own) / (float(own @ own) or 1.0)
             if other != name and np.std(values - slope * own) < _SAME * np.std(values):
                 found[other] = max(abs(slope) * floor, found.get(other, 0.0))
     return found

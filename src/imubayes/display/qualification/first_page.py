@@ -32,9 +32,7 @@ def _sentence(found: Conformity) -> str:
     if not found.limits:
         return f"The limits of the specification “{found.specification}” could not be judged: the fit did not converge."
     if found.outcome == "withheld" and found.obstacles:
-        return (
-            f"None of the {of} limits of the specification “{found.specification}” can be met, for the reasons below."
-        )
+        return f"None of the limits of the specification “{found.specification}” can be met, for the reasons below."
     for reason, why in words.NO_DECISION.items():
         if undecided := [limit.name for limit in found.limits if limit.withheld == reason]:
             limits += f" There is no decision on {words.enumerated(undecided, 4)}: {why}."
