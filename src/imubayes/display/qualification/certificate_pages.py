@@ -111,9 +111,10 @@ def statements(report: QualificationReport, found: Certificate) -> Iterator[str]
     yield f"Conditions: {_conditions(found.environment)}. Adjustment: {found.adjustment or _NOT_STATED}."
     yield unit_g_text(report)
     if report.floors:
+        own = {each.members[0]: (each.symbol, each.label) for each in report.standards if len(each.members) == 1}
         named = "; ".join(
-            f"{' '.join(standard_symbol(each.name))}: {significant(each.own, 2)} → {significant(each.expanded, 2)} "
-            f"{pretty(each.unit)}"
+            f"{' '.join(own.get(each.name) or standard_symbol(each.name))}: {significant(each.own, 2)} → "
+            f"{significant(each.expanded, 2)} {pretty(each.unit)}"
             for each in report.floors
         )
         yield (

@@ -127,22 +127,21 @@ def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") 
         return
     rows = []
     for each in angles:
-        estimate, u, _, _ = words.stated(each)
-        interval = words.interval_text(each)
+        value = words.value_text(each)
         shift = "–" if each.deviation is None else _deviation(each)
         rows.append(
             texts(
-                each.mounting, each.channel, _like(each.nominal, estimate), estimate, u, interval,
-                shift, percent(each.from_data) + ("" if each.measured else ", not measured"),
+                each.mounting, each.channel, _like(each.nominal, value.partition(" ")[0]), value,
+                words.factor_text(each), shift, percent(each.from_data) + ("" if each.measured else ", not measured"),
                 _determined_by(each.evidence, each.standard_uncertainty, 3600.0, "arcsec")
             )
         )  # fmt: skip
-    head = ("mounting", "channel", "nominal / deg", "true / deg", "u / deg", "95 % interval / deg",
-            "deviation / arcsec", "from data", "determined by")  # fmt: skip
+    head = ("mounting", "channel", "nominal / deg", "true y ± U / deg", "k", "deviation / arcsec", "from data",
+            "determined by")  # fmt: skip
     note = (
-        "True angle between sensitive axis and axis of rotation. From data: 1 − posterior variance / prior variance. "
-        "That of an axis nominally along the axis of rotation is the length of its tilt, whose deviation is never "
-        "negative. "
+        "True angle between sensitive axis and axis of rotation; y ± U as for the quantities of the standards. From "
+        "data: 1 − posterior variance / prior variance. That of an axis nominally along the axis of rotation is the "
+        "length of its tilt, whose deviation is never negative. "
         "Determined by: the procedure that alone would leave the smallest uncertainty, with that uncertainty, and how "
         "many times smaller it is with all runs together; a dash stands where the angle is not linear enough in the "
         f"parameters for a share by procedure. {words.digits_text(angles)}{omitted}"
@@ -152,7 +151,7 @@ def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") 
         for mounting in dict.fromkeys(each.mounting for each in angles)
     ]
     yield Heading("True mounting angles")
-    yield ReportTable("Angles to the axis of rotation", head, rows, (0, 1, 8), note)
+    yield ReportTable("Angles to the axis of rotation", head, rows, (0, 1, 7), note)
     yield Paragraph("Runs in each mounting:")
     yield Items(runs)
 

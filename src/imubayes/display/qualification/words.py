@@ -72,7 +72,8 @@ _RULES: dict[RuleName, str] = {
 RULE_MEANS: dict[RuleName, str] = {
     "simple_acceptance": "accepted within the limits, w = 0",
     "guard_band": "accepted within the limits less w at each, rejected otherwise",
-    "ilac_g8_non_binary": "passed within the limits less w, failed beyond them by more than w, conditional between",
+    "ilac_g8_non_binary": "passed within the limits less w, failed beyond them by more than w, between these a "
+    "conditional pass within the limits and a conditional fail beyond them",
     "conformance_probability": "accepted where p_c is at least that",
     "specific_risk": "accepted where 1 − p_c is at most that",
     "global_risk": "accepted within the limits less w at each, which the production and this risk determine",
