@@ -11,10 +11,12 @@ from pathlib import Path
 import rich.console
 
 from imubayes.cli.main import run
+from imubayes.display import progress
 
 os.chdir(os.environ["IMUBAYES_DOCS"])
 os.environ["COLUMNS"] = "100"
 rich.console._is_jupyter = lambda: False  # commands print text, as in a terminal
+progress._display = lambda: None  # what is cleared in the end would leave an empty box
 
 
 def _command(line: str) -> None:
