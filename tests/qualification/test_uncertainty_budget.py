@@ -75,8 +75,9 @@ def test_a_unit_passes_only_with_an_adequate_model(result, tmp_path):
     file = tmp_path / "spec.toml"
     limits = '[[limit]]\nquantity = "converter_gain_drift.slope"\nlower = LOWER\nupper = 0\nunit = "ppm/degC"\n'
     file.write_text('format = 1\nname = "converter"\n' + limits.replace("LOWER", "-10"))
-    (drift,) = assess(result, file, None).limits
+    (drift,) = assess(result, file, Diagnosis(verdict="adequate")).limits
     assert drift.decision.outcome == "pass"
+    assert assess(result, file, None).limits[0].decision.withheld == "obstacle"
     assert drift.estimate.value == pytest.approx(-3.2, abs=0.2)
     outcomes = {
         verdict: assess(result, file, None if verdict is None else Diagnosis(verdict=verdict)).outcome
