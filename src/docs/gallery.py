@@ -173,7 +173,9 @@ def _filled(text: str, **values: str) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %" if 0.001 < share < 0.9995 else "> 99.9 %" if share >= 0.9995 else "< 0.1 %"
+    if not 0.001 < share < 0.995:
+        return "> 99 %" if share > 0.5 else "< 0.1 %"
+    return f"{100 * share:.2g} %"
 
 
 def _index(members: dict[str, EffectClass], found: dict[str, list[Left]]) -> str:
