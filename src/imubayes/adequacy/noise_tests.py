@@ -153,17 +153,19 @@ def _simulated(projection: Projection, seed: int, tested: Sequence[tuple]) -> li
     rows, found = len(projection.residual), list[list[np.ndarray]]()
     count = max(20, min(_NOISE_DRAWS, _NOISE_DRAWS_AT_ONCE // rows))
     draws = np.random.default_rng(seed).normal(size=(rows, count))
+    size = len(projection.fitted.model.entries)
+    members = [np.unique(projection.turn.members[chosen]) for *_, chosen in tested]
+    members = [here[here < size] for here in members]
     for begin in range(0, count, _NOISE_BLOCK):
         block = projection.project(draws[:, begin : begin + _NOISE_BLOCK])
         if begin == 0:
             block = np.concatenate([projection.residual[:, None], block], axis=1)
         entries = to_entries(projection, block)
-        members = [np.unique(projection.turn.members[chosen]) for *_, chosen in tested]
-        squares = [np.sum(entries[here[here < len(entries)]] ** 2, axis=0) for here in members]
+        parts = zip(tested, members, strict=True)
         found.append(
             [
-                np.stack([statistic(projection, entries, chosen), square])
-                for (_, _, statistic, chosen), square in zip(tested, squares, strict=True)
+                np.stack([statistic(projection, entries, chosen), np.sum(entries[here] ** 2, axis=0)])
+                for (_, _, statistic, chosen), here in parts
             ]
         )
     return [tuple(np.concatenate(parts, axis=1)) for parts in zip(*found, strict=True)]

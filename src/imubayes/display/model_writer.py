@@ -68,11 +68,8 @@ def template(
         document["mounting"] = [{"name": "seat", "preset": OPEN, "uncertainty_arcmin": OPEN}]
         run |= {"table": "table", "mounting": "seat"}
     document["run"] = [run]
-    columns = [
-        "time_s",
-        *(group[0] for group in procedure.columns),
-        *(f"{kind}{axis}" for kind in "ag" for axis in "xyz"),
-    ]
+    channels = (channel["name"] for channel in document["channel"])
+    columns = ["time_s", *(group[0] for group in procedure.columns), *channels]
     return commented_campaign(tomlkit.dumps(document)), ",".join(dict.fromkeys(columns)) + "\n"
 
 

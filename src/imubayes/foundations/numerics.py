@@ -1,4 +1,4 @@
-"""Numerical helpers that need NumPy alone: means of groups of entries, and nodes of Gauss–Legendre quadrature.
+"""Numerical helpers that need NumPy alone: means of groups, cross products, nodes of Gauss–Legendre quadrature.
 
 What is computed with in compiled functions stands in `imubayes.foundations.arrays`, tail probabilities in
 `imubayes.foundations.tail_probabilities`.
@@ -7,6 +7,15 @@ What is computed with in compiled functions stands in `imubayes.foundations.arra
 from functools import lru_cache
 
 import numpy as np
+
+_CROSS = np.array(
+    [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]]
+)
+
+
+def cross_matrices(vectors: np.ndarray) -> np.ndarray:
+    """Return the matrices C of vectors v for which a @ C is v × a, shape (..., 3, 3)."""
+    return np.tensordot(vectors, _CROSS, axes=1)
 
 
 def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:

@@ -48,15 +48,13 @@ from imubayes.campaign.setup_gate.setup_view import (
     views_of,
 )
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.numerics import cross_matrices
 
 # Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, three of
 # the converter's temperature (as many as of the sensor's, or a curve would tell that the thermometers are exchanged);
 # of gyros that feel the Earth rate alone six terms quadratic in g, of which every tumble makes the same pattern.
 _OWN, _SQUARES = 13, ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 _OF_TEMPERATURE = (4, 5, 6, 10, 11, 12)
-_CROSS = np.array(
-    [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]]
-)
 _WARM = 25.0
 _AT_ONCE = 2**15  # responses of outputs to errors in views that are evaluated together: they stay in the cache
 
@@ -125,7 +123,7 @@ class ErrorModel:
         gross = [GROSS[channel.kind] if self.gross else 0.0 for channel in self.channels]
         self.rest = np.hypot(np.array([[width.rest] for width in self.widths]) * rows, np.array(gross)[:, None])
         self.run_offset = np.array([width.offset for width in self.widths]) * steadiness.runs
-        self.across = _cross(self.axes[:, 0])
+        self.across = cross_matrices(self.axes[:, 0])
 
     def _standard_deviations(self, campaign: Campaign) -> np.ndarray:
         sd = np.ones(self.size)
@@ -259,7 +257,7 @@ class ErrorModel:
             place += 3
         if view.table is not None:
             held = np.einsum("kj,...rji->...kri", self.axes[:, 0], stand)  # input axes in local level
-            design[..., place : place + 3] = held @ _cross(still)
+            design[..., place : place + 3] = held @ cross_matrices(still)
         return design
 
     def _of_run(self, along: np.ndarray, loose: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -359,14 +357,9 @@ class ErrorModel:
         return self.fit(terms, G_SENSITIVITIES[-1:]).misfit[..., 0]
 
 
-def _cross(vectors: np.ndarray) -> np.ndarray:
-    """Return the matrices C of vectors v for which a @ C is v × a, shape (..., 3, 3)."""
-    return np.tensordot(vectors, _CROSS, axes=1)
-
-
 def _rotation(vector: np.ndarray) -> np.ndarray:
     """Return the matrix of a rotation vector, rad (Rodrigues)."""
-    cross, angle = _cross(vector).T, float(np.linalg.norm(vector))
+    cross, angle = cross_matrices(vector).T, float(np.linalg.norm(vector))
     return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross
 
 

@@ -15,7 +15,6 @@ others along.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from scipy.linalg import block_diag
 
 from imubayes.foundations.earth import earth_rate, normal_gravity
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.numerics import cross_matrices
 from imubayes.foundations.records import Record
 from imubayes.qualification.onboard.record import OnboardConstants, TriadConstants
 
@@ -195,8 +195,11 @@ def _motion(mission: Mission) -> _Motion:
     return _Motion(earth, transport, force, rate, np.einsum("tij,tj->ti", to_body, force), gravity)
 
 
-def _input_errors(constants: OnboardConstants, motion: _Motion, warmer: Sequence[float]) -> np.ndarray:
-    """Return the derivative of rate and specific force, body axes, by every constant, shape (T, 6, n)."""
+def _input_errors(constants: OnboardConstants, motion: _Motion, warmer: float) -> np.ndarray:
+    """Return the derivative of rate and specific force, body axes, by every constant, shape (T, 6, n).
+
+    Sensors and converter are by `warmer` °C above the reference temperature of the constants.
+    """
     found = np.zeros((len(motion.body_rate), 6, len(constants.constants)))
     places = {constant.name: place for place, constant in enumerate(constants.constants)}
     for triad in constants.triads:
@@ -217,7 +220,7 @@ def _input_errors(constants: OnboardConstants, motion: _Motion, warmer: Sequence
                 ("gain", triad.gain.terms, channels[:, place]),
             ):
                 for term in terms:
-                    power = warmer[0] ** term.sensor * warmer[1] ** term.converter
+                    power = warmer ** (term.sensor + term.converter)
                     suffix = f",{term.sensor},{term.converter}" if term.sensor or term.converter else ""
                     at = places[f"{kind}[{channel}{suffix}]"]
                     found[:, rows, at] = -power * size[:, None] * matrix[:, place]
@@ -228,16 +231,11 @@ def _dynamics(motion: _Motion, at: int, radius: float) -> np.ndarray:
     """Return F of δṗ, δv̇, ψ̇ at an instant, shape (9, 9)."""
     found = np.zeros((9, 9))
     earth, transport = motion.earth[at], motion.transport[at]
-    found[:3, :3], found[:3, 3:6] = -_cross(transport), np.eye(3)
+    found[:3, :3], found[:3, 3:6] = cross_matrices(transport), np.eye(3)
     found[3:6, :3] = np.diag([-1.0, -1.0, 2.0]) * motion.gravity[at] / radius
-    found[3:6, 3:6], found[3:6, 6:] = -_cross(2 * earth + transport), _cross(motion.force[at])
-    found[6:, 6:] = -_cross(earth + transport)
+    found[3:6, 3:6], found[3:6, 6:] = cross_matrices(2 * earth + transport), cross_matrices(motion.force[at]).T
+    found[6:, 6:] = cross_matrices(earth + transport)
     return found
-
-
-def _cross(vector: np.ndarray) -> np.ndarray:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -249,7 +247,7 @@ class _Drivers:
     source: tuple[tuple[str, str], ...]
 
 
-def _drivers(constants: OnboardConstants, motion: _Motion, warmer: Sequence[float]) -> _Drivers:
+def _drivers(constants: OnboardConstants, motion: _Motion, warmer: float) -> _Drivers:
     """Return the constants, and the offset of a recording about each axis of body."""
     kinds = {channel: triad.kind for triad in constants.triads for channel in triad.channels}
     source = []
@@ -295,7 +293,7 @@ def navigation_impact(
         raise input_error(fault, f"unit {constants.serial}", "a fit of a whole unit", "fit both in one campaign")
     motion = _motion(mission)
     warmer = 0.0 if temperature is None else temperature - constants.reference_degC
-    drivers = _drivers(constants, motion, (warmer, warmer))
+    drivers = _drivers(constants, motion, warmer)
     densities = np.concatenate([_density(constants.triad(kind), rate_hz) for kind in ("gyro", "accelerometer")])
     count = len(mission.time)
     sensitivity, noise = np.zeros((9, drivers.derivative.shape[2])), np.zeros((9, 9))
