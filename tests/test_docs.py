@@ -1,19 +1,28 @@
 """The documentation site has a page for every effect, command, public name and kind of file; Sphinx is not run here."""
 
+import re
 import sys
 from pathlib import Path
+from typing import get_args
+
+import numpy as np
 
 import imubayes
 from imubayes.campaign.file_schemas import CampaignFile
+from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS
 from imubayes.cli.main import app
+from imubayes.criticism.explanations import Verdict
 from imubayes.effects.base import Effect
 from imubayes.model.effect_registry import Registry
 from imubayes.procedures import PROCEDURES
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "docs"))
 import gallery
 import reference_pages
 import responses
+
+DOCS, SOURCE = (Path(__file__).parents[1] / "src" / name for name in ("docs", "imubayes"))
 
 
 def test_every_member_of_the_catalogue_has_a_page_with_cause_formula_and_parameters():
@@ -58,6 +67,10 @@ def test_every_key_of_a_campaign_is_listed():
 
 def test_every_symbol_of_the_standards_and_every_term_of_the_glossary_is_listed():
     pages = reference_pages.symbol_pages()
+    source = " ".join(file.read_text(encoding="utf-8") for file in (SOURCE / "campaign").rglob("*.py"))
+    findings = {*SETUP_FINDINGS, *re.findall(r'Finding\(\s*"(\w+)"', source)}
+    assert len(findings) > 30
+    assert all(f"| `{name}` |" in pages["reference/findings.md"] for name in findings)
     symbols = [quantity.symbol for quantity in reference_pages.STANDARD_QUANTITIES]
     assert all(f"| {symbol} |" in pages["reference/standards-symbols.md"] for symbol in symbols)
     assert "retained fraction" in pages["reference/glossary.md"]
@@ -67,3 +80,34 @@ def test_links_of_documents_lead_to_pages_of_the_site():
     pages = reference_pages.adopted_pages()
     assert "](../reference/data-dictionary.md#columns)" in pages["how-to/your-campaign.md"]
     assert "](README.md" not in "".join(pages.values())
+
+
+def test_every_sentence_that_is_explained_is_one_that_the_program_says_and_every_verdict_is_explained():
+    page = (DOCS / "how-to" / "what-the-program-says.md").read_text(encoding="utf-8")
+    source = " ".join(file.read_text(encoding="utf-8") for file in SOURCE.rglob("*.py"))
+    rows = re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)
+    said = [phrase for row in rows for phrase in re.findall(r"`([^`]+)`", row)]
+    assert len(said) > 20
+    assert [phrase for phrase in said if phrase not in source] == []
+    diagnosed = page.partition("## `diagnose`")[2]
+    assert all(f"| {verdict.replace('_', ' ')} |" in diagnosed for verdict in get_args(Verdict))
+
+
+def test_the_pattern_of_a_residual_is_named_by_its_simplest_curve():
+    rng = np.random.default_rng(5)
+    x, z, run = rng.uniform(-1, 1, 200), rng.uniform(-1, 1, 200), np.repeat(np.arange(4), 50)
+    rate, force = ResidualCovariate("rate_i", "deg/s", x, "rate"), ResidualCovariate("force_i", "g", z, "force")
+
+    def said(y: np.ndarray) -> str:
+        column = responses.Column("effect", 0, "effect.a", "gx", "deg/h", 1.0, 0.1)
+        left = responses.Left(
+            "effect", "rate_table", "campaign", column, 9.0, 0.5, (), (), None, "gx", "deg/h", rate, (rate, force), run,
+            y, y + 0.01 * rng.standard_normal(200), np.ones(200),
+        )  # fmt: skip
+        return gallery.pattern(left)
+
+    assert said(x**2 - 0.3).startswith("a parabola in rate (> 99 %")
+    assert said(np.abs(x)).startswith("two straight lines that meet at zero in rate")
+    assert said(x * z).startswith("the product of rate and force")
+    assert said(np.where(run % 2, x, -x)).startswith("in each run a straight line in rate")
+    assert said(np.sin(40 * x)).startswith("no simple curve in rate")

@@ -22,6 +22,7 @@ from imubayes.foundations.covariates import remedy
 from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.parameters.declarations import declared_options, declared_parameters
+from imubayes.responses.residual_covariates import ResidualCovariate
 
 CAUSES = tomllib.loads((Path(__file__).parent / "causes.toml").read_text(encoding="utf-8"))
 _TEXT = {file.stem: file.read_text(encoding="utf-8") for file in (Path(__file__).parent / "_templates").glob("*.md")}
@@ -153,7 +154,78 @@ def _left_behind(lefts: Sequence[Left]) -> list[str]:
 
 def _said(left: Left) -> str:
     drawn = f"`{left.coefficient.name}` = {left.coefficient.size:.3g} {left.coefficient.unit}"
-    return f"`{left.procedure}` (campaign `{left.campaign}`): {drawn}, residual of {left.channel}."
+    seen = pattern(left)
+    return f"`{left.procedure}` (campaign `{left.campaign}`): {drawn}. The residual of {left.channel} is {seen}."
+
+
+_LEAST = 0.9
+"""Share of the square sum that a curve has to describe to be named."""
+
+
+def pattern(left: Left) -> str:
+    """Return the simplest curve that describes what is left, with its share of the square sum, in words."""
+    x, of, y = left.covariate, left.covariate.phrase, left.left
+    if (share := float(len(y) * y.mean() ** 2 / (y @ y))) >= _LEAST:
+        return f"constant in {of} ({_percent(share)} of its square sum)"
+    curves = _curves(x)
+    others = [z for z in left.others if z.name != x.name and not (z.periodic or x.periodic)]
+    runs = (left.run[:, None] == np.unique(left.run)).astype(float)
+    groups = [
+        *({f"{name} in {of}": design for name, design in group.items()} for group in curves),
+        {
+            f"the product of {of} and {z.phrase}": np.stack([x.values * z.values, x.values, z.values], axis=1)
+            for z in others
+        },
+        *(
+            {
+                f"in each run {name} in {of}": (runs[:, :, None] * design[:, None, :]).reshape(len(runs), -1)
+                for name, design in group.items()
+            }
+            for group in curves
+        ),
+    ]
+    for group in groups:
+        shares = {name: _described(y, design) for name, design in group.items()}
+        best = max(shares, key=shares.__getitem__, default="")
+        if shares.get(best, 0.0) >= _LEAST:
+            return f"{best} ({_percent(shares[best])} of its variance)"
+    return f"no simple curve in {of}, and no product with another input"
+
+
+def _described(y: np.ndarray, design: np.ndarray) -> float:
+    """Return the share of a variance that columns describe, less what chance gives; 0 where many rows have none."""
+    known = np.isfinite(design).all(axis=1)
+    columns, y = design[known] - design[known].mean(axis=0), y[known] - y[known].mean()
+    columns /= np.maximum(np.abs(columns).max(axis=0, initial=0), 1e-300)
+    fitted, _, rank, _ = np.linalg.lstsq(columns, y)
+    free = len(y) - rank - 1
+    if free < len(y) / 2 or known.mean() < _LEAST:
+        return 0.0
+    missed = y - columns @ fitted
+    return 1 - float(missed @ missed) / free * (len(y) - 1) / float(y @ y)
+
+
+def _curves(covariate: ResidualCovariate) -> list[dict[str, np.ndarray]]:
+    """Return columns of curves beside a constant, in groups, the simplest first.
+
+    A curve that is odd or even about zero needs both signs.
+    """
+    x = covariate.values
+    if covariate.periodic:
+        angle = np.deg2rad(x) if covariate.unit == "deg" else x
+        once, twice = ([np.cos(k * angle), np.sin(k * angle)] for k in (1, 2))
+        named = [
+            {"one period a turn": once, "two periods a turn": twice},
+            {"periods once and twice a turn": once + twice},
+        ]
+    else:
+        x = x / (np.nanmax(np.abs(x)) or 1.0)
+        bent = {"a parabola": [x, x**2]}
+        if np.nanmin(x) < 0 < np.nanmax(x):
+            bent["two straight lines that meet at zero"] = [x, np.abs(x)]
+            bent["a parabola of opposite sign below zero"] = [x, x * np.abs(x)]
+        named = [{"a straight line": [x]}, bent, {"a cubic": [x, x**2, x**3]}]
+    return [{name: np.stack(columns, axis=1) for name, columns in group.items()} for group in named]
 
 
 def _separating(left: Left) -> tuple[str, str]:

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import imubayes
+from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS
+from imubayes.campaign.stream_checks import FINDINGS
 from imubayes.cli.campaign import _RECORDS
 from imubayes.cli.main import app
 from imubayes.foundations.covariates import COVARIATES
@@ -112,7 +114,8 @@ def schema_pages() -> Pages:
 
 def _described(schema: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
     """Return the description of a record, and that of its keys where its docstring lists them as attributes."""
-    text, _, attributes = schema.get("description", "").partition("Attributes\n----------\n")
+    described = schema.get("description", "").partition("Examples\n--------\n")[0]
+    text, _, attributes = described.partition("Attributes\n----------\n")
     found = re.findall(r"^(\w[\w, ]*) : (.*?)(?=^\w[\w, ]* : |\Z)", attributes, re.MULTILINE | re.DOTALL)
     known = {name.strip(): " ".join(meaning.split()) for names, meaning in found for name in names.split(",")}
     return text.strip(), known
@@ -151,7 +154,7 @@ def _type(value: Mapping[str, Any]) -> str:
 
 
 def symbol_pages() -> Pages:
-    """Return the quantities of the standards, the covariates, and the glossary."""
+    """Return the quantities of the standards, the covariates, the findings, and the glossary."""
     quantities = [
         (each.symbol, each.name, each.standard, each.term, f"`{each.key}`", ", ".join(map(effect_link, each.effects)))
         for each in STANDARD_QUANTITIES
@@ -172,12 +175,21 @@ def symbol_pages() -> Pages:
         "procedure, or evaluated by the model at each sample.\n\n"
         + table(("column", "unit", "symbol", "meaning", "origin"), columns)
     )
+    findings = (
+        "# Findings\n\nWhat `imubayes check` and the set-up gate of `imubayes fit` may find. A campaign accepts "
+        'those about its set-up by name, `accepted = ["table_zero"]`.\n\n'
+        + table(
+            ("finding", "meaning", "can be accepted"),
+            [(f"`{name}`", meaning, "yes" if name in SETUP_FINDINGS else "") for name, meaning in FINDINGS.items()],
+        )
+    )
     rows = re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", _section(ROOT / "ARCHITECTURE.md", "Glossary"), re.MULTILINE)
     terms = "\n\n".join(f"{term}\n: {meaning}" for term, meaning in rows[1:] if set(term) != {"-"})
     glossary = f"# Glossary\n\n```{{glossary}}\n{terms.replace(chr(10) + ': ', chr(10) + '  ')}\n```\n"
     return {
         "reference/standards-symbols.md": standards,
         "reference/covariates.md": covariates,
+        "reference/findings.md": findings,
         "reference/glossary.md": glossary,
     }
 

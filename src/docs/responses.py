@@ -81,6 +81,8 @@ class Left:
     separating : run that tells it from the first of these, and Δχ² between the two without and with that run.
     channel, unit : that is drawn, and unit of response, left and noise.
     covariate : of the abscissa.
+    others : further covariates that vary in the rows.
+    run : of each row.
     """
 
     effect: str
@@ -95,6 +97,8 @@ class Left:
     channel: str
     unit: str
     covariate: ResidualCovariate
+    others: tuple[ResidualCovariate, ...]
+    run: np.ndarray
     response: np.ndarray
     left: np.ndarray
     noise: np.ndarray
@@ -189,11 +193,13 @@ class LinearCampaign:
         unit, factor = _unit_of(channel, self.model.campaign.site.gravity)
         scale = self.sd[shown] / factor
         followed = left if square > 1e-6 * here.raw[k] else response
+        varying = [each for each in self.covariates if each.name != "row" and _varies(each.values[shown])]
         return Left(
             effect, procedure, self.name, replace(column, size=size * column.size), math.sqrt(square),
             square / float(here.raw[k]), here.absorbed(k), imitators, separating, channel.name, unit,
-            self._covariate(effect, channel.kind, shown, followed[shown]), response[shown] * scale, left[shown] * scale,
-            scale,
+            self._covariate(effect, channel.kind, shown, followed[shown], varying),
+            tuple(replace(each, values=each.values[shown]) for each in varying), self.model.entries.run[shown],
+            response[shown] * scale, left[shown] * scale, scale,
         )  # fmt: skip
 
     def _channel(self, column: Column, rows: np.ndarray, left: np.ndarray) -> tuple[Channel, np.ndarray]:
@@ -204,12 +210,13 @@ class LinearCampaign:
         place = names.index(column.owner) if column.owner in names else int(np.argmax(power))
         return channels[place], of[place]
 
-    def _covariate(self, effect: str, kind: str, shown: np.ndarray, drawn: np.ndarray) -> ResidualCovariate:
+    def _covariate(
+        self, effect: str, kind: str, shown: np.ndarray, drawn: np.ndarray, varying: Sequence[ResidualCovariate]
+    ) -> ResidualCovariate:
         """Return the covariate that the rows shown follow best: of those of the formula, where they vary."""
         member, row = self.model.registry.effects[effect], np.arange(int(shown.sum()), dtype=float)
         formula = covariates_of(member, kind) if kind in member.kinds else ()
         named = set().union(*formula) | {COVARIATES[need].column for need in member.needs if need in COVARIATES}
-        varying = [each for each in self.covariates if each.name != "row" and _varies(each.values[shown])]
         candidates = [each for each in varying if each.name in named] or varying
         best = max(candidates, key=lambda each: _followed(each.values[shown], drawn), default=None)
         if best is None:
