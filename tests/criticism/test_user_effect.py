@@ -63,6 +63,7 @@ def test_it_is_screened_and_proposed(house):
     assert document["groups"][0]["effects"] == ["house_regulator"], document["sentence"]
 
 
+@pytest.mark.slow  # each of two fits compiles half a minute; every run proposes it above, and test_trusted_effects.py fits another
 def test_a_model_that_has_it_is_fitted(house, tmp_path):
     """It finds the planted size, and the result keeps the file."""
     text = (house / "model.toml").read_text() + '\n[[effect]]\nname = "house_regulator"\n'
@@ -75,7 +76,7 @@ def test_a_model_that_has_it_is_fitted(house, tmp_path):
     assert read_model(tmp_path / "out" / "model.toml").files == (str(tmp_path / "out" / "house.py"),)
 
 
-@pytest.mark.slow  # two fits; at every run the test above has one, and test_loop.py adds another effect
+@pytest.mark.slow
 def test_it_is_added_and_the_error_falls(house):
     before = fit(house / "campaign", house / "model.toml", house / "before", sample=False)
     after = add(house / "before", ["house_regulator"], house / "after", channels=["ax"]).result

@@ -57,6 +57,7 @@ def test_the_servo_table_is_integrated_to_the_truth(servo):
     assert np.sqrt(np.mean(found**2)) < 1.5
 
 
+@pytest.mark.slow
 def test_the_angle_of_a_servo_table_has_no_input_axis(servo):
     """Residuals of the angle are regressed on what the run recorded, not on rate or specific force of a channel."""
     model, mode, _ = servo

@@ -61,6 +61,7 @@ def attitudes(count: int, seed: int = 5):
     return G * directions / np.linalg.norm(directions, axis=1)[:, None]
 
 
+@pytest.mark.slow  # a minute for the fit of a whole IMU; every run solves planted parameters below
 def test_at_rest_the_length_is_g_within_the_uncertainty_in_every_pose(result, tmp_path):
     out = tmp_path / "corrected.parquet"
     found = correct(result, DESK, out)
@@ -84,6 +85,7 @@ def test_at_rest_the_length_is_g_within_the_uncertainty_in_every_pose(result, tm
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.slow  # a minute for the fit of a whole IMU; every run solves planted parameters below
 def test_a_recording_that_was_left_out_is_right_within_the_systematic_uncertainty(result, tmp_path):
     """New attitudes, each a mean of so many samples that only the calibration is uncertain."""
     force, rate = attitudes(300), 0.7 * attitudes(300, 6) / G
@@ -105,6 +107,7 @@ def test_a_recording_that_was_left_out_is_right_within_the_systematic_uncertaint
         assert np.abs(10 * score).max() > 4, name
 
 
+@pytest.mark.slow  # a minute for the fit of a whole IMU; every run solves planted parameters below
 def test_gravity_that_nobody_measured_is_in_what_is_stated(result, tmp_path, monkeypatch):
     """The campaign has normal gravity, u = 50 µg, taken as exact by the model: at rest all poses share its error."""
     pl.DataFrame({**true_outputs(np.zeros((9, 3)), attitudes(9)), "samples": np.full(9, 10**8)}).write_csv(
@@ -128,12 +131,19 @@ def test_gravity_that_nobody_measured_is_in_what_is_stated(result, tmp_path, mon
     assert result.summary.exact[0].size == 50
 
 
-def test_missing_cells_and_other_columns_are_kept(result, tmp_path):
+@pytest.fixture(scope="module")
+def unfitted():
+    """A unit of six channels as its priors say."""
+    model = bind(spec("gyro_bias", "gyro_scale_factor", "accel_bias", "accel_scale_factor"), campaign())
+    return planted(model, np.zeros(len(model.layout)))
+
+
+def test_missing_cells_and_other_columns_are_kept(unfitted, tmp_path):
     columns = true_outputs(np.zeros((4, 3)), attitudes(4))
     frame = pl.DataFrame({"note": ["a", "b, c", "d", "e"], **columns})
     frame = frame.with_columns(ax=pl.Series([None, *columns["ax"][1:]]), gy=pl.Series([*columns["gy"][:3], None]))
     frame.write_csv(tmp_path / "gaps.csv")
-    summary = correct(result, tmp_path / "gaps.csv", tmp_path / "out.csv")
+    summary = correct(unfitted, tmp_path / "gaps.csv", tmp_path / "out.csv")
     found = pl.read_csv(tmp_path / "out.csv")
     assert found["note"].to_list() == ["a", "b, c", "d", "e"]
     assert found["force_x_m_s2"].is_null().to_list() == [True, False, False, False]
@@ -141,16 +151,16 @@ def test_missing_cells_and_other_columns_are_kept(result, tmp_path):
     assert (summary.tally.rows, summary.tally.incomplete) == (4, 2)
 
 
-def test_what_cannot_be_corrected_is_refused(result, tmp_path):
+def test_what_cannot_be_corrected_is_refused(unfitted, tmp_path):
     frame = pl.DataFrame(true_outputs(np.zeros((2, 3)), attitudes(2)))
     frame.drop("ay", "gz").write_csv(tmp_path / "two.csv")
     with pytest.raises(InputError, match="no complete set"):
-        correct(result, tmp_path / "two.csv", tmp_path / "out.csv")
+        correct(unfitted, tmp_path / "two.csv", tmp_path / "out.csv")
     with pytest.raises(InputError, match="no such file"):
-        correct(result, tmp_path / "none.csv", tmp_path / "out.csv")
+        correct(unfitted, tmp_path / "none.csv", tmp_path / "out.csv")
     with pytest.raises(InputError, match="no run 'swing'"):
-        correct(result, DESK, tmp_path / "out.csv", run="swing")
-    other = [replace(channel, offset=1.0) for channel in result.fit.model.campaign.channels]
+        correct(unfitted, DESK, tmp_path / "out.csv", run="swing")
+    other = [replace(channel, offset=1.0) for channel in unfitted.fit.model.campaign.channels]
     with pytest.raises(InputError, match="not the one that was fitted"):
         open_recording(DESK, other)
     assert not (tmp_path / "out.csv").exists()
@@ -276,6 +286,7 @@ def test_gyros_alone_are_right_within_an_uncertainty_that_has_their_g_sensitivit
     assert correction_of(result, tuple(c.name for c in model.campaign.channels), "recording").left_in == ()
 
 
+@pytest.mark.slow
 def test_the_constants_give_the_truth_within_their_joint_covariance(result, tmp_path):
     """M (r − b) in NumPy on outputs of the true unit, with the covariance of the constants propagated to each row."""
     constants = onboard_constants(result)
