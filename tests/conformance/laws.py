@@ -331,7 +331,7 @@ def _slope_of(member: type, field: str) -> Callable[[dict, int], float]:
 def variance_of(member: type, values: dict, samples: float) -> float:
     component = instance(member, values)
     if issubclass(member, EntryNoise):
-        return float(component.variance(Entry(jnp.asarray(samples), jnp.asarray(1e5), jnp.asarray(1e5))))
+        return float(component.variance(Entry(*(jnp.asarray(fact) for fact in (samples, 1e5, 1e5, 1e5)))))
     assert issubclass(member, SharedNoise)
     return float(component.shared_variance())
 

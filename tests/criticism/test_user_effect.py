@@ -63,7 +63,7 @@ def test_it_is_screened_and_proposed(house):
     assert document["groups"][0]["effects"] == ["house_regulator"], document["sentence"]
 
 
-@pytest.mark.slow  # each of two fits compiles half a minute; every run proposes it above, and test_trusted_effects.py fits another
+@pytest.mark.slow  # every run proposes it above, and test_trusted_effects.py fits one
 def test_a_model_that_has_it_is_fitted(house, tmp_path):
     """It finds the planted size, and the result keeps the file."""
     text = (house / "model.toml").read_text() + '\n[[effect]]\nname = "house_regulator"\n'

@@ -231,6 +231,8 @@ class RunEntry(_Entry):
     """when the run began; for timelines and trends"""
     initial_rest_s: Positive | None = None
     """of a free tumble: time at rest before the first motion; found where absent"""
+    transitions: bool = False
+    """of a raw log of a rate table with table_angle_deg: the rows between levels are used as well, in short means"""
     ignore: list[str] = []
     """columns of the file that are not read"""
 

@@ -36,7 +36,7 @@ from imubayes.campaign.run_tables import (
 from imubayes.campaign.stream_checks import UNIT_FINDINGS, Finding, Monitor
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table, Tumble
 from imubayes.foundations.covariates import recorded
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import InputError, Issue, input_error
 from imubayes.procedures import PROCEDURES, Procedure, Reduction, procedure_named
 
 TURN = 2 * np.pi
@@ -282,6 +282,8 @@ def _judge(loaded: Loaded, entry: RunEntry, equipment: Equipment, where: str) ->
 def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey: _Survey) -> tuple[Run, list[Finding]]:
     """Return the run and its findings, according to its form: static poses, means, or a raw log to be reduced."""
     reduction = PROCEDURES[entry.procedure].reduction
+    if entry.transitions:
+        _refuse_transitions(source, entry, reduction, survey)
     if reduction is Reduction.POSES:
         return _load_tumble(source, entry, equipment, survey.limits)
     gravity = equipment.site.gravity
@@ -294,12 +296,35 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     assert survey.blocks is not None
     where = str(source.file)
     found = check_log(survey.blocks, entry.name, where)
-    rows = reduce_log(source, reduction, survey.rows, survey.blocks, survey.labelled, survey.limits, bench)
+    rows = reduce_log(
+        source, reduction, survey.rows, survey.blocks, survey.labelled, survey.limits, bench, entry.transitions
+    )
     numbers = _from_zero(rows.numbers, source, bench)
     attitude = _attitude(source, entry, equipment, rows.first)
     found += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
     found += [_unsettled(entry, where, rows.unsettled)] if rows.unsettled else []
     return build_run(entry, numbers, equipment.channels, gravity, rows.notes, attitude=attitude), found
+
+
+def _refuse_transitions(source: TableSource, entry: RunEntry, reduction: Reduction, survey: _Survey) -> None:
+    """Raise where what lies between levels cannot be used."""
+    where, blocks = str(source.file), survey.blocks
+    if reduction is not Reduction.CONSTANT:
+        raise input_error(
+            f"run '{entry.name}' of procedure {entry.procedure} has no levels of rate",
+            where, "transitions = true for a run that turns at levels of constant rate", "remove the key",
+        )  # fmt: skip
+    if source.layout.reduced or not source.layout.has(ANGLE_COLUMN) or blocks is None or blocks.interval is None:
+        raise input_error(
+            f"the rate between the levels of run '{entry.name}' is unknown",
+            where, f"a raw log with time_s and {ANGLE_COLUMN} for transitions = true: a rate column may be a command",
+            "record the angle of the encoder, or remove the key",
+        )  # fmt: skip
+    if survey.labelled is not None:
+        raise input_error(
+            f"run '{entry.name}' has a column 'segment', which says which rows are used",
+            where, "transitions = true for a log without labels", "remove the key, or the column",
+        )  # fmt: skip
 
 
 def _attitude(source: TableSource, entry: RunEntry, equipment: Equipment, rows: Sequence[int]) -> np.ndarray | None:

@@ -75,7 +75,9 @@ class Timed:
         step = self.step * unit
         if self.samples >= LEAST_SAMPLES and step / self.samples < FAST_SAMPLE:
             return f"{self.samples:g} samples"
-        if self.stands or self.run.tumble is not None or self.samples < LEAST_SAMPLES:
+        # Rows of a log that is used whole are as short as the table's motion between levels asks.
+        whole = np.any(self.run.covariates.get("table_acceleration", np.zeros(1)) != 0)
+        if self.stands or self.run.tumble is not None or whole or self.samples < LEAST_SAMPLES:
             return ""
         angle, rate = self.run.covariates["table_angle"], np.abs(self.run.covariates["table_rate"])
         blind = np.isnan(angle) & (rate > 0)

@@ -279,6 +279,22 @@ class GyroMagneticSensitivity(Gyro, SignalEffect):
         return signal + self.m_i * field[0] + self.m_o * field[1] + self.m_s * field[2]
 
 
+class GyroBandwidth(Gyro, SignalEffect):
+    """First-order bandwidth f = 1/(2πτ): signal − τ·dω_I/dt, the lag of the output behind the input.
+
+    A row that lasts several τ has the mean input less τ times its mean slope.  At a constant rate there is no lag.
+    """
+
+    name = "gyro_bandwidth"
+    order = Order.SENSITIVITY
+    confused_with = "time_skew, where all channels lag alike"
+    reference = "IEEE Std 952, frequency response: a first-order lag, 0.1 … 20 ms for 1.6 kHz … 8 Hz"
+    tau: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 50), "the time constant of the lag")
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal - self.tau * sample.acceleration[0]
+
+
 class GyroOutputAxisAcceleration(Gyro, SignalEffect):
     """Drift linear in angular acceleration: signal + k·dω_O/dt.
 

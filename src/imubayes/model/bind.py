@@ -42,6 +42,7 @@ from imubayes.model.model_file import EffectSpec, ModelSpec, SingleRunEffect
 from imubayes.model.nodes_and_entries import (
     Entries,
     NodeTable,
+    encoder_slopes,
     join_entries,
     join_nodes,
     nominal_rates,
@@ -140,6 +141,7 @@ def _observations(grouping: Grouping) -> Observations:
             samples=entries.samples.astype(float),
             rate=nominal_rates(grouping.campaign, grouping.nodes, entries),
             reference=reference_scales(grouping.campaign, grouping.nodes, entries),
+            encoder=encoder_slopes(grouping.campaign, grouping.nodes, entries),
         ),
         readout=output_indices(grouping.campaign, grouping.nodes, entries),
         group=group,

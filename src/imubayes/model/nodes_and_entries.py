@@ -249,6 +249,25 @@ def reference_scales(campaign: Campaign, nodes: NodeTable, entries: Entries) -> 
     return np.where(referenced & ~entries.closing, np.abs(scale), 0.0)
 
 
+def encoder_slopes(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
+    """Return for each entry of a gyro its output per angle of the table, output units per rad; 0 where none is used.
+
+    The mean rate of a row in which the table accelerates is the difference of two angles over its length.
+    """
+    stimulus = nodes.stimulus
+    if not stimulus.table_acceleration.any() or not has_row_times(campaign):
+        return np.zeros(len(entries))
+    first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
+    place = first_row[nodes.run] + stimulus.row
+    axis = np.zeros((first_row[-1], 3))
+    axis[place] = np.where(stimulus.table_acceleration[:, None] != 0, stimulus.mounting[:, 2], 0.0)
+    axis /= np.concatenate([length for _, length in _spans(campaign)])[:, None]
+    gyro = np.array([channel.kind == "gyro" for channel in campaign.channels] + [False] * 3)[entries.channel]
+    axes = np.array([channel.axes[0] * channel.scale_si for channel in campaign.channels] + [np.zeros(3)] * 3)
+    row = np.where(entries.closing, 0, first_row[entries.run] + np.where(entries.closing, 0, entries.row))
+    return np.where(gyro, np.abs(np.sum(axes[entries.channel] * axis[row], axis=1)), 0.0)
+
+
 def time_ranks(campaign: Campaign, entries: Entries) -> np.ndarray:
     """Return for each entry the place of its row in the order of time of its run; without a time, that of the rows."""
     rank = entries.row.copy()

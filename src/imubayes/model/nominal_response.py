@@ -30,6 +30,7 @@ from imubayes.model.effect_registry import EffectClass
 from imubayes.model.nodes_and_entries import (
     Entries,
     NodeTable,
+    encoder_slopes,
     has_row_times,
     motion_at,
     nominal_rates,
@@ -341,11 +342,11 @@ def noisy_runs(noise: type[Noise], campaign: Campaign, nodes: NodeTable, entries
         return set(runs) if has_row_times(campaign) else set()
     if not issubclass(noise, EntryNoise) or "closure" in noise.kinds:
         return set(runs)
-    rate, reference = nominal_rates(campaign, nodes, entries), reference_scales(campaign, nodes, entries)
+    known = [each(campaign, nodes, entries) for each in (nominal_rates, reference_scales, encoder_slopes)]
     values, found = _largest(noise, campaign), set()
     for run in runs:
         here = entries.run == run
-        facts = Entry(*map(jnp.asarray, (1.0, rate[here].max(initial=0.0), reference[here].max(initial=0.0))))
+        facts = Entry(jnp.asarray(1.0), *(jnp.asarray(each[here].max(initial=0.0)) for each in known))
         found |= {run} if float(noise(**values).variance(facts)) > 0 else set()
     return found
 

@@ -33,6 +33,8 @@ class Entry(eqx.Module):
     rate : magnitude of the nominal table rate along a gyro's input axis in output units, 0 for all else.
     reference : magnitude of a gyro's nominal scale in a run beside a reference gyro, output units per rad/s, 0 for all
         else.
+    encoder : output of a gyro per rad of each of the two angles from which the mean rate of a row follows, output
+        units per rad; 0 for all but rows in which the table accelerates.
 
     Examples
     --------
@@ -45,6 +47,7 @@ class Entry(eqx.Module):
     samples: Scalars
     rate: Scalars
     reference: Scalars
+    encoder: Scalars | float = 0.0
 
 
 class Noise(eqx.Module):
@@ -262,6 +265,28 @@ class ReferenceNoise(EntryNoise):
 
     def variance(self, entry: Entry) -> Scalar:
         return (entry.reference * self.sigma) ** 2 / entry.samples
+
+
+class EncoderNoise(EntryNoise):
+    """Noise of the encoder in rows between levels: variance 2 (k σ/T)², k the scale along the table axis, T the row.
+
+    The mean rate of such a row is the difference of two angles over its length (errors in variables).  A row shares an
+    angle with each of its neighbours; the correlations of −1/2 are neglected, so that what is slow is overstated.
+    """
+
+    name = "encoder_noise"
+    kinds = ("gyro",)
+    per = ()
+    needs = ("acceleration",)
+    confused_with = "white_noise, where no row is at a constant rate"
+    reference = "Fuller, Measurement Error Models (1987); encoders of 0.05 … 5 arcsec"
+
+    sigma: Scalar = parameter(
+        "arcsec", "lognormal(0.5 arcsec, 1)", (0.01, 20), "the standard deviation of one reading of the angle"
+    )
+
+    def variance(self, entry: Entry) -> Scalar:
+        return 2 * (entry.encoder * self.sigma) ** 2
 
 
 class Quantisation(EntryNoise):

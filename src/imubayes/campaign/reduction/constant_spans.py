@@ -12,7 +12,7 @@ constant.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -84,6 +84,8 @@ BIN_KELVIN = 0.25
 BIN_SECONDS = 60.0
 FOLLOW_SECONDS = 1.0
 FOLLOW_DEGREES = 15.0
+PASSING_CHANGE = 0.02  # of the largest rate, within a mean between levels
+LEAST_PASSING_ROWS = 4  # for a mean rate and an acceleration from the angle
 SMOOTHING_BLOCKS = 51
 RECORD_SECONDS = 60.0
 RECORD_ROWS = 128  # of a static record, at most: enough for its drift, few enough for its covariance
@@ -138,11 +140,15 @@ class Dropped:
 
 @dataclass(frozen=True)
 class Span:
-    """Rows `start` to `stop` (exclusive) of constant stimulus; `turning` where the table rotated."""
+    """Rows `start` to `stop` (exclusive) of constant stimulus; `turning` where the table rotated.
+
+    `passing` spans lie between levels: the rate changes, and is that of the angle.
+    """
 
     start: int
     stop: int
     turning: bool = False
+    passing: bool = False
 
     @property
     def rows(self) -> int:
@@ -303,20 +309,51 @@ def _mean_of(values: np.ndarray) -> float:
     return float(np.median(late)) if len(late) else np.nan
 
 
+def with_transitions(detected: Detected, blocks: BlockSurvey) -> Detected:
+    """Return the spans of a log with what lies between them, in spans short enough for a changing rate.
+
+    Within a span the rate changes by at most `PASSING_CHANGE` of the largest, so that the mean of its square differs
+    from the square of its mean by 3e-5 of the largest square.  Blocks with missing samples are left out.
+    """
+    rate, _ = _rate_of_angle(blocks)
+    stop = blocks.start + blocks.count
+    free = ~_holed(blocks)
+    for span in detected.spans:
+        free[np.searchsorted(blocks.start, span.start) : np.searchsorted(stop, span.stop, side="right")] = False
+    most = PASSING_CHANGE * float(np.nanmax(np.abs(rate), initial=0.0))
+    found = list(detected.spans)
+    edges = np.flatnonzero(np.diff(free.astype(int), prepend=0, append=0))
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        found += [
+            replace(span, turning=True, passing=True)
+            for span in _followed(blocks, rate, np.ones(blocks.size, dtype=bool), first, last, most)
+            if span.rows >= LEAST_PASSING_ROWS
+        ]
+    return Detected(sorted(found, key=lambda span: span.start))
+
+
 def followed_spans(blocks: BlockSurvey) -> list[Span]:
     """Return contiguous spans of at most `FOLLOW_SECONDS` and `FOLLOW_DEGREES`, for a varying stimulus."""
     rate, _, noise = _rate(blocks)
     turning = np.abs(rate) > np.maximum(REST_RATE, NOISE_FACTOR * noise)
+    return _followed(blocks, rate, turning, 0, blocks.size, np.inf)
+
+
+def _followed(
+    blocks: BlockSurvey, rate: np.ndarray, turning: np.ndarray, first: int, last: int, most: float
+) -> list[Span]:
+    """Return short spans of the blocks first … last − 1, within which the rate changes by at most `most`, deg/s."""
     seconds = np.where(np.isfinite(rate), blocks.count * (blocks.interval or 0.0), np.inf)
     degrees = np.abs(np.nan_to_num(rate)) * seconds
-    spans, begin, lasted, swept = [], 0, 0.0, 0.0
-    for place in range(blocks.size):
+    spans, begin, lasted, swept = [], first, 0.0, 0.0
+    for place in range(first, last):
         full = lasted + seconds[place] > FOLLOW_SECONDS or swept + degrees[place] > FOLLOW_DEGREES
+        full |= abs(rate[place] - rate[begin]) > most
         if place > begin and (full or turning[place] != turning[begin]):
             spans.append(_span(blocks, begin, place, turning))
             begin, lasted, swept = place, 0.0, 0.0
         lasted, swept = lasted + seconds[place], swept + degrees[place]
-    return [*spans, _span(blocks, begin, blocks.size, turning)] if blocks.size else []
+    return [*spans, _span(blocks, begin, last, turning)] if last > first else []
 
 
 def block_spans(blocks: BlockSurvey) -> tuple[list[Span], float]:
@@ -354,10 +391,15 @@ def _rate(blocks: BlockSurvey) -> tuple[np.ndarray, np.ndarray, float]:
         return rate, within, column_noise(rate)
     if "table_angle_deg" not in blocks.mean or blocks.interval is None or np.max(blocks.count) == 1:
         return still, still, 0.0
+    rate, lasted = _rate_of_angle(blocks)
+    return rate, still, max(column_noise(rate), ANGLE_STEADY / float(np.median(lasted[lasted > 0])))
+
+
+def _rate_of_angle(blocks: BlockSurvey) -> tuple[np.ndarray, np.ndarray]:
+    """Return per block the rate between its first and last angle, deg/s, and the time between them, s."""
     swept = wrap_degrees(blocks.last["table_angle_deg"] - blocks.first["table_angle_deg"])
     lasted = blocks.last["time_s"] - blocks.first["time_s"]
-    rate = np.where(lasted > 0, swept / np.where(lasted > 0, lasted, 1.0), 0.0)
-    return rate, still, max(column_noise(rate), ANGLE_STEADY / float(np.median(lasted[lasted > 0])))
+    return np.where(lasted > 0, swept / np.where(lasted > 0, lasted, 1.0), 0.0), lasted
 
 
 def _settled_bins(

@@ -25,6 +25,7 @@ from imubayes.campaign.reduction.constant_spans import (
     block_spans,
     constant_spans,
     followed_spans,
+    with_transitions,
 )
 from imubayes.campaign.reduction.log_survey import BlockSurvey
 from imubayes.campaign.reduction.span_means import Row, accumulate
@@ -56,6 +57,7 @@ def clipping_note(channel: str, limits: Sequence[float], left_out: int, of: int,
 
 
 CONSTANT = "where the stimulus was constant"
+STEADY_ACCELERATION = 0.05  # of the largest; means whose accelerations differ by less have the same
 UNSTEADY = 0.02  # relative standard deviation; a rate table is far more stable
 
 
@@ -87,6 +89,7 @@ def reduce_log(
     labelled: Sequence[Span] | None,
     limits: Limits | None = None,
     bench: BenchSettings | None = None,
+    transitions: bool = False,
 ) -> Rows:
     """Reduce a raw log to one row per span of constant stimulus.
 
@@ -99,9 +102,12 @@ def reduce_log(
     labelled : spans from the `segment` column, where there is one.
     limits : channel → values at which it is clipped; means that hold such samples are left out.
     bench : settings of the table.
+    transitions : whether what lies between spans of constant stimulus is used as well, in short means.
     """
     layout = source.layout
     detected, how = _spans_of(source, reduction, blocks, labelled, bench)
+    if transitions:
+        detected, how = with_transitions(detected, blocks), f"{how}, and between"
     spans = detected.spans
     columns = [name for name in (*recorded_columns(), *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
@@ -111,12 +117,18 @@ def reduce_log(
         note = f"no 'samples' and no 'time_s' column: each of the {rows} rows counts as one sample"
         return Rows(numbers, first, (), (note,))
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
+    jerked = _jerked(reduced)
+    for name in layout.channels:
+        numbers[name] = np.where(jerked, np.nan, numbers[name])
+    if (steady := _values(reduced, "passing").astype(bool) & ~jerked).any():
+        numbers["table_acceleration_deg_s2"][steady] = _slope(numbers["time_s"], numbers["table_rate_deg_s"])[steady]
+    changing = (f"{jerked.sum()} means left out where the acceleration of the table changes",) if jerked.any() else ()
     lost = _leave_out_clipped(numbers, source, spans, limits or {})
     return Rows(
         numbers,
         first,
         unsteady,
-        (*_account(rows, reduced, how, spans, detected.dropped), *lost),
+        (*_account(rows, reduced, how, spans, detected.dropped), *changing, *lost),
         tuple(detected.dropped.levels),
     )
 
@@ -174,7 +186,35 @@ def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row]) -> di
     if "table_rate_deg_s" not in numbers and not still.all():
         numbers["table_rate_deg_s"] = _values(reduced, "rate")
     numbers["table_angle_span_deg"] = swept
+    passing = _values(reduced, "passing").astype(bool)
+    if passing.any():
+        # A rate column may be a command, which the table follows later.
+        recorded = numbers.get("table_rate_deg_s", np.zeros(len(reduced)))
+        numbers["table_rate_deg_s"] = np.where(passing, _values(reduced, "rate"), recorded)
+        known = numbers.get("table_acceleration_deg_s2", np.zeros(len(reduced)))
+        numbers["table_acceleration_deg_s2"] = np.where(passing, _values(reduced, "acceleration"), known)
     return numbers
+
+
+def _jerked(reduced: list[Row]) -> np.ndarray:
+    """Return the means between levels in or beside which the acceleration changes, shape (R,).
+
+    There an output that lags is not yet behind its input by what belongs to the acceleration of the row.
+    """
+    passing, acceleration = _values(reduced, "passing").astype(bool), _values(reduced, "acceleration")
+    if not passing.any():
+        return passing
+    # Of constant acceleration, second differences are noise: six times the variance of one.
+    noise = 1.4826 * float(np.median(np.abs(np.diff(acceleration[passing], 2)))) / 6**0.5 if passing.sum() > 3 else 0.0
+    most = max(STEADY_ACCELERATION * float(np.abs(acceleration[passing]).max()), 6 * noise)
+    change = np.abs(np.diff(acceleration)) > most
+    return passing & (np.append(change, False) | np.insert(change, 0, False))
+
+
+def _slope(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Return the slope of the mean rate from the mean before to the one after, less noisy than that within a mean."""
+    before, after = np.maximum(np.arange(len(time)) - 1, 0), np.minimum(np.arange(len(time)) + 1, len(time) - 1)
+    return (rate[after] - rate[before]) / (time[after] - time[before])
 
 
 def _values(reduced: list[Row], field: str) -> np.ndarray:

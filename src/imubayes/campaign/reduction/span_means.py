@@ -34,9 +34,11 @@ class Row:
     turns : number of whole turns averaged, 0 at rest or over a partial turn.
     swept : angle swept, deg; 0 at rest, NaN where unknown.
     rate : mean rate from the angle column, deg/s; 0 at rest, NaN without an angle column.
+    acceleration : of a span between levels, from the angle column, deg/s²; 0 in others.
     angle_known : whether the mean of the angle column is the angle of the row.
     missing : whether cells were empty.
     holes : whether turns with missing samples were left out.
+    passing : whether the span lies between levels.
     """
 
     mean: np.ndarray
@@ -46,9 +48,12 @@ class Row:
     turns: int
     swept: float
     rate: float
+    acceleration: float
     angle_known: bool
     missing: bool
     holes: bool
+
+    passing: bool
 
     @property
     def lost(self) -> bool:
@@ -96,6 +101,7 @@ class _SpanSum:
         self._swept = self._begun = 0.0
         self._turns = self._most = 0
         self._holes = self._dropped = False
+        self._angles: list[np.ndarray] = []
         self._trackable = span.turning and (interval is not None or self._angle is not None)
 
     def add(self, table: np.ndarray) -> None:
@@ -157,6 +163,8 @@ class _SpanSum:
         if self._angle is not None:
             values[0, self._angle] = self._angle_last
             values[1:, self._angle] = self._unwrapped(joined)
+            if self.span.passing:
+                self._angles.append(values[1:, self._angle])
         if self._trackable:
             self._cut_turns(joined, values, weight)
         both = weight[1:] * weight[:-1] * ~self._lost(joined)[:, None]
@@ -196,15 +204,25 @@ class _SpanSum:
             self._most,
             np.nan if unknown_sweep else (swept if turning else 0.0),
             self._rate_from_angle() if turning else 0.0,
+            self._acceleration_from_angle() if self.span.passing else 0.0,
             known,
             self._dropped or bool(np.any((self._weight > 0) & (self._weight < self._rows))),
             self._holes,
+            self.span.passing,
         )
 
     def _rate_from_angle(self) -> float:
         if self._angle is None or self._interval is None or self._rows < 2:
             return float("nan")
         return float(self._angle_last / ((self._rows - 1) * self._interval))
+
+    def _acceleration_from_angle(self) -> float:
+        """Return the second difference of the angle between both ends and the middle, exact for a constant one."""
+        if not self._angles or self._interval is None:
+            return float("nan")
+        angle = np.concatenate(self._angles)
+        half = (len(angle) - 1) // 2
+        return float((angle[2 * half] - 2 * angle[half] + angle[0]) / (half * self._interval) ** 2)
 
     def _begin(self, table: np.ndarray) -> None:
         width = table.shape[1]
