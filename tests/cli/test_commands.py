@@ -255,7 +255,7 @@ def test_every_command_stands_in_a_group_and_has_an_example(capsys):
     frames = dict(re.findall(r"╭─ ([A-Z][a-z ]+) ─+╮\n(.*?)╰", out, re.DOTALL))
     assert list(frames) == ["Commands", "The loop", "Data", "Results", "Many units"]
     named = [name for title in list(frames)[1:] for name in re.findall(r"^│ ([a-z]+) ", frames[title], re.MULTILINE)]
-    assert len(named) == len(set(named)) == 28
+    assert len(named) == len(set(named)) == 29
     assert not re.findall(r"^│ ([a-z]+) ", frames["Commands"], re.MULTILINE)
     own = [f"{name} {each}" for name in ("archive", "batch") for each in app[name] if not each.startswith("-")]
     assert len(own) == 8

@@ -10,6 +10,7 @@ from .calibrated_unit import (
     onboard_constants,
     report,
 )
+from .capture import Captured, capture
 from .fitting import Result, Settings, fit, load, read_result
 from .held_against import Repeatability, RunPrediction, predict, repeatability
 from .loop import ModelChange, add, diagnose, export, history, plant, refit, remove
@@ -28,6 +29,7 @@ from .own_equation import (
 
 __all__ = [
     "CalibratedInputs",
+    "Captured",
     "ConformityStatement",
     "CorrectedRecording",
     "GumBudget",
@@ -45,6 +47,7 @@ __all__ = [
     "add",
     "apply",
     "budget",
+    "capture",
     "conformity",
     "correct",
     "diagnose",

@@ -18,17 +18,18 @@ from imubayes.foundations.files import refuse_occupied
 
 
 @dataclass(frozen=True)
-class _Options(ConvertOptions):
+class Options(ConvertOptions):
     """The options of a conversion on the command line, where `--column` takes the place of `columns`."""
 
     columns: Annotated[Mapping[str, str | int], Parameter(parse=False)] = field(default_factory=dict)
 
 
-_NO_OPTIONS = _Options()
+NO_OPTIONS = Options()
 _FORMER_KINDS = ("six-column", "imu-tk")
 
 
-def _option_name(name: str) -> str:
+def option_name(name: str) -> str:
+    """Return the name of an option on the command line."""
     return name.lower().replace("_", "-")
 
 
@@ -37,7 +38,7 @@ def convert(
     out: Path | None = None,
     mapping: Path | None = None,
     column: Annotated[list[str] | None, Parameter(negative="")] = None,
-    options: Annotated[_Options, Parameter(name="*", negative="", name_transform=_option_name)] = _NO_OPTIONS,
+    options: Annotated[Options, Parameter(name="*", negative="", name_transform=option_name)] = NO_OPTIONS,
 ) -> None:
     """Convert a recording of any format into a campaign folder; its kind and its columns are found in its content.
 
@@ -53,7 +54,7 @@ def convert(
         COLUMN=SOURCE, once for each column whose name is another; SOURCE is a name or a number from 1, with a minus
         sign before it for an axis that points the other way.
     """
-    given = _given(options, column)
+    given = stated(options, column)
     if files and str(files[0]) in _FORMER_KINDS and not files[0].exists():
         print(f"note: '{files[0]}' is not needed: the kind is found in the content")
         files = files[1:]
@@ -74,7 +75,7 @@ def new(
     *files: Path,
     mapping: Path | None = None,
     column: Annotated[list[str] | None, Parameter(negative="")] = None,
-    options: Annotated[_Options, Parameter(name="*", negative="", name_transform=_option_name)] = _NO_OPTIONS,
+    options: Annotated[Options, Parameter(name="*", negative="", name_transform=option_name)] = NO_OPTIONS,
 ) -> None:
     """Begin: a commented campaign of a recording, and a model with the effects that these runs can determine.
 
@@ -92,7 +93,7 @@ def new(
     column
         COLUMN=SOURCE, once for each column whose name is another, as of convert.
     """
-    given = _given(options, column)
+    given = stated(options, column)
     if files:
         given |= _asked(given)
     with progress() as tell:
@@ -112,10 +113,10 @@ def new(
     print(f"next: imubayes check {folder} --model {made.model}")
 
 
-def _given(options: _Options, column: list[str] | None) -> dict[str, Any]:
+def stated(options: Options, column: list[str] | None) -> dict[str, Any]:
     """Return the options that were stated."""
     given = {option.name: getattr(options, option.name) for option in fields(ConvertOptions)}
-    given = {name: value for name, value in given.items() if value != getattr(_NO_OPTIONS, name)}
+    given = {name: value for name, value in given.items() if value != getattr(NO_OPTIONS, name)}
     return given | ({"columns": dict(_column_source(word) for word in column)} if column else {})
 
 
@@ -138,7 +139,7 @@ def _asked(given: Mapping[str, Any]) -> dict[str, Any]:
         try:
             answers[key] = answer if key == "serial" else float(answer)
         except ValueError:
-            option = f"--{_option_name(key)}"
+            option = f"--{option_name(key)}"
             raise input_error(f"'{answer}' is not a number", option, "a number", "answer again, or state it") from None
     return answers
 

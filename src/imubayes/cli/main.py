@@ -75,6 +75,15 @@ app.command(
     "Example: imubayes new campaigns/desk imu.csv --gravity-m-s2 9.81",
 )
 
+app.command(
+    "imubayes.cli.capture:capture",
+    name="capture",
+    group=_ordered["Data"],
+    sort_key=-1,
+    help="Record a unit turned by hand: hold, enough, turn to …, until the rests determine what was asked for.\n\n"
+    "Example: cat /dev/ttyUSB0 | imubayes capture campaigns/desk --from - --until accel_bias=0.2mg --gravity-m-s2 9.81",
+)
+
 app.register_install_completion_command()
 
 

@@ -102,6 +102,7 @@ MULTIPLES = (2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0)  # candidate thresholds,
 ROTATION_SECONDS = 5.0  # for longer, the drift of a bias may be a rotation
 LEAST_POSES = 4
 _MOST_NAMED = 5  # turns that are left out, one by one
+_ONE_AXIS = 0.01  # mean square of f along an axis, relative to g²: with less it is never up
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -329,6 +330,7 @@ def _notes(
         if fit.judges
         else f"{len(flagged)} poses are too few to tell a disturbed one by |f| = g, {LEAST_TO_JUDGE} are needed",
     ]
+    notes += one_axis_note(pose_means(recording.force, detection.poses))
     for pose in np.flatnonzero(flagged):
         begin = recording.time[detection.poses[pose].start]
         why = (
@@ -338,6 +340,20 @@ def _notes(
         )
         notes.append(f"pose {pose} (from {begin:.4g} s) excluded as disturbed: {why}")
     return tuple(notes)
+
+
+def one_axis_note(means: np.ndarray) -> list[str]:
+    """Return a note where static poses, (n, 3), differ by turns about one axis of the body, with what stays open."""
+    ups = means / np.linalg.norm(means, axis=1, keepdims=True)
+    squares, axes = np.linalg.eigh(ups.T @ ups / len(ups))
+    if squares[0] > _ONE_AXIS:
+        return []
+    axis = axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0])
+    along = ", ".join(f"{part:.2f}" for part in axis + 0.0)
+    return [
+        f"all poses differ by turns about one axis of the body, ({along}): bias, scale factor and misalignments along "
+        "it stay open; add poses with this axis up and down"
+    ]
 
 
 def wrong_acceleration_unit(means: np.ndarray, gravity: float, file: Path) -> list[Finding]:

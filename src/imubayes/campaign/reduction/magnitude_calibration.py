@@ -21,6 +21,8 @@ HUBER = 1.5  # robust standard deviations
 FALSE_ALARM = 1e-3
 MOST_DISTURBED = 1 / 3
 ALL = 9
+# Of the best told direction: with less a pose would be levelled by noise.
+_LEAST_TOLD = 0.01
 LEAST_FREEDOM = 2  # of the others, to judge one
 LEAST_TO_JUDGE = ALL + LEAST_FREEDOM + 1
 
@@ -69,10 +71,10 @@ def fit_magnitude(force: np.ndarray, gravity: float, scatter: np.ndarray | float
     spread = _spread(_residual(values, force, gravity), 0)
     for _ in range(STEPS if free.any() else 0):
         residual = _residual(values, force, gravity)
-        jacobian = _jacobian(values, force)[:, free]
+        jacobian = magnitude_jacobian(values, force)[:, free]
         spread = _spread(residual, int(free.sum()))
         root = np.sqrt(1.0 / np.maximum(1.0, np.abs(residual) / (HUBER * spread)))
-        step = np.linalg.lstsq(root[:, None] * jacobian, -root * residual, rcond=None)[0]
+        step = _solved(root[:, None] * jacobian, -root * residual)
         values[free] += step
         if np.max(np.abs(step)) < 1e-10:
             break
@@ -117,7 +119,7 @@ def _judged(
     The level is shared by all sets of the size, since the set was chosen by its deviations.
     """
     values, covariance, spread = _least_squares(values, force[~left], gravity)
-    jacobian = _jacobian(values, force)
+    jacobian = magnitude_jacobian(values, force)
     leverage = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
     deviation = np.abs(_residual(values, force, gravity))
     count, size = len(force), int(left.sum())
@@ -130,10 +132,18 @@ def _judged(
 def _least_squares(values: np.ndarray, force: np.ndarray, gravity: float) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the nine parameters, their covariance for unit variance, and the standard deviation of the residual."""
     for _ in range(3):  # nearly linear
-        jacobian, residual = _jacobian(values, force), _residual(values, force, gravity)
-        values = values - np.linalg.lstsq(jacobian, residual, rcond=None)[0]
-    jacobian, residual = _jacobian(values, force), _residual(values, force, gravity)
+        jacobian, residual = magnitude_jacobian(values, force), _residual(values, force, gravity)
+        values = values - _solved(jacobian, residual)
+    jacobian, residual = magnitude_jacobian(values, force), _residual(values, force, gravity)
     return values, np.linalg.pinv(jacobian.T @ jacobian), float(np.sqrt(residual @ residual / (len(force) - ALL)))
+
+
+def _solved(jacobian: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the least-squares solution without the directions that the poses hardly tell, (parameters,)."""
+    size = np.linalg.norm(jacobian, axis=0) + 1e-300
+    size[:-3] = size[:-3].max()
+    size[-3:] = size[-3:].max()
+    return np.linalg.lstsq(jacobian / size, right, rcond=_LEAST_TOLD)[0] / size
 
 
 def _free_parameters(poses: int) -> np.ndarray:
@@ -157,7 +167,8 @@ def _residual(values: np.ndarray, force: np.ndarray, gravity: float) -> np.ndarr
     return np.linalg.norm((force - offset) @ matrix.T, axis=1) - gravity
 
 
-def _jacobian(values: np.ndarray, force: np.ndarray) -> np.ndarray:
+def magnitude_jacobian(values: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return the derivatives of the calibrated |force| by the nine parameters, (poses, 9)."""
     matrix, offset = _unpack(values)
     centred = force - offset
     along = centred @ matrix.T

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.reduction.free_tumble import ReducedTumble, unturned, wrong_acceleration_unit
+from imubayes.campaign.reduction.free_tumble import ReducedTumble, one_axis_note, unturned, wrong_acceleration_unit
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, fit_magnitude
 from imubayes.campaign.reduction.static_poses import angle_between, body_vectors
 from imubayes.foundations.campaign_data import Channel
@@ -64,6 +64,7 @@ def reduce_means(
         notes.append(f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²")
     else:
         notes.append(f"{rows} poses are too few to tell a disturbed one by |f| = g, {LEAST_TO_JUDGE} are needed")
+    notes += one_axis_note(force)
     notes += [
         f"row {row + 1} excluded as disturbed: |f| − g is {residual:.2g} m/s²"
         for row, residual in zip(np.flatnonzero(complete)[flagged], fit.residual[flagged], strict=True)

@@ -64,6 +64,11 @@ class TextRecording(SourceRecording):
                 yield self._by_line(rows, topic, kinds, positions) if block is None else block
         self._judge(len(kinds))
 
+    def parsed(self, lines: Sequence[str], topic: Topic, positions: Sequence[int]) -> np.ndarray:
+        """Return rows of some lines, (n, positions): of a recording that is still written, line by line."""
+        kinds = self.layout.tags.get(topic.name, self.layout.kinds)
+        return self._by_line(list(enumerate(lines)), topic, kinds, positions)
+
     def notes(self) -> tuple[str, ...]:
         """Return how many lines were left out, and which."""
         if not self._damaged:
