@@ -132,3 +132,40 @@ def rawimu(columns: dict[str, np.ndarray], accel: float, gyro: float) -> str:
             f"%RAWIMUSA,1105,{425384 + time:.3f};1105,{seconds},00000077,{','.join(map(str, counts))}*5aa97065"
         )
     return "\r\n".join(lines) + "\r\n"
+
+
+def mdf4(columns: dict[str, tuple[str, np.ndarray]]) -> bytes:
+    """Return a file of one group: name → unit and values; the first is the master, the others are stored halved."""
+    out = bytearray(MDF_HEAD)
+
+    def block(kind: bytes, links: tuple[int, ...], data: bytes) -> int:
+        place = len(out)
+        data += bytes(-len(data) % 8)
+        out.extend(struct.pack(f"<4s4xQQ{len(links)}Q", kind, 24 + 8 * len(links) + len(data), len(links), *links))
+        out.extend(data)
+        return place
+
+    def text(words: str) -> int:
+        return block(b"##TX", (), words.encode() + b"\0")
+
+    head = block(b"##HD", (0,) * 6, struct.pack("<QhhBBBxdd", 1_700_000_000 * 10**9, 0, 0, 0, 0, 0, 0.0, 0.0))
+    rows = np.stack([values if k == 0 else values / 2 for k, (_, values) in enumerate(columns.values())], axis=1)
+    doubled = struct.pack("<BBHHHdddd", 1, 0, 0, 0, 2, 0.0, 0.0, 0.0, 2.0)
+    following = 0
+    for place, (name, (unit, _)) in reversed([*enumerate(columns.items())]):
+        conversion = block(b"##CC", (0,) * 4, doubled) if place else 0
+        links = (following, 0, text(name), 0, conversion, 0, text(unit), 0)
+        kind = (0, 0) if place else (2, 1)
+        following = block(
+            b"##CN", links, struct.pack("<BBBBIIIIBxH6d", *kind, 4, 0, 8 * place, 64, 0, 0, 0, 0, *[0.0] * 6)
+        )
+    group = block(
+        b"##CG", (0, following, 0, 0, 0, 0), struct.pack("<QQHHIII", 0, len(rows), 0, 0, 0, 8 * len(columns), 0)
+    )
+    data = block(b"##DT", (), rows.astype("<f8").tobytes())
+    groups = block(b"##DG", (0, group, data, 0), struct.pack("<B7x", 0))
+    struct.pack_into("<Q", out, head + 24, groups)
+    return bytes(out)
+
+
+MDF_HEAD = struct.pack("<8s8s8s4xH30xHH", b"MDF     ", b"4.10    ", b"written ", 410, 0, 0)

@@ -83,6 +83,13 @@ def dataflash(folder: Path) -> Path:
     return folder / "log.bin"
 
 
+def mdf(folder: Path) -> Path:
+    units = dict.fromkeys(("Acc_X", "Acc_Y", "Acc_Z"), "m/s2") | dict.fromkeys(("Gyro_X", "Gyro_Y", "Gyro_Z"), "rad/s")
+    columns = {name: (unit, ROWS[:, place]) for place, (name, unit) in enumerate(units.items(), 1)}
+    (folder / "log.mf4").write_bytes(written.mdf4({"t": ("s", ROWS[:, 0])} | columns))
+    return folder / "log.mf4"
+
+
 def ros2(folder: Path) -> Path:
     written.ros2_db3(folder / "bag.db3", ROWS + np.r_[1.7e9, np.zeros(6)])
     return folder / "bag.db3"
@@ -155,9 +162,9 @@ def unnamed(folder: Path) -> Path:
 
 WRITERS: dict[Callable[[Path], Path], dict[str, Any]] = {
     parquet: {}, plain_array: {}, named_arrays: {}, matlab: {}, matlab73: {}, flight_log: {}, dataflash: {}, ros2: {},
-    tdms: {}, euroc: {}, psins: {}, betaflight_csv: {}, spreadsheet: {}, tagged: {}, unnamed: {},
+    tdms: {}, mdf: {}, euroc: {}, psins: {}, betaflight_csv: {}, spreadsheet: {}, tagged: {}, unnamed: {},
 }  # fmt: skip
-EXTRA = {flight_log: "pyulog", dataflash: "pymavlink", ros2: "rosbags", tdms: "nptdms"}
+EXTRA = {flight_log: "pyulog", dataflash: "pymavlink", ros2: "rosbags", tdms: "nptdms", mdf: "asammdf"}
 
 
 @pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
@@ -175,7 +182,16 @@ def test_each_format_gives_the_same_rows(tmp_path: Path, expected: Run, write: C
     assert run.tumble is not None
     assert expected.tumble is not None
     np.testing.assert_allclose(run.tumble.step, expected.tumble.step, atol=2e-6)
-    assert "guessed" in notes or write in (parquet, spreadsheet, euroc, flight_log, dataflash, ros2, betaflight_csv)
+    assert "guessed" in notes or write in (
+        parquet,
+        spreadsheet,
+        euroc,
+        flight_log,
+        dataflash,
+        ros2,
+        mdf,
+        betaflight_csv,
+    )
 
 
 def test_counts_of_a_receiver_in_its_own_order(tmp_path: Path) -> None:
@@ -207,7 +223,7 @@ def test_what_cannot_be_read_lists_what_was_found(tmp_path: Path) -> None:
     assert "--column ax=NAME" in issue.remedy
     for name, content, text in (
         ("flight.bbl", b"H Product:Blackbox flight data recorder\nH \0\1", "blackbox_decode"),
-        ("log.mf4", b"MDF     4.10    \0\0", "an MDF file"),
+        ("log.mf4", b"MDF     4.10    \0\0", "MDF file"),
         ("table.xlsx", b"PK\x03\x04\x14\0\x06\0[Content_Types].xml", "save the sheet as CSV"),
         ("picture", b"\x89PNG\r\n\x1a\n\0\0\0", "of no known kind"),
     ):
@@ -216,7 +232,8 @@ def test_what_cannot_be_read_lists_what_was_found(tmp_path: Path) -> None:
             converted(tmp_path, tmp_path / name)
 
 
-@pytest.mark.parametrize("write", [parquet, matlab, matlab73, tdms, named_arrays], ids=lambda w: w.__name__)
+@pytest.mark.parametrize("write", [parquet, matlab, matlab73, tdms, mdf, named_arrays], ids=lambda w: w.__name__)
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # asammdf takes down a half-made reader
 def test_a_damaged_file_is_refused(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     if write in EXTRA:
         pytest.importorskip(EXTRA[write])

@@ -25,9 +25,16 @@ class Captured:
     folder : of the campaign.
     last : how it ended: done, or what was open still.
     wanted : what was asked for, as far as the channels tell it.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> from imubayes.campaign.capture import Guidance
+    >>> imubayes.Captured("desk", Guidance("done", poses=14), ()).last.poses
+    14
     """
 
-    folder: Path
+    folder: str | Path
     last: Guidance
     wanted: tuple[Wanted, ...]
 
@@ -62,7 +69,11 @@ def capture(
     Examples
     --------
     >>> import imubayes
-    >>> done = imubayes.capture("captured", "data/docs/tumble.csv", patience=0.0, gravity_m_s2=9.81)  # doctest: +SKIP
+    >>> try:
+    ...     imubayes.capture("captured", "no-port.log")
+    ... except imubayes.InputError as error:
+    ...     print(error.issues[0].what)
+    there is no file 'no-port.log'
     """
     folder = Path(folder)
     refuse_occupied(folder)

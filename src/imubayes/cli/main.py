@@ -81,7 +81,8 @@ app.command(
     group=_ordered["Data"],
     sort_key=-1,
     help="Record a unit turned by hand: hold, enough, turn to …, until the rests determine what was asked for.\n\n"
-    "Example: cat /dev/ttyUSB0 | imubayes capture campaigns/desk --from - --until accel_bias=0.2mg --gravity-m-s2 9.81",
+    "Example: imubayes capture campaigns/desk --from port.log --until accel_bias=0.2mg --gravity-m-s2 9.81; "
+    "cat /dev/ttyUSB0 | imubayes capture campaigns/desk --from - --gravity-m-s2 9.81",
 )
 
 app.register_install_completion_command()

@@ -1,6 +1,6 @@
 """What the operator of a guided capture reads: one line that changes, and one for each rest that is done."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -25,18 +25,19 @@ def rest_line(step: Guidance, wanted: Sequence[Wanted]) -> str:
     if step.trouble:
         line += f"; no campaign yet: {step.trouble}"
     elif step.largest:
-        size = {each: step.largest[each.effect] / each.value for each in wanted if each.effect in step.open}
-        close = {each: ratio for each, ratio in size.items() if ratio < _NEAR}
-        near = [f"{each.effect} {each.number * ratio:.2g} of {each.text}" for each, ratio in close.items()]
-        far = [each.effect for each, ratio in size.items() if ratio >= _NEAR]
-        line += f"; still open: {listed(near, 6)}" if near else ""
-        line += f"; undetermined: {listed(far, 6)}" if far else ""
-        line += "" if size else "; all that was asked for is reached"
-    if step.state == "done":
-        return line
-    if not step.open and step.largest:
-        line += ", with too few poses to tell a disturbed one"
-    return f"{line} · {now_line(step)}"
+        line += _reached(step.largest, [each for each in wanted if each.effect in step.open], step.state == "done")
+    return line if step.state == "done" else f"{line} · {now_line(step)}"
+
+
+def _reached(largest: Mapping[str, float], open_ones: Sequence[Wanted], done: bool) -> str:
+    if not open_ones:
+        return "; all that was asked for is reached" + ("" if done else ", with too few poses to tell a disturbed one")
+    size = {each: largest[each.effect] / each.value for each in open_ones}
+    close = {each: ratio for each, ratio in size.items() if ratio < _NEAR}
+    near = [f"{each.effect} {each.number * ratio:.2g} of {each.text}" for each, ratio in close.items()]
+    far = [each.effect for each in open_ones if each not in close]
+    parts = (f"; still open: {listed(near, 6)}" if near else "", f"; undetermined: {listed(far, 6)}" if far else "")
+    return "".join(parts)
 
 
 def _up(direction: np.ndarray) -> str:

@@ -175,15 +175,21 @@ class GuidedCapture:
         gravity = float(read.campaign.document["site"].get("gravity_m_s2") or 9.81)
         self._until = read_wanted(self._words, gravity)
         self._until = tuple(each for each in self._until if len(names) == 6 or each.effect.startswith("accel"))
-        channels = {entry["name"]: entry for entry in read.campaign.document["channel"]}
-        of_sign = np.array([table.columns[name].sign for name in self._names])
-        scale = np.array([channels[n]["scale"] / to_si(channels[n]["per"], gravity) for n in self._names])
-        self._scale, self._offset = of_sign / scale, np.array([channels[n]["offset"] for n in self._names]) / scale
-        steps = np.abs(np.diff(np.stack([columns[name] for name in self._names], axis=1), axis=0))
-        least = np.array([step[step > 0].min(initial=np.inf) for step in steps.T]) / np.abs(scale)
-        self._watch = RestWatch(self._interval, np.where(np.isfinite(least), least, 0.0))
+        self._scale, self._offset = self._nominal(read.campaign.document, table, gravity)
+        least = _least_steps([columns[name] for name in self._names]) * np.abs(self._scale)
+        self._watch = RestWatch(self._interval, least)
         self._table, self._recording = table, recording
         self._clock_step, self._last = float("nan"), float("nan")
+
+    def _nominal(
+        self, document: Mapping[str, Any], table: ChosenTable, gravity: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return factor and offset of each column to SI, with its sign, from the nominal scales of the channels."""
+        channels = {entry["name"]: entry for entry in document["channel"]}
+        own = [channels[name] for name in self._names]
+        scale = np.array([each["scale"] / to_si(each["per"], gravity) for each in own])
+        sign = np.array([table.columns[name].sign for name in self._names])
+        return sign / scale, np.array([each["offset"] for each in own]) / scale
 
     def _feed(self, lines: Sequence[str]) -> None:
         assert self._table is not None
@@ -249,3 +255,9 @@ class GuidedCapture:
     def wanted(self) -> tuple[Wanted, ...]:
         """What is asked for, as far as the channels of the recording can tell it."""
         return self._until
+
+
+def _least_steps(columns: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the least step of each column from row to row, 0 where it never changes."""
+    steps = [np.abs(np.diff(values)) for values in columns]
+    return np.array([step[step > 0].min() if step.any() else 0.0 for step in steps])

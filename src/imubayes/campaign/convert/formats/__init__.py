@@ -3,7 +3,17 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from imubayes.campaign.convert.formats import arrays, dataflash, matlab_and_hdf5, novatel, parquet, ros_bag, tdms, ulog
+from imubayes.campaign.convert.formats import (
+    arrays,
+    dataflash,
+    matlab_and_hdf5,
+    mdf,
+    novatel,
+    parquet,
+    ros_bag,
+    tdms,
+    ulog,
+)
 from imubayes.campaign.convert.formats.text import TextRecording
 from imubayes.campaign.convert.recording import SourceRecording
 from imubayes.foundations.errors import closest_first, input_error
@@ -16,7 +26,6 @@ _ELSEWHERE = (
         "a Betaflight blackbox log",
         "blackbox_decode --unit-rotation deg/s --unit-acceleration m/s2 LOG, and convert the CSV",
     ),
-    (b"MDF     ", "an MDF file", "export its channels as CSV or Parquet, such as `asammdf` does"),
     (b"PK\x03\x04", "an archive or a spreadsheet", "unpack it, or save the sheet as CSV"),
     (b"\xd0\xcf\x11\xe0", "a spreadsheet", "save the sheet as CSV"),
 )
@@ -30,6 +39,7 @@ _BY_CONTENT: tuple[tuple[str, Callable[[bytes], bool], Callable[[Path], SourceRe
     ("ROS bag", lambda head: head.startswith(ros_bag.MAGICS), ros_bag.RosBag),
     ("ArduPilot DataFlash", lambda head: head.startswith(dataflash.MAGICS), dataflash.DataFlashLog),
     ("TDMS", lambda head: head.startswith(tdms.MAGIC), tdms.TdmsRecording),
+    ("MDF", lambda head: head.startswith(mdf.MAGIC), mdf.MdfRecording),
     ("NovAtel RAWIMU", novatel.is_rawimu, novatel.RawImuLog),
     ("MATLAB", lambda head: head.startswith(matlab_and_hdf5.MATLAB_MAGIC), matlab_and_hdf5.read_matlab),
 )
