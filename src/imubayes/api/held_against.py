@@ -6,7 +6,12 @@ from pathlib import Path
 from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import input_error
+from imubayes.qualification.conformity import resolved_limits
+from imubayes.qualification.next_due import NextDue, TwoEstimates, next_due
 from imubayes.qualification.repeatability import Repeatability, repeatability_of
+from imubayes.qualification.specification import read_specification
+from imubayes.qualification.unit_under_test import unit_under_test
 from imubayes.results.prediction import RunPrediction, broad_scales, prediction
 from imubayes.results.result import Result, opened
 
@@ -55,6 +60,7 @@ def repeatability(
     *,
     changed: Sequence[str] = (),
     any_unit: bool = False,
+    limits: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Repeatability:
     """Compare two calibrations of one unit: whether they agree, what moved, and both as one.
@@ -65,12 +71,14 @@ def repeatability(
     changed : tables and mountings that bear one name in both and are another one, such as a seat on which the unit was
         mounted anew.
     any_unit : whether they may be of two units.
+    limits : a specification, as of `imubayes report`: when the next calibration is due by it.
     progress : called with a short text as the work goes on.
 
     Raises
     ------
     InputError
-        for calibrations of two units, of the same runs, or that did not converge.
+        for calibrations of two units, of the same runs, or that did not converge; where limits are stated, for runs
+        without dates.
 
     Examples
     --------
@@ -80,4 +88,26 @@ def repeatability(
     """
     with progress_of(progress) as tell:
         one, other = opened(first), opened(second)
-        return repeatability_of(one.fit, other.fit, (broad_scales(one), broad_scales(other)), changed, any_unit, tell)
+        found = repeatability_of(one.fit, other.fit, (broad_scales(one), broad_scales(other)), changed, any_unit, tell)
+        return found if limits is None else found.model_copy(update={"due": _due(found, other, Path(limits))})
+
+
+def _due(found: Repeatability, later: Result, limits: Path) -> tuple[NextDue, ...]:
+    """Return when each quantity with limits reaches them, soonest first."""
+    if not found.days or found.days < 0:
+        raise input_error(
+            "a drift needs the dates of both calibrations, the later one second",
+            "start of the runs in campaign.toml",
+            "start = 2026-01-31T08:00:00Z in the first run of each",
+            "state them, or exchange the results",
+        )
+    compared = {each.name: each for each in found.quantities}
+    dues = []
+    for limit in resolved_limits(*read_specification(limits), unit_under_test(later)):
+        each = compared.get(limit.quantity.name)
+        if each is None or each.unit != limit.quantity.unit:
+            continue
+        both = TwoEstimates(each.first, each.first_sd, each.second, each.second_sd, each.difference_sd)
+        ends = limit.tolerance.lower, limit.tolerance.upper
+        dues.append(next_due(each.name, each.unit, both, found.days, *ends))
+    return tuple(sorted(dues, key=lambda due: float("inf") if due.days is None else due.days))

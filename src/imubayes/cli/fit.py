@@ -7,7 +7,7 @@
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from imubayes.cli.session import Flag, Json, Names, Trust, inspecting, progress, show, split, start_jax, trusting
 from imubayes.foundations.errors import input_error
@@ -82,6 +82,7 @@ def compare(
     every: Flag = False,
     changed: Names = None,
     any_unit: Flag = False,
+    limits: Path | None = None,
     as_json: Json = False,
     verbose: Flag = False,
     trust: Trust = False,
@@ -108,6 +109,8 @@ def compare(
         Of two calibrations: tables and mountings that bear one name in both and are another one.
     any_unit
         Of two calibrations: compare them though their serial numbers differ.
+    limits
+        Of two calibrations: a specification, as of report; says when the next calibration is due.
     as_json
         Of two calibrations: print one JSON object on standard output.
     verbose
@@ -115,12 +118,13 @@ def compare(
     trust
         Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    of_one, of_two = parameters or runs or every, changed or any_unit or as_json or verbose
+    of_one, of_two = parameters or runs or every, changed or any_unit or limits or as_json or verbose
     if of_one if other is not None else of_two:
         fault = "pictures are drawn of one result" if other is not None else "options of two results, and one is named"
         raise input_error(fault, "command line", "the options that --help lists for it", "leave them out")
     if other is not None:
-        return _compare_two(result, other, split(changed) or [], any_unit, as_json, verbose, trust)
+        given = {"changed": split(changed) or [], "any_unit": any_unit, "limits": limits}
+        return _compare_two(result, other, given, as_json, verbose, trust)
     with progress() as tell:
         trusting(result, trust)
         from imubayes.display.model_against_measurement import compare as compare_result
@@ -131,9 +135,7 @@ def compare(
     return 0
 
 
-def _compare_two(
-    first: Path, second: Path, changed: list[str], any_unit: bool, as_json: bool, verbose: bool, trust: bool
-) -> int:
+def _compare_two(first: Path, second: Path, given: dict[str, Any], as_json: bool, verbose: bool, trust: bool) -> int:
     with progress() as tell:
         start_jax("compare")
         for result in (first, second):
@@ -141,7 +143,7 @@ def _compare_two(
         from imubayes.api import repeatability
         from imubayes.display.loop.repeatability_report import repeatability_report
 
-        found = repeatability(first, second, changed=changed, any_unit=any_unit, progress=tell)
+        found = repeatability(first, second, **given, progress=tell)
     show(lambda: found, lambda: repeatability_report(found, verbose), as_json)
     return 0 if found.agree else 1
 

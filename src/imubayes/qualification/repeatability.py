@@ -29,6 +29,7 @@ from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import prior_widths
 from imubayes.parameters.declarations import Parameter, prior_slopes
 from imubayes.procedures.ambient import instant, starts_of
+from imubayes.qualification.next_due import NextDue
 from imubayes.results.prediction import LEAST_CHANCE
 
 _EXPANDED = 2.0  # coverage factor of E_n
@@ -83,6 +84,7 @@ class Repeatability(Presented, Record):
     other_priors : what has another prior in the two, which are then compared as if nothing were common to them.
     pooled : whether both may be taken as one: they agree, and have the same priors.
     changed, elsewhere : equipment and site that is not the same in both.
+    due : where limits were stated, when each quantity may reach them; soonest first.
 
     Examples
     --------
@@ -108,6 +110,7 @@ class Repeatability(Presented, Record):
     pooled: bool
     changed: tuple[str, ...]
     elsewhere: bool
+    due: tuple[NextDue, ...] = ()
 
     @property
     def agree(self) -> bool:

@@ -4,10 +4,10 @@ from collections.abc import Iterator, Sequence
 
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, pretty, relation, rounded, significant, value_and_sd
+from imubayes.qualification.next_due import MOST_INTERVALS, YEAR
 from imubayes.qualification.repeatability import ComparedQuantity, Repeatability
 
 _MOST_ROWS = 20
-_YEAR = 365.25
 # Share of the variance in common that is worth a sentence.
 _MUCH_IN_COMMON = 0.5
 
@@ -34,6 +34,7 @@ def _lines(found: Repeatability) -> Iterator[str]:
         yield "No quantity moved beyond chance by itself; together they did."
     yield from _common(found.quantities)
     yield _pooling(found)
+    yield from _due(found)
     if found.other_priors:
         yield (
             f"Other priors in the two models: {listed(found.other_priors)}. They are compared as if they had nothing "
@@ -52,7 +53,7 @@ def _moved(each: ComparedQuantity, days: float | None) -> str:
     text = f"{each.name} moved by {apart} ± {sd} {pretty(each.unit)} (E_n {significant(each.e_n, 2)})"
     if days:
         text += (
-            f", {significant(each.difference * _YEAR / abs(days), 2)} {pretty(each.unit)} per year if it drifts evenly"
+            f", {significant(each.difference * YEAR / abs(days), 2)} {pretty(each.unit)} per year if it drifts evenly"
         )
     return f"{text}."
 
@@ -69,6 +70,25 @@ def _common(quantities: Sequence[ComparedQuantity]) -> Iterator[str]:
             f"stayed, or a prior), and no difference shows it: {most.name} may differ by ±{sd}, not by ±{alone}, and "
             f"both may be wrong together by ±{value_and_sd(most.first, most.first_sd)[1]} {pretty(most.unit)}."
         )
+
+
+def _due(found: Repeatability) -> Iterator[str]:
+    """Yield when the next calibration is due, by the quantity that reaches its limit first."""
+    if not found.due:
+        return
+    for each in found.due[:3]:
+        rate, sd = value_and_sd(each.rate, each.rate_sd)
+        drift = f"{each.name} drifts by {rate} ± {sd} {pretty(each.unit)} per year"
+        if each.days is None:
+            yield f"{drift} and stays within its limits for {MOST_INTERVALS:g} times the time between both."
+        elif each.days == 0:
+            yield f"{drift} and is not within its limits now, with k = 2: calibration is due."
+        else:
+            yield f"{drift} and may reach a limit (k = 2) {significant(each.days, 3)} days after the second calibration."
+    yield (
+        "Two calibrations cannot test whether a drift is even: the interval has no check of its model; `imubayes batch "
+        "trends` has one of several."
+    )
 
 
 def _pooling(found: Repeatability) -> str:
