@@ -84,7 +84,7 @@ def _due(found: Repeatability) -> Iterator[str]:
         elif each.days == 0:
             yield f"{drift} and is not within its limits now, with k = 2: calibration is due."
         else:
-            yield f"{drift} and may reach a limit (k = 2) {significant(each.days, 3)} days after the second calibration."
+            yield f"{drift} and may reach a limit (k = 2) {significant(each.days, 3)} days after the second one."
     yield (
         "Two calibrations cannot test whether a drift is even: the interval has no check of its model; `imubayes batch "
         "trends` has one of several."
