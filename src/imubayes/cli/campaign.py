@@ -6,6 +6,7 @@ makes a synthetic campaign from a plan, with a truth file.  `selftest` computes 
 """
 
 import json
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -32,7 +33,9 @@ if TYPE_CHECKING:
     from imubayes.display.layout import Report
 
 
-def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, verbose: Flag = False) -> None:
+def check(
+    campaign: Path, *, model: Path | None = None, fix: Path | None = None, as_json: Json = False, verbose: Flag = False
+) -> None:
     """Read everything, say what is there and what is wrong.
 
     The outputs are compared with the stated set-up: zero, sense, azimuth and elevation of tables, mountings, units,
@@ -47,6 +50,9 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, v
         Folder with campaign.toml.
     model
         Model file to check against the campaign, or the name of a shipped model.
+    fix
+        Folder to write: a copy with the mends that need no fact (spelling of keys, words and columns, order of rows in
+        time), which is checked in place of the campaign.
     as_json
         Print one JSON object on standard output.
     verbose
@@ -54,6 +60,12 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, v
     """
     from imubayes.display.check_report import check_record, check_report
 
+    if fix is not None:
+        from imubayes.campaign.mends import mend_campaign
+
+        for mend in mend_campaign(campaign, fix) or ("nothing could be mended without a fact",):
+            print(f"mended: {mend}" if "→" in mend or "order" in mend else mend, file=sys.stderr)
+        campaign = fix
     if model is None:
         from imubayes.campaign import inspect_campaign
 
