@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imubayes.display.layout import Cell, Sheet
 from imubayes.display.qualification.certificate_pages import missing_section
 from imubayes.display.qualification.document import (
     Banner,
@@ -18,8 +19,6 @@ from imubayes.display.qualification.document import (
     Heading,
     Items,
     ReportDocument,
-    ReportTable,
-    Text,
     without_empty_columns,
 )
 from imubayes.display.qualification.pdf_file import _blocks, breakable, missing_characters, shown_by_code_points
@@ -238,8 +237,8 @@ def test_numbers_have_nothing_in_them(number):
 
 def test_figures_are_numbered_and_cells_are_plain():
     drawing = Drawing("<svg/>", 4.0, "x")
-    rows = [[Text("gyro_misalignment.toward_o[gx]"), Text("67.245")]]
-    made = ReportTable("t", ("a", "b"), rows)
+    rows = [[Cell("gyro_misalignment.toward_o[gx]"), Cell("67.245")]]
+    made = Sheet("t", ("a", "b"), rows)
 
     blocks = (Heading("x"), Drawings([drawing], "First."), made, Drawings([drawing], "Second."))
     parts = list(_blocks(ReportDocument("t", "s", Banner("", "", ""), (), (), blocks)))
@@ -289,9 +288,7 @@ def test_names_break_and_parameters_have_no_subscripts_on_paper():
 
 
 def test_an_empty_column_is_left_out():
-    made = ReportTable(
-        "t", ("symbol", "a", "b"), [[Text(""), Text("1"), Text("")], [Text(""), Text("2"), Text("3")]], (0, 2)
-    )
+    made = Sheet("t", ("symbol", "a", "b"), [[Cell(""), Cell("1"), Cell("")], [Cell(""), Cell("2"), Cell("3")]], (0, 2))
     shown = without_empty_columns(made)
     assert (shown.head, shown.left) == (["a", "b"], (1,))
 

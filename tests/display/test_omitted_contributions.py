@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from imubayes.display.qualification.document import ReportTable
+from imubayes.display.layout import Sheet
 from imubayes.display.qualification.exact_tables import included_table, omissions, omitted_note, omitted_table
 from imubayes.display.qualification.result_sections import combination_section
 from imubayes.qualification.budget_parts import QuantityBudget, UncertaintyBudgets
@@ -69,7 +69,7 @@ def report(withheld: bool = False) -> QualificationReport:
     )  # fmt: skip
 
 
-def rows(table: ReportTable | None) -> list[tuple[str, ...]]:
+def rows(table: Sheet | None) -> list[tuple[str, ...]]:
     return [] if table is None else [tuple(cell.text for cell in row) for row in table.rows]
 
 
@@ -99,5 +99,5 @@ def test_what_is_in_every_uncertainty_is_told_apart():
 
 def test_the_note_of_a_table_has_what_its_uncertainties_omit():
     said = " u and U omit this."
-    (table,) = [block for block in combination_section(report().combinations, said) if isinstance(block, ReportTable)]
+    (table,) = [block for block in combination_section(report().combinations, said) if isinstance(block, Sheet)]
     assert table.note.endswith(said)

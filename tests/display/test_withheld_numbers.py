@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from imubayes.display.layout import Sheet
 from imubayes.display.qualification.budget_sections import budget_section
-from imubayes.display.qualification.document import Block, ReportTable
+from imubayes.display.qualification.document import Block
 from imubayes.display.qualification.first_page import limits_table, risk_table
 from imubayes.display.qualification.result_sections import mounting_section, result_section
 from imubayes.display.qualification.words import (
@@ -80,10 +81,8 @@ def report(digits: int) -> QualificationReport:
 
 
 def text(blocks: list[Block]) -> str:
-    tables = [block for block in blocks if isinstance(block, ReportTable)]
-    return "\n".join(
-        " | ".join([table.caption, *(cell.text for row in table.rows for cell in row)]) for table in tables
-    )
+    tables = [block for block in blocks if isinstance(block, Sheet)]
+    return "\n".join(" | ".join([table.title, *(cell.text for row in table.rows for cell in row)]) for table in tables)
 
 
 def test_the_row_says_why_and_the_terminal_which_command_gives_it():
@@ -166,7 +165,7 @@ def test_a_mounting_angle_that_is_withheld_says_so():
             "evidence": (), "runs": (),
         }
     )  # fmt: skip
-    (table,) = [block for block in mounting_section([angle]) if isinstance(block, ReportTable)]
+    (table,) = [block for block in mounting_section([angle]) if isinstance(block, Sheet)]
     assert "withheld" in text([table])
     assert "too few draws" in table.note
     assert "--until-digits" not in table.note
@@ -180,7 +179,7 @@ def test_a_deviation_is_the_difference_of_the_angles_as_they_are_printed():
             "nominal": 54.73561032, "deviation": 54.7165237 - 54.73561032, "evidence": (), "runs": (),
         }
     )  # fmt: skip
-    (table,) = [block for block in mounting_section([angle]) if isinstance(block, ReportTable)]
+    (table,) = [block for block in mounting_section([angle]) if isinstance(block, Sheet)]
     nominal, stated, _, deviation = (cell.text for cell in table.rows[0][2:6])
     true = stated.partition(" ")[0]
     assert len(nominal) == len(true)

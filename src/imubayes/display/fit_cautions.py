@@ -18,7 +18,7 @@ from imubayes.inference.identifiability import ImplausibleEstimate, PriorConflic
 from imubayes.model.model_file import GRAVITY, SingleRunEffect, UncertainEquipment
 from imubayes.results.summary import PriorScatter, RunSummary, Summary
 
-_WORDS = {
+NOISE_WORDS = {
     "autocorrelation": "the residuals are autocorrelated",
     "low_frequency": "the residuals drift within runs",
     "scatter_between_runs": "runs scatter more than the noise within them",
@@ -39,7 +39,7 @@ def violation_text(violations: Sequence[NoiseViolation]) -> str:
 
 
 def _one_kind(violations: Sequence[NoiseViolation]) -> str:
-    first, said = violations[0], _WORDS[violations[0].kind]
+    first, said = violations[0], NOISE_WORDS[violations[0].kind]
     channels = list(dict.fromkeys(channel for violation in violations for channel in violation.channels))
     named = ", ".join(channels[:_MOST_NAMED]) + (" …" if len(channels) > _MOST_NAMED else "")
     if first.step is not None:

@@ -9,7 +9,7 @@ import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from rich import box
@@ -42,10 +42,14 @@ _STYLES = {"bad": "bold red", "weak": "yellow", "dim": "dim", "": ""}
 
 @dataclass(frozen=True)
 class Cell:
-    """Text with its emphasis: none, `bad`, `weak` or `dim`."""
+    """Text with its emphasis: none, `good`, `bad`, `weak` or `dim`; in a formula `_` begins a subscript, ``K_oo``.
+
+    The sign of a negative number is the one of the keyboard, so that programs read a number that was copied.
+    """
 
     text: str
     mood: str = ""
+    formula: bool = False
 
 
 def cells(*texts: str | Cell) -> tuple[Cell, ...]:
@@ -86,6 +90,7 @@ class Sheet:
     dividers: frozenset[int] = field(default_factory=frozenset)
     narrow: "Sheet | None" = None
     dense: bool = False
+    type: ClassVar[Literal["table"]] = "table"
 
     def blocks(self, width: int | None = None) -> Sequence["Sheet"]:
         """Return the table, whatever the width, unless it has no rows."""
@@ -114,8 +119,8 @@ def of_columns(sheet: Sheet, places: Sequence[int]) -> Sheet:
     return replace(
         sheet,
         head=[sheet.head[place] for place in places],
-        rows=[[row[place] for place in places] for row in sheet.rows],
-        left=[new for new, old in enumerate(places) if old in sheet.left],
+        rows=[tuple(row[place] for place in places) for row in sheet.rows],
+        left=tuple(new for new, old in enumerate(places) if old in sheet.left),
         narrow=None,
     )
 

@@ -3,17 +3,9 @@
 from collections.abc import Collection, Iterator, Sequence
 
 from imubayes.display.fit_quality_tables import run_design_text
+from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, significant
-from imubayes.display.qualification.document import (
-    Block,
-    Heading,
-    Items,
-    Paragraph,
-    ReportTable,
-    Text,
-    texts,
-    without_empty_columns,
-)
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, without_empty_columns
 from imubayes.display.qualification.quantity_drawings import bar_drawings, correlation_drawing
 from imubayes.qualification import budget_parts as parts
 from imubayes.qualification.decision_rules import ADDS_UP
@@ -147,7 +139,7 @@ def _improvements(shown: Sequence[parts.QuantityBudget], withheld: Collection[st
     runs = list(dict.fromkeys(run_text(each.next_run) for each in shown if each.next_run is not None))
     letters = {text: _letter(place) for place, text in enumerate(runs)}
     rows = [
-        texts(
+        cells(
             each.name,
             "withheld" if each.name in withheld else significant(each.standard_uncertainty, 2),
             pretty(each.unit),
@@ -159,7 +151,7 @@ def _improvements(shown: Sequence[parts.QuantityBudget], withheld: Collection[st
         for each in shown
     ]
     head = ("quantity", "u", "unit", "halve first", "u falls by", "next run", "u falls by")
-    yield ReportTable("What to improve first", head, rows, (0, 2, 3, 5), _FIRST_NOTE)
+    yield Sheet("What to improve first", head, rows, (0, 2, 3, 5), note=_FIRST_NOTE)
     if letters:
         yield Paragraph("Next runs:")
         yield Items([f"{letter}: {text}." for text, letter in letters.items()])
@@ -178,7 +170,7 @@ def _letter(place: int) -> str:
     return "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[place] if place < 26 else f"R{place + 1}"
 
 
-def _budget_table(budget: parts.QuantityBudget, first: bool, withheld: bool) -> ReportTable:
+def _budget_table(budget: parts.QuantityBudget, first: bool, withheld: bool) -> Sheet:
     lines = sorted(_grouped(budget.lines), key=lambda line: -line.share)
     large = [line for line in lines if line.kind != "small" and line.share >= _SHOWN_SHARE][:_MOST_LINES]
     rest = [line for line in lines if line not in large]
@@ -197,7 +189,7 @@ def _budget_table(budget: parts.QuantityBudget, first: bool, withheld: bool) -> 
         else ""
     )
     return without_empty_columns(
-        ReportTable(caption, head, rows, (0, 1, 2, 3, 5), " ".join([_TABLE_NOTE if first else "", note]).strip())
+        Sheet(caption, head, rows, (0, 1, 2, 3, 5), note=" ".join([_TABLE_NOTE if first else "", note]).strip())
     )
 
 
@@ -235,7 +227,7 @@ def _grouped(lines: Sequence[parts.BudgetLine]) -> list[parts.BudgetLine]:
     return found
 
 
-def _line(line: parts.BudgetLine) -> tuple[Text, ...]:
+def _line(line: parts.BudgetLine) -> tuple[Cell, ...]:
     infinite = "∞" if line.type == "B" else ""
     return _cells(
         input_text(line),
@@ -253,10 +245,10 @@ def _line(line: parts.BudgetLine) -> tuple[Text, ...]:
 
 def _cells(
     name: str, *middle: str, contribution: float | None = None, share: float = 0.0, degrees: str = ""
-) -> tuple[Text, ...]:
+) -> tuple[Cell, ...]:
     filled = [*middle, *[""] * (6 - len(middle))]
     last = "" if contribution is None else significant(contribution, 2)
-    return tuple(Text(text) for text in (name, *filled, last, _share(share), degrees))
+    return tuple(Cell(text) for text in (name, *filled, last, _share(share), degrees))
 
 
 def _share(share: float) -> str:
@@ -278,11 +270,11 @@ def _strongest(matrix: parts.CorrelationMatrix, shown: set[str]) -> Iterator[Blo
     if not pairs:
         yield Paragraph(f"No two of these quantities have a correlation beyond ± {_STRONG:g}.")
         return
-    rows = [texts(second, first, f"{value:+.3f}") for _, value, first, second in pairs]
+    rows = [cells(second, first, f"{value:+.3f}") for _, value, first, second in pairs]
     note = (
         f"Correlations beyond ± {_STRONG:g} of the posterior draws"
         + (f", the strongest {_MOST_STRONG} of {len(rows)}" if len(rows) > _MOST_STRONG else "")
         + ". Uncertainties of strongly correlated quantities must not be added as if they were independent. The whole "
         "matrix is in the JSON record."
     )
-    yield ReportTable("Strongest correlations", ("quantity", "and", "r"), rows[:_MOST_STRONG], (0, 1), note)
+    yield Sheet("Strongest correlations", ("quantity", "and", "r"), rows[:_MOST_STRONG], (0, 1), note=note)

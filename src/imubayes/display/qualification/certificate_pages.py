@@ -2,17 +2,9 @@
 
 from collections.abc import Iterator, Sequence
 
+from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, significant
-from imubayes.display.qualification.document import (
-    Block,
-    Heading,
-    Items,
-    Paragraph,
-    ReportTable,
-    Text,
-    texts,
-    without_empty_columns,
-)
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, without_empty_columns
 from imubayes.display.qualification.first_page import alarms, rules_text
 from imubayes.model.model_file import GRAVITY
 from imubayes.qualification.certificate import (
@@ -89,8 +81,8 @@ def certificate_section(report: QualificationReport) -> Iterator[Block]:
     for text in statements(report, found):
         yield Paragraph(text)
     if found.signatory:
-        rows = [texts(each.name, each.function or "–", "_" * 14, "_" * 36) for each in found.signatory]
-        yield ReportTable("Authorised by", ("name", "function", "date", "signature"), rows, (0, 1, 2, 3))
+        rows = [cells(each.name, each.function or "–", "_" * 14, "_" * 36) for each in found.signatory]
+        yield Sheet("Authorised by", ("name", "function", "date", "signature"), rows, (0, 1, 2, 3))
 
 
 def _method(found: Certificate) -> str:
@@ -137,20 +129,20 @@ def statements(report: QualificationReport, found: Certificate) -> Iterator[str]
         )
 
 
-def _standards_table(report: QualificationReport, standards: Sequence[MeasurementStandard]) -> ReportTable:
+def _standards_table(report: QualificationReport, standards: Sequence[MeasurementStandard]) -> Sheet:
     expired = {each.of for each in report.missing if each.item == "expired"}
     rows = [
-        texts(each.name, ", ".join(each.equipment) or "–", each.serial or "–", each.certificate or _NOT_STATED,
+        cells(each.name, ", ".join(each.equipment) or "–", each.serial or "–", each.certificate or _NOT_STATED,
               each.issued_by or "–", _validity(each, each.name in expired))
         for each in standards
     ]  # fmt: skip
     head = ("standard", "in the campaign", "serial number", "certificate", "issued by", "valid until")
-    return without_empty_columns(ReportTable("Standards used", head, rows, (0, 1, 2, 3, 4, 5)))
+    return without_empty_columns(Sheet("Standards used", head, rows, (0, 1, 2, 3, 4, 5)))
 
 
-def _validity(standard: MeasurementStandard, expired: bool) -> Text:
+def _validity(standard: MeasurementStandard, expired: bool) -> Cell:
     until = str(standard.valid_until or _NOT_STATED)
-    return Text(f"{until}: expired", "bad") if expired else Text(until)
+    return Cell(f"{until}: expired", "bad") if expired else Cell(until)
 
 
 def unit_g_text(report: QualificationReport) -> str:

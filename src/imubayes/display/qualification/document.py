@@ -8,7 +8,7 @@ outlines.
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import matplotlib as mpl
@@ -17,27 +17,11 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from imubayes.display.figure_style import HUES, INK, STYLE, FewTicks
+from imubayes.display.layout import Sheet, of_columns
 
 Mood = Literal["", "good", "weak", "bad", "dim"]
 # Width of a picture that stands beside another, at most; inches.
 _HALF_PAGE = 5.0
-
-
-@dataclass(frozen=True)
-class Text:
-    """Text with its emphasis; in a formula an underscore begins a subscript, ``K_oo``.
-
-    The sign of a negative number is the one of the keyboard, so that programs read a number that was copied.
-    """
-
-    text: str
-    mood: Mood = ""
-    formula: bool = False
-
-
-def texts(*cells: str | Text) -> tuple[Text, ...]:
-    """Return a row of a table; plain cells stand in it without emphasis."""
-    return tuple(cell if isinstance(cell, Text) else Text(cell) for cell in cells)
 
 
 @dataclass(frozen=True)
@@ -66,35 +50,9 @@ class Items:
     type: Literal["items"] = "items"
 
 
-@dataclass(frozen=True)
-class ReportTable:
-    """A table; its first column names the row.
-
-    Attributes
-    ----------
-    caption : what it holds.
-    head, rows : content.
-    left : left-aligned columns; the others are right-aligned.
-    note : explanation below it.
-    """
-
-    caption: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[Text]]
-    left: Sequence[int] = (0,)
-    note: str = ""
-    type: Literal["table"] = "table"
-
-
-def without_empty_columns(table: ReportTable) -> ReportTable:
+def without_empty_columns(table: Sheet) -> Sheet:
     """Return a table without empty columns, such as the unit of an input where all inputs are runs."""
-    used = [column for column in range(len(table.head)) if any(row[column].text for row in table.rows)]
-    return replace(
-        table,
-        head=[table.head[column] for column in used],
-        rows=[tuple(row[column] for column in used) for row in table.rows],
-        left=tuple(place for place, column in enumerate(used) if column in table.left),
-    )
+    return of_columns(table, [place for place in range(len(table.head)) if any(row[place].text for row in table.rows)])
 
 
 @dataclass(frozen=True)
@@ -120,7 +78,7 @@ class Drawings:
     type: Literal["drawings"] = "drawings"
 
 
-Block = Heading | Paragraph | Items | ReportTable | Drawings
+Block = Heading | Paragraph | Items | Sheet | Drawings
 
 
 @dataclass(frozen=True)

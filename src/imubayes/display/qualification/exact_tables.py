@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from imubayes.display.fit_quality_tables import members_text
+from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, ratio_text, significant
-from imubayes.display.qualification.document import ReportTable, Text, texts
 from imubayes.qualification.report_record import QualificationReport, ReportedEstimate
 from imubayes.qualification.taken_as_exact import OMITTED, ExactInput
 
@@ -43,7 +43,7 @@ class Omission:
     causes: tuple[ExactInput, ...]
 
 
-def included_table(report: QualificationReport) -> ReportTable | None:
+def included_table(report: QualificationReport) -> Sheet | None:
     """Return what is taken as exact and is in every U, with what it does; None where nothing of it matters."""
     budgets = {} if report.budgets is None else {each.name: each for each in report.budgets.quantities}
     symbols = {each.members[0]: each.symbol for each in report.standards if len(each.members) == 1}
@@ -53,11 +53,11 @@ def included_table(report: QualificationReport) -> ReportTable | None:
     for ratio, each, name in _worst_included(report.exact.included, shown):
         u = budgets[name].standard_uncertainty
         rows.append(
-            texts(
+            cells(
                 _named(each),
                 f"{significant(each.size, 2)} {pretty(each.unit)}",
                 "stated" if each.stated else "assumed",
-                Text(f"{symbols[name]}[{name.partition('[')[2]}", formula=True),
+                Cell(f"{symbols[name]}[{name.partition('[')[2]}", formula=True),
                 f"{significant(u / ratio, 2)} → {significant(u, 2)}",
                 pretty(budgets[name].unit),
             )
@@ -66,7 +66,7 @@ def included_table(report: QualificationReport) -> ReportTable | None:
         return None
     head = ("taken as exact", "standard uncertainty", "", "moves most", "u without → with", "unit")
     note = "Uncertainties that the campaign states, and that of normal gravity, are in every U of this document."
-    return ReportTable("Site and equipment that the model takes as exact, in U", head, rows, (0, 1, 2, 3, 5), note)
+    return Sheet("Site and equipment that the model takes as exact, in U", head, rows, (0, 1, 2, 3, 5), note=note)
 
 
 def _worst_included(
@@ -126,7 +126,7 @@ def _causes(inputs: Sequence[ExactInput], name: str) -> tuple[ExactInput, ...]:
     return tuple(each for variance, each in ordered if variance >= _CAUSE * whole)
 
 
-def omitted_table(found: Sequence[Omission]) -> ReportTable | None:
+def omitted_table(found: Sequence[Omission]) -> Sheet | None:
     """Return what U omits, a row for each quantity or table with its worst; None where it omits nothing."""
     groups: dict[tuple[Kind, str, str], list[Omission]] = {}
     for each in found:
@@ -136,8 +136,8 @@ def omitted_table(found: Sequence[Omission]) -> ReportTable | None:
         worst = max(own, key=lambda each: each.ratio)
         causes = dict.fromkeys(_input_text(cause) for each in own for cause in each.causes)
         rows.append(
-            texts(
-                Text(symbol, formula=True) if symbol else _KINDS[kind],
+            cells(
+                Cell(symbol, formula=True) if symbol else _KINDS[kind],
                 _factors(own) if kind == "standard" else _range(own),
                 f"{significant(worst.uncertainty, 2)} → {significant(worst.uncertainty * worst.ratio, 2)}",
                 pretty(unit),
@@ -153,7 +153,7 @@ def omitted_table(found: Sequence[Omission]) -> ReportTable | None:
         "uncertainty that is plausible, as the campaign states none. State it in the campaign (0 where exact), or take "
         "the effect into the model. No limit passes that all of them together could cross."
     )
-    return ReportTable("Contributions that U omits", head, rows, (0, 1, 3, 4), note)
+    return Sheet("Contributions that U omits", head, rows, (0, 1, 3, 4), note=note)
 
 
 def omitted_note(found: Sequence[Omission], kind: Kind) -> str:

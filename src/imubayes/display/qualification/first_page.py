@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 
+from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import counted, pretty, significant
 from imubayes.display.qualification import words
-from imubayes.display.qualification.document import Banner, ReportTable, Text, texts
+from imubayes.display.qualification.document import Banner
 from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,
@@ -100,7 +101,7 @@ def _day(start: str) -> str:
 
 def limits_table(
     limits: Sequence[LimitOutcome], components: Mapping[str, str] | None = None, reference: str = ""
-) -> ReportTable:
+) -> Sheet:
     """Return every limit with y ± U, conformance probability and decision.
 
     Parameters
@@ -113,7 +114,7 @@ def limits_table(
         word, mood = words.OUTCOMES[limit.outcome]
         along = (components or {}).get(limit.name)
         rows.append(
-            texts(
+            cells(
                 _symbol(limit),
                 limit.label,
                 words.limits_text(limit),
@@ -122,24 +123,24 @@ def limits_table(
                 words.factor_text(limit),
                 pretty(limit.unit),
                 words.probability_text(limit.conformance),
-                Text(word if limit.withheld is None else f"{word}: {words.NO_DECISION[limit.withheld]}", mood),
+                Cell(word if limit.withheld is None else f"{word}: {words.NO_DECISION[limit.withheld]}", mood),
             )
         )
-    return ReportTable(
+    return Sheet(
         "Limits of the specification",
         ("quantity", "channel", "limits", "temperature / °C", "y ± U", "k", "unit", "p_c", "decision"),
         rows,
         (0, 1, 2, 3, 6, 8),
-        "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage, at the temperature of the range at which "
-        "the quantity is worst; where the posterior is not symmetric, estimate [95 % interval]. Of a direction error "
-        "Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a range y "
+        note="y ± U: estimate with expanded uncertainty U = k u of 95 % coverage, at the temperature of the range at "
+        "which the quantity is worst; where the posterior is not symmetric, estimate [95 % interval]. Of a direction "
+        "error Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a range y "
         "contains hysteresis and lag, U the scatter between runs; at T_ref both are of the mean over the "
         f"runs. p_c: conformance probability over the whole range (JCGM 106). {words.digits_text(limits)}",
     )
 
 
-def _symbol(limit: LimitOutcome) -> Text:
-    return Text(limit.symbol or limit.name, formula=limit.symbol not in ("", limit.name.partition("[")[0]))
+def _symbol(limit: LimitOutcome) -> Cell:
+    return Cell(limit.symbol or limit.name, formula=limit.symbol not in ("", limit.name.partition("[")[0]))
 
 
 def components_of(report: QualificationReport) -> dict[str, str]:
@@ -175,11 +176,11 @@ def rules_text(limits: Sequence[LimitOutcome]) -> list[str]:
     ]
 
 
-def risk_table(limits: Sequence[LimitOutcome]) -> ReportTable:
+def risk_table(limits: Sequence[LimitOutcome]) -> Sheet:
     """Return rule, guard band and risks of every limit, with the second method of each probability."""
     known = any(limit.global_consumer_risk is not None for limit in limits)
     rows = [
-        texts(
+        cells(
             _symbol(limit),
             limit.label,
             words.rule_text(limit),
@@ -195,12 +196,12 @@ def risk_table(limits: Sequence[LimitOutcome]) -> ReportTable:
     head = ["quantity", "channel", "rule", "guard band w", "conformance, draws", "conformance, quadrature"]
     head += ["consumer’s risk", "producer’s risk"]
     head += ["global consumer’s risk", "global producer’s risk"] if known else []
-    return ReportTable(
+    return Sheet(
         "Decision rules and risks",
         head,
         rows,
         (0, 1, 2),
-        "Specific risks (JCGM 106, 9.3): of delivering a unit that does not conform where it is accepted, and of "
+        note="Specific risks (JCGM 106, 9.3): of delivering a unit that does not conform where it is accepted, and of "
         "rejecting one that does where it is not. Every probability is found twice, from the posterior draws and by "
         "quadrature over a distribution fitted to them; where the two differ by more than their errors allow, it is "
         "withheld. w = 0 is simple acceptance; U is half the length of the 95 % coverage interval.",

@@ -3,21 +3,13 @@
 from collections.abc import Iterator, Sequence
 
 from imubayes.display import numbers_and_labels as numbers
-from imubayes.display.fit_cautions import violation_text
+from imubayes.display.fit_cautions import NOISE_WORDS, violation_text
+from imubayes.display.layout import Sheet, cells
 from imubayes.display.loop.diagnosis_sentences import bias_clause, evidence_text
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, texts
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph
 from imubayes.display.qualification.words import VERDICTS, enumerated, hash_text
 from imubayes.qualification import report_record as record
 from imubayes.qualification.report_subject import ReportedTable
-
-_NOISE = {
-    "autocorrelation": "residuals are autocorrelated",
-    "low_frequency": "residuals drift within runs",
-    "scatter_between_runs": "runs scatter more than the noise within them",
-    "grows_with_input": "the noise grows with the input",
-    "heavy_tails": "the noise has heavy tails or outliers",
-    "quantisation": "the output is quantised too coarsely for its noise",
-}
 
 
 def equipment_section(subject: record.Subject) -> Iterator[Block]:
@@ -27,7 +19,7 @@ def equipment_section(subject: record.Subject) -> Iterator[Block]:
         f"gravity {subject.gravity_m_s2:.6f} m/s²; 1 g in this report is the gravity of the site."
     )
     channels = [
-        texts(
+        cells(
             channel.name, channel.kind, _vector(channel.input_axis),
             _vector(channel.output_axis),
             f"{channel.nominal_scale:g} {channel.output_unit} per {channel.per}",
@@ -36,16 +28,16 @@ def equipment_section(subject: record.Subject) -> Iterator[Block]:
         for channel in subject.channels
     ]  # fmt: skip
     tables = [
-        texts(
+        cells(
             table.name, f"{table.azimuth_deg:g}", f"{table.elevation_deg:g}",
             _axis_known(table), _known(table.rate_uncertainty_ppm),
             _known(table.angle_uncertainty_arcsec)
         )
         for table in subject.tables
     ]  # fmt: skip
-    mountings = [texts(each.name, _known(each.uncertainty_arcmin)) for each in subject.mountings]
+    mountings = [cells(each.name, _known(each.uncertainty_arcmin)) for each in subject.mountings]
     runs = [
-        texts(
+        cells(
             run.name, run.procedure.replace("_", " "), run.table or numbers.NO_NUMBER,
             run.mounting or numbers.NO_NUMBER, (run.start or numbers.NO_NUMBER).replace("T", " "),
             str(run.rows), str(run.values_used)
@@ -55,15 +47,15 @@ def equipment_section(subject: record.Subject) -> Iterator[Block]:
     yield Heading("Unit, site and equipment")
     yield Paragraph(site)
     head = ("channel", "kind", "input axis", "output axis", "nominal scale factor", "nominal offset")
-    yield ReportTable("Channels", head, channels, (0, 1, 2, 3), "Axes in the body frame, as designed.")
+    yield Sheet("Channels", head, channels, (0, 1, 2, 3), note="Axes in the body frame, as designed.")
     if tables:
         head = ("table", "azimuth / deg", "elevation / deg", "axis / arcsec", "rate / ppm", "angle / arcsec")
-        yield ReportTable("Tables", head, tables, (0,), "Standard uncertainties as stated.")
+        yield Sheet("Tables", head, tables, (0,), note="Standard uncertainties as stated.")
     if mountings:
         head = ("mounting", "seat / arcmin")
-        yield ReportTable("Mountings", head, mountings, (0,), "Standard uncertainty, each angle.")
+        yield Sheet("Mountings", head, mountings, (0,), note="Standard uncertainty, each angle.")
     head = ("run", "procedure", "table", "mounting", "start", "rows", "values")
-    yield ReportTable("Runs", head, runs, (0, 1, 2, 3, 4), "Values: rows times channels that the fit used.")
+    yield Sheet("Runs", head, runs, (0, 1, 2, 3, 4), note="Values: rows times channels that the fit used.")
 
 
 def _vector(axis: tuple[float, float, float]) -> str:
@@ -95,7 +87,7 @@ def adequacy_section(adequacy: record.Adequacy) -> Iterator[Block]:
     for each in adequacy.noise_violations:
         how = numbers.chance_text(each.p) if each.p is not None else ""
         yield Paragraph(
-            f"Noise: {_NOISE[each.kind]} ({', '.join(each.channels)}{', p = ' + how if how else ''}).", "bad"
+            f"Noise: {NOISE_WORDS[each.kind]} ({', '.join(each.channels)}{', p = ' + how if how else ''}).", "bad"
         )
     if adequacy.noise_suspected:
         yield Paragraph(f"Noise, suspected, although it may be chance: {violation_text(adequacy.noise_suspected)}.")
@@ -135,7 +127,7 @@ def _history(adequacy: record.Adequacy) -> Iterator[Block]:
         state = ", ".join(word for word, true in states.items() if true)
         ratio = node.chi2 / node.dof if node.chi2 is not None and node.dof else None
         rows.append(
-            texts(
+            cells(
                 "→ " * node.depth + node.title, (node.verdict or numbers.NO_NUMBER).replace("_", " "),
                 numbers.NO_NUMBER if node.chi2 is None else f"{node.chi2:.1f}",
                 numbers.ratio_text(ratio), state
@@ -146,14 +138,14 @@ def _history(adequacy: record.Adequacy) -> Iterator[Block]:
         "known beforehand. The more models were tried, the more of the agreement is selection."
     )
     head = ("model", "verdict before", "χ²", "χ²/ν", "")
-    yield ReportTable("Models tried", head, rows, (0, 1, 4), note)
+    yield Sheet("Models tried", head, rows, (0, 1, 4), note=note)
 
 
 def _conflicts(adequacy: record.Adequacy) -> Iterator[Block]:
     if not adequacy.prior_conflicts:
         return
     rows = [
-        texts(
+        cells(
             each.name, " ± ".join(numbers.value_and_sd(each.prior_mean, each.prior_sd)),
             " ± ".join(numbers.value_and_sd(each.data_value, each.data_sd)), numbers.pretty(each.unit),
             f"{each.distance:.1f}"
@@ -164,12 +156,12 @@ def _conflicts(adequacy: record.Adequacy) -> Iterator[Block]:
         ("parameter", "prior", "data alone", "unit", "distance / sd"),
         "Unit or equipment is worse than stated.",
     )
-    yield ReportTable("Priors that disagree with the data", head, rows, (0, 3), note)
+    yield Sheet("Priors that disagree with the data", head, rows, (0, 3), note=note)
 
 
-def _fit_table(adequacy: record.Adequacy) -> ReportTable:
+def _fit_table(adequacy: record.Adequacy) -> Sheet:
     rows = [
-        texts(
+        cells(
             run.name, run.channel, str(run.n),
             numbers.ratio_text(run.chi2 / run.n if run.chi2 is not None and run.n else None),
             numbers.significant(run.rms), numbers.pretty(run.unit)
@@ -178,7 +170,7 @@ def _fit_table(adequacy: record.Adequacy) -> ReportTable:
     ]  # fmt: skip
     head = ("run", "channel", "values", "χ²/n", "rms residual", "unit")
     note = "χ²/n: mean square of the standardised residuals, near 1 where the noise model holds."
-    return ReportTable("Goodness of fit by run and channel", head, rows, (0, 1, 5), note)
+    return Sheet("Goodness of fit by run and channel", head, rows, (0, 1, 5), note=note)
 
 
 def convergence_section(found: record.ReportedConvergence) -> Iterator[Block]:
@@ -195,15 +187,15 @@ def convergence_section(found: record.ReportedConvergence) -> Iterator[Block]:
         )
         return
     rows = [
-        texts("largest R̂", _decimals(found.worst_r_hat, 4), "≤ 1.01", found.worst_r_hat_of),
-        texts("least bulk effective size", _decimals(found.least_bulk, 0), "≥ 400", found.least_bulk_of),
-        texts("least tail effective size", _decimals(found.least_tail, 0), "≥ 400", found.least_tail_of),
-        texts("acceptance", _decimals(found.acceptance, 2), "", ""),
-        texts("Pareto k of the proposal", _decimals(found.pareto_k, 2), "< 0.7", ""),
-        texts("draws", str(found.draws), "", ""),
+        cells("largest R̂", _decimals(found.worst_r_hat, 4), "≤ 1.01", found.worst_r_hat_of),
+        cells("least bulk effective size", _decimals(found.least_bulk, 0), "≥ 400", found.least_bulk_of),
+        cells("least tail effective size", _decimals(found.least_tail, 0), "≥ 400", found.least_tail_of),
+        cells("acceptance", _decimals(found.acceptance, 2), "", ""),
+        cells("Pareto k of the proposal", _decimals(found.pareto_k, 2), "< 0.7", ""),
+        cells("draws", str(found.draws), "", ""),
     ]
     note = "R̂ compares independent ensembles. Parameter: the one that has the worst value."
-    yield ReportTable("Sampling", ("diagnostic", "value", "required", "parameter"), rows, (0, 3), note)
+    yield Sheet("Sampling", ("diagnostic", "value", "required", "parameter"), rows, (0, 3), note=note)
 
 
 def _decimals(value: float | None, count: int) -> str:
@@ -232,7 +224,7 @@ def left_out_section(found: record.Omissions) -> Iterator[Block]:
 def scope_section(scope: record.StatisticalScope) -> Iterator[Block]:
     """Return what the statistics do not cover."""
     rows = [
-        texts(each.phrase, f"{each.lowest:.5g}", f"{each.highest:.5g}", numbers.pretty(each.unit))
+        cells(each.phrase, f"{each.lowest:.5g}", f"{each.highest:.5g}", numbers.pretty(each.unit))
         for each in scope.ranges
     ]
     items = [
@@ -252,16 +244,16 @@ def scope_section(scope: record.StatisticalScope) -> Iterator[Block]:
             "certificate or an assumption, and no measurement confirmed it."
         )
     weak = [
-        texts(_combination(each.quantities, each.weights, each.left_out), numbers.percent(each.from_data))
+        cells(_combination(each.quantities, each.weights, each.left_out), numbers.percent(each.from_data))
         for each in scope.weak_directions
     ]
     yield Heading("What the statistics do not cover")
     if rows:
-        yield ReportTable("Tested ranges", ("covariate", "lowest", "highest", "unit"), rows, (0, 3))
+        yield Sheet("Tested ranges", ("covariate", "lowest", "highest", "unit"), rows, (0, 3))
     yield Items(items)
     if weak:
         note = "The data determine these combinations hardly or not at all: they rest on the priors of their members."
-        yield ReportTable("Weakly determined combinations", ("combination", "from data"), weak, (0,), note)
+        yield Sheet("Weakly determined combinations", ("combination", "from data"), weak, (0,), note=note)
 
 
 def _combination(names: Sequence[str], weights: Sequence[float], left_out: int) -> str:
@@ -279,7 +271,7 @@ def _combination(names: Sequence[str], weights: Sequence[float], left_out: int) 
 def provenance_section(found: record.Provenance) -> Iterator[Block]:
     """Return model, hashes, seed and software."""
     effects = [
-        texts(
+        cells(
             effect.name, ", ".join(effect.channels) if effect.channels else "all that it can act on",
             "; ".join(f"{name} ~ {prior}" for name, prior in effect.prior.items()) or "default",
             "; ".join(f"{name} = {value:g}" for name, value in effect.options.items()) or numbers.NO_NUMBER
@@ -287,20 +279,20 @@ def provenance_section(found: record.Provenance) -> Iterator[Block]:
         for effect in found.effects
     ]  # fmt: skip
     fitted = {each.package: each.version for each in found.fit_software}
-    software = [texts(each.package, fitted.get(each.package, "not recorded"), each.version) for each in found.software]
+    software = [cells(each.package, fitted.get(each.package, "not recorded"), each.version) for each in found.software]
     hashes = [
-        texts("data", hash_text(found.data_sha256)),
-        texts("model", hash_text(found.model_sha256)),
-        texts("seed", str(found.seed)),
-        texts("fitted", found.fitted or "not recorded"),
+        cells("data", hash_text(found.data_sha256)),
+        cells("model", hash_text(found.model_sha256)),
+        cells("seed", str(found.seed)),
+        cells("fitted", found.fitted or "not recorded"),
     ]
     yield Heading("Model, hashes and software")
-    yield ReportTable("Identification", ("what", "value"), hashes, (0, 1), "SHA-256 of campaign and model.")
-    yield ReportTable(
+    yield Sheet("Identification", ("what", "value"), hashes, (0, 1), note="SHA-256 of campaign and model.")
+    yield Sheet(
         "Effects of the model",
         ("effect", "channels", "priors in the model file", "settings"),
         effects,
         (0, 1, 2, 3),
-        "Default: of the catalogue, or the uncertainty that the campaign states.",
+        note="Default: of the catalogue, or the uncertainty that the campaign states.",
     )
-    yield ReportTable("Software", ("package", "fit", "report"), software, (0, 1, 2))  # fmt: skip
+    yield Sheet("Software", ("package", "fit", "report"), software, (0, 1, 2))  # fmt: skip

@@ -21,7 +21,8 @@ import matplotlib as mpl
 from matplotlib.font_manager import findSystemFonts
 from matplotlib.ft2font import FT2Font
 
-from imubayes.display.qualification.document import Drawings, ReportDocument, ReportTable
+from imubayes.display.layout import Sheet
+from imubayes.display.qualification.document import Drawings, ReportDocument
 from imubayes.foundations.errors import input_error
 
 typst: Any = lazy_loader.load("typst")
@@ -141,7 +142,8 @@ def _blocks(document: ReportDocument) -> Iterator[dict[str, Any]]:
     figures = 0
     for block in document.blocks:
         part = _members(block)
-        if isinstance(block, ReportTable):
+        if isinstance(block, Sheet):
+            part = {name: getattr(block, name) for name in ("type", "title", "head", "left", "note")}
             part["widths"] = _widths(block)
             part["rows"] = [
                 [_members(cell) | {"text": cell.text if cell.formula else breakable(cell.text)} for cell in row]
@@ -161,7 +163,7 @@ def _members(value: Any) -> dict[str, Any]:
     return {field.name: getattr(value, field.name) for field in fields(value)}
 
 
-def _widths(table: ReportTable) -> list[int]:
+def _widths(table: Sheet) -> list[int]:
     """Return the share of each column in the free width; 0 for a column as wide as its content."""
     longest = [
         max(len(head), *(len(row[column].text) for row in table.rows), 0) for column, head in enumerate(table.head)

@@ -15,19 +15,12 @@ from typing import Literal, get_args
 
 from markupsafe import Markup, escape
 
-from imubayes.display.layout import render
+from imubayes.display.layout import Sheet, render
 from imubayes.display.qualification import model_sections, result_sections, unit_drawings, words
 from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.calibration_xml import covariance_file, dcc_file
 from imubayes.display.qualification.certificate_pages import certificate_facts, certificate_section, missing_section
-from imubayes.display.qualification.document import (
-    Block,
-    Heading,
-    Items,
-    Paragraph,
-    ReportDocument,
-    ReportTable,
-)
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportDocument
 from imubayes.display.qualification.exact_tables import (
     Kind,
     Omission,
@@ -58,7 +51,7 @@ def html_page(document: ReportDocument) -> str:
     """Return a document as an HTML page."""
     headings = [block.text for block in document.blocks if block.type == "heading" and block.level == 2]
     # Drawings are SVG that this package made; all else is escaped.
-    layouts = list(dict.fromkeys(_layout(block) for block in document.blocks if isinstance(block, ReportTable)))
+    layouts = list(dict.fromkeys(_layout(block) for block in document.blocks if isinstance(block, Sheet)))
     page = render(
         "qualification", document=document, headings=headings, drawing=Markup, anchor=_anchor, formula=_formula,
         prose=_prose, breakable=_breakable,
@@ -68,7 +61,7 @@ def html_page(document: ReportDocument) -> str:
     return page.lstrip() + "\n"
 
 
-def _layout(table: ReportTable) -> Layout:
+def _layout(table: Sheet) -> Layout:
     return tuple(table.head), tuple(table.left)
 
 

@@ -3,18 +3,10 @@
 from collections.abc import Iterator, Sequence
 
 from imubayes.display.fit_quality_tables import members_text, symbol_text
+from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import NO_NUMBER, percent, pretty, rounded, significant, value_and_sd
 from imubayes.display.qualification import words
-from imubayes.display.qualification.document import (
-    Block,
-    Heading,
-    Items,
-    Paragraph,
-    ReportTable,
-    Text,
-    texts,
-    without_empty_columns,
-)
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, without_empty_columns
 from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.inference.identifiability import ProcedureShare
 from imubayes.qualification import report_record as record
@@ -69,29 +61,29 @@ def _determined_together(report: record.QualificationReport) -> str:
     return words.enumerated([f"{each.symbol}[{each.label}]" for each in named]) if named else ""
 
 
-def _standard_table(standard: str, own: Sequence[record.StandardEstimate], note: str) -> ReportTable:
+def _standard_table(standard: str, own: Sequence[record.StandardEstimate], note: str) -> Sheet:
     rows, before = [], ""
     for each in own:
         new = each.key != before
         before = each.key
         u = NO_NUMBER if each.withheld else words.stated(each)[1]
         rows.append(
-            texts(
-                Text(each.symbol if new else "", formula=True),
-                Text(each.quantity if new else "", "" if new else "dim"),
+            cells(
+                Cell(each.symbol if new else "", formula=True),
+                Cell(each.quantity if new else "", "" if new else "dim"),
                 each.label,
                 words.value_text(each),
                 words.factor_text(each),
                 u,
                 pretty(each.unit),
-                Text(each.term if new else "", formula=True),
+                Cell(each.term if new else "", formula=True),
             )
         )
     head = ("symbol", "quantity", "channel", "y ± U", "k", "u", "unit", "term")
-    return ReportTable(standard, head, rows, (0, 1, 2, 6, 7), note)
+    return Sheet(standard, head, rows, (0, 1, 2, 6, 7), note=note)
 
 
-def _not_estimated(lines: Sequence[record.NotEstimated]) -> ReportTable:
+def _not_estimated(lines: Sequence[record.NotEstimated]) -> Sheet:
     rows = []
     for each in lines:
         screened = "; ".join(
@@ -104,19 +96,19 @@ def _not_estimated(lines: Sequence[record.NotEstimated]) -> ReportTable:
             share = "fixed by the model" if each.from_data is None else f"{percent(each.from_data)} from data"
             reason += f" ({share})"
         rows.append(
-            texts(
-                Text(each.symbol, formula=True), each.quantity, ", ".join(each.labels) or "all", each.standard,
+            cells(
+                Cell(each.symbol, formula=True), each.quantity, ", ".join(each.labels) or "all", each.standard,
                 reason, ", ".join(each.effects), screened or "–"
             )
         )  # fmt: skip
     head = ("symbol", "quantity", "channel", "standard", "why", "effect", "one-step estimate of the diagnosis")
-    return ReportTable(
+    return Sheet(
         "Not measured",
         head,
         rows,
         (0, 1, 2, 3, 4, 5, 6),
-        "A quantity that is not measured is not zero: one of which less than half of the information came from the "
-        "data rests on its prior. The one-step estimate is that of the linearised fit with the "
+        note="A quantity that is not measured is not zero: one of which less than half of the information came from "
+        "the data rests on its prior. The one-step estimate is that of the linearised fit with the "
         "effect added; an effect that is probably missing is reported as such.",
     )
 
@@ -130,7 +122,7 @@ def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") 
         value = words.value_text(each)
         shift = "–" if each.deviation is None else _deviation(each)
         rows.append(
-            texts(
+            cells(
                 each.mounting, each.channel, _like(each.nominal, value.partition(" ")[0]), value,
                 words.factor_text(each), shift, percent(each.from_data) + ("" if each.measured else ", not measured"),
                 _determined_by(each.evidence, each.standard_uncertainty, 3600.0, "arcsec")
@@ -151,7 +143,7 @@ def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") 
         for mounting in dict.fromkeys(each.mounting for each in angles)
     ]
     yield Heading("True mounting angles")
-    yield ReportTable("Angles to the axis of rotation", head, rows, (0, 1, 7), note)
+    yield Sheet("Angles to the axis of rotation", head, rows, (0, 1, 7), note=note)
     yield Paragraph("Runs in each mounting:")
     yield Items(runs)
 
@@ -187,8 +179,8 @@ def combination_section(combinations: Sequence[record.ReportedCombination], omit
     for each in sorted(combinations, key=lambda each: not each.standard):
         estimate, u, _, _ = words.stated(each)
         rows.append(
-            texts(
-                Text(_with_minus(symbol_text(each)), formula=True), members_text(each), estimate, u,
+            cells(
+                Cell(_with_minus(symbol_text(each)), formula=True), members_text(each), estimate, u,
                 words.interval_text(each), pretty(each.unit), percent(each.from_data),
                 _determined_together_by(each)
             )
@@ -201,7 +193,7 @@ def combination_section(combinations: Sequence[record.ReportedCombination], omit
         "combination without one was found from the information in the data. Determined by: as for mounting angles. "
         f"{words.digits_text(combinations)}{omitted}"
     )
-    table = without_empty_columns(ReportTable("What the runs determine together", head, rows, (0, 1, 5, 7), note))
+    table = without_empty_columns(Sheet("What the runs determine together", head, rows, (0, 1, 5, 7), note=note))
     yield Heading(_TOGETHER)
     yield table
 
@@ -228,17 +220,17 @@ def converter_section(
     if drift:
         head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
         note = "Temperature sensitivity of gain and offset, and what else the model has of the converter."
-        yield ReportTable("Drift of the converters", head, [_result_row(line) for line in drift], (0, 4), note)
+        yield Sheet("Drift of the converters", head, [_result_row(line) for line in drift], (0, 4), note=note)
     if lines:
         yield _delta_k_table(lines)
 
 
-def _delta_k_table(lines: Sequence[record.ThermalLinearity]) -> ReportTable:
+def _delta_k_table(lines: Sequence[record.ThermalLinearity]) -> Sheet:
     rows = []
     for each in lines:
         estimate, u, _, _ = words.stated(each)
         rows.append(
-            texts(
+            cells(
                 each.channel, each.run, estimate, u, words.interval_text(each),
                 f"{each.threshold:g}", words.probability_text(each.within)
             )
@@ -249,7 +241,7 @@ def _delta_k_table(lines: Sequence[record.ThermalLinearity]) -> ReportTable:
         "Δk is probably below the threshold, the temperature line measured at 1 g stands for all inputs; where it is "
         f"above, each input needs its own line. {words.digits_text(lines)}"
     )
-    return ReportTable("Thermal linearity: Δk of each input", head, rows, (0, 1), note)
+    return Sheet("Thermal linearity: Δk of each input", head, rows, (0, 1), note=note)
 
 
 def result_section(report: record.QualificationReport, omitted: str = "") -> Iterator[Block]:
@@ -270,7 +262,7 @@ def result_section(report: record.QualificationReport, omitted: str = "") -> Ite
         if lines := tables.get(caption):
             rows = [_result_row(line) for line in lines]
             head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
-            yield ReportTable(caption, head, rows, (0, 4), note)
+            yield Sheet(caption, head, rows, (0, 4), note=note)
             note = ""
     if axes:
         yield axis_table(axes)
@@ -283,28 +275,28 @@ def supplied_section(section: record.ReportSection) -> Iterator[Block]:
     yield from map(Paragraph, section.paragraphs)
     if section.rows:
         left = tuple(range(len(section.head)))
-        yield ReportTable(section.title, section.head, [texts(*row) for row in section.rows], left)
+        yield Sheet(section.title, section.head, [cells(*row) for row in section.rows], left)
 
 
-def axis_table(lines: Sequence[record.ResultLine]) -> ReportTable:
+def axis_table(lines: Sequence[record.ResultLine]) -> Sheet:
     """Return the input axes as vectors, a row for each channel."""
-    cells: dict[str, list[Text]] = {}
+    axes: dict[str, list[Cell]] = {}
     for line in lines:
         estimate, u, _, _ = words.stated(line)
         channel = channel_of_component(line.name)
         assert channel is not None, line.name
-        cells.setdefault(channel, []).append(Text(words.beside(estimate, u)))
-    rows = [texts(channel, *own) for channel, own in cells.items()]
+        axes.setdefault(channel, []).append(Cell(words.beside(estimate, u)))
+    rows = [cells(channel, *own) for channel, own in axes.items()]
     note = "Components of the unit vectors in body axes; their budgets are those of the misalignments."
-    return ReportTable("Input axes (input_axis)", ("channel", "x", "y", "z"), rows, (0,), note)
+    return Sheet("Input axes (input_axis)", ("channel", "x", "y", "z"), rows, (0,), note=note)
 
 
-def _result_row(line: record.ReportedEstimate) -> tuple[Text, ...]:
+def _result_row(line: record.ReportedEstimate) -> tuple[Cell, ...]:
     estimate, u, _, _ = words.stated(line)
     mood = "" if line.measured else "weak"
     share = "fixed by the model" if line.exact else percent(line.from_data)
     share += "" if line.measured or line.exact else ", not measured"
-    return texts(
-        line.name, Text(estimate, mood), Text(u, mood), Text(words.interval_text(line), mood), pretty(line.unit),
-        Text(share, mood)
+    return cells(
+        line.name, Cell(estimate, mood), Cell(u, mood), Cell(words.interval_text(line), mood), pretty(line.unit),
+        Cell(share, mood)
     )  # fmt: skip

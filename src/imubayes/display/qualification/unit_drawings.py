@@ -14,17 +14,7 @@ from matplotlib.lines import Line2D
 
 from imubayes.display.figure_style import BAND, BAND_WIDE, BLUE, INK, MARKERS, QUIET, RED, SMALL
 from imubayes.display.numbers_and_labels import pretty, readable
-from imubayes.display.qualification.document import (
-    WIDTH,
-    Drawing,
-    Drawings,
-    drawn,
-    hue,
-    legend,
-    line,
-    place,
-    title,
-)
+from imubayes.display.qualification.document import WIDTH, Drawing, Drawings, drawn, hue, legend, line, place, title
 from imubayes.qualification.report_pictures import (
     AngleDensity,
     AxisInMounting,

@@ -4,8 +4,9 @@ import math
 from collections.abc import Sequence
 
 from imubayes.criticism.explanations import Verdict
+from imubayes.display.layout import Cell
 from imubayes.display.numbers_and_labels import NO_NUMBER, counted, pretty, rounded, significant
-from imubayes.display.qualification.document import Mood, Text
+from imubayes.display.qualification.document import Mood
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.qualification import report_record as record
 from imubayes.qualification.conformity import Obstacle
@@ -205,14 +206,14 @@ def interval_text(found: record.ReportedEstimate) -> str:
     return low if found.withheld is not None or not low else f"{low} … {high}"
 
 
-def probability_text(found: record.Probability | None) -> Text:
+def probability_text(found: record.Probability | None) -> Cell:
     """Return a probability, or why it is withheld."""
     if found is None:
-        return Text(NO_NUMBER)
+        return Cell(NO_NUMBER)
     if found.value is None:
         assert found.withheld is not None, "a value is withheld for a reason"
-        return Text(WITHHELD[found.withheld], "bad")
-    return Text(chance(found.value, found.monte_carlo_error))
+        return Cell(WITHHELD[found.withheld], "bad")
+    return Cell(chance(found.value, found.monte_carlo_error))
 
 
 def chance(value: float, error: float) -> str:
