@@ -29,17 +29,7 @@ import tomlkit
 
 from imubayes.archive.campaign_file import date_of, read_campaign, unit_of
 from imubayes.archive.store import Archive, campaign_folders, folder_digest
-from imubayes.batch.posterior_table import (
-    MODEL_FILE,
-    PARAMETER_FILE,
-    UNIT_FILE,
-    UnitIdentity,
-    UnitPosterior,
-    model_folder,
-    parameter_table,
-    part_folder,
-    unit_table,
-)
+from imubayes.batch import posterior_table as tables
 from imubayes.campaign import load_campaign
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
@@ -157,9 +147,9 @@ def _folders(place: str | Path) -> Iterator[UnitSource]:
         yield UnitSource(folder_digest(folder)[:DIGITS], folder.name, folder.name, str(folder), False)
 
 
-def identity_of(campaign: Campaign, source: UnitSource, structure: str = "") -> UnitIdentity:
+def identity_of(campaign: Campaign, source: UnitSource, structure: str = "") -> tables.UnitIdentity:
     """Return which campaign it is, on which equipment and where."""
-    return UnitIdentity(
+    return tables.UnitIdentity(
         unit=unit_of(campaign),
         campaign=campaign.name,
         digest=source.digest,
@@ -175,9 +165,9 @@ def identity_of(campaign: Campaign, source: UnitSource, structure: str = "") -> 
     )
 
 
-def unread(source: UnitSource) -> UnitIdentity:
+def unread(source: UnitSource) -> tables.UnitIdentity:
     """Return what is known of a campaign that cannot be read."""
-    return UnitIdentity(source.unit, source.name, source.digest, source.path)
+    return tables.UnitIdentity(source.unit, source.name, source.digest, source.path)
 
 
 def _date(text: str) -> datetime.date | None:
@@ -211,14 +201,14 @@ class PartFiles:
         """Hold the folder for writing; raises InputError where another process holds it."""
         self.results.mkdir(parents=True, exist_ok=True)
         with only_writer(self.results):
-            for scratch in model_folder(self.results, self.key).glob(".part-*"):
+            for scratch in tables.model_folder(self.results, self.key).glob(".part-*"):
                 shutil.rmtree(scratch)
             yield
 
     def keep_model(self, model: Path, spec: ModelSpec) -> None:
         """Keep the model file beside the parts, with the files that it names."""
-        folder = model_folder(self.results, self.key)
-        if (folder / MODEL_FILE).exists():
+        folder = tables.model_folder(self.results, self.key)
+        if (folder / tables.MODEL_FILE).exists():
             return
         document = tomlkit.parse(model.read_text(encoding="utf-8"))
         named = {folder / Path(file).relative_to(model.parent): Path(file) for file in spec.files}
@@ -226,29 +216,31 @@ class PartFiles:
             document["noise_priors"] = _NOISE_FILE
             named[folder / _NOISE_FILE] = Path(spec.noise_priors.where)
         kept = {place: file.read_bytes() for place, file in named.items()}
-        for place, content in (*kept.items(), (folder / MODEL_FILE, tomlkit.dumps(document).encode())):
+        for place, content in (*kept.items(), (folder / tables.MODEL_FILE, tomlkit.dumps(document).encode())):
             with replacing(place, durable=True) as scratch:
                 scratch.write_bytes(content)
 
     def done(self) -> list[DoneUnit]:
         """Return the units that the parts hold, in the order of the parts."""
         found: list[DoneUnit] = []
-        for file in sorted(model_folder(self.results, self.key).glob(f"part-*/{UNIT_FILE}")):
+        for file in sorted(tables.model_folder(self.results, self.key).glob(f"part-*/{tables.UNIT_FILE}")):
             columns = pl.read_parquet(file, columns=["digest", "file", "status", "fingerprint"])
             found.extend(
                 DoneUnit(digest, at, status, file.parent, was) for digest, at, status, was in columns.iter_rows()
             )
         return found
 
-    def write(self, units: Sequence[UnitPosterior]) -> None:
+    def write(self, units: Sequence[tables.UnitPosterior]) -> None:
         """Write units as a part, those without estimates as a part each."""
         fitted = [unit for unit in units if unit.outcome.status == "fitted"]
         others = [[unit] for unit in units if unit.outcome.status != "fitted"]
         for chosen in ([fitted] if fitted else []) + others:
             digests = [unit.identity.digest for unit in chosen]
-            with new_folder(part_folder(self.results, self.key, _part_key(self.key, digests)), durable=True) as scratch:
-                parameter_table(self.key, chosen).write_parquet(scratch / PARAMETER_FILE)
-                unit_table(self.key, self.code, chosen).write_parquet(scratch / UNIT_FILE)
+            with new_folder(
+                tables.part_folder(self.results, self.key, _part_key(self.key, digests)), durable=True
+            ) as scratch:
+                tables.parameter_table(self.key, chosen).write_parquet(scratch / tables.PARAMETER_FILE)
+                tables.unit_table(self.key, self.code, chosen).write_parquet(scratch / tables.UNIT_FILE)
 
     def remove(self, part: Path) -> None:
         """Remove a part as a whole."""

@@ -24,14 +24,8 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc, skew
 
+from imubayes.batch import group_moments as moments
 from imubayes.batch.batch_folder import BatchSettings, UnitSource
-from imubayes.batch.group_moments import (
-    GroupedModel,
-    GroupIndex,
-    log_marginal_of,
-    marginal_slope,
-    normal_equations,
-)
 from imubayes.batch.lanes import LANES, LaneMode, LaneStructure, Stacked, of_lane
 from imubayes.batch.posterior_table import Kind, Outcome, Quantities, UnitIdentity, UnitPosterior
 from imubayes.compiled.kept_programs import kept
@@ -144,13 +138,15 @@ class LaneDraws(eqx.Module):
     log_weight: Float[Array, "*S"]
 
 
-def hyper_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h: Float[Array, " H"]) -> Curvature:
+def hyper_curvature(
+    problem: Problem, index: moments.GroupIndex, model: moments.GroupedModel, h: Float[Array, " H"]
+) -> Curvature:
     """Return value, gradient and negative Hessian of the Laplace marginal of h."""
 
     def slope(point: Array) -> Array:
-        return marginal_slope(problem, index, model, point)[1]
+        return moments.marginal_slope(problem, index, model, point)[1]
 
-    value, gradient = marginal_slope(problem, index, model, h)
+    value, gradient = moments.marginal_slope(problem, index, model, h)
 
     def row(axis: Array) -> Array:
         return (slope(h - _APART * axis) - slope(h + _APART * axis)) / (2 * _APART)
@@ -160,16 +156,16 @@ def hyper_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h:
 
 
 def marginals(
-    problem: Problem, index: GroupIndex, model: GroupedModel, points: Float[Array, "n H"]
+    problem: Problem, index: moments.GroupIndex, model: moments.GroupedModel, points: Float[Array, "n H"]
 ) -> Float[Array, " n"]:
     """Return the Laplace marginal at several h."""
-    return jax.lax.map(lambda h: log_marginal_of(problem, index, model, h), points)
+    return jax.lax.map(lambda h: moments.log_marginal_of(problem, index, model, h), points)
 
 
 def draws(
     problem: Problem,
-    index: GroupIndex,
-    model: GroupedModel,
+    index: moments.GroupIndex,
+    model: moments.GroupedModel,
     h: Float[Array, " H"],
     axes: Float[Array, "H H"],
     along: TabulatedDensity,
@@ -180,11 +176,11 @@ def draws(
     def at(vectors: tuple[Array, Array]) -> LaneDraws:
         step = from_normal(along, vectors[0])
         here = h + axes @ step
-        known = normal_equations(problem, index, model, here)
+        known = moments.normal_equations(problem, index, model, here)
         factor = jnp.linalg.cholesky(known.precision)
         mean = jax.scipy.linalg.cho_solve((factor, True), known.gradient)
         spread = jax.scipy.linalg.solve_triangular(factor.T, vectors[1].T, lower=False).T
-        weight = log_marginal_of(problem, index, model, here) - jnp.sum(log_density(along, step))
+        weight = moments.log_marginal_of(problem, index, model, here) - jnp.sum(log_density(along, step))
         return LaneDraws(mean[None, :] + spread, here, weight)
 
     return jax.lax.map(at, normal)

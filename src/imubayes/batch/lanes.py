@@ -23,17 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.batch.group_moments import (
-    GroupedModel,
-    GroupIndex,
-    expected_information,
-    group_index,
-    grouped_misfit,
-    grouped_model,
-    marginal_slope,
-    normal_equations,
-    with_misfit,
-)
+from imubayes.batch import group_moments as moments
 from imubayes.compiled.kept_programs import run_bound
 from imubayes.foundations.arrays import Array, Bool, Float, Int, Scalar, on_device
 from imubayes.model.bind import Model
@@ -69,12 +59,12 @@ class LaneStructure:
     """The compiled functions of a structure, by its first problem."""
 
     problem: Problem
-    index: GroupIndex
+    index: moments.GroupIndex
 
     @staticmethod
     def of(problem: Problem) -> "LaneStructure | None":
         """Return the structure of a problem; None where its readings cannot be summed up by groups."""
-        index = group_index(problem)
+        index = moments.group_index(problem)
         return None if index is None else LaneStructure(problem, on_device(index))
 
     @cached_property
@@ -125,7 +115,7 @@ class LaneStructure:
         return jax.tree.unflatten(jax.tree.structure(self.problem), leaves)
 
 
-def _mapped(function: Callable, common: Problem, varying: Problem, index: GroupIndex, *arguments: Any) -> Any:
+def _mapped(function: Callable, common: Problem, varying: Problem, index: moments.GroupIndex, *arguments: Any) -> Any:
     def of_unit(own, *given):
         return function(eqx.combine(common, own), index, *given)
 
@@ -177,7 +167,7 @@ class Chord(eqx.Module):
     first, last : decrements of the first and of the last step.
     """
 
-    model: GroupedModel
+    model: moments.GroupedModel
     first: Scalar
     last: Scalar
 
@@ -193,18 +183,18 @@ class LaneMode(eqx.Module):
     converged : whether θ and h converged.
     """
 
-    model: GroupedModel
+    model: moments.GroupedModel
     h: Array
     decrement: Array
     converged: Array
 
 
-def first_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array) -> Array:
+def first_curvature(problem: Problem, index: moments.GroupIndex, model: moments.GroupedModel, h: Array) -> Array:
     """Return the curvature that a climb begins with."""
-    return expected_information(problem, index, model, h)
+    return moments.expected_information(problem, index, model, h)
 
 
-def climbed(problem: Problem, index: GroupIndex, model: GroupedModel, start: Climb) -> Climb:
+def climbed(problem: Problem, index: moments.GroupIndex, model: moments.GroupedModel, start: Climb) -> Climb:
     """Return the mode of the marginal of h by quasi-Newton steps (symmetric rank one) with backtracking."""
 
     def towards(gradient, curvature):
@@ -214,7 +204,7 @@ def climbed(problem: Problem, index: GroupIndex, model: GroupedModel, start: Cli
 
     def body(state):
         h, value, gradient, curvature, step, length, count = state
-        ahead, there = marginal_slope(problem, index, model, h + step)
+        ahead, there = moments.marginal_slope(problem, index, model, h + step)
         better = ahead >= value - _ROUNDING
         lacking = gradient - there - curvature @ step
         weight = lacking @ step
@@ -231,7 +221,7 @@ def climbed(problem: Problem, index: GroupIndex, model: GroupedModel, start: Cli
         step, length, count = state[4:]
         return (count < _CLIMB) & ~(jnp.max(jnp.abs(step)) < _SHORT) & (length > _SHORTEST)
 
-    value, gradient = marginal_slope(problem, index, model, start.h)
+    value, gradient = moments.marginal_slope(problem, index, model, start.h)
     step = towards(gradient, start.curvature)
     state = (start.h, value, gradient, start.curvature, step, jnp.asarray(1.0), jnp.asarray(0))
     h, _, _, curvature, step, length, _ = jax.lax.while_loop(going, body, state)
@@ -239,12 +229,14 @@ def climbed(problem: Problem, index: GroupIndex, model: GroupedModel, start: Cli
     return Climb(jnp.where(is_last, h + step, h), curvature, is_last | (length <= _SHORTEST))
 
 
-def along_chord(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, steps: Int[Array, ""]) -> Chord:
+def along_chord(
+    problem: Problem, index: moments.GroupIndex, model: moments.GroupedModel, h: Array, steps: Int[Array, ""]
+) -> Chord:
     """Return where steps to the mode at given noise scales end, all with one Jacobian.
 
     A step is halved while the log density falls.
     """
-    start = normal_equations(problem, index, model, h)
+    start = moments.normal_equations(problem, index, model, h)
     factor = jnp.linalg.cholesky(start.precision)
 
     def body(state):
@@ -252,8 +244,8 @@ def along_chord(problem: Problem, index: GroupIndex, model: GroupedModel, h: Arr
         step = jax.scipy.linalg.cho_solve((factor, True), gradient)
         decrement = jnp.sqrt(jnp.maximum(gradient @ step, 0.0))
         z = here[0] + length * step
-        there = (z, grouped_misfit(problem, index, z))
-        known = normal_equations(problem, index, with_misfit(model, *there), h)
+        there = (z, moments.grouped_misfit(problem, index, z))
+        known = moments.normal_equations(problem, index, moments.with_misfit(model, *there), h)
         rises = 0.5 * (square - known.square) >= -_LEVEL * (1 + decrement)
         taken = rises | (halvings == _HALVINGS)
         ahead = (there, (known.square, known.gradient), 1.0, 0, count + 1)
@@ -264,7 +256,7 @@ def along_chord(problem: Problem, index: GroupIndex, model: GroupedModel, h: Arr
     none, zero = jnp.asarray(0.0), jnp.asarray(0)
     state = ((model.z, model.misfit), (start.square, start.gradient), jnp.asarray(1.0), zero, zero, none, none)
     (z, misfit), *_, first, last = jax.lax.while_loop(lambda state: state[4] < steps, body, state)
-    return Chord(with_misfit(model, z, misfit), first, last)
+    return Chord(moments.with_misfit(model, z, misfit), first, last)
 
 
 def find_modes(structure: LaneStructure, varying: Stacked, given: Array | None = None) -> LaneMode:
@@ -275,14 +267,14 @@ def find_modes(structure: LaneStructure, varying: Stacked, given: Array | None =
     given : noise scales to keep, shape (LANES, H); they are found where None.
     """
     size, hyper = structure.problem.size
-    middle = structure.run(grouped_model, varying, np.zeros((LANES, size)))
+    middle = structure.run(moments.grouped_model, varying, np.zeros((LANES, size)))
     # Far from the mode the residuals are no measure of the noise: its scales wait for the next Jacobian.
     h = np.zeros((LANES, hyper)) if given is None else given
     climb = Climb(h, structure.run(first_curvature, varying, middle, h), np.full(LANES, given is not None))
     near = _stepped(structure, varying, middle, climb, 2).model
     done, result = np.zeros(LANES, dtype=bool), None
     for _ in range(_LINEARISATIONS):
-        model = structure.run(grouped_model, varying, near.z)
+        model = structure.run(moments.grouped_model, varying, near.z)
         found, climb = _one_linearisation(structure, varying, model, climb, given is not None)
         result = found if result is None else _chosen(done, result, found)
         done = done | np.asarray(found.converged) | ~np.isfinite(np.asarray(found.decrement))
@@ -294,12 +286,14 @@ def find_modes(structure: LaneStructure, varying: Stacked, given: Array | None =
     return result
 
 
-def _stepped(structure: LaneStructure, varying: Stacked, model: GroupedModel, climb: Climb, steps: int) -> Chord:
+def _stepped(
+    structure: LaneStructure, varying: Stacked, model: moments.GroupedModel, climb: Climb, steps: int
+) -> Chord:
     return structure.run(along_chord, varying, model, climb.h, np.full(LANES, steps))
 
 
 def _one_linearisation(
-    structure: LaneStructure, varying: Stacked, model: GroupedModel, climb: Climb, keep: bool
+    structure: LaneStructure, varying: Stacked, model: moments.GroupedModel, climb: Climb, keep: bool
 ) -> tuple[LaneMode, Climb]:
     """Return where the fits end with one Jacobian, and the noise scales with the curvature learnt on the way."""
     close = np.ones(LANES, dtype=bool)

@@ -25,16 +25,7 @@ from dask import config as dask_config
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.comm.core import CommClosedError
 
-from imubayes.batch.batch_folder import (
-    BatchSettings,
-    PartFiles,
-    UnitSource,
-    batch_key,
-    code_version,
-    sources_of,
-    still_to_do,
-    unread,
-)
+from imubayes.batch import batch_folder
 from imubayes.batch.posterior_table import Outcome, UnitPosterior
 from imubayes.foundations.errors import InputError, input_error
 from imubayes.model.model_file import ModelSpec, read_model
@@ -48,8 +39,8 @@ class ChunkTask:
     """A chunk to fit, as it is sent to a worker."""
 
     spec: ModelSpec
-    settings: BatchSettings
-    sources: tuple[UnitSource, ...]
+    settings: batch_folder.BatchSettings
+    sources: tuple[batch_folder.UnitSource, ...]
 
 
 @dataclass(frozen=True)
@@ -92,7 +83,7 @@ def run_batch(
     model: str | Path,
     out: str | Path,
     executor: Executor,
-    settings: BatchSettings | None = None,
+    settings: batch_folder.BatchSettings | None = None,
     *,
     retry: bool = False,
     chunk: int = CHUNK,
@@ -115,11 +106,15 @@ def run_batch(
     InputError
         for a place without campaigns, a model that cannot be read, or a results folder that is in use.
     """
-    settings, spec, sources = settings or BatchSettings(), read_model(model), sources_of(place)
-    parts = PartFiles(Path(out), batch_key(spec, settings), code_version())
+    settings, spec, sources = (
+        settings or batch_folder.BatchSettings(),
+        read_model(model),
+        batch_folder.sources_of(place),
+    )
+    parts = batch_folder.PartFiles(Path(out), batch_folder.batch_key(spec, settings), batch_folder.code_version())
     with parts.writing():
         parts.keep_model(Path(spec.where), spec)
-        missing = still_to_do(parts, sources, retry)
+        missing = batch_folder.still_to_do(parts, sources, retry)
         clock, before, done, failed = time.perf_counter(), len(sources) - len(missing), 0, 0
         state = BatchProgress(parts.key, len(sources), before, 0, 0, 0.0)
         tasks = (ChunkTask(spec, settings, group) for group in _chunks(missing, chunk))
@@ -133,7 +128,7 @@ def run_batch(
     return state
 
 
-def _chunks(sources: Sequence[UnitSource], size: int) -> Iterator[tuple[UnitSource, ...]]:
+def _chunks(sources: Sequence[batch_folder.UnitSource], size: int) -> Iterator[tuple[batch_folder.UnitSource, ...]]:
     return (tuple(sources[start : start + size]) for start in range(0, len(sources), size))
 
 
@@ -242,7 +237,7 @@ def _died(task: ChunkTask, error: KilledWorker) -> FittedChunk:
     """Return the single unit of a chunk as failed."""
     (source,) = task.sources
     outcome = Outcome("failed", f"the worker died: {error}", source.path, source.fingerprint())
-    return (UnitPosterior(unread(source), outcome),)
+    return (UnitPosterior(batch_folder.unread(source), outcome),)
 
 
 def scheduler_lost(what: str) -> InputError:

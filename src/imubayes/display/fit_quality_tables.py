@@ -13,15 +13,8 @@ from imubayes.display.fit_cautions import SIGNIFICANT, alarm_of, chi2_text, shar
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.inference.candidate_runs import RunDesign, TemperatureProfile
-from imubayes.inference.identifiability import WeakDirection
-from imubayes.results.summary import (
-    CombinationSummary,
-    Contribution,
-    NextRun,
-    RunSummary,
-    Summary,
-    in_output_units,
-)
+from imubayes.inference.identifiability import Contribution, WeakDirection
+from imubayes.results import summary as records
 
 
 def run_design_text(design: RunDesign) -> str:
@@ -57,7 +50,7 @@ NOT_DETERMINED = 0.1
 _MOST_CONTRIBUTIONS = 6
 
 
-def run_sheet(summary: Summary, most: int | None = None) -> Sheet:
+def run_sheet(summary: records.Summary, most: int | None = None) -> Sheet:
     """Return n, χ²/n and rms residual of each run and channel, at most `most` lines."""
     share = share_of_freedom(summary)
     rows, dividers = [], set()
@@ -76,7 +69,7 @@ def run_sheet(summary: Summary, most: int | None = None) -> Sheet:
     )
 
 
-def fit_sheet(summary: Summary) -> Sheet:
+def fit_sheet(summary: records.Summary) -> Sheet:
     """Return χ²/n with a line per run and a column per channel, the rms residual of each channel below."""
     share = share_of_freedom(summary)
     entries = {(run.name, run.channel): run for run in summary.runs}
@@ -90,7 +83,7 @@ def fit_sheet(summary: Summary) -> Sheet:
     return Sheet("Goodness of fit", head, rows, (0,), alarm_of(summary), note, frozenset({len(names)}))
 
 
-def _fit_cell(run: RunSummary | None, share: float) -> Cell:
+def _fit_cell(run: records.RunSummary | None, share: float) -> Cell:
     if run is None or not run.n or run.chi2 is None:
         return Cell("–", "dim")
     chance = tail(run.chi2, share * run.n)
@@ -100,7 +93,7 @@ def _fit_cell(run: RunSummary | None, share: float) -> Cell:
     return Cell(text, "bad" if chance >= 0 else "weak")
 
 
-def _rms(runs: Sequence[RunSummary]) -> tuple[str, str]:
+def _rms(runs: Sequence[records.RunSummary]) -> tuple[str, str]:
     """Return the root mean square over runs of one channel, and its unit."""
     known = [(run.n, run.rms) for run in runs if run.n and run.rms is not None]
     if not known:
@@ -110,7 +103,7 @@ def _rms(runs: Sequence[RunSummary]) -> tuple[str, str]:
     return numbers.significant(size * factor), numbers.pretty(unit)
 
 
-def _fit_note(summary: Summary) -> str:
+def _fit_note(summary: records.Summary) -> str:
     share = share_of_freedom(summary)
     runs = [run for run in summary.runs if run.n and run.chi2 is not None]
     excessive = sum(_fit_cell(run, share).mood == "bad" for run in runs)
@@ -123,9 +116,9 @@ def _fit_note(summary: Summary) -> str:
     return note + f"{excessive} of {len(runs)} {verb} larger than noise explains (p < {SIGNIFICANT:g}, red)."
 
 
-def contribution_sheet(summary: Summary) -> Sheet:
+def contribution_sheet(summary: records.Summary) -> Sheet:
     """Return the standard uncertainty of angles, scale factors and standard sums from each procedure, and from all."""
-    shown = _leading_contributions(in_output_units(summary))
+    shown = _leading_contributions(records.in_output_units(summary))
     procedures = [share.procedure for share in shown[0].by] if shown else []
     wide, narrow = [], []
     for contribution in shown:
@@ -146,7 +139,7 @@ def contribution_sheet(summary: Summary) -> Sheet:
     return sheet.with_narrow(("quantity", "best alone", "sd", *last), narrow, (0, 1, 5))
 
 
-def _leading_contributions(summary: Summary) -> list[Contribution]:
+def _leading_contributions(summary: records.Summary) -> list[Contribution]:
     """Return the angles, inclined axes first, and the scale factors and standard sums that gain most from all runs."""
     mean = {derived.name: derived.mean for derived in summary.derived}
 
@@ -164,7 +157,7 @@ def _leading_contributions(summary: Summary) -> list[Contribution]:
     return [*angles[:_MOST_CONTRIBUTIONS], *others[:_MOST_CONTRIBUTIONS]]
 
 
-def next_run_sheet(summary: Summary) -> Sheet:
+def next_run_sheet(summary: records.Summary) -> Sheet:
     """Return the candidate runs, the most informative first; a run is named once for all its quantities."""
     designs = [run_design_text(run.run) for run in summary.next_runs]
     first = [not place or designs[place] != designs[place - 1] for place in range(len(designs))]
@@ -177,7 +170,7 @@ def next_run_sheet(summary: Summary) -> Sheet:
     return Sheet("Most informative next runs", head, rows, (0, 1, 2), "", note, dividers)
 
 
-def narrowing_text(run: NextRun) -> str:
+def narrowing_text(run: records.NextRun) -> str:
     """Return the standard deviation of the quantity of a candidate run before and after it."""
     factor, unit = numbers.readable(run.unit, abs(run.sd_before))
     sizes: Iterable[float] = (run.sd_before, run.sd_after)
@@ -217,7 +210,7 @@ class Combined(Protocol):
     middle_of: str
 
 
-def weak_sheet(summary: Summary) -> Sheet:
+def weak_sheet(summary: records.Summary) -> Sheet:
     """Return the combinations of parameters that the data did not determine."""
     rows = [
         cells(
@@ -247,7 +240,7 @@ def weighted_sum(quantities: tuple[str, ...], weights: tuple[float, ...]) -> str
     return text
 
 
-def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) -> Sheet:
+def combination_sheet(summary: records.Summary, most: int = 24, standard: bool = False) -> Sheet:
     """Return the combinations that the data determine much better than each of their members.
 
     Parameters
@@ -255,7 +248,7 @@ def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) 
     most : number of rows.
     standard : only those that have a symbol in the standard of a test.
     """
-    known = [found for found in in_output_units(summary).combinations if found.standard or not standard]
+    known = [found for found in records.in_output_units(summary).combinations if found.standard or not standard]
     shown = known[:most]
     rows = [_row(found) for found in shown]
     few = [
@@ -271,7 +264,7 @@ def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) 
     return sheet.with_narrow(("combination", "estimate ± sd"), few, (0, 1))
 
 
-def _row(found: CombinationSummary) -> tuple[Cell, ...]:
+def _row(found: records.CombinationSummary) -> tuple[Cell, ...]:
     mean, sd, low, high = numbers.rounded((found.mean, found.sd, found.q025, found.q975), found.sd)
     return cells(symbol_text(found), members_text(found), mean, sd, f"{low} … {high}", numbers.pretty(found.unit))
 

@@ -3,6 +3,7 @@
 The HTML has no scripts, links or external styles; all text is escaped.
 """
 
+from imubayes.display import fit_cautions as cautions
 from imubayes.display import fit_quality_tables as quality
 from imubayes.display import quantity_tables as quantities
 from imubayes.display.classical_comparison import (
@@ -10,14 +11,6 @@ from imubayes.display.classical_comparison import (
     classical_sheet,
     decision_sheet,
     undetermined_sheet,
-)
-from imubayes.display.fit_cautions import (
-    alarm_of,
-    chi2_text,
-    conflict_sheet,
-    disagreement_lines,
-    exact_lines,
-    notices,
 )
 from imubayes.display.layout import Report, Sheet, render
 from imubayes.display.loop.history import provenance_line
@@ -39,17 +32,17 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
         quality.combination_sheet(summary, _FEW_COMBINATIONS, standard=True),
     )
     sheets += every_table(summary, nuisance=True) if verbose else brief
-    sheets += [conflict_sheet(summary.prior_conflicts)]
+    sheets += [cautions.conflict_sheet(summary.prior_conflicts)]
     weak = () if verbose else weak_lines(summary)
     meaning = f"intervals are {summary.interval}; " if verbose else ""
     closing = (
-        f"{_outcome(summary)} {chi2_text(summary)}; "
+        f"{_outcome(summary)} {cautions.chi2_text(summary)}; "
         f"fit {summary.seconds.fit:.1f} s, sampling {summary.seconds.sample:.1f} s; "
         f"{meaning}uncertainty is the {summary.uncertainty if verbose else 'posterior standard deviation'}"
     )
     # A warning stands on the first line, above the first table; nothing comes before it.
-    said, alarm = notices(summary), alarm_of(summary)
-    closings = (*weak, *disagreement_lines(summary), *exact_lines(summary), closing)
+    said, alarm = cautions.notices(summary), cautions.alarm_of(summary)
+    closings = (*weak, *cautions.disagreement_lines(summary), *cautions.exact_lines(summary), closing)
     if not alarm:
         return Report(said, sheets, closings)
     quiet = [sheet.changed(alarm="") if isinstance(sheet, Sheet) else sheet for sheet in sheets]
@@ -100,7 +93,7 @@ def _outcome(summary: Summary) -> str:
         return "The fit failed; the first line says why."
     if not summary.converged:
         return "The fit did not converge; the first line says why."
-    if alarm_of(summary):
+    if cautions.alarm_of(summary):
         return "Converged, but the intervals cannot be trusted; the first line says why."
     undetermined = sum(map(quantities.is_undetermined, summary.parameters))
     determined = (
@@ -128,9 +121,9 @@ def summary_html(summary: Summary) -> str:
     return render(
         "summary",
         summary=summary,
-        alarm=alarm_of(summary),
-        notices=notices(summary),
-        chi2=chi2_text(summary),
+        alarm=cautions.alarm_of(summary),
+        notices=cautions.notices(summary),
+        chi2=cautions.chi2_text(summary),
         # Without a channel of its own, such as a result of equipment alone, the parameters stand open.
         shown=shown or folded[:1],
         weak=weak_lines(summary),

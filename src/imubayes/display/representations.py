@@ -7,6 +7,7 @@ much.
 from functools import partial
 
 from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.display import own_equation as equations
 from imubayes.display.fit_report import summary_html, summary_report
 from imubayes.display.layout import Report, report_html, report_text
 from imubayes.display.loop.change_report import change_report, injection_report
@@ -15,14 +16,6 @@ from imubayes.display.loop.history import history_report
 from imubayes.display.loop.prediction_report import prediction_report
 from imubayes.display.loop.repeatability_report import repeatability_report
 from imubayes.display.numbers_and_labels import significant
-from imubayes.display.own_equation import (
-    budget_headline,
-    budget_sheet,
-    conformity_headline,
-    conformity_report,
-    propagated_headline,
-    propagated_report,
-)
 from imubayes.foundations.records import headline_of, html_of, text_of
 from imubayes.loop.injection_recovery import Trials
 from imubayes.loop.model_history import Tree
@@ -96,9 +89,9 @@ _REPORTS = {
     Trials: injection_report,
     RunPrediction: partial(prediction_report, verbose=True),
     Repeatability: partial(repeatability_report, verbose=True),
-    Propagated: propagated_report,
-    GumBudget: lambda found: Report((), [budget_sheet(found)]),
-    ConformityStatement: conformity_report,
+    Propagated: equations.propagated_report,
+    GumBudget: lambda found: Report((), [equations.budget_sheet(found)]),
+    ConformityStatement: equations.conformity_report,
 }
 for _record, _report in _REPORTS.items():
     text_of.register(_record, lambda record, report=_report: report_text(report(record)))
@@ -111,9 +104,9 @@ headline_of.register(Trials, trials_headline)
 headline_of.register(Result, result_headline)
 headline_of.register(RunPrediction, prediction_headline)
 headline_of.register(Repeatability, repeatability_headline)
-headline_of.register(Propagated, propagated_headline)
-headline_of.register(GumBudget, budget_headline)
-headline_of.register(ConformityStatement, conformity_headline)
+headline_of.register(Propagated, equations.propagated_headline)
+headline_of.register(GumBudget, equations.budget_headline)
+headline_of.register(ConformityStatement, equations.conformity_headline)
 
 
 @text_of.register

@@ -19,16 +19,9 @@ import numpy as np
 
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.records import Presented
+from imubayes.qualification import law_of_propagation as law
 from imubayes.qualification.coverage import shortest_interval
 from imubayes.qualification.input_quantities import InputQuantity
-from imubayes.qualification.law_of_propagation import (
-    BoundEquation,
-    Correlations,
-    Equation,
-    GumBudget,
-    bound_equation,
-    budgets_of_outputs,
-)
 from imubayes.qualification.marginal import Digits, numerical_tolerance
 
 Interval = tuple[float, float]
@@ -55,7 +48,7 @@ class OutputQuantity:
     interval: Interval
     shortest: Interval
     tolerance: float
-    gum: GumBudget
+    gum: law.GumBudget
     gum_agrees: bool
 
 
@@ -116,7 +109,7 @@ class Propagated(Presented):
         return self.outputs[0].shortest
 
     @property
-    def gum(self) -> GumBudget:
+    def gum(self) -> law.GumBudget:
         """The first output by the law of propagation."""
         return self.outputs[0].gum
 
@@ -152,11 +145,11 @@ class Propagated(Presented):
 
 
 def propagate(
-    function: Equation,
+    function: law.Equation,
     inputs: Sequence[InputQuantity],
     *,
     names: Sequence[str] = ("y",),
-    correlation: Correlations | None = None,
+    correlation: law.Correlations | None = None,
     probability: float = 0.95,
     digits: Digits = 2,
     most_draws: int = 4_000_000,
@@ -191,7 +184,7 @@ def propagate(
     >>> volume.stable, f"{volume['y'].value:.4g} ± {volume['y'].uncertainty:.1g}"
     (True, '1.25e-05 ± 9e-08')
     """
-    equation = bound_equation(function, inputs, names, correlation, probability)
+    equation = law.bound_equation(function, inputs, names, correlation, probability)
     _check(equation.inputs, digits, most_draws)
     random = np.random.default_rng(seed)
     needed = max(_BLOCK, math.ceil(100 / (1 - probability)))
@@ -207,7 +200,7 @@ def propagate(
     given = [len(each.draws) for each in equation.inputs if each.draws is not None and each.uncertainty > 0]
     if stable and given:
         stable = _is_stable(_by_parts_of_draws(equation, min(given), size, tails, seed), digits)
-    budgets = budgets_of_outputs(equation, probability)
+    budgets = law.budgets_of_outputs(equation, probability)
     outputs = zip(names, draws.T, budgets, strict=True)
     found = tuple(_output(name, own, gum, probability, digits) for name, own, gum in outputs)
     return Propagated(found, draws, probability, stable, min([len(draws), *given]))
@@ -246,7 +239,7 @@ def _deviation(draws: np.ndarray) -> np.ndarray:
     return np.asarray((draws - draws[0]).std(axis=0, ddof=1))
 
 
-def _by_parts_of_draws(equation: BoundEquation, fewest: int, size: int, tails: np.ndarray, seed: int) -> np.ndarray:
+def _by_parts_of_draws(equation: law.BoundEquation, fewest: int, size: int, tails: np.ndarray, seed: int) -> np.ndarray:
     """Return the statistics (h, 4, K) from h parts of the draws that inputs are given by, one after the other.
 
     All else is drawn as for the other parts: what differs is due to these draws.  Neighbours stay together, because
@@ -275,7 +268,7 @@ def _is_stable(blocks: np.ndarray, digits: Digits) -> bool:
     )
 
 
-def _output(name: str, draws: np.ndarray, gum: GumBudget, probability: float, digits: Digits) -> OutputQuantity:
+def _output(name: str, draws: np.ndarray, gum: law.GumBudget, probability: float, digits: Digits) -> OutputQuantity:
     ordered = np.sort(draws)
     low, high = (float(end) for end in np.quantile(ordered, [(1 - probability) / 2, (1 + probability) / 2]))
     u = float(_deviation(draws))

@@ -20,6 +20,7 @@ from imubayes.foundations.units import to_si
 from imubayes.loop.model_history import Tree
 from imubayes.procedures.ambient import starts_of
 from imubayes.qualification import report_estimates as estimates
+from imubayes.qualification import report_pictures as pictures
 from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
 from imubayes.qualification.capability import with_capability
@@ -27,13 +28,6 @@ from imubayes.qualification.certificate import CapabilityFloor, Certificate, Mis
 from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, Obstacle, assess, obstacles
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
 from imubayes.qualification.report_budgets import UnitWithBudgets, unit_with_budgets
-from imubayes.qualification.report_pictures import (
-    PictureData,
-    angle_density,
-    error_pictures,
-    mounting_pictures,
-    worst_residual,
-)
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.standard_quantities import digital_unit, standard_symbol
 from imubayes.qualification.taken_as_exact import OMITTED, TakenAsExact
@@ -440,25 +434,25 @@ def _from_priors(lines: Sequence[Quantity]) -> tuple[str, ...]:
 
 def pictures_of(
     result: Result, unit: TestedUnit | None, assessment: Assessment | None, angles: tuple[record.MountingAngle, ...]
-) -> PictureData:
+) -> pictures.PictureData:
     """Return what the pictures show; the residuals alone where the fit did not converge."""
     table, campaign = result.residuals.table, result.fit.model.campaign
     covariates = {covariate.column: (covariate.phrase, covariate.unit) for covariate in shown()}
-    worst = worst_residual(table.filter(pl.col("kind") != "closure"), campaign.channels, covariates)
+    worst = pictures.worst_residual(table.filter(pl.col("kind") != "closure"), campaign.channels, covariates)
     if unit is None:
-        return PictureData(worst=worst)
+        return pictures.PictureData(worst=worst)
     limits = assessment.limits if assessment is not None else ()
     known = [angle for angle in angles if angle.estimate is not None]
     prior = draws_of(result.posterior.children["prior"], [angle.name for angle in known])
     posterior = unit.quantities.draws
-    return PictureData(
-        errors=error_pictures(unit, table, limits),
+    return pictures.PictureData(
+        errors=pictures.error_pictures(unit, table, limits),
         worst=worst,
-        mountings=mounting_pictures(
+        mountings=pictures.mounting_pictures(
             campaign, {(a.channel, a.mounting): (a.nominal, a.estimate) for a in known if a.estimate is not None}
         ),
         angles=tuple(
-            angle_density(a.channel, a.mounting, prior[a.name], posterior[a.name], a.nominal)
+            pictures.angle_density(a.channel, a.mounting, prior[a.name], posterior[a.name], a.nominal)
             for a in known
             if a.name in prior
         ),

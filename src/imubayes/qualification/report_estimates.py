@@ -23,14 +23,8 @@ from imubayes.qualification.standard_quantities import (
     draws_of_standard,
 )
 from imubayes.qualification.unit_under_test import TestedUnit, is_measured
+from imubayes.results import summary as records
 from imubayes.results.result import Result
-from imubayes.results.summary import (
-    CombinationSummary,
-    ParameterSummary,
-    Quantity,
-    in_output_units,
-    is_constant,
-)
 
 _MOST_SCREENED = 4
 
@@ -50,7 +44,7 @@ def probability_of(found: ProbabilityByTwoMethods) -> record.Probability:
 def _numbers(unit: TestedUnit, name: str) -> dict[str, Any]:
     """Return estimate, uncertainty, interval and Monte Carlo errors of a quantity, as the fields of an estimate."""
     marginal = unit.quantities.marginal(name)
-    if is_constant(marginal.draws):
+    if records.is_constant(marginal.draws):
         value = float(marginal.draws[0])
         constant = {"estimate": value, "standard_uncertainty": 0.0, "low": value, "high": value}
         return constant | {"exact": True, "measured": False}
@@ -86,11 +80,11 @@ def monte_carlo_error(stated: Coverage, effective: float) -> record.MonteCarloEr
     )
 
 
-def _estimate(result: Result, unit: TestedUnit | None, line: Quantity, shown: str = "") -> dict[str, Any]:
+def _estimate(result: Result, unit: TestedUnit | None, line: records.Quantity, shown: str = "") -> dict[str, Any]:
     """Return what the report states of a quantity, as the fields of an estimate, in its unit as it is shown."""
     campaign, member = (
         result.fit.model.campaign,
-        line.quantities[0] if isinstance(line, CombinationSummary) else line.name,
+        line.quantities[0] if isinstance(line, records.CombinationSummary) else line.name,
     )
     outputs = {channel.name: channel.output_unit for channel in campaign.channels}
     channel = member.partition("[")[2].removesuffix("]").partition(",")[0]
@@ -118,14 +112,14 @@ def result_lines(result: Result, unit: TestedUnit | None) -> tuple[record.Result
         for parameter in (*model.layout.parameters, *model.hyper_layout.parameters)
         if isinstance(parameter.prior, Normal)
     }
-    shown = {line.name: line.unit for line in in_output_units(result.summary).parameters}
+    shown = {line.name: line.unit for line in records.in_output_units(result.summary).parameters}
     found = []
     for line in (*result.summary.parameters, *result.summary.derived):
-        if isinstance(line, ParameterSummary) and line.nuisance:
+        if isinstance(line, records.ParameterSummary) and line.nuisance:
             continue
         diagnostics: dict[str, Any] = (
             {"kind": "parameter", "r_hat": line.r_hat, "ess_bulk": line.ess_bulk, "ess_tail": line.ess_tail}
-            if isinstance(line, ParameterSummary)
+            if isinstance(line, records.ParameterSummary)
             else {"kind": "derived"}
         )
         estimate = _estimate(result, unit, line, shown.get(line.name, ""))
@@ -175,7 +169,9 @@ def determined_combinations(result: Result, unit: TestedUnit | None) -> tuple[re
             procedures=procedures,
             **_estimate(result, unit, line, shown.unit),
         )
-        for line, shown in zip(result.summary.combinations, in_output_units(result.summary).combinations, strict=True)
+        for line, shown in zip(
+            result.summary.combinations, records.in_output_units(result.summary).combinations, strict=True
+        )
     )
 
 

@@ -21,6 +21,7 @@ from imubayes.adequacy.known_noise_fit import fit_at_known_noise
 from imubayes.adequacy.noise_tests import NoiseJudgement, judged_noise_in, projected
 from imubayes.adequacy.projection import Projection
 from imubayes.foundations.records import finite
+from imubayes.inference import identifiability
 from imubayes.inference.determined_combinations import (
     DeterminedCombination,
     Draws,
@@ -31,15 +32,6 @@ from imubayes.inference.determined_combinations import (
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import QuantityDraws, contributions, next_runs
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.identifiability import (
-    WEAK_SHARE,
-    Contribution,
-    WeakDirection,
-    confusions,
-    effective_parameters,
-    from_data,
-    weak_directions,
-)
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.plausibility import prior_conflicts
 from imubayes.inference.posterior_groups import in_units
@@ -49,26 +41,16 @@ from imubayes.procedures import declared_combinations
 from imubayes.procedures.converter_temperature import THRESHOLD
 from imubayes.procedures.fitted_terms import written
 from imubayes.responses.uncertain_equipment import uncertain_equipment
+from imubayes.results import summary as records
 from imubayes.results.fit_file import provenance
 from imubayes.results.stored_tables import Residuals
-from imubayes.results.summary import (
-    CombinationSummary,
-    Conformance,
-    DerivedSummary,
-    ParameterSummary,
-    PriorScatter,
-    Seconds,
-    Summary,
-    estimated,
-    is_constant,
-)
 
 
 @dataclass(frozen=True)
 class EstimatedCombination:
     """A determined combination with draws of its posterior and of its prior, (S,) each, in its unit."""
 
-    summary: CombinationSummary
+    summary: records.CombinationSummary
     posterior: np.ndarray
     prior: np.ndarray
 
@@ -107,20 +89,20 @@ def _values(found: DeterminedCombination, parameters: Draws, derived: Draws) -> 
     return combined(found.weights, found.constant, members)
 
 
-def _summary(found: DeterminedCombination, draws: np.ndarray, prior: np.ndarray) -> CombinationSummary:
+def _summary(found: DeterminedCombination, draws: np.ndarray, prior: np.ndarray) -> records.CombinationSummary:
     weights = found.weights
     formula = "" if weights is None else written(weights, found.quantities)
-    return CombinationSummary(
+    return records.CombinationSummary(
         name=found.symbol or formula,
         unit=found.unit,
         prior_sd=finite(float(prior.std())),
-        from_data=float(from_data(float(np.var(draws)), float(np.var(prior)))),
+        from_data=float(identifiability.from_data(float(np.var(draws)), float(np.var(prior)))),
         standard=bool(found.symbol),
         quantities=found.quantities,
         weights=weights,
         constant=found.constant,
         middle_of=found.middle_of,
-        **estimated(draws).model_dump(),
+        **records.estimated(draws).model_dump(),
     )
 
 
@@ -128,15 +110,15 @@ def _summary(found: DeterminedCombination, draws: np.ndarray, prior: np.ndarray)
 _FIFTH, _FACTOR = 0.2, 2.0
 
 
-def prior_scatter(fit: Fit) -> tuple[PriorScatter, ...]:
+def prior_scatter(fit: Fit) -> tuple[records.PriorScatter, ...]:
     """Return the noise scales known from their priors alone, with the parameters whose intervals follow them."""
     if fit.posterior is None:
         return ()
     size, points, found = len(fit.z), fit.posterior.points, []
     for place, scale in enumerate(fit.model.hyper_layout.parameters):
         draws = points[:, size + place]
-        share = float(from_data(float(np.var(draws)), 1.0))
-        if share >= WEAK_SHARE:
+        share = float(identifiability.from_data(float(np.var(draws)), 1.0))
+        if share >= identifiability.WEAK_SHARE:
             continue
         order, count = np.argsort(draws), max(int(_FIFTH * len(draws)), 2)
         narrow, wide = (points[rows, :size].std(axis=0) for rows in (order[:count], order[-count:]))
@@ -150,26 +132,28 @@ def prior_scatter(fit: Fit) -> tuple[PriorScatter, ...]:
         if chosen:
             names = tuple(fit.model.layout.names[parameter] for parameter in chosen)
             found.append(
-                PriorScatter(scale=scale.name, from_data=share, parameters=names, factor=float(factor[chosen[0]]))
+                records.PriorScatter(
+                    scale=scale.name, from_data=share, parameters=names, factor=float(factor[chosen[0]])
+                )
             )
     return tuple(found)
 
 
-def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: int = 0) -> Summary:
+def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: int = 0) -> records.Summary:
     """Return the summary of a fit made in this process; `seed` is that of its sampler."""
     model, mode = fit.model, fit.mode
     assert mode is not None, "a fit read from a folder has its summary there"
     usable = fit.posterior is not None
     precision = np.asarray(posterior_precision(model.problem, mode)) if usable else None
     entries = int(np.sum(model.problem.observations.weight))
-    dof = entries - (effective_parameters(precision) if precision is not None else len(model.layout))
+    dof = entries - (identifiability.effective_parameters(precision) if precision is not None else len(model.layout))
     weak = _weak(fit, precision) if precision is not None else []
     parameters, derived = _parameters(fit), _derived(fit)
     found = combinations(fit, precision)
     shares = {quantity.name: quantity.from_data for quantity in (*derived, *parameters)}
     chains = fit.posterior.chains if fit.posterior is not None else None
     noise, contradicted, known = _noise(fit)
-    return Summary(
+    return records.Summary(
         campaign=model.campaign.name,
         model=model.spec.name,
         provenance=provenance(fit, seed),
@@ -202,7 +186,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         next_runs=next_runs(fit, weak, shares) if usable else (),
         contributions=_contributions(fit, found),
         notes=(*model.campaign.notes, *(f"{run.name}: {note}" for run in model.campaign.runs for note in run.notes)),
-        seconds=Seconds(load=load_seconds, **fit.seconds),
+        seconds=records.Seconds(load=load_seconds, **fit.seconds),
     )
 
 
@@ -224,30 +208,30 @@ def _sampling(chains: Chains | None) -> dict[str, Any]:
     return {"sampled": True, "acceptance": chains.acceptance, "pareto_k": chains.diagnosis.pareto_k}
 
 
-def _contributions(fit: Fit, found: Sequence[EstimatedCombination]) -> tuple[Contribution, ...]:
+def _contributions(fit: Fit, found: Sequence[EstimatedCombination]) -> tuple[identifiability.Contribution, ...]:
     """Return the contribution of each procedure to angles, scale factors and determined combinations."""
     sums = [QuantityDraws(each.summary.name, each.summary.unit, each.posterior, each.prior) for each in found]
     return contributions(fit, sums)
 
 
-def _parameters(fit: Fit) -> tuple[ParameterSummary, ...]:
+def _parameters(fit: Fit) -> tuple[records.ParameterSummary, ...]:
     """Return one line per parameter; estimates are None where the fit did not converge."""
     parameters = fit.model.layout.parameters + fit.model.hyper_layout.parameters
     fixed: list[dict[str, Any]] = [
         {"name": p.name, "unit": p.unit, "nuisance": p.nuisance, "prior_sd": finite(p.prior_sd)} for p in parameters
     ]
     if fit.posterior is None:
-        return tuple(ParameterSummary(**line) for line in fixed)
+        return tuple(records.ParameterSummary(**line) for line in fixed)
     points = fit.posterior.points
     values = in_units(fit.model, points)
     best = in_units(fit.model, np.concatenate([fit.z, fit.h])[None])[0]
     return tuple(
-        ParameterSummary(
+        records.ParameterSummary(
             **line,
-            **estimated(values[:, place]).model_dump(),
+            **records.estimated(values[:, place]).model_dump(),
             map=float(best[place]),
             # In z: the standard deviation of a skewed prior says little of its width.
-            from_data=float(from_data(float(np.var(points[:, place])), 1.0)),
+            from_data=float(identifiability.from_data(float(np.var(points[:, place])), 1.0)),
             **_diagnostics(fit, place),
         )
         for place, line in enumerate(fixed)
@@ -262,40 +246,40 @@ def _diagnostics(fit: Fit, place: int) -> dict[str, Any]:
     return {key: float(getattr(found, key)[place]) for key in ("r_hat", "ess_bulk", "ess_tail")}
 
 
-def _derived(fit: Fit) -> tuple[DerivedSummary, ...]:
+def _derived(fit: Fit) -> tuple[records.DerivedSummary, ...]:
     """Return one line per derived quantity; estimates are None where the fit did not converge."""
     names = fit.derived.names
     if fit.posterior is None:
-        return tuple(DerivedSummary(name=n.name, unit=n.unit, within=_conformance(fit, n, None)) for n in names)
+        return tuple(records.DerivedSummary(name=n.name, unit=n.unit, within=_conformance(fit, n, None)) for n in names)
     lines = []
     for name, draws, prior in zip(names, fit.posterior.derived.T, fit.posterior.prior_derived.T, strict=True):
         # A quantity that no parameter changes has no share from the data.
-        fixed = is_constant(prior)
-        share = None if fixed else float(from_data(float(np.var(draws)), float(np.var(prior))))
+        fixed = records.is_constant(prior)
+        share = None if fixed else float(identifiability.from_data(float(np.var(draws)), float(np.var(prior))))
         lines.append(
-            DerivedSummary(
+            records.DerivedSummary(
                 name=name.name,
                 unit=name.unit,
                 prior_sd=0.0 if fixed else float(prior.std()),
                 from_data=share,
                 within=_conformance(fit, name, draws),
-                **estimated(draws).model_dump(),
+                **records.estimated(draws).model_dump(),
             )
         )
     return tuple(lines)
 
 
-def _conformance(fit: Fit, quantity: DerivedQuantity, draws: np.ndarray | None) -> Conformance | None:
+def _conformance(fit: Fit, quantity: DerivedQuantity, draws: np.ndarray | None) -> records.Conformance | None:
     """Return how probably a Δk is below the threshold up to which the 1 g line applies; None for other quantities."""
     if not quantity.name.startswith("delta_k["):
         return None
     stated = (fit.model.spec.delta_k_threshold, fit.model.campaign.delta_k_threshold, THRESHOLD)
     threshold = 100 * next(each for each in stated if each is not None)
     within = None if draws is None else float(np.mean(draws <= threshold))
-    return Conformance(threshold=threshold, unit=quantity.unit, probability=within)
+    return records.Conformance(threshold=threshold, unit=quantity.unit, probability=within)
 
 
-def _weak(fit: Fit, precision: np.ndarray) -> list[WeakDirection]:
+def _weak(fit: Fit, precision: np.ndarray) -> list[identifiability.WeakDirection]:
     """Return what the data did not determine: pairs of derived quantities first, then combinations of parameters."""
     model = fit.model
     gradient = derived_jacobian(fit.derived.derivation, model.problem, fit.z)
@@ -312,6 +296,8 @@ def _weak(fit: Fit, precision: np.ndarray) -> list[WeakDirection]:
     ]
     hidden = np.array([parameter.nuisance for parameter in model.layout.parameters])
     shown = {name for name, hide in zip(model.layout.names, hidden, strict=True) if not hide}
-    found = weak_directions(precision, model.layout.names, hidden)
+    found = identifiability.weak_directions(precision, model.layout.names, hidden)
     # A combination of nuisance parameters alone, such as the heading of a tumble, is of no interest.
-    return confusions(prior, posterior, along, names, pairs) + [weak for weak in found if shown & {*weak.quantities}]
+    return identifiability.confusions(prior, posterior, along, names, pairs) + [
+        weak for weak in found if shown & {*weak.quantities}
+    ]

@@ -11,23 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch, Rectangle
 
 from imubayes.display import figure_style as style
+from imubayes.display import fit_cautions as cautions
+from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.figures import panels
-from imubayes.display.fit_cautions import (
-    SIGNIFICANT,
-    alarm_of,
-    share_of_freedom,
-    tail,
-    worst_channels,
-    worst_first,
-)
-from imubayes.display.numbers_and_labels import (
-    NO_NUMBER,
-    pretty,
-    ratio_text,
-    readable,
-    shortened,
-    significant,
-)
 from imubayes.display.numbers_and_labels import covariate as covariate_of
 from imubayes.foundations.covariates import Covariate
 from imubayes.results.summary import RunSummary, Summary
@@ -91,10 +77,10 @@ def residual_figure(
 
 def _in_input_units(axes: Axes, own: pl.DataFrame, x: np.ndarray, signs: style.RunSigns) -> None:
     y, sd = style.numbers(own, "input_residual"), style.numbers(own, "input_sd")
-    factor, unit = readable(own["input_unit"][0] or "", float(np.nanmedian(np.abs(sd))))
+    factor, unit = numbers.readable(own["input_unit"][0] or "", float(np.nanmedian(np.abs(sd))))
     _bands(axes, x, sd * factor)
-    _points(axes, x, y * factor, own, signs, 3.2 * float(np.nanmedian(sd * factor)), pretty(unit))
-    axes.set_ylabel(pretty(unit))
+    _points(axes, x, y * factor, own, signs, 3.2 * float(np.nanmedian(sd * factor)), numbers.pretty(unit))
+    axes.set_ylabel(numbers.pretty(unit))
 
 
 def _whitened(axes: Axes, own: pl.DataFrame, x: np.ndarray, signs: style.RunSigns, by_run: bool) -> None:
@@ -129,7 +115,7 @@ def _note(y: np.ndarray, unit: str, limit: float) -> str:
     if not y.size:
         return "no rows with this covariate"
     outside = int(np.count_nonzero(np.abs(y) > limit))
-    text = f"rms {significant(float(np.sqrt(np.mean(y**2))))} {unit}, n = {y.size}"
+    text = f"rms {numbers.significant(float(np.sqrt(np.mean(y**2))))} {unit}, n = {y.size}"
     return text + (f", {outside} beyond the axis" if outside else "")
 
 
@@ -183,7 +169,7 @@ def run_chi2_figure(summary: Summary) -> style.Picture:
 
     Of more than 40 runs or 12 channels, the worst are shown.
     """
-    share = share_of_freedom(summary)
+    share = cautions.share_of_freedom(summary)
     entries = {(run.name, run.channel): run for run in summary.runs}
     runs, channels = _chosen(summary)
     shown = {key: entries.get(key) for key in ((run, channel) for run in runs for channel in channels)}
@@ -192,7 +178,7 @@ def run_chi2_figure(summary: Summary) -> style.Picture:
         max(0.4 + len(runs) * _CELL[1], 1.55),
         "Goodness of fit by run and channel",
         _caption(summary, len(runs), len(channels), sum(run is not None for run in shown.values()), share),
-        alarm=alarm_of(summary),
+        alarm=cautions.alarm_of(summary),
     )
     left, bottom, right, top = figure.inside
     across, base = len(channels) * _CELL[0], top - 0.35 - len(runs) * _CELL[1]
@@ -201,8 +187,8 @@ def run_chi2_figure(summary: Summary) -> style.Picture:
     for (run, channel), entry in shown.items():
         _draw_cell(axes, channels.index(channel), runs.index(run), entry, share)
     axes.xaxis.tick_top()
-    axes.set_xticks([place + 0.5 for place in range(len(channels))], [shortened(name, 11) for name in channels])
-    axes.set_yticks([place + 0.5 for place in range(len(runs))], [shortened(name, 32) for name in runs])
+    axes.set_xticks([place + 0.5 for place in range(len(channels))], [numbers.shortened(name, 11) for name in channels])
+    axes.set_yticks([place + 0.5 for place in range(len(runs))], [numbers.shortened(name, 32) for name in runs])
     axes.tick_params(length=0, labelsize=8.5)
     axes.spines[:].set_visible(False)
     handles = [Patch(facecolor=c, edgecolor="#bbbbbb", linewidth=0.5, label=label) for label, c, _ in _CLASSES]
@@ -214,17 +200,17 @@ def _chosen(summary: Summary) -> tuple[list[str], list[str]]:
     """Return the runs and channels to show, in their own order."""
     runs = list(dict.fromkeys(run.name for run in summary.runs))
     if len(runs) > _MOST_RUNS:
-        kept = set(worst_first(summary)[:_MOST_RUNS])
+        kept = set(cautions.worst_first(summary)[:_MOST_RUNS])
         runs = [name for name in runs if name in kept]
-    return runs, worst_channels(summary.runs, _MOST_CHANNELS)
+    return runs, cautions.worst_channels(summary.runs, _MOST_CHANNELS)
 
 
 def _caption(summary: Summary, runs: int, channels: int, cells: int, share: float) -> str:
     caption = (
         f"χ²/n: mean square of the whitened residuals. In a good model it is about {share:.2f} (the parameters take up "
         "the rest of 1) and no cell is dark. Colour: p-value of χ² for the n of the cell; by chance "
-        f"{cells * SIGNIFICANT:.2g} of {cells} {'cell is' if cells == 1 else 'cells are'} expected to be dark orange. "
-        "Blue: less scatter than the noise model assumes."
+        f"{cells * cautions.SIGNIFICANT:.2g} of {cells} {'cell is' if cells == 1 else 'cells are'} expected to be dark "
+        "orange. Blue: less scatter than the noise model assumes."
     )
     all_runs, all_channels = len({run.name for run in summary.runs}), len({run.channel for run in summary.runs})
     if runs < all_runs or channels < all_channels:
@@ -240,7 +226,7 @@ def _draw_cell(axes: Axes, column: int, row: int, entry: RunSummary | None, shar
 
 def _class_of(entry: RunSummary | None, share: float) -> tuple[str, tuple[str, str, str]]:
     if entry is None or not entry.n or entry.chi2 is None:
-        return NO_NUMBER, _CLASSES[5]
-    chance = tail(entry.chi2, share * entry.n)
-    strength = 2 if abs(chance) < SIGNIFICANT else (1 if abs(chance) < 0.05 else 0)
-    return ratio_text(entry.chi2 / entry.n), _CLASSES[2 - strength if chance >= 0 else 2 + strength]
+        return numbers.NO_NUMBER, _CLASSES[5]
+    chance = cautions.tail(entry.chi2, share * entry.n)
+    strength = 2 if abs(chance) < cautions.SIGNIFICANT else (1 if abs(chance) < 0.05 else 0)
+    return numbers.ratio_text(entry.chi2 / entry.n), _CLASSES[2 - strength if chance >= 0 else 2 + strength]

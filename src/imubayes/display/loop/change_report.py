@@ -9,20 +9,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from imubayes.criticism.explanations import RmsChange
+from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.fit_cautions import conflict_line, set_aside_text
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.diagnosis_sentences import probability, sentence
 from imubayes.display.loop.history import offsets_moved_text
-from imubayes.display.numbers_and_labels import (
-    counted,
-    listed,
-    percent,
-    pretty,
-    readable,
-    significant,
-    value_and_sd,
-)
 from imubayes.loop.injection_recovery import Trial, Trials
 from imubayes.loop.model_history import CrossValidation
 from imubayes.loop.refit import NotDistinguished
@@ -63,9 +55,9 @@ def moved_sheet(change: ModelChange) -> Sheet:
     for each in change.moved:
         if abs(each.in_sd) >= _STAYED:
             pairs = ((each.before, each.sd_before), (each.after, each.sd_after))
-            before, after = (" ± ".join(value_and_sd(*pair)) for pair in pairs)
-            moved = significant(each.in_sd, 2).replace("-", "−")
-            rows.append(cells(each.name, before, after, pretty(each.unit), moved))
+            before, after = (" ± ".join(numbers.value_and_sd(*pair)) for pair in pairs)
+            moved = numbers.significant(each.in_sd, 2).replace("-", "−")
+            rows.append(cells(each.name, before, after, numbers.pretty(each.unit), moved))
     note = "Change in the smaller of the two standard uncertainties, before and after." if rows else ""
     head = ("estimate", "before", "after", "unit", "change / sd")
     return Sheet("Estimates that moved", head, rows, (0, 3), note=note).with_few(0, 2, 3, 4)
@@ -88,9 +80,11 @@ def coefficient_sheet(change: ModelChange) -> Sheet:
     rows, slim = [], []
     for estimate in change.observed.coefficients:
         before = predicted.get(estimate.name)
-        value, sd = value_and_sd(estimate.value, estimate.sd)
-        guess, width = value_and_sd(before.value, before.sd) if before is not None else value_and_sd(None, None)
-        unit = pretty(estimate.unit)
+        value, sd = numbers.value_and_sd(estimate.value, estimate.sd)
+        guess, width = (
+            numbers.value_and_sd(before.value, before.sd) if before is not None else numbers.value_and_sd(None, None)
+        )
+        unit = numbers.pretty(estimate.unit)
         rows.append(cells(estimate.name, guess, width, value, sd, unit))
         name = estimate.name.partition(".")[2] if len(change.added) == 1 else estimate.name
         slim.append(cells(name or estimate.name, f"{guess} ± {width}", f"{value} ± {sd}", unit))
@@ -128,9 +122,9 @@ def _change_cells(change: RmsChange | RunRmsChange) -> Sequence[Cell]:
 def _sizes(change: RmsChange | RunRmsChange) -> tuple[str, str, str]:
     """Return before and after in a unit of plain numbers, and the unit."""
     both = (change.before, change.after)
-    factor, unit = readable(change.unit, max((size for size in both if size is not None), default=0.0))
-    before, after = (significant(None if size is None else size * factor) for size in both)
-    return before, after, pretty(unit)
+    factor, unit = numbers.readable(change.unit, max((size for size in both if size is not None), default=0.0))
+    before, after = (numbers.significant(None if size is None else size * factor) for size in both)
+    return before, after, numbers.pretty(unit)
 
 
 def _rose(change: RmsChange | RunRmsChange) -> bool:
@@ -235,7 +229,8 @@ def _chi2_lines(change: ModelChange) -> list[str]:
         return ["The readings differ: χ² and predictions are not compared."]
     noise = "" if change.predicted.delta_chi2 is None else " at the noise known beforehand"
     predicted, observed = (
-        significant(each).replace("-", "−") for each in (change.predicted.delta_chi2, change.observed.delta_chi2)
+        numbers.significant(each).replace("-", "−")
+        for each in (change.predicted.delta_chi2, change.observed.delta_chi2)
     )
     risen = [offsets_moved_text(change.offsets_moved)] if change.offsets_moved and change.added else []
     return [f"Δχ²{noise}: predicted {predicted}, observed {observed}.", *risen]
@@ -245,7 +240,7 @@ def _odds_lines(change: ModelChange) -> list[str]:
     """Return the odds of the effects that were removed, where a diagnosis told them."""
     if change.log_odds is None:
         return []
-    side, size = "for" if change.log_odds > 0 else "against", significant(abs(change.log_odds))
+    side, size = "for" if change.log_odds > 0 else "against", numbers.significant(abs(change.log_odds))
     return [f"Log odds {side} what was removed, by the diagnosis before it was added: {size}."]
 
 
@@ -267,12 +262,13 @@ def held_out_lines(held_out: CrossValidation | None, step: str = "addition") -> 
     verdict = _VERDICTS[held_out.verdict].format(by=held_out.by, step=doubt)
     gain = f"{held_out.delta:+.1f}".replace("-", "−")
     lines = [
-        f"Leave-one-{held_out.by}-out: Δ elpd {gain} ± {significant(held_out.se, 2)}, better in "
+        f"Leave-one-{held_out.by}-out: Δ elpd {gain} ± {numbers.significant(held_out.se, 2)}, better in "
         f"{held_out.helped} of {held_out.of} {held_out.by}s: {verdict}."
     ]
     if held_out.rates:
         each = ", ".join(
-            f"{rate.channel} {significant(rate.before)} → {significant(rate.after)}" for rate in held_out.rates
+            f"{rate.channel} {numbers.significant(rate.before)} → {numbers.significant(rate.after)}"
+            for rate in held_out.rates
         )
         lines.append(f"Rate at rest in poses that were left out, rms error, {held_out.rates[0].unit}: {each}.")
     return lines
@@ -289,29 +285,30 @@ def injection_report(trials: Trials) -> Report:
 def injection_lines(trials: Trials) -> list[str]:
     """Return the outcome in sentences."""
     lines = [
-        f"{counted(len(trials.trials), 'effect')} injected one by one into simulated data of '{trials.campaign}', "
-        f"{_size(trials)}: {trials.detected} detected, the right group first for {trials.group_first}."
+        f"{numbers.counted(len(trials.trials), 'effect')} injected one by one into simulated data of "
+        f"'{trials.campaign}', {_size(trials)}: {trials.detected} detected, the right group first for "
+        f"{trials.group_first}."
     ]
     if trials.nulls:
-        low, high = trials.false_alarm_interval
+        rate, count = trials.false_alarms / len(trials.nulls), numbers.counted(len(trials.nulls), "draw")
+        rate, low, high = map(numbers.percent, (rate, *trials.false_alarm_interval))
         lines.append(
-            f"Without injection: {counted(trials.false_alarms, 'false alarm')} in "
-            f"{counted(len(trials.nulls), 'draw')}, a rate of {percent(trials.false_alarms / len(trials.nulls))} "
-            f"(95 % interval {percent(low)} to {percent(high)})."
+            f"Without injection: {numbers.counted(trials.false_alarms, 'false alarm')} in {count}, a rate of {rate} "
+            f"(95 % interval {low} to {high})."
         )
     missed = [trial.effect for trial in trials.trials if not trial.detected]
     if missed:
         lines.append(f"Missed: {', '.join(missed)}.")
     if trials.skipped:
-        lines.append(f"Not injected, undetectable in these runs: {listed(list(trials.skipped), 12)}.")
+        lines.append(f"Not injected, undetectable in these runs: {numbers.listed(list(trials.skipped), 12)}.")
     return lines
 
 
 def _size(trials: Trials) -> str:
     typical = trials.size.typical
     if typical is None:
-        return f"at the size with Δχ² = {significant(trials.size.delta_chi2)}"
-    return f"at {significant(typical)} times the largest typical size"
+        return f"at the size with Δχ² = {numbers.significant(trials.size.delta_chi2)}"
+    return f"at {numbers.significant(typical)} times the largest typical size"
 
 
 def injection_sheet(trials: Trials) -> Sheet:
@@ -319,9 +316,9 @@ def injection_sheet(trials: Trials) -> Sheet:
     rows = []
     for trial in trials.trials:
         outcome = "first" if trial.group_first else ("other name" if trial.detected else "missed")
-        first = listed(trial.effects, 2) or trial.diagnosis.verdict
+        first = numbers.listed(trial.effects, 2) or trial.diagnosis.verdict
         found, likely = Cell(outcome, _MOOD[outcome]), probability(trial.diagnosis.probability(trial.effect))
-        rows.append(cells(trial.effect, _injected(trial), significant(trial.delta_chi2), found, first, likely))
+        rows.append(cells(trial.effect, _injected(trial), numbers.significant(trial.delta_chi2), found, first, likely))
     head = ("effect", "injected", "Δχ²", "found", "first group", "probability")
     return Sheet("Injection recovery", head, rows, (0, 1, 3, 4))
 
@@ -330,7 +327,7 @@ def _injected(trial: Trial) -> str:
     if not trial.planted:
         return "–"
     first, count = trial.planted[0], len(trial.planted)
-    text = f"{first.name.partition('.')[2]} {significant(first.value)} {pretty(first.unit)}"
+    text = f"{first.name.partition('.')[2]} {numbers.significant(first.value)} {numbers.pretty(first.unit)}"
     return text + (f", {count - 1} more" if count > 1 else "")
 
 

@@ -13,25 +13,11 @@ from imubayes.adequacy.adequacy_record import NOISE_AGREES
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, ResidualFormula, ScreenedEffect
 from imubayes.criticism.formula_search import FormulaTerm
+from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.fit_cautions import noise_ratio
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.layout import Cell, Report, Sheet, cells
-from imubayes.display.loop.diagnosis_sentences import (
-    evidence_text,
-    noise_text,
-    probability,
-    sentence,
-    why_undetectable,
-)
-from imubayes.display.numbers_and_labels import (
-    chance_text,
-    counted,
-    listed,
-    percent,
-    pretty,
-    significant,
-    value_and_sd,
-)
+from imubayes.display.loop import diagnosis_sentences as sentences
 from imubayes.foundations.errors import input_error
 
 _MOST_RANKED, _MOST_OUTLIERS = 10, 8
@@ -49,10 +35,10 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
     }
     rows, slim = [], []
     for line in ranking:
-        likely = Cell(probability(line.probability), "bad" if line.probability >= 0.5 else "dim")
-        name, drop, odds = line.effect, significant(line.delta_chi2), significant(line.log_odds)
+        likely = Cell(sentences.probability(line.probability), "bad" if line.probability >= 0.5 else "dim")
+        name, drop, odds = line.effect, numbers.significant(line.delta_chi2), numbers.significant(line.log_odds)
         shown, mark = found.estimate(line.effect) or line, group.get(line.effect, "")
-        rows.append(cells(name, listed(shown.channels, 3), coefficient_text(shown), drop, odds, likely, mark))
+        rows.append(cells(name, numbers.listed(shown.channels, 3), coefficient_text(shown), drop, odds, likely, mark))
         slim.append(cells(name, coefficient_text(shown, short=True), drop, likely, mark))
     before = _more(len(found.ranking) - len(rows)) + (
         "Coefficient: the most significant one, at the likeliest shape, such as a time constant; Δχ²: predicted drop "
@@ -79,11 +65,11 @@ def coefficient_text(line: ScreenedEffect, short: bool = False) -> str:
     if not known:
         return "–"
     best, _ = max(known, key=lambda pair: abs(pair[1]) / (pair[0].sd or float("inf")))
-    value, sd = value_and_sd(best.value, best.sd)
-    text = f"{value} ± {sd} {pretty(best.unit)}"
+    value, sd = numbers.value_and_sd(best.value, best.sd)
+    text = f"{value} ± {sd} {numbers.pretty(best.unit)}"
     if short:
         return text
-    shape = ", ".join(f"{key.rpartition('.')[2]} {significant(size)}" for key, size in line.shape.items())
+    shape = ", ".join(f"{key.rpartition('.')[2]} {numbers.significant(size)}" for key, size in line.shape.items())
     text = f"{best.name.partition('.')[2] or best.name} {text}" + (f" at {shape}" if shape else "")
     return text + (f", {len(known) - 1} more" if len(known) > 1 else "")
 
@@ -95,10 +81,10 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
     without = [f"{each.effect} ({', '.join(each.needs) or 'response zero'})" for each in absent]
     rows = []
     for each in hidden:
-        absorbed = ", ".join(f"{percent(part.share)} {part.parameter}" for part in each.absorbed_by[:2])
+        absorbed = ", ".join(f"{numbers.percent(part.share)} {part.parameter}" for part in each.absorbed_by[:2])
         smallest = each.smallest_detectable
-        size = f"{significant(smallest)} {pretty(each.unit)}" if smallest is not None else "–"
-        rows.append(cells(each.effect, absorbed or why_undetectable(each), size, _bias(each.bias)))
+        size = f"{numbers.significant(smallest)} {numbers.pretty(each.unit)}" if smallest is not None else "–"
+        rows.append(cells(each.effect, absorbed or sentences.why_undetectable(each), size, _bias(each.bias)))
     note = ""
     if rows:
         note = (
@@ -113,8 +99,8 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
 def _bias(bias: ParameterBias | None) -> str:
     if bias is None or abs(bias.in_sd) < _SMALL_BIAS:
         return "–"
-    size = f"{significant(abs(bias.value))} {pretty(bias.unit)}"
-    return f"{bias.parameter} by {size}, {significant(abs(bias.in_sd))} sd"
+    size = f"{numbers.significant(abs(bias.value))} {numbers.pretty(bias.unit)}"
+    return f"{bias.parameter} by {size}, {numbers.significant(abs(bias.in_sd))} sd"
 
 
 def formula_sheet(found: Diagnosis) -> Sheet:
@@ -123,9 +109,9 @@ def formula_sheet(found: Diagnosis) -> Sheet:
         cells(
             each.channel,
             term.shape,
-            f"{' ± '.join(value_and_sd(term.value, term.sd))} {pretty(term.unit)}",
-            significant(term.delta_chi2),
-            significant(term.log_odds),
+            f"{' ± '.join(numbers.value_and_sd(term.value, term.sd))} {numbers.pretty(term.unit)}",
+            numbers.significant(term.delta_chi2),
+            numbers.significant(term.log_odds),
         )
         for each in found.formulas
         for term in each.terms
@@ -139,7 +125,7 @@ def formula_sheet(found: Diagnosis) -> Sheet:
 def noise_sheet(found: Diagnosis) -> Sheet:
     """Return the noise of the likeliest explanation where it is not as the model says."""
     noise = found.explanations.noise if found.explanations is not None else ()
-    rows = [cells(noise_text([each]), significant(each.scale)) for each in noise]
+    rows = [cells(sentences.noise_text([each]), numbers.significant(each.scale)) for each in noise]
     return Sheet("Noise that is not as modelled", ("noise", "scale / known"), rows, (0,))
 
 
@@ -149,11 +135,11 @@ def recorded_noise_sheet(found: Diagnosis) -> Sheet:
     rows = [
         cells(
             each.channel,
-            significant(each.fitted),
-            significant(each.recorded),
+            numbers.significant(each.fitted),
+            numbers.significant(each.recorded),
             sources[each.source],
             noise_ratio(each),
-            Cell(chance_text(each.p), "bad" if each.excessive else ""),
+            Cell(numbers.chance_text(each.p), "bad" if each.excessive else ""),
         )
         for each in found.disagreeing_noise
     ]
@@ -237,7 +223,7 @@ def diagnosis_report(found: Diagnosis, pictures: Sequence[Path] = (), verbose: b
     verbose : add every table; otherwise the first rows of those that the verdict rests on, to fit on one screen.
     """
     if found.asked is not None:
-        return Report([sentence(found)], [ranking_sheet(found)])
+        return Report([sentences.sentence(found)], [ranking_sheet(found)])
     told, commands = diagnosis_lines(found), next_lines(found, pictures)
     if not verbose:
         return Report(told, leading_sheets(found), [*_omitted(found), *commands])
@@ -260,7 +246,7 @@ def leading_sheets(found: Diagnosis) -> list[Sheet]:
 def _omitted(found: Diagnosis) -> list[str]:
     """Return what the tables that are left out hold, in one line."""
     lists = {"effect": found.ranking, "outlier": found.outliers, "undetectable effect": found.undetectable}
-    each = [counted(len(lines), name) for name, lines in lists.items() if lines]
+    each = [numbers.counted(len(lines), name) for name, lines in lists.items() if lines]
     return [f"All tables: {', '.join(each)}: imubayes diagnose {found.result} --verbose"] if each else []
 
 
@@ -271,15 +257,15 @@ def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
         group.model_dump(mode="json") | {"effects": list(group.effects), "separating_run": _run_text(group)}
         for group in found.groups
     ]
-    shown = {"sentence": sentence(found), "groups": groups, "formulas": formulas, "next": next_command(found)}
+    shown = {"sentence": sentences.sentence(found), "groups": groups, "formulas": formulas, "next": next_command(found)}
     return found.model_dump(mode="json") | shown
 
 
 def diagnosis_lines(found: Diagnosis) -> list[str]:
     """Return the verdict, the probability of each explanation, and the prediction for what leads."""
-    lines = [sentence(found)]
+    lines = [sentences.sentence(found)]
     if found.explanations is not None:
-        lines.append(evidence_text(found.explanations))
+        lines.append(sentences.evidence_text(found.explanations))
     if found.groups:
         lines.append(_prediction(found))
         lines += _discriminating(found)
@@ -342,18 +328,19 @@ def effect_source(found: Diagnosis) -> str:
 def _prediction(found: Diagnosis) -> str:
     best = found.groups[0]
     rms, together = best.residual, found.delta_chi2 if found.delta_chi2 is not None else best.delta_chi2
-    added = listed([each.effects[0] for each in found.groups])
+    added = numbers.listed([each.effects[0] for each in found.groups])
     alone = f", with {best.effects[0]} alone" if len(found.groups) > 1 else ""
+    before, after = (numbers.significant(each) for each in (rms.before, rms.after))
     return (
-        f"Predicted with {added} added: Δχ² {significant(together)} at the noise known beforehand; residual of "
-        f"{rms.channel} {significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms{alone}."
+        f"Predicted with {added} added: Δχ² {numbers.significant(together)} at the noise known beforehand; residual "
+        f"of {rms.channel} {before} → {after} {numbers.pretty(rms.unit)} rms{alone}."
     )
 
 
 def _discriminating(found: Diagnosis) -> list[str]:
     """Return the run that would distinguish the effects of a group that these do not."""
     return [
-        f"A run that would distinguish {listed(group.effects)}: {_run_text(group)}."
+        f"A run that would distinguish {numbers.listed(group.effects)}: {_run_text(group)}."
         for group in found.groups
         if group.discriminating_run is not None
     ]

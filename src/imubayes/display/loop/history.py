@@ -7,15 +7,8 @@ foot of a page, states what a result comes from.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.layout import Cell, Report, Sheet, cells
-from imubayes.display.numbers_and_labels import (
-    listed,
-    pretty,
-    ratio_text,
-    readable,
-    significant,
-    value_and_sd,
-)
 from imubayes.loop.model_history import Node, Tree, rms_by_unit
 from imubayes.results.history_tree import shown_place
 from imubayes.results.summary import FitProvenance
@@ -66,11 +59,11 @@ def history_sheet(tree: Tree) -> Sheet:
 
 def _scales(errors: Sequence[Mapping[str, float]]) -> Scales:
     units = dict.fromkeys(unit for error in errors for unit in error)
-    return {unit: readable(unit, max(error.get(unit, 0.0) for error in errors)) for unit in units}
+    return {unit: numbers.readable(unit, max(error.get(unit, 0.0) for error in errors)) for unit in units}
 
 
 def _heads(before: str, scales: Scales) -> list[str]:
-    return [before + pretty(unit) for _, unit in scales.values()]
+    return [before + numbers.pretty(unit) for _, unit in scales.values()]
 
 
 def _slim_row(row: Sequence[Cell], node: Node) -> tuple[Cell, ...]:
@@ -78,7 +71,7 @@ def _slim_row(row: Sequence[Cell], node: Node) -> tuple[Cell, ...]:
     found = node.held_out
     gain = row[-2].text
     if found is not None:
-        value, sd = value_and_sd(found.delta, found.se)
+        value, sd = numbers.value_and_sd(found.delta, found.se)
         gain = f"{'+' if found.delta > 0 else ''}{value} ± {sd}"
     return (row[0], row[2], *row[3:-2], Cell(gain, row[-2].mood))
 
@@ -91,8 +84,8 @@ def _row(node: Node, depth: int, place: str, scales: Scales) -> tuple[Cell, ...]
     useless = node.held_out is not None and node.held_out.verdict in ("not", "costs")
     return cells(
         Cell(f"{mark} {title}", "" if node.taken else "dim"),
-        ratio_text(node.chi2_per_dof),
-        significant(node.delta_chi2.observed),
+        numbers.ratio_text(node.chi2_per_dof),
+        numbers.significant(node.delta_chi2.observed),
         *sizes,
         Cell(gain_text(node), "bad" if useless else ""),
         shown_place(place),
@@ -100,7 +93,7 @@ def _row(node: Node, depth: int, place: str, scales: Scales) -> tuple[Cell, ...]
 
 
 def _sizes(error: Mapping[str, float], scales: Scales) -> list[str]:
-    return [significant(error[unit] * factor) if unit in error else "–" for unit, (factor, _) in scales.items()]
+    return [numbers.significant(error[unit] * factor) if unit in error else "–" for unit, (factor, _) in scales.items()]
 
 
 def gain_text(node: Node) -> str:
@@ -108,15 +101,15 @@ def gain_text(node: Node) -> str:
     found = node.held_out
     if found is None:
         return "–" if node.taken else "not taken"
-    text = f"{found.delta:+.1f} ± {significant(found.se, 2)} ({found.helped}/{found.of} {found.by}s)"
+    text = f"{found.delta:+.1f} ± {numbers.significant(found.se, 2)} ({found.helped}/{found.of} {found.by}s)"
     return text + {"not": " no gain", "unclear": " unclear", "spares": " no loss"}.get(found.verdict, "")
 
 
 def offsets_moved_text(channels: Sequence[str]) -> str:
     """Return why the residual rms of channels rose although χ² fell."""
     return (
-        f"The residual rms of {listed(channels)} rises because the offsets of runs, which parameters took up before, "
-        "move into it; within runs it does not rise."
+        f"The residual rms of {numbers.listed(channels)} rises because the offsets of runs, which parameters took up "
+        "before, move into it; within runs it does not rise."
     )
 
 

@@ -7,20 +7,18 @@ from imubayes.display.numbers_and_labels import pretty, significant
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, without_empty_columns
 from imubayes.display.qualification.first_page import alarms, rules_text
 from imubayes.model.model_file import GRAVITY
-from imubayes.qualification.certificate import (
-    Certificate,
-    Environment,
-    MeasurementStandard,
-    Missing,
-    MissingItem,
-    Party,
-)
+from imubayes.qualification import certificate as certificates
 from imubayes.qualification.report_record import QualificationReport
 from imubayes.qualification.standard_quantities import standard_symbol
 
 _NOT_STATED = "not stated"
-_OF_STANDARDS: tuple[MissingItem, ...] = ("standard_certificate", "standard_validity", "expired", "untraced")
-_MISSING: dict[MissingItem, str] = {
+_OF_STANDARDS: tuple[certificates.MissingItem, ...] = (
+    "standard_certificate",
+    "standard_validity",
+    "expired",
+    "untraced",
+)
+_MISSING: dict[certificates.MissingItem, str] = {
     "number": "unique identification of the certificate (7.8.2.1 d)",
     "date": "date of issue (7.8.2.1 j)",
     "laboratory_name": "name of the laboratory (7.8.2.1 b)",
@@ -49,7 +47,7 @@ _MISSING: dict[MissingItem, str] = {
 }
 
 
-def certificate_facts(report: QualificationReport, found: Certificate) -> list[tuple[str, str]]:
+def certificate_facts(report: QualificationReport, found: certificates.Certificate) -> list[tuple[str, str]]:
     """Return the head of a certificate: number, laboratory, customer, item and dates."""
     scope, item = report.scope, found.item
     named = ", ".join(filter(None, (item.description, item.manufacturer, item.model)))
@@ -64,7 +62,7 @@ def certificate_facts(report: QualificationReport, found: Certificate) -> list[t
     ]
 
 
-def _party(found: Party) -> str:
+def _party(found: certificates.Party) -> str:
     return ", ".join(filter(None, (found.name, found.address, found.country, found.email))) or _NOT_STATED
 
 
@@ -85,18 +83,18 @@ def certificate_section(report: QualificationReport) -> Iterator[Block]:
         yield Sheet("Authorised by", ("name", "function", "date", "signature"), rows, (0, 1, 2, 3))
 
 
-def _method(found: Certificate) -> str:
+def _method(found: certificates.Certificate) -> str:
     return f"Method: {found.method or _NOT_STATED}." + (f" Deviations: {found.deviations}." * bool(found.deviations))
 
 
-def all_statements(report: QualificationReport, found: Certificate) -> list[str]:
+def all_statements(report: QualificationReport, found: certificates.Certificate) -> list[str]:
     """Return what a certificate states in words, with what stands against it and what it lacks."""
     rules = [] if report.conformity is None else rules_text(report.conformity.limits)
     lacks = [f"Missing from this certificate: {'; '.join(missing_texts(report.missing))}."] if report.missing else []
     return [*alarms(report), *lacks, *rules, _method(found), *statements(report, found)]
 
 
-def statements(report: QualificationReport, found: Certificate) -> Iterator[str]:
+def statements(report: QualificationReport, found: certificates.Certificate) -> Iterator[str]:
     """Yield traceability, conditions, capability, what results and U are of, remarks and accreditation."""
     if found.standard and not any(each.item in _OF_STANDARDS for each in report.missing):
         yield "The results are metrologically traceable to the SI through the standards used."
@@ -129,7 +127,7 @@ def statements(report: QualificationReport, found: Certificate) -> Iterator[str]
         )
 
 
-def _standards_table(report: QualificationReport, standards: Sequence[MeasurementStandard]) -> Sheet:
+def _standards_table(report: QualificationReport, standards: Sequence[certificates.MeasurementStandard]) -> Sheet:
     expired = {each.of for each in report.missing if each.item == "expired"}
     rows = [
         cells(each.name, ", ".join(each.equipment) or "–", each.serial or "–", each.certificate or _NOT_STATED,
@@ -140,7 +138,7 @@ def _standards_table(report: QualificationReport, standards: Sequence[Measuremen
     return without_empty_columns(Sheet("Standards used", head, rows, (0, 1, 2, 3, 4, 5)))
 
 
-def _validity(standard: MeasurementStandard, expired: bool) -> Cell:
+def _validity(standard: certificates.MeasurementStandard, expired: bool) -> Cell:
     until = str(standard.valid_until or _NOT_STATED)
     return Cell(f"{until}: expired", "bad") if expired else Cell(until)
 
@@ -164,7 +162,7 @@ def unit_g_text(report: QualificationReport) -> str:
     return f"1 g = {subject.gravity_m_s2:.6f} m/s² ({source} at {place}{known})."
 
 
-def _conditions(found: Environment) -> str:
+def _conditions(found: certificates.Environment) -> str:
     ranges = (
         ("air temperature", found.temperature_degC, "°C"),
         ("relative humidity", found.humidity_percent, "%"),
@@ -174,7 +172,7 @@ def _conditions(found: Environment) -> str:
     return ", ".join([*said, *filter(None, (found.text,))]) or _NOT_STATED
 
 
-def missing_section(missing: Sequence[Missing]) -> Iterator[Block]:
+def missing_section(missing: Sequence[certificates.Missing]) -> Iterator[Block]:
     """Return what ISO/IEC 17025 requires of a certificate and this one lacks."""
     if not missing:
         return
@@ -187,6 +185,6 @@ def missing_section(missing: Sequence[Missing]) -> Iterator[Block]:
     yield Items(missing_texts(missing))
 
 
-def missing_texts(missing: Sequence[Missing]) -> list[str]:
+def missing_texts(missing: Sequence[certificates.Missing]) -> list[str]:
     """Return each thing that is missing, with its clause."""
     return [_MISSING[each.item].format(of=each.of) for each in missing]

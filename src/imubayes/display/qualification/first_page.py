@@ -133,8 +133,8 @@ def limits_table(
         (0, 1, 2, 3, 6, 8),
         note="y ± U: estimate with expanded uncertainty U = k u of 95 % coverage, at the temperature of the range at "
         "which the quantity is worst; where the posterior is not symmetric, estimate [95 % interval]. Of a direction "
-        "error Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a range y "
-        "contains hysteresis and lag, U the scatter between runs; at T_ref both are of the mean over the "
+        "error Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a range "
+        "y contains hysteresis and lag, U the scatter between runs; at T_ref both are of the mean over the "
         f"runs. p_c: conformance probability over the whole range (JCGM 106). {words.digits_text(limits)}",
     )
 

@@ -11,19 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 
-from imubayes.display.figure_style import (
-    BAND,
-    BAND_WIDE,
-    BLUE,
-    GREEN,
-    INK,
-    ORANGE,
-    PURPLE,
-    QUIET,
-    SKY,
-    VERMILION,
-    name_rows,
-)
+from imubayes.display import figure_style as style
 from imubayes.display.qualification.document import WIDTH, Drawing, Drawings, drawn, place, title
 from imubayes.qualification.budget_parts import BudgetLine, CorrelationMatrix, QuantityBudget
 from imubayes.qualification.report_record import ResultLine
@@ -34,8 +22,8 @@ _LEGEND = 0.62
 _WHOLE_PAGE = 7.6
 # Part of a bar → colour, in the order in which the parts follow each other.
 _PARTS = {
-    "noise of runs": BLUE, "noise scales": SKY, "fixture": VERMILION, "table": ORANGE, "site": GREEN,
-    "reference": PURPLE, "unit": QUIET, "second order": INK, "small": "#c9ced6",
+    "noise of runs": style.BLUE, "noise scales": style.SKY, "fixture": style.VERMILION, "table": style.ORANGE,
+    "site": style.GREEN, "reference": style.PURPLE, "unit": style.QUIET, "second order": style.INK, "small": "#c9ced6",
     "cmc": "#8a6d3b",
 }  # fmt: skip
 _WORDS = {"noise of runs": "A: noise of runs", "noise scales": "A: noise scales", "unit": "B: unit under test",
@@ -71,7 +59,7 @@ def _in_parts[T: (QuantityBudget, ResultLine)](
 
 def _name_rows(axes: Axes, names: Sequence[str], size: float = 7) -> None:
     """Write names beside rows, without ticks and without a line at the left."""
-    name_rows(axes, names, fontsize=size)
+    style.name_rows(axes, names, fontsize=size)
     axes.spines["left"].set_visible(False)
 
 
@@ -137,7 +125,7 @@ def correlation_drawing(matrix: CorrelationMatrix, names: Sequence[str]) -> Draw
     def draw(figure: Figure) -> None:
         title(figure, name)
         axes = place(figure, _NAMES, 0.15, size, size)
-        for sign, colour in ((1, BLUE), (-1, VERMILION)):
+        for sign, colour in ((1, style.BLUE), (-1, style.VERMILION)):
             squares = [
                 (column - side / 2, row - side / 2, side, side)
                 for row in range(len(names))
@@ -147,7 +135,7 @@ def correlation_drawing(matrix: CorrelationMatrix, names: Sequence[str]) -> Draw
                 for side in (0.9 * abs(value) ** 0.5,)
             ]
             _fill(axes, squares, colour)
-        axes.plot([-0.5, len(names) - 0.5], [-0.5, len(names) - 0.5], color=QUIET, linewidth=0.5)
+        axes.plot([-0.5, len(names) - 0.5], [-0.5, len(names) - 0.5], color=style.QUIET, linewidth=0.5)
         axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(names) - 0.5, -0.5))
         _name_rows(axes, names, min(7.0, cell * 72 * 0.8))
         axes.set_xticks([])
@@ -186,9 +174,9 @@ def _forest(lines: Sequence[ResultLine], number: int, of: int) -> Drawing:
     def draw(figure: Figure) -> None:
         title(figure, name)
         axes = place(figure, _NAMES, 0.42, WIDTH - _NAMES - 0.1, height)
-        axes.axvspan(-2, 2, color=BAND_WIDE, zorder=0)
-        axes.axvspan(-1, 1, color=BAND, zorder=0)
-        axes.axvline(0, color=QUIET, linewidth=0.5)
+        axes.axvspan(-2, 2, color=style.BAND_WIDE, zorder=0)
+        axes.axvspan(-1, 1, color=style.BAND, zorder=0)
+        axes.axvline(0, color=style.QUIET, linewidth=0.5)
         for row, each in enumerate(lines):
             assert each.prior_mean is not None and each.prior_sd is not None  # noqa: PT018
             assert each.estimate is not None and each.low is not None and each.high is not None  # noqa: PT018
@@ -196,7 +184,7 @@ def _forest(lines: Sequence[ResultLine], number: int, of: int) -> Drawing:
                 (value - each.prior_mean) / each.prior_sd for value in (each.estimate, each.low, each.high)
             )
             weak = (each.standard_uncertainty or 0.0) > _UNDETERMINED * each.prior_sd
-            colour = VERMILION if weak else BLUE
+            colour = style.VERMILION if weak else style.BLUE
             axes.plot([low, high], [row, row], color=colour, linewidth=1.4)
             axes.plot([at], [row], "^" if weak else "o", color=colour, markersize=3)
         axes.set(ylim=(len(lines) - 0.4, -0.6))

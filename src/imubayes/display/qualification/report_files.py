@@ -16,28 +16,18 @@ from typing import Literal, get_args
 from markupsafe import Markup, escape
 
 from imubayes.display.layout import Sheet, render
-from imubayes.display.qualification import model_sections, result_sections, unit_drawings, words
+from imubayes.display.qualification import (
+    exact_tables,
+    first_page,
+    model_sections,
+    result_sections,
+    unit_drawings,
+    words,
+)
 from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.calibration_xml import covariance_file, dcc_file
 from imubayes.display.qualification.certificate_pages import certificate_facts, certificate_section, missing_section
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportDocument
-from imubayes.display.qualification.exact_tables import (
-    Kind,
-    Omission,
-    included_table,
-    omissions,
-    omitted_note,
-    omitted_table,
-)
-from imubayes.display.qualification.first_page import (
-    alarms,
-    banner,
-    components_of,
-    facts,
-    limits_table,
-    risk_table,
-    rules_text,
-)
 from imubayes.display.qualification.pdf_file import pdf_file
 from imubayes.display.qualification.quantity_drawings import forest_drawings
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
@@ -115,7 +105,7 @@ _TITLES: dict[Annex, str] = {
     "evidence": "model, convergence and record",
 }
 # Annex that has the table of a kind of quantity; those of the standards are in all.
-_ANNEX_OF: dict[Kind, Annex] = {"angle": "results", "combination": "results", "result": "evidence"}
+_ANNEX_OF: dict[exact_tables.Kind, Annex] = {"angle": "results", "combination": "results", "result": "evidence"}
 
 
 def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNEXES) -> ReportDocument:
@@ -128,9 +118,9 @@ def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNE
     return ReportDocument(
         title="Uncertainty report for qualification" if block is None else f"{block.title}{of}",
         subtitle=f"Unit {serial}",
-        banner=banner(report),
-        alarms=alarms(report),
-        facts=(*own, *facts(report)),
+        banner=first_page.banner(report),
+        alarms=first_page.alarms(report),
+        facts=(*own, *first_page.facts(report)),
         blocks=tuple(filter(None, _blocks(report, annexes))),
         author=(block and block.laboratory.name) or "imubayes",
         footer=f"{number}Unit {serial} · data {made.data_sha256[:12]} · model {made.model_sha256[:12]}",
@@ -141,16 +131,18 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
     """Yield the blocks in order; None for a drawing that has nothing to show."""
     conformity = report.conformity
     if conformity is not None and conformity.limits:
-        yield limits_table(conformity.limits, components_of(report), words.reference_temperature(report))
-    omitted = omissions(report)
-    yield omitted_table([each for each in omitted if _ANNEX_OF.get(each.kind) in (None, *annexes)])
-    yield included_table(report)
+        yield first_page.limits_table(
+            conformity.limits, first_page.components_of(report), words.reference_temperature(report)
+        )
+    omitted = exact_tables.omissions(report)
+    yield exact_tables.omitted_table([each for each in omitted if _ANNEX_OF.get(each.kind) in (None, *annexes)])
+    yield exact_tables.included_table(report)
     if conformity is None:  # then the quantities themselves are what is certified
-        yield from result_sections.standards_section(report, omitted_note(omitted, "standard"))
+        yield from result_sections.standards_section(report, exact_tables.omitted_note(omitted, "standard"))
     else:
         yield Heading("Conformity to the specification")
         yield Paragraph(f"Specification “{conformity.specification}”, SHA-256 {conformity.sha256}.")
-        yield Items(rules_text(conformity.limits))
+        yield Items(first_page.rules_text(conformity.limits))
     yield from certificate_section(report)
     for each in report.supplied:
         yield from result_sections.supplied_section(each)
@@ -168,30 +160,32 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
     yield Paragraph(f"End of the {name}.", "dim")
 
 
-def _results(report: QualificationReport, omitted: Sequence[Omission]) -> Iterator[Block | None]:
+def _results(report: QualificationReport, omitted: Sequence[exact_tables.Omission]) -> Iterator[Block | None]:
     pictures = report.pictures
     if report.conformity is not None:
-        yield from result_sections.standards_section(report, omitted_note(omitted, "standard"))
+        yield from result_sections.standards_section(report, exact_tables.omitted_note(omitted, "standard"))
     yield Heading("Errors of the unit")
     nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
     yield unit_drawings.error_drawings(pictures) or nothing
-    yield from result_sections.mounting_section(report.mounting_angles, omitted_note(omitted, "angle"))
+    yield from result_sections.mounting_section(report.mounting_angles, exact_tables.omitted_note(omitted, "angle"))
     yield unit_drawings.mounting_drawings(pictures)
     yield unit_drawings.angle_drawings(pictures)
-    yield from result_sections.combination_section(report.combinations, omitted_note(omitted, "combination"))
+    yield from result_sections.combination_section(
+        report.combinations, exact_tables.omitted_note(omitted, "combination")
+    )
     yield from result_sections.converter_section(report.thermal_linearity, report.results)
     if report.conformity is not None and report.conformity.limits:
-        yield risk_table(report.conformity.limits)
+        yield first_page.risk_table(report.conformity.limits)
     yield from model_sections.scope_section(report.scope)
 
 
-def _evidence(report: QualificationReport, omitted: Sequence[Omission]) -> Iterator[Block | None]:
+def _evidence(report: QualificationReport, omitted: Sequence[exact_tables.Omission]) -> Iterator[Block | None]:
     yield from model_sections.adequacy_section(report.adequacy)
     if report.pictures.worst is not None:
         yield unit_drawings.worst_drawing(report.pictures.worst)
     yield from model_sections.convergence_section(report.convergence)
     yield from model_sections.left_out_section(report.left_out)
-    yield from result_sections.result_section(report, omitted_note(omitted, "result"))
+    yield from result_sections.result_section(report, exact_tables.omitted_note(omitted, "result"))
     yield forest_drawings(report.results)
     yield from model_sections.equipment_section(report.subject)
     yield from model_sections.provenance_section(report.provenance)

@@ -28,14 +28,8 @@ from imubayes.foundations.errors import InputError, Issue, input_error
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.sensitive_axes import acting_on, solve_rows
 from imubayes.noise.components import Entry, EntryNoise, SharedNoise, SlowNoise, WhiteNoise
+from imubayes.qualification.onboard import response
 from imubayes.qualification.onboard.record import UnexpressedEffect
-from imubayes.qualification.onboard.response import (
-    TEMPERATURES,
-    SensorPosterior,
-    complete_kinds,
-    sensor_posterior,
-    temperature_ranges,
-)
 from imubayes.qualification.onboard.unexpressed_effects import (
     Acting,
     acts_linearly,
@@ -174,7 +168,7 @@ class Correction:
     left_in : effects that are not taken out; what they may do is in the systematic uncertainty.
     """
 
-    posterior: SensorPosterior
+    posterior: response.SensorPosterior
     noise: ReadingNoise
     kinds: tuple[str, ...]
     needs: tuple[str, ...]
@@ -219,7 +213,7 @@ class Correction:
     def _temperatures(self, batch: RowBatch, stated: dict[str, float], tally: RowTally) -> np.ndarray:
         """Return the temperatures of sensor and converter, shape (R, 2); what the model does not need is T_ref."""
         found = []
-        for name in TEMPERATURES:
+        for name in response.TEMPERATURES:
             unsaid = np.full(batch.rows, stated.get(name, np.nan))
             values = batch.numbers.get(COVARIATES[name].column, unsaid)
             self._count_beyond(name, values, tally)
@@ -297,7 +291,7 @@ class Correction:
 def _refusal(campaign: Campaign, where: str) -> InputError:
     """Return the error for a recording, or a unit, without channels for all three axes."""
     names = [channel.name for channel in campaign.channels if channel.kind != "angle"]
-    if complete_kinds(campaign.channels, names):
+    if response.complete_kinds(campaign.channels, names):
         what = "the recording has no complete set of gyros or accelerometers that span three axes"
         return input_error(
             what, f"{where}, header", f"columns {', '.join(names)}", "name the columns like the channels"
@@ -342,13 +336,13 @@ def correction_of(result: Result, header: tuple[str, ...], where: str) -> Correc
     InputError
         where the fit did not converge, or the recording lacks channels for all three axes.
     """
-    posterior = sensor_posterior(result)
-    kinds = complete_kinds(posterior.campaign.channels, header)
+    posterior = response.sensor_posterior(result)
+    kinds = response.complete_kinds(posterior.campaign.channels, header)
     if not kinds:
         raise _refusal(posterior.campaign, where)
     campaign = posterior.campaign
     channels = [channel for kind in kinds for channel in campaign.of_kind(kind)]
-    ranges, inputs = temperature_ranges(campaign), input_ranges(campaign)
+    ranges, inputs = response.temperature_ranges(campaign), input_ranges(campaign)
 
     def known(everything: Acting) -> Acting:
         return {
@@ -369,7 +363,7 @@ def needed_temperatures(result: Result, channels: Sequence[Channel]) -> tuple[st
     names = {channel.name for channel in channels}
     acting = [each for each in result.fit.model.assembly.effects if acts_linearly(each) and names & set(each.channels)]
     needed = {need for effect in acting for need in effect.effect_class.needs}
-    return tuple(name for name in TEMPERATURES if name in needed)
+    return tuple(name for name in response.TEMPERATURES if name in needed)
 
 
 def left_in_sd(left_in: Iterable[UnexpressedEffect], channel: Channel) -> float:

@@ -27,14 +27,7 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.problem import Problem, values_of
 from imubayes.model.sensitive_axes import SensitivityInputs, acting_on, inputs_of
-from imubayes.qualification.onboard.correct_recording import (
-    BEYOND,
-    check_stated,
-    left_in_sd,
-    needed_temperatures,
-    not_given,
-    reading_noise,
-)
+from imubayes.qualification.onboard import correct_recording as correction
 from imubayes.qualification.onboard.record import UnexpressedEffect
 from imubayes.qualification.onboard.response import TEMPERATURES, sensor_posterior, temperature_ranges
 from imubayes.qualification.onboard.unexpressed_effects import Acting, input_ranges, uncorrected_effects
@@ -99,7 +92,7 @@ def inputs_along_axes(
     InputError
         where there are no posterior draws, or columns are missing or not numeric.
     """
-    check_stated(temperatures or {})
+    correction.check_stated(temperatures or {})
     fit = result.fit
     campaign = fit.model.campaign
     channels = [channel for channel in campaign.channels if channel.name in readings.columns]
@@ -107,7 +100,7 @@ def inputs_along_axes(
     readings = readings.with_columns(
         pl.lit(value).alias(name) for name, value in stated.items() if name not in readings.columns
     )
-    _check(readings, campaign, channels, needed_temperatures(result, channels), where)
+    _check(readings, campaign, channels, correction.needed_temperatures(result, channels), where)
     spans = input_ranges(campaign)
     ranges = temperature_ranges(campaign) | {kind: (-span, span) for kind, span in spans.items()}
     felt, beyond = _temperatures(readings, ranges)
@@ -120,17 +113,17 @@ def inputs_along_axes(
     samples = _numbers(readings, "samples", 1.0)
     samples = np.where(samples >= 1, samples, np.nan)
     left_in = effects_left_in(result, channels, nothing_across)
-    noise = reading_noise(result, channels)
+    noise = correction.reading_noise(result, channels)
     sigmas = {parameter.name: parameter.mean or 0.0 for parameter in result.summary.parameters}
     columns: list[pl.Series] = []
     incomplete = np.zeros(readings.height, dtype=bool)
     for channel in channels:
         place, scale = campaign.of_kind(channel.kind).index(channel), abs(channel.scale_si)
         white = sigmas.get(f"white_noise.sigma[{channel.name}]", 0.0) / scale / np.sqrt(samples)
-        shared = math.hypot(noise.run_sd[channel.name], left_in_sd(left_in, channel)) / scale
+        shared = math.hypot(noise.run_sd[channel.name], correction.left_in_sd(left_in, channel)) / scale
         found, own = mean[channel.kind][:, place], np.hypot(spread[channel.kind][:, place], shared)
         columns += _columns(channel, campaign.site.gravity, found, own, white)
-        rows = int(np.sum(np.abs(found) > BEYOND * spans[channel.kind]))
+        rows = int(np.sum(np.abs(found) > correction.BEYOND * spans[channel.kind]))
         beyond[channel.kind] = max(beyond.get(channel.kind, 0), rows)
         incomplete |= ~np.isfinite(found + own + white)
     return CalibratedInputs(readings.with_columns(columns), beyond, ranges, left_in, exact, int(incomplete.sum()))
@@ -207,7 +200,7 @@ def _check(
 
 def _missing(readings: pl.DataFrame, needed: Sequence[str], where: str) -> list[Issue]:
     """Return an issue for every temperature that the channels depend on and the readings lack."""
-    return [not_given(name, where) for name in needed if COVARIATES[name].column not in readings.columns]
+    return [correction.not_given(name, where) for name in needed if COVARIATES[name].column not in readings.columns]
 
 
 def _not_numeric(readings: pl.DataFrame, channels: Sequence[Channel], where: str) -> list[Issue]:
