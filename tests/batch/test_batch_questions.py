@@ -7,8 +7,7 @@ import polars as pl
 import pytest
 
 from imubayes.batch.changes import compare_models, regression, serial_number, trends
-from imubayes.batch.next_prior import next_unit_model
-from imubayes.batch.parameter_population import populations
+from imubayes.batch.parameter_population import next_unit_model, populations
 from imubayes.batch.posterior_table import (
     Outcome,
     Quantities,

@@ -141,7 +141,7 @@ def _compare_two(first: Path, second: Path, given: dict[str, Any], as_json: bool
         for result in (first, second):
             trusting(result, trust)
         from imubayes.api import repeatability
-        from imubayes.display.loop.repeatability_report import repeatability_report
+        from imubayes.display.loop.prediction_report import repeatability_report
 
         found = repeatability(first, second, **given, progress=tell)
     show(lambda: found, lambda: repeatability_report(found, verbose), as_json)

@@ -13,8 +13,7 @@ from imubayes.display.layout import Report, report_html, report_text
 from imubayes.display.loop.change_report import change_report, injection_report
 from imubayes.display.loop.diagnosis_report import diagnosis_report
 from imubayes.display.loop.history import history_report
-from imubayes.display.loop.prediction_report import prediction_report
-from imubayes.display.loop.repeatability_report import repeatability_report
+from imubayes.display.loop.prediction_report import prediction_report, repeatability_report
 from imubayes.display.numbers_and_labels import significant
 from imubayes.foundations.records import headline_of, html_of, text_of
 from imubayes.loop.injection_recovery import Trials

@@ -2,10 +2,9 @@
 
 from imubayes.display.figures.measurement import measurement_figure
 from imubayes.display.figures.posterior import corner_figure, identifiability_figure
-from imubayes.display.figures.prior_posterior import prior_posterior_figure
+from imubayes.display.figures.prior_posterior import prior_posterior_figure, temperature_figure, thermal_courses
 from imubayes.display.figures.residual import residual_figure, run_chi2_figure
 from imubayes.display.figures.setup import campaign_timeline_figure, mounted_pairs, mounting_sketch_figure
-from imubayes.display.figures.temperature import temperature_figure, thermal_courses
 
 __all__ = [
     "campaign_timeline_figure",

@@ -1,6 +1,10 @@
-"""Runs against their prediction in words, tables and pictures; the pictures and the page are those of `compare`."""
+"""A later calibration held against an earlier one: its runs against their prediction, or both results compared.
 
-from collections.abc import Iterator
+Runs against their prediction are shown in words, tables and pictures; the pictures and the page are those of `compare`.
+Two calibrations of one unit are compared in words and a table.
+"""
+
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from markupsafe import Markup
@@ -8,18 +12,29 @@ from markupsafe import Markup
 from imubayes.display.figure_selection import most_telling_first, plan, runs_shown
 from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
-from imubayes.display.layout import Report, Sheet, cells, report_html
+from imubayes.display.layout import Cell, Report, Sheet, cells, report_html
 from imubayes.display.model_against_measurement import comparison_page, draw_figures
-from imubayes.display.numbers_and_labels import counted, listed, pretty, ratio_text, relation, significant, value_and_sd
+from imubayes.display.numbers_and_labels import (
+    counted,
+    listed,
+    pretty,
+    ratio_text,
+    relation,
+    rounded,
+    significant,
+    value_and_sd,
+)
 from imubayes.foundations.files import refuse_occupied, write_text
 from imubayes.foundations.progress import Tell
 from imubayes.loop.predicted_runs import ShiftedEstimate
+from imubayes.qualification.next_due import MOST_INTERVALS, YEAR
+from imubayes.qualification.repeatability import ComparedQuantity, Repeatability
 from imubayes.results.folder_files import RESIDUALS
 from imubayes.results.prediction import LEAST_CHANCE, RunPrediction
 from imubayes.results.summary import Summary
 
 PREDICTION, PREDICTION_PAGE = "prediction.json", "prediction.html"
-_MOST_ROWS, _MOST_CHANNELS = 8, 9
+_MOST_SHIFTS, _MOST_CHANNELS = 8, 9
 # Where the runs fail, a pull beyond this is named, even where few runs leave its chance open.
 _FAR = 4.0
 
@@ -30,7 +45,9 @@ def prediction_report(prediction: RunPrediction, verbose: bool = False) -> Repor
     few = len({run.channel for run in summary.runs}) <= _MOST_CHANNELS
     quality = (fit_sheet if few and not verbose else run_sheet)(summary)
     return Report(
-        list(_lines(prediction)), [_predictive(quality), shift_sheet(prediction, verbose)], alarm=_alarm(prediction)
+        list(_predicted_lines(prediction)),
+        [_predictive(quality), shift_sheet(prediction, verbose)],
+        alarm=_alarm(prediction),
     )
 
 
@@ -56,7 +73,7 @@ def _as_fit(prediction: RunPrediction) -> Summary:
     )  # fmt: skip
 
 
-def _lines(prediction: RunPrediction) -> Iterator[str]:
+def _predicted_lines(prediction: RunPrediction) -> Iterator[str]:
     found = prediction.summary
     ratio = ratio_text(None if found.chi2 is None else found.chi2 / max(found.n, 1))
     names = list(dict.fromkeys(run.name for run in found.runs))
@@ -106,8 +123,8 @@ def shift_sheet(prediction: RunPrediction, verbose: bool = False) -> Sheet:
     note = "pull: shift over its standard deviation where the model describes the new runs; p: of so large a one."
     head = ("estimate", "fit", "shift", "unit", "pull", "p")
     sheet = Sheet("What the new runs would make of the estimates", head, rows, (0, 3), note=note)
-    left = len(rows) - _MOST_ROWS
-    return sheet if verbose or left <= 0 else sheet.first(_MOST_ROWS, f"{left} more with --verbose. {note}")
+    left = len(rows) - _MOST_SHIFTS
+    return sheet if verbose or left <= 0 else sheet.first(_MOST_SHIFTS, f"{left} more with --verbose. {note}")
 
 
 def _shift_row(each: ShiftedEstimate):
@@ -141,3 +158,129 @@ def save_prediction(prediction: RunPrediction, folder: Path, tell: Tell) -> Path
     write_text(page, comparison_page(title, tables, [f"{name}.png" for name in ranked], captions, ()))
     write_text(folder / PREDICTION, prediction.summary.json_text())
     return page
+
+
+_MOST_ROWS = 20
+# Share of the variance in common that is worth a sentence.
+_MUCH_IN_COMMON = 0.5
+
+
+def repeatability_report(found: Repeatability, verbose: bool = False) -> Report:
+    """Return the verdict, what moved, whether both may be pooled, and the table of differences."""
+    return Report(list(_compared_lines(found)), [difference_sheet(found, verbose)])
+
+
+def _compared_lines(found: Repeatability) -> Iterator[str]:
+    unit = f" of unit {found.serial}" if found.serial else ""
+    if not found.quantities:
+        yield f"Nothing can be compared: there is no quantity that both calibrations{unit} determine."
+    else:
+        said = "agree" if found.verdict == "agree" else "DO NOT agree"
+        yield (
+            f"The two calibrations{unit} {said} within their uncertainties: χ² {significant(found.chi2)} for "
+            f"{found.freedom} differences of parameters (p {relation(found.p)}); |E_n| ≤ 1 for "
+            f"{sum(abs(each.e_n) <= 1 for each in found.quantities)} of {len(found.quantities)} quantities."
+        )
+    for each in [each for each in found.quantities if each.moved][:3]:
+        yield _moved(each, found.days)
+    if found.verdict == "differ" and not any(each.moved for each in found.quantities):
+        yield "No quantity moved beyond chance by itself; together they did."
+    yield from _common(found.quantities)
+    yield _pooling(found)
+    yield from _due(found)
+    if found.other_priors:
+        yield (
+            f"Other priors in the two models: {listed(found.other_priors)}. They are compared as if they had nothing "
+            "in common; a prior that was made of the first calibration makes the second agree."
+        )
+    if found.changed:
+        yield f"Not the same equipment, although named alike: {listed(found.changed)}."
+    if found.elsewhere:
+        yield "The sites are two: gravity, level and heading have errors of their own."
+    if found.not_determined:
+        yield f"Not compared, as one of the two leaves it to its prior: {listed(found.not_determined)}."
+
+
+def _moved(each: ComparedQuantity, days: float | None) -> str:
+    apart, sd = value_and_sd(each.difference, each.difference_sd)
+    text = f"{each.name} moved by {apart} ± {sd} {pretty(each.unit)} (E_n {significant(each.e_n, 2)})"
+    if days:
+        text += (
+            f", {significant(each.difference * YEAR / abs(days), 2)} {pretty(each.unit)} per year if it drifts evenly"
+        )
+    return f"{text}."
+
+
+def _common(quantities: Sequence[ComparedQuantity]) -> Iterator[str]:
+    shared = [each for each in quantities if each.common > _MUCH_IN_COMMON]
+    if shared:
+        most = max(shared, key=lambda each: each.common)
+        apart = (most.first_sd**2 + most.second_sd**2) ** 0.5
+        _, alone = value_and_sd(apart, apart)
+        _, sd = value_and_sd(most.difference, most.difference_sd)
+        yield (
+            f"Most of the uncertainty of {listed([each.name for each in shared], 3)} is common to both (equipment that "
+            f"stayed, or a prior), and no difference shows it: {most.name} may differ by ±{sd}, not by ±{alone}, and "
+            f"both may be wrong together by ±{value_and_sd(most.first, most.first_sd)[1]} {pretty(most.unit)}."
+        )
+
+
+def _due(found: Repeatability) -> Iterator[str]:
+    """Yield when the next calibration is due, by the quantity that reaches its limit first."""
+    if not found.due:
+        return
+    for each in found.due[:3]:
+        rate, sd = value_and_sd(each.rate, each.rate_sd)
+        drift = f"{each.name} drifts by {rate} ± {sd} {pretty(each.unit)} per year"
+        if each.days is None:
+            yield f"{drift} and stays within its limits for {MOST_INTERVALS:g} times the time between both."
+        elif each.days == 0:
+            yield f"{drift} and is not within its limits now, with k = 2: calibration is due."
+        else:
+            yield f"{drift} and may reach a limit (k = 2) {significant(each.days, 3)} days after the second one."
+    yield (
+        "Two calibrations cannot test whether a drift is even: the interval has no check of its model; `imubayes batch "
+        "trends` has one of several."
+    )
+
+
+def _pooling(found: Repeatability) -> str:
+    if found.pooled:
+        return "They may be pooled: the last column is by both as one, priors and common equipment counted once."
+    if found.verdict == "differ":
+        return "They may not be pooled: fit the later one alone, or find what changed."
+    return "They are not pooled: their priors differ." if found.other_priors else "They are not pooled."
+
+
+def difference_sheet(found: Repeatability, verbose: bool = False) -> Sheet:
+    """Return both estimates, their difference with U (k = 2), E_n and the pooled value, largest |E_n| first.
+
+    The earlier of two dated calibrations is headed as left, the later as found.
+    """
+    rows = [_row(each, found.pooled) for each in found.quantities]
+    head = ["quantity", *_heads(found), "difference", "U", "E_n", *(["pooled"] if found.pooled else []), "unit"]
+    note = "U: expanded uncertainty of the difference, k = 2, without what is common to both; E_n: difference over U."
+    sheet = Sheet("Differences of both calibrations", head, rows, (0, len(head) - 1), note=note)
+    left = len(rows) - _MOST_ROWS
+    few = (0, 3, 4, 5, len(head) - 1)
+    return (sheet if verbose or left <= 0 else sheet.first(_MOST_ROWS, f"{left} more with --verbose. {note}")).with_few(
+        *few
+    )
+
+
+def _heads(found: Repeatability) -> tuple[str, str]:
+    if not found.days:
+        return "first", "second"
+    dates = [date[:10] for date in found.dates if date]
+    words = ("as left", "as found") if found.days > 0 else ("as found", "as left")
+    return f"{words[0]} {dates[0]}", f"{words[1]} {dates[1]}"
+
+
+def _row(each: ComparedQuantity, pooled: bool) -> tuple[Cell, ...]:
+    first, second = (" ± ".join(value_and_sd(*pair)) for pair in (
+        (each.first, each.first_sd), (each.second, each.second_sd)
+    ))  # fmt: skip
+    apart, width = rounded((each.difference, 2 * each.difference_sd), each.difference_sd)
+    e_n = Cell(f"{each.e_n:.2f}".replace("-", "−"), "bad" if each.moved else "weak" if abs(each.e_n) > 1 else "")
+    both = [" ± ".join(value_and_sd(each.pooled, each.pooled_sd))] if pooled else []
+    return cells(each.name, first, second, apart, width, e_n, *both, pretty(each.unit))
