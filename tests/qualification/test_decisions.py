@@ -41,7 +41,7 @@ def estimate_of(value: float, u: float, conformance: float = 0.9) -> MeasuredVal
 def test_zener_diode_of_jcgm_106():
     found = conformance_probability(marginal_of(stats.norm(-5.47, 0.05), 100_000), ToleranceInterval(upper=-5.40))
     assert f"{found.from_quadrature:.2f}" == "0.92"
-    assert found.value == pytest.approx(stats.norm.cdf(1.4), abs=4 * found.error)
+    assert found.value == pytest.approx(stats.norm.cdf(1.4), abs=4 * found.monte_carlo_error)
 
 
 # JCGM 101, 9.2.2: the sum of four rectangular quantities of unit sd is within ± 3.88 with 95 %; of normal ones ± 3.92.
@@ -103,7 +103,7 @@ def test_guard_bands_of_ilac_g8(factor, risk):
     u, upper = 0.3, 10.0
     at_limit = marginal_of(stats.norm(upper - factor * u, u), 100_000)
     found = conformance_probability(at_limit, ToleranceInterval(upper=upper))
-    assert 1 - found.from_quadrature <= risk + 3 * found.error
+    assert 1 - found.from_quadrature <= risk + 3 * found.monte_carlo_error
     assert 1 - found.from_quadrature >= 0.75 * risk
     rule = DecisionRule("guard_band", guard_factor=factor) if factor else DecisionRule("simple_acceptance")
     inside, beyond = (estimate_of(upper - factor * u + step, u) for step in (-1e-9, 1e-9))
@@ -154,7 +154,7 @@ def test_own_guard_band_is_a_width():
 def test_the_two_methods_agree(law, probability):
     found = conformance_probability(marginal_of(law), ToleranceInterval(upper=float(law.ppf(probability))))
     assert found.withheld is None
-    assert found.value == pytest.approx(probability, abs=4 * found.error)
+    assert found.value == pytest.approx(probability, abs=4 * found.monte_carlo_error)
 
 
 def test_quadrature_is_exact_for_a_known_marginal():
@@ -188,7 +188,7 @@ def test_global_risks_by_two_methods(guard, tolerance):
     found = global_risks(Production(0.2, 1.0), 0.5, tolerance, tolerance.guarded(guard))
     for risk in (found.consumer, found.producer):
         assert risk.withheld is None
-        assert risk.from_quadrature == pytest.approx(risk.from_draws, abs=4 * risk.error)
+        assert risk.from_quadrature == pytest.approx(risk.from_draws, abs=4 * risk.monte_carlo_error)
     # The two normals as one bivariate distribution: an independent way to the same number.
     pair = stats.multivariate_normal([0.2, 0.2], [[1.0, 1.0], [1.0, 1.25]])
     limits = np.array([[tolerance.lower, tolerance.upper], [tolerance.lower + guard, tolerance.upper - guard]])

@@ -108,6 +108,11 @@ class Sheet:
         """Return the table with other attributes, on narrow terminals as well."""
         return replace(self, narrow=None if self.narrow is None else self.narrow.changed(**changes), **changes)
 
+    def few(self, most: int) -> "Sheet":
+        """Return at most so many of its first rows, with a note of how many there are."""
+        left = len(self.rows) - most
+        return self.first(most, f"{left} more with --verbose. {self.note}".strip()) if left > 0 else self
+
     def first(self, most: int, note: str) -> "Sheet":
         """Return at most so many of its first rows, with another note."""
         narrow = None if self.narrow is None else self.narrow.first(most, note)

@@ -60,12 +60,8 @@ def terminal_progress(stream: Stream | None = None, *, lines: bool = True, text:
     if not moving and not lines:
         yield silent
         return
-    shown = (_MovingLine if moving else _PlainLines)(chosen, text)
-    shown.start()
-    try:
-        yield shown.tell
-    finally:
-        shown.stop()
+    with (_MovingLine if moving else _PlainLines)(chosen, text).shown() as tell:
+        yield tell
 
 
 class ShownProgress(ABC):
@@ -78,18 +74,19 @@ class ShownProgress(ABC):
         # A notebook knows by its context which cell it shows something below.
         self._thread = threading.Thread(target=contextvars.copy_context().run, args=(self.show,), daemon=True)
 
-    def start(self) -> None:
-        """Begin to show the step."""
+    @contextmanager
+    def shown(self) -> Iterator[Tell]:
+        """Show the step until the block ends, and take the line away; yield what tells the step that goes on."""
         self._thread.start()
+        try:
+            yield self.tell
+        finally:
+            self._done.set()
+            self._thread.join()
 
     def tell(self, text: str) -> None:
         """Tell the step that goes on."""
         self._text = text
-
-    def stop(self) -> None:
-        """End, and take the line away."""
-        self._done.set()
-        self._thread.join()
 
     @abstractmethod
     def show(self) -> None:
@@ -103,6 +100,13 @@ class _OnStream(ShownProgress):
     def __init__(self, stream: Stream, text: str):
         super().__init__(text)
         self._stream = stream
+
+    def _write(self, text: str) -> None:
+        try:
+            self._stream.write(text)
+            self._stream.flush()
+        except (OSError, ValueError):  # closed by the other end
+            self._done.set()
 
 
 class _MovingLine(_OnStream):
@@ -121,13 +125,6 @@ class _MovingLine(_OnStream):
                 self._write("\r\x1b[2K")
                 return
 
-    def _write(self, text: str) -> None:
-        try:
-            self._stream.write(text)
-            self._stream.flush()
-        except (OSError, ValueError):  # closed by the other end
-            self._done.set()
-
 
 class _PlainLines(_OnStream):
     """A line for each step, and one now and then for a step that goes on."""
@@ -139,11 +136,7 @@ class _PlainLines(_OnStream):
             wait, text, now = _LINE / 4, self._text, self._seconds()
             if now - at < (_STILL if text == said else _LINE):
                 continue
-            try:
-                self._stream.write(f"{text} · {now:.0f} s\n")
-                self._stream.flush()
-            except (OSError, ValueError):
-                return
+            self._write(f"{text} · {now:.0f} s\n")
             said, at = text, now
 
 
@@ -165,12 +158,8 @@ def progress_of(given: Tell | None) -> Iterator[Tell]:
         with terminal_progress(lines=False) as tell:
             yield tell
         return
-    line = _Line(display)
-    line.start()
-    try:
-        yield line.tell
-    finally:
-        line.stop()
+    with _Line(display).shown() as tell:
+        yield tell
 
 
 def _display() -> Callable[..., Any] | None:

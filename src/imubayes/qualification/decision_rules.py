@@ -136,14 +136,14 @@ class ProbabilityByTwoMethods:
     Attributes
     ----------
     from_draws, from_quadrature : of the two methods.
-    error : Monte Carlo standard error of the first.
+    monte_carlo_error : Monte Carlo standard error of the first.
     allowed : largest difference between the two.
     withheld : why no value is stated; None where one is.
     """
 
     from_draws: float
     from_quadrature: float
-    error: float
+    monte_carlo_error: float
     allowed: float
     withheld: Withheld | None
 

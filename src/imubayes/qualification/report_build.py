@@ -365,9 +365,7 @@ def _outcome(found: ConformityOfQuantity, gravity: float) -> record.LimitOutcome
         guard_factor=rule.guard_factor,
         guard_width=rule.guard_width,
         rule_probability=rule.probability,
-        guard_band=found.decision.guard_band,
-        outcome=found.decision.outcome,
-        withheld=found.decision.withheld,
+        **vars(found.decision),
         monte_carlo=_errors_of(found),
         consumer_risk=found.consumer,
         producer_risk=found.producer,
@@ -407,12 +405,9 @@ def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) ->
         values = table[covariate.column].cast(pl.Float64).drop_nulls().to_numpy()
         values = values[np.isfinite(values)]
         if len(values):
-            low, high = float(values.min()), float(values.max())
-            ranges.append(
-                record.CoveredRange(
-                    name=covariate.name, phrase=covariate.phrase, unit=covariate.unit, lowest=low, highest=high
-                )
-            )
+            name, phrase, low, high = covariate.name, covariate.phrase, float(values.min()), float(values.max())
+            found = record.CoveredRange(name=name, phrase=phrase, unit=covariate.unit, lowest=low, highest=high)
+            ranges.append(found)
     starts = starts_of(campaign.runs)
     undetectable = diagnosis.undetectable if diagnosis is not None else ()
     lines = [*result.summary.parameters, *(each for each in result.summary.derived if not each.repeats_misalignments)]

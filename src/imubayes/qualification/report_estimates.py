@@ -31,14 +31,7 @@ _MOST_SCREENED = 4
 
 def probability_of(found: ProbabilityByTwoMethods) -> record.Probability:
     """Return a probability by two methods as a record."""
-    return record.Probability(
-        value=found.value,
-        from_draws=found.from_draws,
-        from_quadrature=found.from_quadrature,
-        monte_carlo_error=found.error,
-        allowed=found.allowed,
-        withheld=found.withheld,
-    )
+    return record.Probability.model_validate(found, from_attributes=True)
 
 
 def _numbers(unit: TestedUnit, name: str) -> dict[str, Any]:
@@ -186,6 +179,11 @@ def standard_estimates(unit: TestedUnit | None) -> tuple[record.StandardEstimate
     )
 
 
+def _named(quantity: StandardQuantity) -> dict[str, Any]:
+    """Return how the standards call a quantity, as the fields of a line."""
+    return {"key": quantity.key, "symbol": quantity.symbol, "quantity": quantity.name, "standard": quantity.standard}
+
+
 def _of_standard(quantity: StandardQuantity, found: StandardDraws, unit: TestedUnit) -> record.StandardEstimate:
     own = f"{quantity.key}[{found.label}]"
     known = own if own in unit.quantities.draws else found.members[0]
@@ -194,10 +192,7 @@ def _of_standard(quantity: StandardQuantity, found: StandardDraws, unit: TestedU
         unit=found.unit,
         d_si=digital_unit(found.unit, unit.gravity),
         from_data=unit.quantities.entries[known].from_data,
-        key=quantity.key,
-        symbol=quantity.symbol,
-        quantity=quantity.name,
-        standard=quantity.standard,
+        **_named(quantity),
         term=quantity.term,
         label=found.label,
         members=found.members,
@@ -213,10 +208,7 @@ def _not_measured(standards: Sequence[record.StandardEstimate]) -> Iterator[reco
         if own:
             shares = [each.from_data for each in own if each.from_data is not None and not each.exact]
             yield record.NotEstimated(
-                key=quantity.key,
-                symbol=quantity.symbol,
-                quantity=quantity.name,
-                standard=quantity.standard,
+                **_named(quantity),
                 effects=quantity.effects,
                 labels=tuple(each.label for each in own),
                 reason="not_measured",
@@ -246,10 +238,7 @@ def not_estimated(
         reason, needs = _why_missing(quantity, in_model, diagnosis)
         found.append(
             record.NotEstimated(
-                key=quantity.key,
-                symbol=quantity.symbol,
-                quantity=quantity.name,
-                standard=quantity.standard,
+                **_named(quantity),
                 effects=quantity.effects,
                 reason=reason,
                 needs=needs,

@@ -473,6 +473,12 @@ class QualificationReport(Record):
     supplied: tuple[ReportSection, ...] = ()
 
     @property
+    def estimates(self) -> tuple[ReportedEstimate, ...]:
+        """Everything that the tables state."""
+        stated = (*self.results, *self.mounting_angles, *self.standards, *self.combinations)
+        return (*stated, *self.thermal_linearity)
+
+    @property
     def accepted(self) -> bool:
         """Whether the unit passed, or was not held against a specification; never where the fit did not converge."""
         if self.conformity is not None:

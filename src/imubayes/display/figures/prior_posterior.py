@@ -8,6 +8,7 @@ every channel are drawn over the temperatures of its runs, as the fit knows them
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -106,6 +107,7 @@ def _widths(axes: Axes, chosen: Sequence[Quantity]) -> None:
     units = {entry.unit for entry in chosen}
     angles = units <= set(_ARCSEC)
     unit = "arcsec" if angles else (pretty(next(iter(units))) if len(units) == 1 else "unit of each")
+    beside: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "size": style.SMALL, "va": "center"}
     sizes: list[float] = []
     for place, entry in enumerate(chosen):
         scale = _ARCSEC[entry.unit] if angles else 1.0
@@ -115,16 +117,8 @@ def _widths(axes: Axes, chosen: Sequence[Quantity]) -> None:
         axes.plot([before], [place], "o", color="white", markeredgecolor=style.QUIET, markeredgewidth=1.0, markersize=5)
         axes.plot([after], [place], "o", color=_colour(entry), markersize=5)
         text = f"{significant(before, 2)} → {significant(after, 2)}" + ("" if angles else f" {pretty(entry.unit)}")
-        axes.text(1.015, place, text, transform=axes.get_yaxis_transform(), size=style.SMALL, va="center")
-    axes.text(
-        1.015,
-        -1.0,
-        "before → after",
-        transform=axes.get_yaxis_transform(),
-        size=style.SMALL,
-        color=style.QUIET,
-        va="center",
-    )
+        axes.text(1.015, place, text, **beside)
+    axes.text(1.015, -1.0, "before → after", color=style.QUIET, **beside)
     axes.set(xscale="log", xlim=(min(sizes) / 1.6, max(sizes) * 1.6), xlabel=f"standard uncertainty / {unit}")
     set_decades(axes.xaxis)
     axes.grid(axis="x")

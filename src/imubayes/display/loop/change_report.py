@@ -36,17 +36,9 @@ def change_sheets(change: ModelChange) -> list[Sheet]:
 def leading_sheets_of(change: ModelChange, channels: Sequence[RmsChange]) -> list[Sheet]:
     """Return the first rows of what a change is about, and the residual rms of some channels."""
     return [
-        first_rows(coefficient_sheet(change) if change.added else moved_sheet(change)),
+        (coefficient_sheet(change) if change.added else moved_sheet(change)).few(_MOST_ROWS),
         channel_sheet(change.model_copy(update={"channels": tuple(channels)})),
     ]
-
-
-def first_rows(sheet: Sheet) -> Sheet:
-    """Return the first rows of a table, with a note of how many there are."""
-    left = len(sheet.rows) - _MOST_ROWS
-    if left <= 0:
-        return sheet
-    return sheet.first(_MOST_ROWS, f"{left} more with --verbose." + (f" {sheet.note}" if sheet.note else ""))
 
 
 def moved_sheet(change: ModelChange) -> Sheet:

@@ -123,8 +123,7 @@ def shift_sheet(prediction: RunPrediction, verbose: bool = False) -> Sheet:
     note = "pull: shift over its standard deviation where the model describes the new runs; p: of so large a one."
     head = ("estimate", "fit", "shift", "unit", "pull", "p")
     sheet = Sheet("What the new runs would make of the estimates", head, rows, (0, 3), note=note)
-    left = len(rows) - _MOST_SHIFTS
-    return sheet if verbose or left <= 0 else sheet.first(_MOST_SHIFTS, f"{left} more with --verbose. {note}")
+    return sheet if verbose else sheet.few(_MOST_SHIFTS)
 
 
 def _shift_row(each: ShiftedEstimate):
@@ -261,11 +260,7 @@ def difference_sheet(found: Repeatability, verbose: bool = False) -> Sheet:
     head = ["quantity", *_heads(found), "difference", "U", "E_n", *(["pooled"] if found.pooled else []), "unit"]
     note = "U: expanded uncertainty of the difference, k = 2, without what is common to both; E_n: difference over U."
     sheet = Sheet("Differences of both calibrations", head, rows, (0, len(head) - 1), note=note)
-    left = len(rows) - _MOST_ROWS
-    few = (0, 3, 4, 5, len(head) - 1)
-    return (sheet if verbose or left <= 0 else sheet.first(_MOST_ROWS, f"{left} more with --verbose. {note}")).with_few(
-        *few
-    )
+    return (sheet if verbose else sheet.few(_MOST_ROWS)).with_few(0, 3, 4, 5, len(head) - 1)
 
 
 def _heads(found: Repeatability) -> tuple[str, str]:

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator, Sequence
 
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.layout import Cell, Sheet, cells
-from imubayes.display.numbers_and_labels import NO_NUMBER, pretty, significant
+from imubayes.display.numbers_and_labels import NO_NUMBER, listed, pretty, significant
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, without_empty_columns
 from imubayes.display.qualification.quantity_drawings import bar_drawings, correlation_drawing
 from imubayes.qualification import budget_parts as parts
@@ -80,8 +80,7 @@ def reported_budgets(report: QualificationReport, budgets: parts.UncertaintyBudg
 
 def _withheld(report: QualificationReport) -> set[str]:
     """Return the quantities whose uncertainty no other page states."""
-    lines = (*report.results, *report.mounting_angles, *report.standards, *report.combinations)
-    return {line.name for line in (*lines, *report.thermal_linearity) if line.withheld is not None}
+    return {line.name for line in report.estimates if line.withheld is not None}
 
 
 def _scaled_text(budgets: parts.UncertaintyBudgets) -> str:
@@ -89,9 +88,8 @@ def _scaled_text(budgets: parts.UncertaintyBudgets) -> str:
     named = [f"{each.name} (× {each.scaled:.3f})" for each in budgets.quantities if each.scaled != 1]
     if not named:
         return ""
-    rest = f" and {len(named) - 6} more" if len(named) > 6 else ""
     return (
-        f" Contributions to {', '.join(named[:6])}{rest} are those of the linear approximation times the factor, as "
+        f" Contributions to {listed(named)} are those of the linear approximation times the factor, as "
         "the posterior draws have another width."
     )
 
@@ -104,10 +102,9 @@ def _sum_text(budgets: parts.UncertaintyBudgets) -> str:
             f"The contributions of all {len(budgets.quantities)} quantities add up to their posterior variances within "
             f"{100 * ADDS_UP:g} %; the largest remainder is {100 * largest:.1f} %."
         )
-    named = ", ".join(f"{each.name} ({100 * each.remainder:+.0f} %)" for each in off[:6])
-    rest = f" and {len(off) - 6} more" if len(off) > 6 else ""
+    named = listed([f"{each.name} ({100 * each.remainder:+.0f} %)" for each in off])
     return (
-        f"The contributions add up to the posterior variance within {100 * ADDS_UP:g} %, except for {named}{rest}: "
+        f"The contributions add up to the posterior variance within {100 * ADDS_UP:g} %, except for {named}: "
         "these are not linear in their inputs over the width of the posterior."
     )
 

@@ -1,10 +1,12 @@
 """Sections on what the numbers rest on: equipment, adequacy, convergence, what was left out, scope, provenance."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import replace
 
 from imubayes.display import numbers_and_labels as numbers
-from imubayes.display.fit_cautions import NOISE_WORDS, violation_text
-from imubayes.display.layout import Sheet, cells
+from imubayes.display.fit_cautions import NOISE_WORDS, conflict_sheet, violation_text
+from imubayes.display.fit_quality_tables import weak_text
+from imubayes.display.layout import Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import bias_clause, evidence_text
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph
 from imubayes.display.qualification.words import VERDICTS, enumerated, hash_text
@@ -144,19 +146,8 @@ def _history(adequacy: record.Adequacy) -> Iterator[Block]:
 def _conflicts(adequacy: record.Adequacy) -> Iterator[Block]:
     if not adequacy.prior_conflicts:
         return
-    rows = [
-        cells(
-            each.name, " ± ".join(numbers.value_and_sd(each.prior_mean, each.prior_sd)),
-            " ± ".join(numbers.value_and_sd(each.data_value, each.data_sd)), numbers.pretty(each.unit),
-            f"{each.distance:.1f}"
-        )
-        for each in adequacy.prior_conflicts
-    ]  # fmt: skip
-    head, note = (
-        ("parameter", "prior", "data alone", "unit", "distance / sd"),
-        "Unit or equipment is worse than stated.",
-    )
-    yield Sheet("Priors that disagree with the data", head, rows, (0, 3), note=note)
+    table = of_columns(conflict_sheet(adequacy.prior_conflicts), (0, 1, 2, 4, 5))
+    yield replace(table, title="Priors that disagree with the data", note="Unit or equipment is worse than stated.")
 
 
 def _fit_table(adequacy: record.Adequacy) -> Sheet:
@@ -243,10 +234,7 @@ def scope_section(scope: record.StatisticalScope) -> Iterator[Block]:
             f"{enumerated(scope.from_priors, 20)}. Their uncertainty is that of a "
             "certificate or an assumption, and no measurement confirmed it."
         )
-    weak = [
-        cells(_combination(each.quantities, each.weights, each.left_out), numbers.percent(each.from_data))
-        for each in scope.weak_directions
-    ]
+    weak = [cells(weak_text(each), numbers.percent(each.from_data)) for each in scope.weak_directions]
     yield Heading("What the statistics do not cover")
     if rows:
         yield Sheet("Tested ranges", ("covariate", "lowest", "highest", "unit"), rows, (0, 3))
@@ -254,18 +242,6 @@ def scope_section(scope: record.StatisticalScope) -> Iterator[Block]:
     if weak:
         note = "The data determine these combinations hardly or not at all: they rest on the priors of their members."
         yield Sheet("Weakly determined combinations", ("combination", "from data"), weak, (0,), note=note)
-
-
-def _combination(names: Sequence[str], weights: Sequence[float], left_out: int) -> str:
-    """Return a weighted sum in words; the names alone where there are no weights."""
-    if not weights:
-        return " against ".join(names)
-    text = ""
-    for name, weight in zip(names, weights, strict=True):
-        sign = " − " if weight < 0 else " + "
-        size = "" if abs(abs(weight) - 1) < 0.05 else f"{abs(weight):.2g}·"
-        text += (sign if text else ("-" if weight < 0 else "")) + size + name
-    return text + (f" and {left_out} more" if left_out else "")
 
 
 def provenance_section(found: record.Provenance) -> Iterator[Block]:

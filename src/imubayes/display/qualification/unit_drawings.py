@@ -5,7 +5,7 @@ show where the sensitive axes point, and what was known of the angles before and
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -168,9 +168,16 @@ _DENSITIES = (
 
 def mounting_drawings(data: PictureData) -> Drawings | None:
     """Return the geometry of every mounting; None where there is none."""
-    names = list(dict.fromkeys(picture.mounting for picture in data.mountings))
-    found = [_geometry(name, [each for each in data.mountings if each.mounting == name]) for name in names]
-    return Drawings(found, _GEOMETRY) if found else None
+    return _by_mounting(_geometry, data.mountings, _GEOMETRY)
+
+
+def _by_mounting[Drawn: (MountingPicture, AngleDensity)](
+    draw: Callable[[str, Sequence[Drawn]], Drawing], parts: Sequence[Drawn], caption: str
+) -> Drawings | None:
+    """Return a drawing of the parts of each mounting; None where there are none."""
+    names = dict.fromkeys(each.mounting for each in parts)
+    found = [draw(name, [each for each in parts if each.mounting == name]) for name in names]
+    return Drawings(found, caption) if found else None
 
 
 def exaggeration(axes: Sequence[AxisInMounting]) -> int:
@@ -238,9 +245,7 @@ def _arrow(axes: Axes, tip: np.ndarray, colour: str, style: object, width: float
 
 def angle_drawings(data: PictureData) -> Drawings | None:
     """Return prior against posterior of the mounting angles, one drawing per mounting; None where there are none."""
-    names = list(dict.fromkeys(each.mounting for each in data.angles))
-    found = [_densities(name, [each for each in data.angles if each.mounting == name]) for name in names]
-    return Drawings(found, _DENSITIES) if found else None
+    return _by_mounting(_densities, data.angles, _DENSITIES)
 
 
 def _densities(mounting: str, angles: Sequence[AngleDensity]) -> Drawing:

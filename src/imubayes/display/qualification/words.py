@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from imubayes.criticism.explanations import Verdict
 from imubayes.display.layout import Cell
-from imubayes.display.numbers_and_labels import NO_NUMBER, counted, pretty, rounded, significant
+from imubayes.display.numbers_and_labels import NO_NUMBER, counted, listed, pretty, rounded, significant
 from imubayes.display.qualification.document import Mood
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.qualification import report_record as record
@@ -162,8 +162,7 @@ def factor_text(found: Stated) -> str:
 
 def more_draws_text(report: record.QualificationReport) -> str:
     """Return how many numbers are withheld for too few draws and what gives them; empty where none is."""
-    lines = (*report.results, *report.mounting_angles, *report.standards, *report.combinations)
-    errors = [line.monte_carlo for line in (*lines, *report.thermal_linearity) if line.withheld == "monte_carlo_error"]
+    errors = [line.monte_carlo for line in report.estimates if line.withheld == "monte_carlo_error"]
     needed = max((error.draws_needed for error in errors if error is not None), default=0.0)
     if not errors:
         return ""
@@ -251,8 +250,4 @@ def hash_text(digest: str) -> str:
 
 def enumerated(names: Sequence[str], most: int = 12) -> str:
     """Return names as a phrase, the rest counted; a word for none."""
-    if not names:
-        return "none"
-    shown = list(names[:most])
-    rest = len(names) - len(shown)
-    return ", ".join(shown) + (f" and {rest} more" if rest > 0 else "")
+    return listed(names, most) or "none"
