@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import lazy_loader
 import numpy as np
 import polars as pl
+import polars.selectors as cs
 
 from imubayes.foundations.errors import InputError, Issue
-from imubayes.foundations.records import finite
 from imubayes.results.folder_files import AGAIN, POSTERIOR, RESIDUALS, SUMMARY, checked, damaged, read_record
 from imubayes.results.summary import RunSummary, Summary
 
@@ -133,19 +133,8 @@ class Residuals:
             (pl.col("input_sd") ** 2).mean().sqrt().alias("noise"),
             pl.col("input_unit").first().alias("unit"),
         )
-        return tuple(
-            RunSummary(
-                name=line["run"],
-                channel=line["channel"],
-                n=line["n"],
-                chi2=finite(line["chi2"]),
-                rms=finite(line["rms"]),
-                within=finite(line["within"]),
-                noise=finite(line["noise"]),
-                unit=line["unit"],
-            )
-            for line in grouped.iter_rows(named=True)
-        )
+        known = grouped.with_columns(pl.when(cs.float().is_finite()).then(cs.float())).rename({"run": "name"})
+        return tuple(RunSummary(**line) for line in known.iter_rows(named=True))
 
 
 def read_summary_and_residuals(folder: Path) -> tuple[Summary, Residuals]:
