@@ -15,17 +15,7 @@ import numpy as np
 import polars as pl
 from scipy import special
 
-from imubayes.batch.pooled_evidence import (
-    EffectInUnits,
-    Law,
-    PooledEvidence,
-    PooledScores,
-    all_evidence,
-    effect_in_units,
-    log_bayes,
-    pooled_scores,
-    probability_of_any,
-)
+from imubayes.batch import pooled_evidence as pooled
 from imubayes.criticism.evidence.effect_variants import EXPECTED
 from imubayes.criticism.explanations import NAMED
 from imubayes.foundations.errors import input_error
@@ -91,8 +81,8 @@ class PooledCandidate(Record):
     scope: str
     part: str
     equipment: str
-    law: Law
-    laws: dict[Law, float]
+    law: pooled.Law
+    laws: dict[pooled.Law, float]
     units: int
     probability: float
     log_odds: float
@@ -198,7 +188,7 @@ def pooled_discovery(scores: pl.DataFrame, units: pl.DataFrame) -> PooledDiscove
             "a batch with campaigns that were fitted",
             "run imubayes batch again: it lists why campaigns have no estimates",
         )
-    together = pooled_scores(scores)
+    together = pooled.pooled_scores(scores)
     search = _PooledSearch(together, _groups(together, units))
     first = search.ranked(())
     findings, last = tuple(search.findings()), search.ranked(search.leaders)
@@ -207,8 +197,8 @@ def pooled_discovery(scores: pl.DataFrame, units: pl.DataFrame) -> PooledDiscove
         units=len(set(together.units)),
         campaigns=len(together.digests),
         candidates=len(together.candidates),
-        nothing=1 - probability_of_any(first),
-        nothing_else=1 - probability_of_any(last),
+        nothing=1 - pooled.probability_of_any(first),
+        nothing_else=1 - pooled.probability_of_any(last),
         findings=findings,
         ranking=tuple(search.candidate(each, last) for each in last[:_MOST_RANKED]),
     )
@@ -230,27 +220,27 @@ class _Group:
 class _PooledSearch:
     """A search for effects, best first."""
 
-    def __init__(self, scores: PooledScores, equipment: Sequence[_Group]):
+    def __init__(self, scores: pooled.PooledScores, equipment: Sequence[_Group]):
         self.scores = scores
         self.groups = [_Group(np.ones(len(scores.units), dtype=bool)), *equipment]
         self._members = np.array([each.members for each in self.groups])
         alone = OF_EQUIPMENT / max(len(equipment), 1)
         self._log_share = np.log([1 - OF_EQUIPMENT if equipment else 1.0, *[alone] * len(equipment)])
-        self._known: dict[tuple[PooledEvidence, ...], list[PooledEvidence]] = {}
-        self.leaders: tuple[PooledEvidence, ...] = ()
+        self._known: dict[tuple[pooled.PooledEvidence, ...], list[pooled.PooledEvidence]] = {}
+        self.leaders: tuple[pooled.PooledEvidence, ...] = ()
 
-    def held(self, leaders: Sequence[PooledEvidence]) -> PooledScores:
+    def held(self, leaders: Sequence[pooled.PooledEvidence]) -> pooled.PooledScores:
         """Return the scores with effects projected out of their units."""
         found = self.scores
         for each in leaders:
             found = found.without(found.places_of(each.key), self.groups[each.group].members)
         return found
 
-    def ranked(self, leaders: Sequence[PooledEvidence]) -> list[PooledEvidence]:
+    def ranked(self, leaders: Sequence[pooled.PooledEvidence]) -> list[pooled.PooledEvidence]:
         """Return the evidence for every candidate beside some effects, the strongest first."""
         key = tuple(leaders)
         if key not in self._known:
-            self._known[key] = all_evidence(self.held(leaders), self._members, self._log_share, LEAST_UNITS)
+            self._known[key] = pooled.all_evidence(self.held(leaders), self._members, self._log_share, LEAST_UNITS)
         return self._known[key]
 
     def findings(self) -> Iterator[PooledFinding]:
@@ -264,7 +254,7 @@ class _PooledSearch:
             else:
                 self.leaders = tuple(others)
 
-    def candidate(self, each: PooledEvidence, ranked: Sequence[PooledEvidence]) -> PooledCandidate:
+    def candidate(self, each: pooled.PooledEvidence, ranked: Sequence[pooled.PooledEvidence]) -> PooledCandidate:
         """Return the evidence for a candidate among those that it was ranked with, as a record."""
         whole = np.logaddexp(0.0, special.logsumexp([other.log_odds for other in ranked]))
         return PooledCandidate(
@@ -272,11 +262,11 @@ class _PooledSearch:
             units=each.units, probability=math.exp(min(each.log_odds - whole, 0.0)), log_odds=each.log_odds,
         )  # fmt: skip
 
-    def _finding(self, at: PooledScores, ranked: Sequence[PooledEvidence]) -> PooledFinding:
+    def _finding(self, at: pooled.PooledScores, ranked: Sequence[pooled.PooledEvidence]) -> PooledFinding:
         leader, group = ranked[0], self.groups[ranked[0].group]
         places = list(at.candidates[leader.key].places)
         chosen = at.chosen(np.flatnonzero(group.members & at.told(leader.key)))
-        effect = effect_in_units(chosen, leader.key, leader.law)
+        effect = pooled.effect_in_units(chosen, leader.key, leader.law)
         every = [
             UnitEvidence(unit=unit, digest=digest, gain=gain, probability=min(p, 1.0))
             for unit, digest, gain, p in zip(
@@ -285,7 +275,7 @@ class _PooledSearch:
         ]
         order = sorted(every, key=lambda each: -each.gain)
         return PooledFinding(
-            probability=probability_of_any(ranked),
+            probability=pooled.probability_of_any(ranked),
             place=tuple(self._place(ranked)),
             evidence=self.candidate(leader, ranked),
             equipment=self._equipment(at, leader, group),
@@ -296,9 +286,9 @@ class _PooledSearch:
             every_unit=tuple(every),
         )
 
-    def _place(self, ranked: Sequence[PooledEvidence]) -> Iterator[PlaceShare]:
+    def _place(self, ranked: Sequence[pooled.PooledEvidence]) -> Iterator[PlaceShare]:
         """Yield what may stand in the place of the leader, until 95 % are told."""
-        mass: dict[tuple[str, int], list[PooledEvidence]] = {}
+        mass: dict[tuple[str, int], list[pooled.PooledEvidence]] = {}
         for each in ranked:
             mass.setdefault((each.key.effect, each.group), []).append(each)
         logs = {key: float(special.logsumexp([one.log_odds for one in own])) for key, own in mass.items()}
@@ -311,10 +301,12 @@ class _PooledSearch:
             scope, label = mass[key][0].key.scope, self.groups[key[1]].label
             yield PlaceShare(effect=key[0], scope=scope, equipment=label, probability=share)
 
-    def _equipment(self, at: PooledScores, leader: PooledEvidence, group: _Group) -> EquipmentGroup | None:
+    def _equipment(
+        self, at: pooled.PooledScores, leader: pooled.PooledEvidence, group: _Group
+    ) -> EquipmentGroup | None:
         if not group.name:
             return None
-        outside = special.logsumexp(log_bayes(at, leader.key, ~group.members[None])) - math.log(3)
+        outside = special.logsumexp(pooled.log_bayes(at, leader.key, ~group.members[None])) - math.log(3)
         inside = int(group.members.sum())
         return EquipmentGroup(
             kind=group.kind, name=group.name, inside=inside, outside=len(group.members) - inside,
@@ -322,18 +314,20 @@ class _PooledSearch:
         )  # fmt: skip
 
 
-def _is_named(ranked: Sequence[PooledEvidence]) -> bool:
-    return probability_of_any(ranked) > NAMED and ranked[0].log_odds >= _LEAST_GAIN
+def _is_named(ranked: Sequence[pooled.PooledEvidence]) -> bool:
+    return pooled.probability_of_any(ranked) > NAMED and ranked[0].log_odds >= _LEAST_GAIN
 
 
-def _coefficients(at: PooledScores, places: Sequence[int], effect: EffectInUnits) -> Iterator[PooledCoefficient]:
+def _coefficients(
+    at: pooled.PooledScores, places: Sequence[int], effect: pooled.EffectInUnits
+) -> Iterator[PooledCoefficient]:
     for place, value, sd, spread in zip(places, effect.value, effect.sd, effect.spread, strict=True):
         yield PooledCoefficient(
             name=at.names[place], value=float(value), sd=float(sd), spread=float(spread), unit=at.measures[place]
         )
 
 
-def _groups(scores: PooledScores, units: pl.DataFrame) -> list[_Group]:
+def _groups(scores: pooled.PooledScores, units: pl.DataFrame) -> list[_Group]:
     """Return each table, mounting and year with enough units inside and outside."""
     of_digest = {row["digest"]: row for row in units.select("digest", "tables", "mountings", "year").to_dicts()}
     rows = [of_digest[digest] for digest in scores.digests]

@@ -180,9 +180,7 @@ def check_record(inspection: Inspection, model: CheckedModel | None) -> Check:
         campaign=campaign.name,
         channels=tuple(channel.name for channel in campaign.channels),
         grades=_grades(campaign),
-        runs=tuple(
-            CheckedRun(name=run.name, procedure=run.procedure, rows=run.rows, notes=run.notes) for run in campaign.runs
-        ),
+        runs=tuple(CheckedRun.model_validate(run, from_attributes=True) for run in campaign.runs),
         findings=tuple(
             CheckedFinding(name=finding.name, severity=finding.severity, text=str(finding))
             for finding in inspection.findings

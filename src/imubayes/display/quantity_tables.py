@@ -11,18 +11,10 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
+from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.fit_quality_tables import NOT_DETERMINED, more
 from imubayes.display.layout import Cell, Sheet, cells
-from imubayes.display.numbers_and_labels import (
-    NO_NUMBER,
-    concise,
-    is_exact,
-    percent,
-    pretty,
-    rounded,
-    value_and_sd,
-)
 from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.results.summary import ParameterSummary, Quantity, Summary, channel_units, in_output_units
@@ -99,8 +91,8 @@ def _note(entries: Sequence[Quantity], left_out: int) -> str:
     undetermined = sum(map(is_undetermined, entries))
     if undetermined:
         note += (
-            f"{undetermined} of {len(entries)} not determined (less than {percent(NOT_DETERMINED)} from the data): "
-            "their estimates are those of the prior. "
+            f"{undetermined} of {len(entries)} not determined (less than {numbers.percent(NOT_DETERMINED)} from the data)"
+            ": their estimates are those of the prior. "
         )
     if left_out:
         note += f"{left_out} nuisance parameters (of single runs and poses) are left out. "
@@ -109,30 +101,30 @@ def _note(entries: Sequence[Quantity], left_out: int) -> str:
 
 def _after(unit: str) -> str:
     """Return a unit as it stands behind a number: nothing for a number of dimension one."""
-    return "" if unit == "1" else pretty(unit)
+    return "" if unit == "1" else numbers.pretty(unit)
 
 
 def _short(entry: Quantity) -> tuple[Cell, ...]:
-    mean, sd = value_and_sd(entry.mean, entry.sd)
+    mean, sd = numbers.value_and_sd(entry.mean, entry.sd)
     mood = "weak" if is_undetermined(entry) else ""
     return cells(entry.name, Cell(f"{mean} ± {sd} {_after(entry.unit)}".strip(), mood), _from_data(entry))
 
 
 def _from_data(entry: Quantity) -> Cell:
-    if entry.from_data is None and (entry.prior_sd == 0 or is_exact(entry.mean, entry.prior_sd)):
+    if entry.from_data is None and (entry.prior_sd == 0 or numbers.is_exact(entry.mean, entry.prior_sd)):
         return Cell("fixed by the model", "dim")
-    share = percent(entry.from_data)
+    share = numbers.percent(entry.from_data)
     return Cell(f"{share}, not determined", "weak") if is_undetermined(entry) else Cell(share)
 
 
 def _estimate(entry: Quantity) -> tuple[Cell, ...]:
-    if is_exact(entry.mean, entry.sd):
-        mean, sd = value_and_sd(entry.mean, entry.sd)
-        return cells(entry.name, mean, sd, "", pretty(entry.unit), _from_data(entry))
-    mean, sd, low, high = rounded((entry.mean, entry.sd, entry.q025, entry.q975), entry.sd)
+    if numbers.is_exact(entry.mean, entry.sd):
+        mean, sd = numbers.value_and_sd(entry.mean, entry.sd)
+        return cells(entry.name, mean, sd, "", numbers.pretty(entry.unit), _from_data(entry))
+    mean, sd, low, high = numbers.rounded((entry.mean, entry.sd, entry.q025, entry.q975), entry.sd)
     mood = "weak" if is_undetermined(entry) else ""
-    numbers = (Cell(mean, mood), Cell(sd, mood), Cell(f"{low} … {high}", mood))
-    return cells(entry.name, *numbers, pretty(entry.unit), _from_data(entry))
+    stated = (Cell(mean, mood), Cell(sd, mood), Cell(f"{low} … {high}", mood))
+    return cells(entry.name, *stated, numbers.pretty(entry.unit), _from_data(entry))
 
 
 def _sampling_cells(entry: Quantity) -> tuple[Cell, Cell]:
@@ -223,7 +215,7 @@ class CalibrationSheet:
 
     def _block(self, channels: Sequence[str], is_short: bool, first: bool) -> Sheet:
         rows = [
-            cells(name, *(estimate_cell(own.get(channel), is_short) for channel in channels), pretty(unit))
+            cells(name, *(estimate_cell(own.get(channel), is_short) for channel in channels), numbers.pretty(unit))
             for name, unit, own in self.rows
             if any(channel in own for channel in channels)
         ]
@@ -241,10 +233,10 @@ def estimate_cell(entry: Quantity | None, is_short: bool) -> Cell:
     if entry is None:
         return Cell("")
     if entry.mean is None or entry.sd is None:
-        return Cell(NO_NUMBER, "dim")
-    estimate, sd = value_and_sd(entry.mean, entry.sd)
-    exact = is_exact(entry.mean, entry.sd)
-    text = estimate if exact else concise(entry.mean, entry.sd) if is_short else f"{estimate} ± {sd}"
+        return Cell(numbers.NO_NUMBER, "dim")
+    estimate, sd = numbers.value_and_sd(entry.mean, entry.sd)
+    exact = numbers.is_exact(entry.mean, entry.sd)
+    text = estimate if exact else numbers.concise(entry.mean, entry.sd) if is_short else f"{estimate} ± {sd}"
     return Cell(f"{text}{MARK}", "dim") if is_undetermined(entry) else Cell(text)
 
 

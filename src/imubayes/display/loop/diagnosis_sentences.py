@@ -8,14 +8,8 @@ import math
 from collections.abc import Iterable, Sequence
 
 from imubayes.adequacy.adequacy_record import NoiseComparison
+from imubayes.criticism import diagnosis_record as diagnosis
 from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.diagnosis_record import (
-    AgreeingInput,
-    Diagnosis,
-    Disagreement,
-    EffectGroup,
-    UndetectableEffect,
-)
 from imubayes.criticism.explanations import NAMED, EffectSlot, Evidence, Explanation, FoundForm, FoundNoise
 from imubayes.display.fit_cautions import contradiction_text, noise_ratio
 from imubayes.display.numbers_and_labels import listed, percent, pretty, significant, value_and_sd
@@ -123,17 +117,17 @@ def _assumptions(found: Evidence) -> str:
 _MOST = 3
 
 
-def disagreement_text(found: Sequence[Disagreement], probability: float) -> str:
+def disagreement_text(found: Sequence[diagnosis.Disagreement], probability: float) -> str:
     """Return which run or row does not agree with the others, how probable that is, and what would make it agree."""
     return " ".join(_sentence(each, probability) for each in found)
 
 
-def place_text(found: Disagreement) -> str:
+def place_text(found: diagnosis.Disagreement) -> str:
     """Return a run, or a row of one, as it is named in a sentence."""
     return f"run {found.run}" if found.row is None else f"row {found.row} of run {found.run}"
 
 
-def _sentence(found: Disagreement, probability: float) -> str:
+def _sentence(found: diagnosis.Disagreement, probability: float) -> str:
     place, (adverb, chance) = place_text(found), likely(probability)
     said = (
         f"{place[0].upper()}{place[1:]}{adverb} does not agree with "
@@ -148,7 +142,7 @@ def _sentence(found: Disagreement, probability: float) -> str:
     return f"{said} Correct the record, or leave the {'run' if found.row is None else 'row'} out, and fit again."
 
 
-def _cause(each: AgreeingInput, found: Disagreement) -> str:
+def _cause(each: diagnosis.AgreeingInput, found: diagnosis.Disagreement) -> str:
     """Return what would make a run agree."""
     unit = f" {pretty(each.unit)}" if each.unit not in ("", "1") else ""
     pairs = [value_and_sd(value, sd) for value, sd in zip(each.agreeing, each.sd, strict=True)]
@@ -171,7 +165,7 @@ def _cause(each: AgreeingInput, found: Disagreement) -> str:
 _MOST_NAMED = 3
 
 
-def sentence(found: Diagnosis) -> str:
+def sentence(found: diagnosis.Diagnosis) -> str:
     """Return the verdict in a few sentences; first the noise that contradicts what is known, where noise leads."""
     if found.asked is not None:
         return _asked_sentence(found)
@@ -188,7 +182,7 @@ def sentence(found: Diagnosis) -> str:
     )
 
 
-def _finding(found: Diagnosis) -> str:
+def _finding(found: diagnosis.Diagnosis) -> str:
     """Return the likeliest explanation."""
     evidence = found.explanations
     if evidence is None:
@@ -214,7 +208,7 @@ def _finding(found: Diagnosis) -> str:
     return said + _beside_form(found)
 
 
-def _beside_form(found: Diagnosis) -> str:
+def _beside_form(found: diagnosis.Diagnosis) -> str:
     """Return the effects beside a form outside the catalogue, which is crude: what it leaves looks like effects."""
     if not found.groups:
         return ""
@@ -222,7 +216,7 @@ def _beside_form(found: Diagnosis) -> str:
     return f" Beside it {' and '.join(each)} fit what it leaves: missing as well, or a part of that cause."
 
 
-def _adequate_sentence(found: Diagnosis) -> str:
+def _adequate_sentence(found: diagnosis.Diagnosis) -> str:
     assert found.explanations is not None
     nothing = found.explanations.leading.probability
     if found.verdict == "not_converged":
@@ -235,20 +229,20 @@ def _adequate_sentence(found: Diagnosis) -> str:
     return said + _undetectable_sentence(found)
 
 
-def _missing_sentence(found: Diagnosis) -> str:
+def _missing_sentence(found: diagnosis.Diagnosis) -> str:
     """Return the effects that are missing, the strongest first, with what the runs cannot distinguish."""
     first, *others = found.groups
     said = _group_sentence(first) + "".join(f" {_missing(each, 'also ')}{_in_its_place(each)}" for each in others)
     return said + _size_sentence(first)
 
 
-def _missing(group: EffectGroup, also: str = "") -> str:
+def _missing(group: diagnosis.EffectGroup, also: str = "") -> str:
     """Return that the first effect of a group is missing, and where."""
     adverb, chance = likely(group.probability)
     return f"{group.effects[0]} is{adverb} {also}missing on {listed(group.channels)}{chance}."
 
 
-def _in_its_place(group: EffectGroup) -> str:
+def _in_its_place(group: diagnosis.EffectGroup) -> str:
     """Return which effects would fit as well as the first of a group; empty where none would."""
     others = group.effects[1:]
     if not others:
@@ -259,14 +253,14 @@ def _in_its_place(group: EffectGroup) -> str:
     return f" {named} would fit as well in place of {group.effects[0]}: these runs cannot distinguish them."
 
 
-def _group_sentence(group: EffectGroup) -> str:
+def _group_sentence(group: diagnosis.EffectGroup) -> str:
     said = _missing(group)
     if group.covariate is not None:
         said += f" The residual of {group.residual.channel} depends on {group.covariate.phrase}."
     return said + _in_its_place(group)
 
 
-def _size_sentence(group: EffectGroup) -> str:
+def _size_sentence(group: diagnosis.EffectGroup) -> str:
     """Return that the first effect is of unusual size; empty where it is not."""
     if not group.beyond_typical:
         return ""
@@ -277,7 +271,7 @@ def _size_sentence(group: EffectGroup) -> str:
     )
 
 
-def _record_sentence(found: Diagnosis) -> str:
+def _record_sentence(found: diagnosis.Diagnosis) -> str:
     """Return by how much the fitted noise differs from the recorded one; empty where they agree."""
     told = {each.parameter for each in found.contradicted} if found.explains_by_noise else ()
     apart = [each for each in found.disagreeing_noise if each.parameter not in told]
@@ -295,7 +289,7 @@ def _both(each: NoiseComparison) -> str:
     return f"{significant(each.fitted)} against {significant(each.recorded)}{unit} per sample"
 
 
-def _neglected_sentence(found: Diagnosis) -> str:
+def _neglected_sentence(found: diagnosis.Diagnosis) -> str:
     """Return which stated uncertainties no interval includes, the worst with what it would shift."""
     if not found.neglected:
         return ""
@@ -308,7 +302,7 @@ def _neglected_sentence(found: Diagnosis) -> str:
     )
 
 
-def _undetectable_sentence(found: Diagnosis) -> str:
+def _undetectable_sentence(found: diagnosis.Diagnosis) -> str:
     """Return how many effects these runs cannot show, and what that may mean for the estimates; empty where none."""
     hidden = len(found.undetectable)
     if not hidden:
@@ -328,7 +322,7 @@ def bias_clause(bias: ParameterBias) -> str:
     )
 
 
-def _outlier_sentence(found: Diagnosis) -> str:
+def _outlier_sentence(found: diagnosis.Diagnosis) -> str:
     told = {(each.run, each.row) for each in found.disagreeing}
     outliers = [each for each in found.outliers if (each.run, each.row) not in told]
     if not outliers:
@@ -338,7 +332,7 @@ def _outlier_sentence(found: Diagnosis) -> str:
     return f" {count} outliers, the largest {where}." if count > 1 else f" One outlier: {where}."
 
 
-def _asked_sentence(found: Diagnosis) -> str:
+def _asked_sentence(found: diagnosis.Diagnosis) -> str:
     asked = found.asked
     assert asked is not None
     missing = found.probability(asked.effect)
@@ -365,7 +359,7 @@ def _asked_sentence(found: Diagnosis) -> str:
     return f"These runs cannot show {asked.effect}: {why}."
 
 
-def why_undetectable(hidden: UndetectableEffect) -> str:
+def why_undetectable(hidden: diagnosis.UndetectableEffect) -> str:
     """Return why an effect that no parameter absorbs is undetectable."""
     if hidden.reason == "not_supplied":
         return (

@@ -15,15 +15,7 @@ from matplotlib.lines import Line2D
 from imubayes.display.figure_style import BAND, BAND_WIDE, BLUE, INK, MARKERS, QUIET, RED, SMALL
 from imubayes.display.numbers_and_labels import pretty, readable
 from imubayes.display.qualification.document import WIDTH, Drawing, Drawings, drawn, hue, legend, line, place, title
-from imubayes.qualification.report_pictures import (
-    AngleDensity,
-    AxisInMounting,
-    ErrorPicture,
-    MountingPicture,
-    PictureData,
-    ResidualMeans,
-    WorstResidual,
-)
+from imubayes.qualification import report_pictures
 
 _NORMAL = 1.96
 _ABSCISSAE = {
@@ -49,13 +41,13 @@ CAPTION = (
 )
 
 
-def error_drawings(data: PictureData) -> Drawings | None:
+def error_drawings(data: report_pictures.PictureData) -> Drawings | None:
     """Return the drawings of errors; None where there are none."""
     found = [_error_drawing(picture) for picture in data.errors]
     return Drawings(found, CAPTION) if found else None
 
 
-def _error_drawing(picture: ErrorPicture) -> Drawing:
+def _error_drawing(picture: report_pictures.ErrorPicture) -> Drawing:
     both = bool(picture.curves)
     height = 3.5 if both else 2.2
     name = _TITLES[picture.kind, picture.abscissa]
@@ -84,7 +76,7 @@ def _error_drawing(picture: ErrorPicture) -> Drawing:
     return drawn(f"{picture.kind}-{picture.abscissa}", name, height, draw)
 
 
-def _curve_panel(axes: Axes, picture: ErrorPicture, channels: list[str]) -> None:
+def _curve_panel(axes: Axes, picture: report_pictures.ErrorPicture, channels: list[str]) -> None:
     sizes = [abs(value) for curve in picture.curves for value in curve.y]
     factor, unit = readable(picture.unit, max(sizes, default=0.0))
     axes.axhline(0, color=QUIET, linewidth=0.5)
@@ -103,7 +95,7 @@ def _curve_panel(axes: Axes, picture: ErrorPicture, channels: list[str]) -> None
     axes.set_ylabel(f"error / {pretty(unit)}")
 
 
-def _residual_panel(axes: Axes, residuals: tuple[ResidualMeans, ...], channels: list[str]) -> None:
+def _residual_panel(axes: Axes, residuals: tuple[report_pictures.ResidualMeans, ...], channels: list[str]) -> None:
     axes.axhspan(-_NORMAL, _NORMAL, color=BAND_WIDE, zorder=0)
     axes.axhline(0, color=QUIET, linewidth=0.5)
     for means in residuals:
@@ -118,7 +110,7 @@ def _residual_panel(axes: Axes, residuals: tuple[ResidualMeans, ...], channels: 
     axes.set_ylabel("residual / sd")
 
 
-def worst_drawing(worst: WorstResidual) -> Drawings:
+def worst_drawing(worst: report_pictures.WorstResidual) -> Drawings:
     """Return the drawing of the class means that stand out most."""
     name = f"Largest residual: {worst.channel} against {worst.abscissa}"
 
@@ -166,12 +158,12 @@ _DENSITIES = (
 )
 
 
-def mounting_drawings(data: PictureData) -> Drawings | None:
+def mounting_drawings(data: report_pictures.PictureData) -> Drawings | None:
     """Return the geometry of every mounting; None where there is none."""
     return _by_mounting(_geometry, data.mountings, _GEOMETRY)
 
 
-def _by_mounting[Drawn: (MountingPicture, AngleDensity)](
+def _by_mounting[Drawn: (report_pictures.MountingPicture, report_pictures.AngleDensity)](
     draw: Callable[[str, Sequence[Drawn]], Drawing], parts: Sequence[Drawn], caption: str
 ) -> Drawings | None:
     """Return a drawing of the parts of each mounting; None where there are none."""
@@ -180,13 +172,13 @@ def _by_mounting[Drawn: (MountingPicture, AngleDensity)](
     return Drawings(found, caption) if found else None
 
 
-def exaggeration(axes: Sequence[AxisInMounting]) -> int:
+def exaggeration(axes: Sequence[report_pictures.AxisInMounting]) -> int:
     """Return the factor by which deviations are drawn larger, so that the largest is visible and below 14°."""
     largest = max(abs(each.found - each.nominal) for each in axes)
     return max((step for step in _STEPS if step * largest <= _LARGEST), default=1)
 
 
-def _geometry(mounting: str, pictures: Sequence[MountingPicture]) -> Drawing:
+def _geometry(mounting: str, pictures: Sequence[report_pictures.MountingPicture]) -> Drawing:
     shown = [axes for picture in pictures for axes in picture.axes]
     factor = exaggeration(shown)
     most = max(min(len(picture.axes), _MOST_AXES) for picture in pictures)
@@ -211,7 +203,7 @@ def _word(name: str) -> str:
     return "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in name)
 
 
-def _panel(axes: Axes, picture: MountingPicture, factor: int) -> None:
+def _panel(axes: Axes, picture: report_pictures.MountingPicture, factor: int) -> None:
     axes.set(xlim=(-1.3, 1.3), ylim=(-0.75, 1.35), aspect="equal")
     axes.set_axis_off()
     kind = "gyros" if picture.kind == "gyro" else "accelerometers"
@@ -243,12 +235,12 @@ def _arrow(axes: Axes, tip: np.ndarray, colour: str, style: object, width: float
     axes.plot([0, tip[0]], [0, tip[1]], color=colour, linestyle=style, linewidth=width)
 
 
-def angle_drawings(data: PictureData) -> Drawings | None:
+def angle_drawings(data: report_pictures.PictureData) -> Drawings | None:
     """Return prior against posterior of the mounting angles, one drawing per mounting; None where there are none."""
     return _by_mounting(_densities, data.angles, _DENSITIES)
 
 
-def _densities(mounting: str, angles: Sequence[AngleDensity]) -> Drawing:
+def _densities(mounting: str, angles: Sequence[report_pictures.AngleDensity]) -> Drawing:
     name = f"Mounting {mounting}: prior and posterior of the angles"
     widest = max(max(map(abs, each.prior_x)) for each in angles)
     factor, unit = (1 / 60, "arcmin") if widest > 120 else (1.0, "arcsec")
@@ -277,7 +269,7 @@ def _densities(mounting: str, angles: Sequence[AngleDensity]) -> Drawing:
     return drawn(f"angle-{_word(mounting)}", name, 0.75 + 0.36 * rows, draw)
 
 
-def _mean(found: AngleDensity) -> float:
+def _mean(found: report_pictures.AngleDensity) -> float:
     x, weight = np.array(found.posterior_x), np.array(found.posterior)
     return float(np.sum(x * weight) / np.sum(weight))
 
