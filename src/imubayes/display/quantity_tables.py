@@ -91,8 +91,8 @@ def _note(entries: Sequence[Quantity], left_out: int) -> str:
     undetermined = sum(map(is_undetermined, entries))
     if undetermined:
         note += (
-            f"{undetermined} of {len(entries)} not determined (less than {numbers.percent(NOT_DETERMINED)} from the data)"
-            ": their estimates are those of the prior. "
+            f"{undetermined} of {len(entries)} not determined (less than {numbers.percent(NOT_DETERMINED)} from the "
+            "data): their estimates are those of the prior. "
         )
     if left_out:
         note += f"{left_out} nuisance parameters (of single runs and poses) are left out. "
