@@ -14,8 +14,14 @@ from imubayes.campaign.equipment import ANGLE, ANGLE_UNIT
 from imubayes.foundations.campaign_data import SetAside, channel_of_component
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import with_output_unit
-from imubayes.inference import identifiability
 from imubayes.inference.candidate_runs import NextRun
+from imubayes.inference.identifiability import (
+    Contribution,
+    ImplausibleEstimate,
+    PriorConflict,
+    UnexplainedOutput,
+    WeakDirection,
+)
 from imubayes.model.model_file import SingleRunEffect, UncertainEquipment
 
 _INTERVAL = (2.5, 97.5)
@@ -220,8 +226,8 @@ class Summary(Record):
     provenance: FitProvenance | None = None
     converged: bool
     message: str
-    implausible: tuple[identifiability.ImplausibleEstimate, ...] = ()
-    unexplained: tuple[identifiability.UnexplainedOutput, ...] = ()
+    implausible: tuple[ImplausibleEstimate, ...] = ()
+    unexplained: tuple[UnexplainedOutput, ...] = ()
     sampled: bool
     interval: str
     uncertainty: str
@@ -243,11 +249,11 @@ class Summary(Record):
     chi2: float | None
     dof: float
     log_evidence: float | None
-    weak_directions: tuple[identifiability.WeakDirection, ...]
+    weak_directions: tuple[WeakDirection, ...]
     combinations: tuple[CombinationSummary, ...] = ()
-    prior_conflicts: tuple[identifiability.PriorConflict, ...] = ()
+    prior_conflicts: tuple[PriorConflict, ...] = ()
     next_runs: tuple[NextRun, ...]
-    contributions: tuple[identifiability.Contribution, ...]
+    contributions: tuple[Contribution, ...]
     notes: tuple[str, ...]
     seconds: Seconds
 
