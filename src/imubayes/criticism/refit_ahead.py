@@ -1,13 +1,14 @@
-"""The refit with causes added, at the noise known beforehand, before the fit of the changed model is made.
+"""The refit of a changed model at the noise known beforehand, before its fit is made.
 
 Residuals at the noise known beforehand depend on the parameters alone, and the program by which the diagnosis predicted
-every candidate predicts any choice of them.  A few Gauss–Newton steps with it lead to the least squares of the changed
-model within a second, where its own programs take a minute to compile.  Scales of the noise, uncertainties and the
-verdict are those of the fit, which follows.
+every candidate predicts any choice of them: effects added or removed, with any priors, by any of the readings.  A few
+Gauss–Newton steps with it lead to the least squares of the changed model within a second, where its own programs take a
+minute to compile.  What no program predicts yet, a formula of the covariates, responds linearly.  Scales of the noise,
+uncertainties and the verdict are those of the fit, which follows.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import jax.numpy as jnp
@@ -16,7 +17,9 @@ import numpy as np
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
 from imubayes.criticism.diagnosis_record import ScreenedEffect
 from imubayes.inference.laplace_marginal import Linearised, whitened_about
-from imubayes.parameters.declarations import Parameter
+from imubayes.model.bind import Model
+from imubayes.model.problem import Problem, masked
+from imubayes.parameters.declarations import Parameter, prior_slopes, prior_values
 from imubayes.responses.candidate_effects import CatalogueModel
 
 _MOST_STEPS, _LENGTHS = 8, (1.0, 0.3, 0.1)
@@ -25,33 +28,50 @@ _ARRIVED = 1e-3
 moves by more."""
 _WIDENED = 3.0
 """A prior that an estimate contradicts by so many of its standard deviations is widened to it, as `add` does."""
+_NO_PRIOR = 1e6
+"""Width of the prior of a response of unit length.  Numerical: a thousand times what any residual asks for."""
 
 
 def refitted(
     model: CatalogueModel,
     point: KnownNoisePoint,
-    effects: Sequence[str],
-    channels: Sequence[str] | None,
-    estimates: Sequence[ScreenedEffect],
+    changed: Model,
+    estimates: Sequence[ScreenedEffect] = (),
+    columns: np.ndarray | None = None,
 ) -> KnownNoisePoint | None:
-    """Return the fit at the noise known beforehand with effects added; None where no minimum was reached.
+    """Return the fit of a changed model at the noise known beforehand, with the entries and parameters before.
 
     Parameters
     ----------
-    model, point : the model with its candidates, and its fit at the noise known beforehand without any.
-    channels : of effects that act on channels; all that lack them where None.
-    estimates : of the effects, by the diagnosis: where the search begins.
-    """  # fmt: skip
-    free = model.free(effects, channels)
-    if not free:
+    model, point : the model before with its candidates, and its fit at the noise known beforehand.
+    changed : the model as changed, bound; its readings are some of those before.
+    estimates : of effects that are added, by the diagnosis: where the search begins.
+    columns : further responses (E, C), output units.
+
+    Returns
+    -------
+    fit : residuals that were set aside are 0, parameters that were removed at their nulls, and z is on the scale of
+        the priors before; None where the program cannot predict the model, and where no minimum was reached.
+    """
+    free, left_out = model.parameters_of(changed), readings_gone(point.model, changed)
+    if free is None or left_out is None:
         return None
-    own, start = len(point.z), _start(model, free, estimates)
-    width = np.where(np.abs(start) > _WIDENED, np.abs(start), 1.0)
-    here = _RefitAt(model, point, np.concatenate([point.z, start]), free, width)
+    problem = masked(point.model.problem, left_out) if left_out.any() else point.model.problem
+    priors = point.model.problem.priors
+    free, start, width = _start(model, point, free, estimates)
+    given = np.zeros((len(point.misfit), 0)) if columns is None else columns
+    white = _white(problem, point.h, given)
+    length = np.linalg.norm(white, axis=0)
+    used = length > 0
+    further = given[:, used] / length[used], white[:, used] / length[used]
+    problem_at = _Changed(model, problem, point.h, free, width, further)
+    here = _RefitAt(problem_at, np.concatenate([start, np.zeros(int(used.sum()))]))
     for _ in range(_MOST_STEPS):
         if here.size <= _ARRIVED:
             kept = len(point.left)  # without the priors of what is added
-            return replace(point, misfit=here.misfit, left=here.right[:kept], z=here.z[:own])
+            after = model.values(here.z[: len(free)], free)[: model.size]
+            before, slopes = (np.asarray(each(priors, jnp.asarray(point.z))) for each in (prior_values, prior_slopes))
+            return replace(point, misfit=here.misfit, left=here.right[:kept], z=point.z + (after - before) / slopes)
         ahead = (here.moved(length) for length in _LENGTHS)
         here = next((each for each in ahead if each.square < here.square), None)
         if here is None:
@@ -59,47 +79,98 @@ def refitted(
     return None
 
 
-def _start(model: CatalogueModel, free: Mapping[int, Parameter], estimates: Sequence[ScreenedEffect]) -> np.ndarray:
-    """Return z of the estimates of some parameters, (F,), and of their nulls where there is none."""
+def readings_gone(model: Model, changed: Model) -> np.ndarray | None:
+    """Return which entries of a model, (E,) bool, a changed one lacks; None where it has others."""
+    if changed.campaign.set_aside == model.campaign.set_aside:
+        return np.zeros(len(model.entries), dtype=bool)
+    places = {run.name: place for place, run in enumerate(model.campaign.runs)}
+    own, theirs = model.entries, changed.entries
+    runs = np.array([places.get(run.name, -1) for run in changed.campaign.runs])[theirs.run]
+    size = 1 + max(int(own.row.max()), int(theirs.row.max())), 4 + len(model.campaign.channels)
+    keys = [(run * size[0] + each.row) * size[1] + each.channel for run, each in ((own.run, own), (runs, theirs))]
+    return None if not np.isin(keys[1], keys[0]).all() else ~np.isin(keys[0], keys[1])
+
+
+def _start(
+    model: CatalogueModel, point: KnownNoisePoint, free: Mapping[int, Parameter], estimates: Sequence[ScreenedEffect]
+) -> tuple[dict[int, Parameter], np.ndarray, np.ndarray]:
+    """Return the parameters of a change in the order of their places, their z to begin with, and widths of new ones."""
     told = {each.name: each.value for line in estimates for each in line.coefficients if each.value is not None}
     shapes = ((line.effect, name.rpartition(".")[2], value) for line in estimates for name, value in line.shape.items())
     told |= {f"{effect}.{field}": value for effect, field, value in shapes}
-    start = np.array([model.null(place) for place in free])
-    for k, each in enumerate(free.values()):
-        value = told.get(each.name, told.get(f"{each.effect}.{each.field}"))
-        begun = each.z_at(value) if value is not None else None
-        start[k] = start[k] if begun is None else begun
-    return start
+    layout = point.model.layout
+    values = np.asarray(prior_values(point.model.problem.priors, jnp.asarray(point.z))) / layout.factors()
+    free, own = dict(sorted(free.items())), dict(zip(layout.names, values.tolist(), strict=True))
+    start = np.array([
+        model.start(k, each, own.get(each.name, told.get(each.name, told.get(f"{each.effect}.{each.field}"))))
+        for k, each in free.items()
+    ])  # fmt: skip
+    fresh = start[sum(k < model.size for k in free) :]
+    return free, start, np.where(np.abs(fresh) > _WIDENED, np.abs(fresh), 1.0)
 
 
-class _RefitAt:
-    """The changed model linearised at z, (P + F,), with the Gauss–Newton step from there.
+def _white(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    return whitened_rows(problem, h, columns) if columns.shape[1] else columns
+
+
+@dataclass(frozen=True)
+class _Changed:
+    """A changed model as the program of the diagnosis predicts it.
 
     Attributes
     ----------
-    z, width : shapes (P + F,) and (F,), the point and the widths of the priors of what is added.
-    square, size : sum of squares, and the length of the step in standard deviations of the readings.
-    misfit, right : shapes (E,) and (E + P + F,), plain and whitened, priors last.
+    problem, h : the model before, readings that were set aside masked, with its noise.
+    free : its parameters by their places, in order.
+    width : of the priors of those that the model before has not.
+    further : responses (E, C) of unit length, plain and whitened.
     """
 
-    def __init__(
-        self, model: CatalogueModel, point: KnownNoisePoint, z: np.ndarray, free: Collection[int], width: np.ndarray
-    ):
-        self._given, self.z, own, problem = (model, point), z, len(point.z), point.model.problem
-        self.free, self.width = free, width
-        self.misfit, jacobian = model.linearised(z, tuple(free))
-        about = Linearised(jnp.asarray(z[:own]), jnp.asarray(self.misfit), jnp.asarray(jacobian[:, :own]))
-        residual, white, widths = whitened_about(problem, about, point.h)
-        widths = np.concatenate([widths, width])
-        columns = np.concatenate([white, whitened_rows(problem, point.h, jacobian[:, own:])], axis=1)
-        self.right, self._rows = np.concatenate([residual, -z / widths]), np.concatenate([columns, np.diag(1 / widths)])
+    model: CatalogueModel
+    problem: Problem
+    h: np.ndarray
+    free: Mapping[int, Parameter]
+    width: np.ndarray
+    further: tuple[np.ndarray, np.ndarray]
+
+
+class _RefitAt:
+    """The changed model linearised at z, (F + C,), with the Gauss–Newton step from there.
+
+    Attributes
+    ----------
+    square, size : sum of squares, and the length of the step in standard deviations of the readings.
+    misfit, right : shapes (E,) and (E + P + F′ + C,), plain and whitened, priors last: those of the model before, where
+        what was removed is 0, and those of what is added.
+    """
+
+    def __init__(self, given: _Changed, z: np.ndarray):
+        self._given, self.z = given, z
+        places, size, further = np.array(list(given.free)), given.model.size, given.further
+        held, kept = len(places), places[places < size]
+        own = np.arange(len(kept))
+        misfit, jacobian = given.model.linearised(z[:held], given.free)
+        self.misfit = misfit - further[0] @ z[held:]
+        # Columns of what was removed are 0: shapes are unchanged, so nothing is recompiled.
+        known, at = np.zeros((len(misfit), size)), np.zeros(size)
+        known[:, kept], at[kept] = jacobian[:, own], z[own]
+        about = Linearised(jnp.asarray(at), jnp.asarray(self.misfit), jnp.asarray(known))
+        residual, white, widths = whitened_about(given.problem, about, given.h)
+        fresh = _white(given.problem, given.h, jacobian[:, len(kept) :])
+        widths = np.concatenate([widths, given.width, np.full(further[0].shape[1], _NO_PRIOR)])
+        columns = np.concatenate([white, fresh, further[1]], axis=1)
+        at = np.concatenate([at, z[len(kept) :]])
+        self.right, self._rows = (
+            np.concatenate([residual, -at / widths]),
+            np.concatenate([columns, np.diag(1 / widths)]),
+        )
+        self._moving = np.concatenate([kept, np.arange(size, len(at))])
         self.square = float(self.right @ self.right)
 
     @cached_property
     def _solved(self) -> tuple[np.ndarray, float]:
         basis, upper = np.linalg.qr(self._rows)
         along = basis.T @ self.right
-        return np.linalg.solve(upper, along), float(np.linalg.norm(along))
+        return np.linalg.solve(upper, along)[self._moving], float(np.linalg.norm(along))
 
     @property
     def size(self) -> float:
@@ -107,4 +178,4 @@ class _RefitAt:
 
     def moved(self, length: float) -> "_RefitAt":
         """Return the model linearised after a part of the step."""
-        return _RefitAt(*self._given, self.z + length * self._solved[0], self.free, self.width)
+        return _RefitAt(self._given, self.z + length * self._solved[0])

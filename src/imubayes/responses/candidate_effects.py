@@ -4,8 +4,9 @@ The model and all candidates become one problem whose first parameters are the m
 candidates change nothing, so one linearisation gives the Jacobian of the fit and the response to every candidate.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import equinox as eqx
 import jax
@@ -14,7 +15,7 @@ import numpy as np
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.effects.base import Effect, MotionEffect
-from imubayes.foundations.arrays import on_device
+from imubayes.foundations.arrays import Array, on_device
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.assembly import assemble
@@ -30,7 +31,7 @@ from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_file import EffectSpec
 from imubayes.model.parameter_priors import stated_uncertainty
 from imubayes.model.problem import Problem, predict_from
-from imubayes.parameters.declarations import Parameter, declared_parameters, prior_slopes, prior_values
+from imubayes.parameters.declarations import Parameter, Priors, declared_parameters, prior_slopes, prior_values
 
 # Columns of the Jacobian at once: most places of a scan need the derivatives by a few shapes' coefficients alone.
 _SEEDS_AT_ONCE = 16
@@ -243,50 +244,78 @@ class CatalogueModel:
         self.fitted = fitted
         self._extended = _extend(fitted, lacking_effects(fitted)[0], _AT_NULLS)
 
-    def free(self, effects: Sequence[str], channels: Sequence[str] | None = None) -> dict[int, Parameter] | None:
-        """Return the parameters of candidates by their places; None where one is shared beyond the channels wanted.
+    def parameters_of(self, changed: Model) -> dict[int, Parameter] | None:
+        """Return the parameters of a changed model by their places; None where this model cannot predict it.
 
-        Parameters
-        ----------
-        channels : of effects that act on channels; all that lack them where None.
+        It cannot where the noise has other scales, and of an effect outside the catalogue or on fewer channels than
+        share its parameters.
         """
+        own, wanted = (
+            {each.name: each.prior for each in model.hyper_layout.parameters} for model in (self.fitted.model, changed)
+        )
+        if not all(name in own and eqx.tree_equal(own[name], prior) for name, prior in wanted.items()):
+            return None
+        lost = {name.partition(".")[0] for name in own} - {name.partition(".")[0] for name in wanted}
+        names = {each.name for each in changed.assembly.effects}
+        if not all(issubclass(each.effect_class, Effect) for each in self.fitted.model.assembly.effects
+                   if each.name in lost - names):  # fmt: skip
+            return None
+        channels = {each.name: each for each in self._extended.effects}
         found = {}
-        for effect in (each for each in self._extended.effects if each.name in effects):
-            for parameter in effect.parameters:
-                chosen = set(channels if channels is not None else effect.channels) & set(effect.channels)
-                limited = bool(effect.channels) and chosen != set(effect.channels)
-                if limited and "channel" not in effect.per_of(parameter.field)[:1]:
+        for effect in changed.assembly.effects:
+            whole = channels.get(effect.name)
+            limited = whole is not None and set(effect.channels) < set(whole.channels)
+            for each in effect.parameters:
+                shared = limited and "channel" not in effect.per_of(each.field)[:1]
+                if each.name not in self._extended.places or shared:
                     return None
-                if not limited or parameter.label[0] in chosen:
-                    found[self._extended.places[parameter.name]] = parameter
+                found[self._extended.places[each.name]] = each
         return found
 
-    def null(self, place: int) -> float:
-        """Return z of the null of a candidate's parameter; 0 where its prior excludes that."""
-        value, parameter = _at_nulls(self._extended, self._own_zeros, 0)[place], self._extended.parameters[place]
-        return parameter.z_at(value / parameter.factor) or 0.0
-
     @property
-    def _own_zeros(self) -> np.ndarray:
-        return np.zeros(self._extended.own)
+    def size(self) -> int:
+        """The number of the model's own parameters, whose places come first."""
+        return self._extended.own
 
-    def linearised(self, z: np.ndarray, free: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the misfit (E,) and its Jacobian ∂f/∂z (E, P + F), F candidates' parameters at some places free.
+    def start(self, place: int, parameter: Parameter, value: float | None = None) -> float:
+        """Return z of a value, or else of the null, of a parameter at a place; 0 where its prior excludes it."""
+        null = float(self._nulls[place]) / parameter.factor
+        found = parameter.z_at(value) if value is not None else None
+        return (parameter.z_at(null) or 0.0) if found is None else found
+
+    @cached_property
+    def _nulls(self) -> np.ndarray:
+        """The values at which no parameter changes anything, SI (P + C,)."""
+        effects = self.fitted.model.assembly.effects
+        nulls = {each.name: effect.declared[each.field].null for effect in effects for each in effect.parameters}
+        return _at_nulls(self._extended, np.array([nulls[name] for name in self.fitted.model.layout.names]), 0)
+
+    def values(self, z: np.ndarray, free: Mapping[int, Parameter]) -> np.ndarray:
+        """Return the values of all parameters, SI (P + C,), those that are not free at their nulls."""
+        return self._values(z, free, prior_values)
+
+    def _values(self, z: np.ndarray, free: Mapping[int, Parameter], of: Callable[..., Array]) -> np.ndarray:
+        parameters, places, whole = self._extended.parameters, list(free), np.zeros(len(self._nulls))
+        whole[places] = z
+        # Of families that are the same nothing is compiled.
+        priors = Priors.stack([free.get(k, each).prior for k, each in enumerate(parameters)])
+        found = self._nulls.copy()
+        found[places] = np.asarray(of(priors, jnp.asarray(whole)))[places]
+        return found
+
+    def linearised(self, z: np.ndarray, free: Mapping[int, Parameter]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the misfit (E,) and its Jacobian ∂f/∂z (E, F), some parameters with their own priors free.
 
         Parameters
         ----------
-        z : shape (P + F,), the model's own parameters first.
+        z : shape (F,).
+        free : by their places, in the order of `z`.
         """
-        extended, problem = self._extended, self._extended.problem
-        places = [*range(extended.own), *free]
-        whole = np.zeros(len(extended.parameters))
-        whole[places] = z
-        values, slopes = (np.asarray(each(problem.priors, jnp.asarray(whole))) for each in (prior_values, prior_slopes))
-        at = _at_nulls(extended, values[: extended.own], 0)
-        at[places] = values[places]
-        found = _linearised(problem, at, places)
-        misfit = np.asarray(problem.observations.value) - found.predicted
-        return misfit, found.columns(places) * slopes[places]
+        extended, places = self._extended, list(free)
+        at, slopes = self._values(z, free, prior_values), self._values(z, free, prior_slopes)[places]
+        found = _linearised(extended.problem, at, places)
+        misfit = np.asarray(extended.problem.observations.value) - found.predicted
+        return misfit, found.columns(places) * slopes
 
 
 def searchable(registry: Registry) -> Iterator[type[Effect]]:
