@@ -22,6 +22,7 @@ from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, SAME_LEVEL
 from imubayes.criticism.evidence.proposals import base_columns
 from imubayes.criticism.explanations import NAMED_ODDS, NEAR
+from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.covariates import Covariate, regressors
 from imubayes.foundations.records import Record, finite
 from imubayes.inference.fitted_model import Fit
@@ -256,7 +257,7 @@ class ResidualFormula(Record):
 
 
 @dataclass(frozen=True)
-class _Pursuit:
+class Pursuit:
     """Terms beside an explanation: V (T, T) and u (T,) past what it fits, in units of the noise."""
 
     own: np.ndarray
@@ -268,29 +269,74 @@ class _Pursuit:
         told = left > NEGLIGIBLE * whole
         return np.where(told, self.right**2 / np.where(told, left, 1.0), 0.0)
 
-    def without(self, place: int) -> "_Pursuit":
+    def without(self, place: int) -> "Pursuit":
         """Return the same with a term projected out."""
         along = self.own[:, place] / self.own[place, place]
-        return _Pursuit(self.own - np.outer(along, self.own[place]), self.right - along * self.right[place])
+        return Pursuit(self.own - np.outer(along, self.own[place]), self.right - along * self.right[place])
 
 
-def find_formula(
-    of: EvidenceOf, at: Evaluated, scale: np.ndarray, fitted: Fit, covariates: Sequence[ResidualCovariate], channel: int
-) -> ResidualFormula | None:
-    """Return the simplest formula for what a hypothesis leaves of a channel; None where no term is worth its odds.
+@dataclass(frozen=True)
+class TermsBeside:
+    """Terms of a channel beside a hypothesis.
+
+    Attributes
+    ----------
+    channel : whose rows they are.
+    terms : T of them.
+    entry, run : shapes (n,), of each row.
+    left, residual : shapes (n, T) and (n,), whitened, past what the hypothesis fits.
+    whole : shape (T,), squared lengths of the whitened terms.
+    size : shape (T,), by which terms are divided.
+    first : the terms before any is selected.
+    unit : of their coefficients.
+    """
+
+    channel: Channel
+    terms: tuple[Term, ...]
+    entry: np.ndarray
+    run: np.ndarray
+    left: np.ndarray
+    residual: np.ndarray
+    whole: np.ndarray
+    size: np.ndarray
+    first: Pursuit
+    unit: str
+
+    def formula(self, selected: Sequence[tuple[int, float, float]]) -> ResidualFormula:
+        """Return the formula of terms selected: place, drop of χ² and log odds of each."""
+        places = [place for place, _, _ in selected]
+        covariance = np.linalg.inv(self.first.own[np.ix_(places, places)])
+        values, sds = covariance @ self.first.right[places], np.sqrt(np.diag(covariance))
+        drops, size = self.first.drops(self.whole), self.size[places]
+        return ResidualFormula(
+            channel=self.channel.name,
+            kind=self.channel.kind,
+            shape=" + ".join(self.terms[place].text for place in places),
+            terms=tuple(
+                _formula_term(self.terms[place], drop, odds, value, sd, self.unit)
+                for (place, drop, odds), value, sd in zip(selected, values / size, sds / size, strict=True)
+            ),
+            inclusion=_inclusion(self.run, self.left, self.residual, places[0]),
+            near=tuple(
+                term.text
+                for place, (term, drop) in enumerate(zip(self.terms, drops, strict=True))
+                if drop > drops[places[0]] - 2 * NEAR and place != places[0]
+            ),
+        )
+
+
+def terms_beside(
+    of: EvidenceOf, at: Evaluated, scale: np.ndarray, fitted: Fit, terms: Sequence[Term], channel: int
+) -> TermsBeside:
+    """Return terms of a channel beside a hypothesis.
 
     Parameters
     ----------
     at : the hypothesis, without a form.
     scale : shape (K,), noise scales with the form that explains the rest.
     """
-    model = fitted.model
-    gravity, constants = model.campaign.site.gravity, model.campaign.channels[channel]
-    here = (model.entries.channel == channel) & ~model.entries.closing
-    terms = library(covariates, here, gravity)
-    if not terms:
-        return None
-    factor, base = coefficient_unit(constants.kind, constants.scale_si, gravity)
+    constants = fitted.model.campaign.channels[channel]
+    factor, base = coefficient_unit(constants.kind, constants.scale_si, fitted.model.campaign.site.gravity)
     rows, solved = of.problem.rows[channel], of.solved(at, scale)
     columns = np.stack([term.values[rows.entry] for term in terms], axis=1) * factor
     size = np.maximum(np.abs(columns).max(axis=0), np.finfo(float).tiny)
@@ -300,29 +346,33 @@ def find_formula(
     where = of.taking_part(channel, at.columns, None)
     left = white - taken[:, :-1] @ (solved.covariance[np.ix_(where, where)] @ (taken[:, :-1].T @ white))
     residual = taken[:, -1] - taken[:, :-1] @ solved.mean[where]
-    first = _Pursuit(white.T @ left, white.T @ residual)
-    selected = _pursue(first, terms, np.sum(white**2, axis=0), len(residual))
-    if not selected:
+    first = Pursuit(white.T @ left, white.T @ residual)
+    whole, run = np.sum(white**2, axis=0), of.problem.run[rows.entry]
+    return TermsBeside(constants, tuple(terms), rows.entry, run, left, residual, whole, size, first, base)
+
+
+def terms_of(fitted: Fit, covariates: Sequence[ResidualCovariate], channel: int) -> list[Term]:
+    """Return the library of a channel."""
+    entries = fitted.model.entries
+    here = (entries.channel == channel) & ~entries.closing
+    return library(covariates, here, fitted.model.campaign.site.gravity)
+
+
+def find_formula(
+    of: EvidenceOf, at: Evaluated, scale: np.ndarray, fitted: Fit, covariates: Sequence[ResidualCovariate], channel: int
+) -> ResidualFormula | None:
+    """Return the simplest formula for what a hypothesis leaves of a channel; None where no term is worth its odds.
+
+    Parameters
+    ----------
+    at, scale : the hypothesis, as in `terms_beside`.
+    """
+    terms = terms_of(fitted, covariates, channel)
+    if not terms:
         return None
-    places = [place for place, _, _ in selected]
-    covariance = np.linalg.inv(first.own[np.ix_(places, places)])
-    values, sds = covariance @ first.right[places], np.sqrt(np.diag(covariance))
-    drops = first.drops(np.sum(white**2, axis=0))
-    return ResidualFormula(
-        channel=constants.name,
-        kind=constants.kind,
-        shape=" + ".join(terms[place].text for place in places),
-        terms=tuple(
-            _formula_term(terms[place], drop, odds, value, sd, base)
-            for (place, drop, odds), value, sd in zip(selected, values / size[places], sds / size[places], strict=True)
-        ),
-        inclusion=_inclusion(of.problem.run[rows.entry], left, residual, places[0]),
-        near=tuple(
-            term.text
-            for place, (term, drop) in enumerate(zip(terms, drops, strict=True))
-            if drop > drops[places[0]] - 2 * NEAR and place != places[0]
-        ),
-    )
+    beside = terms_beside(of, at, scale, fitted, terms, channel)
+    selected = _pursue(beside.first, terms, beside.whole, len(beside.residual))
+    return beside.formula(selected) if selected else None
 
 
 def coefficient_unit(kind: str, scale: float, gravity: float) -> tuple[float, str]:
@@ -330,7 +380,7 @@ def coefficient_unit(kind: str, scale: float, gravity: float) -> tuple[float, st
     return (scale * np.pi / 180 / 3600, "deg/h") if kind == "gyro" else (scale * 1e-6 * gravity, "ug")
 
 
-def _pursue(at: _Pursuit, terms: Sequence[Term], whole: np.ndarray, rows: int) -> list[tuple[int, float, float]]:
+def _pursue(at: Pursuit, terms: Sequence[Term], whole: np.ndarray, rows: int) -> list[tuple[int, float, float]]:
     """Return the places of the terms selected, with the drop of χ² and log odds of each (Schwarz's criterion)."""
     # Sorts are equally likely, and so are the terms of each: what is chosen from many pays for it.
     members = Counter(term.sort for term in terms)

@@ -18,12 +18,13 @@ import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
 from imubayes.criticism.diagnose import ExplainedFit
+from imubayes.criticism.drawn_shape import Drawing, drawn_shape, likest
 from imubayes.criticism.evidence.free_forms import AMPLITUDES
 from imubayes.criticism.evidence.hypothesis import Solved
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED
 from imubayes.criticism.evidence.model_search import FormScan, states_noise
 from imubayes.criticism.evidence.proposals import Screen, conditional
-from imubayes.criticism.formula_search import ResidualFormula, find_formula
+from imubayes.criticism.formula_search import ResidualFormula, find_formula, terms_beside, terms_of
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
@@ -160,19 +161,33 @@ class LinearAnswers:
             return None
         return form.log_prior + self._scan.exact(form) - FormScan(self.explained.of, others).exact(form)
 
-    def formula(self, channel: str) -> ResidualFormula | None:
-        """Return the simplest formula for what the model leaves of a channel; None where no term is worth its odds."""
+    def formula(self, channel: str, drawing: Drawing | None = None) -> ResidualFormula | None:
+        """Return the simplest formula for what the model leaves of a channel, or the one that is like a drawing.
+
+        None where no term is worth its odds; a drawing is its own term where no other is like it.
+        """
         names = [each.name for each in self.explained.of.problem.channels]
         if channel not in names:
             raise input_error(
                 f"no channel '{channel}'", "formula", closest_first(channel, names), "choose one of these"
             )
-        posterior = self.explained.posterior
+        fitted, known, place = self.explained.posterior.fitted, self.explained.known, names.index(channel)
         with self._evidence:
-            at = self._nothing.at
-            return find_formula(
-                self.explained.of, at, at.scale, posterior.fitted, self.explained.known, names.index(channel)
-            )
+            of, at = self.explained.of, self._nothing.at
+            if drawing is None:
+                return find_formula(of, at, at.scale, fitted, known, place)
+            drawn = drawn_shape(drawing, known, fitted.model.campaign.site.gravity)
+            own = terms_of(fitted, [each for each in known if each.name == drawing.over], place)
+            return likest(terms_beside(of, at, at.scale, fitted, [*own, drawn.term], place), drawn)
+
+    def columns_of(self, found: ResidualFormula, drawing: Drawing | None = None) -> np.ndarray:
+        """Return the responses (E, T) to the terms of a formula."""
+        campaign, known = self.fit.model.campaign, self.explained.known
+        channel = [each.name for each in campaign.channels].index(found.channel)
+        drawn = () if drawing is None else (drawn_shape(drawing, known, campaign.site.gravity).term,)
+        terms = {each.expression: each.values for each in (*terms_of(self.fit, known, channel), *drawn)}
+        here = self.entries & (self.fit.model.entries.channel == channel)
+        return np.stack([np.where(here, terms[each.expression], 0.0) for each in found.terms], axis=1)
 
     # ---- what causes would do ----
 

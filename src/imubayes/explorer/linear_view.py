@@ -1,8 +1,8 @@
 """A diagnosed result as linear algebra: what is asked of the diagnosis, and the estimates that a preview moves."""
 
 import math
-import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import jax.numpy as jnp
@@ -12,9 +12,10 @@ from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import ExplainedFit
 from imubayes.criticism.diagnosis_record import ScreenedEffect
 from imubayes.criticism.linear_answers import LinearAnswers
-from imubayes.criticism.refit_ahead import refitted
+from imubayes.criticism.refit_ahead import readings_gone, refitted
 from imubayes.explorer.messages import MovedEstimate
 from imubayes.foundations.progress import Tell
+from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import derived_jacobian
 from imubayes.parameters.declarations import prior_slopes
 from imubayes.responses.candidate_effects import CatalogueModel
@@ -23,13 +24,20 @@ from imubayes.results.summary import ParameterSummary, Summary, in_output_units
 _MOST_MOVED, _STAYED = 60, 0.05
 
 
+@dataclass(frozen=True)
+class Ahead:
+    """The fit of a changed model at the noise known beforehand, and which entries (E,) bool it has set aside."""
+
+    point: KnownNoisePoint
+    gone: np.ndarray
+
+
 class LinearView(LinearAnswers):
     """A diagnosed result, and what it answers without a refit."""
 
     def __init__(self, explained: ExplainedFit, summary: Summary):
         super().__init__(explained)
-        self._shown, self._refits = in_output_units(summary), threading.Lock()
-        self._refitted: dict[tuple[str, ...], KnownNoisePoint | None] = {}
+        self._shown = in_output_units(summary)
 
     def prepare(self, tell: Tell) -> None:
         super().prepare(tell)
@@ -39,14 +47,15 @@ class LinearView(LinearAnswers):
     def _catalogue(self) -> CatalogueModel:
         return CatalogueModel(self.fit)
 
-    def with_added(
-        self, effects: tuple[str, ...], channels: tuple[str, ...] | None, estimates: Sequence[ScreenedEffect]
-    ) -> KnownNoisePoint | None:
-        """Return the refit with effects at the noise known beforehand, made once (see `refit_ahead.refitted`)."""
-        with self._refits:
-            if effects not in self._refitted:
-                self._refitted[effects] = refitted(self._catalogue, self.point, effects, channels, estimates)
-            return self._refitted[effects]
+    def ahead(
+        self, changed: Model, estimates: Sequence[ScreenedEffect] = (), columns: np.ndarray | None = None
+    ) -> Ahead | None:
+        """Return the fit of a changed model before it is made (see `refit_ahead.refitted`); None where it must be."""
+        point, gone = (
+            refitted(self._catalogue, self.point, changed, estimates, columns),
+            readings_gone(self.fit.model, changed),
+        )
+        return None if point is None or gone is None else Ahead(point, gone)
 
     def whitened(self, point: KnownNoisePoint | None = None) -> np.ndarray:
         """Return the residual of every entry in units of the noise known beforehand, (E,)."""

@@ -8,6 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from imubayes.criticism.drawn_shape import Drawing
 from imubayes.criticism.explanations import ProbableExplanation, Verdict
 from imubayes.criticism.linear_answers import RankedCause
 from imubayes.display.layout import Sheet
@@ -69,11 +70,11 @@ class SelectionWanted(Record):
 
 
 class PreviewWanted(Record):
-    """Which causes are previewed on a model, together; `refitted`: as their refit leaves the readings, not linearly."""
+    """Which causes are previewed on a model, together, or the task whose change is shown before its fit is made."""
 
     model: str
-    effects: tuple[str, ...] = Field(max_length=20)
-    refitted: bool = False
+    effects: tuple[str, ...] = Field((), max_length=20)
+    task: int = 0
 
 
 class PointsWanted(Record):
@@ -84,7 +85,7 @@ class PointsWanted(Record):
     x, y, colour : column of the abscissa, the residual, and what tells the points apart.
     between : part of the abscissa that is shown; None for all.
     brushes : the selection.
-    effects, refitted : causes that are previewed, linearly or as their refit leaves the readings.
+    effects, task : what is previewed, as in `PreviewWanted`.
     most : points at most, beyond which the extremes of each place stand for all.
     """
 
@@ -97,7 +98,7 @@ class PointsWanted(Record):
     between: tuple[float, float] | None = None
     brushes: tuple[Brush, ...] = Field((), max_length=200)
     effects: tuple[str, ...] = Field((), max_length=20)
-    refitted: bool = False
+    task: int = 0
     most: int = Field(12_000, ge=100, le=50_000)
 
 
@@ -109,7 +110,7 @@ class ChangeWanted(Record):
     Attributes
     ----------
     add, channels, remove : effects added, on channels, or removed.
-    formula_of : channel the formula of whose residual is added.
+    formula_of, drawn : channel the formula of whose residual, or of a shape drawn over it, is added.
     prior_of, prior : parameter, and its prior as a model file has it; empty for the default.
     aside, reason : readings that are set aside, and why.
     take_back : places in the list of those set aside.
@@ -119,6 +120,7 @@ class ChangeWanted(Record):
     add: tuple[str, ...] = ()
     remove: tuple[str, ...] = ()
     formula_of: str = ""
+    drawn: Drawing | None = None
     channels: tuple[str, ...] | None = None
     prior_of: str = ""
     prior: str = Field("", max_length=200)
@@ -128,10 +130,11 @@ class ChangeWanted(Record):
 
 
 class FormulaWanted(Record):
-    """The channel of a model whose residual is put into a formula."""
+    """The channel of a model whose residual is put into a formula, or a shape drawn over it."""
 
     model: str
     channel: str
+    drawn: Drawing | None = None
 
 
 class FormulaFacts(Record):
@@ -285,7 +288,7 @@ class PreviewFacts(Record):
     delta_chi2 : predicted drop of χ² at the noise known beforehand, of all together.
     cells : expected χ² of each run and channel, in the order of the model's cells.
     moved : estimates that would move, those that would most first.
-    refitted : whether these are of their refit.
+    effects, refitted : the causes, or the name of a change whose refit these are.
     sentence, command : the prediction in words, and the command that adds the causes.
     """
 

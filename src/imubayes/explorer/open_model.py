@@ -11,6 +11,7 @@ import numpy as np
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import explained_fit
 from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.criticism.drawn_shape import Drawing, DrawnFormula
 from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.loop.diagnosis_report import (
@@ -21,14 +22,13 @@ from imubayes.display.loop.diagnosis_report import (
     next_command,
 )
 from imubayes.display.loop.diagnosis_sentences import evidence_text, form_text, sentence
-from imubayes.display.loop.selection_text import formula_text, preview_text, selection_text
-from imubayes.explorer.linear_view import LinearView
+from imubayes.display.loop.selection_text import drawn_text, formula_text, preview_text, refitted_text, selection_text
+from imubayes.explorer.linear_view import Ahead, LinearView
 from imubayes.explorer.messages import (
     Brush,
     CauseLine,
     FormulaFacts,
     ModelFacts,
-    PointsWanted,
     PreviewFacts,
     SelectionFacts,
     shown_table,
@@ -37,6 +37,8 @@ from imubayes.explorer.point_table import PointTable
 from imubayes.foundations.errors import input_error, kept_if_possible
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.tail_probabilities import chi2_survival
+from imubayes.loop.warm_start import extended
+from imubayes.model.bind import bind
 from imubayes.results.change_records import write_diagnosis
 from imubayes.results.history_tree import shown_place
 from imubayes.results.result import Result
@@ -141,39 +143,43 @@ class OpenModel:
             runs=tuple(map(str, np.unique(self.table.runs[self.table.run[chosen]]))),
         )  # fmt: skip
 
-    def refitted(self, effects: Sequence[str]) -> KnownNoisePoint | None:
+    def ahead_of_adding(self, effects: Sequence[str], channels: Sequence[str] | None) -> Ahead | None:
         """Return the refit with effects at the noise known beforehand; None where it takes the whole fit."""
-        told = [line for line in map(self.diagnosis.estimate, effects) if line is not None]
-        return self.view.with_added(tuple(effects), self.channels_for(effects), told)
+        fitted, told = self.view.fit.model, [self.diagnosis.estimate(each) for each in effects]
+        spec = extended(fitted.spec, effects, channels, fitted.campaign, fitted.registry)
+        changed = bind(spec, fitted.campaign, fitted.registry)
+        return self.view.ahead(changed, [line for line in told if line is not None])
 
-    def frame(self, wanted: PointsWanted) -> bytes:
-        """Return the points of a view as bytes (see `PointTable.frame`)."""
-        return self.table.frame(wanted, self.refitted(wanted.effects) if wanted.refitted else None)
+    def preview(self, effects: Sequence[str], out: str, ahead: Ahead | None = None, what: str = "") -> PreviewFacts:
+        """Return what causes would do together, or what a change does.
 
-    def preview(self, effects: Sequence[str], out: str, refitted: bool = False) -> PreviewFacts:
-        """Return what causes would do together, or their refit does; `out`: folder of the command that adds them."""
-        predicted, reached = self.view.with_causes(effects), self.refitted(effects) if refitted else None
-        point = predicted if reached is None else reached
-        drop = self._drop(point)
-        moved = self.view.moved(point)
+        Parameters
+        ----------
+        out : folder of the command that adds them.
+        ahead, what : the change and its name.
+        """
+        predicted = self.view.with_causes(effects)
+        point = predicted if ahead is None else ahead.point
+        drop, moved = self._drop(point), self.view.moved(point)
         largest = (moved[0].name, moved[0].in_sd) if moved else None
         command = add_command(effects, self.channels_for(effects), self.place, out) if effects else ""
         return PreviewFacts(
-            effects=tuple(effects), refitted=reached is not None, delta_chi2=drop, cells=self.table.expected(point),
-            sentence=preview_text(effects, self._drop(predicted), largest, None if reached is None else drop),
-            moved=moved, command=command,
+            effects=tuple(effects) or ((what,) if ahead is not None else ()), refitted=ahead is not None,
+            delta_chi2=drop, cells=self.table.expected(point), moved=moved, command=command,
+            sentence=preview_text(effects, self._drop(predicted), largest) if ahead is None
+            else refitted_text(what, self._drop(predicted) if effects else None, drop, largest),
         )  # fmt: skip
 
     def _drop(self, point: KnownNoisePoint) -> float:
         """Return the drop of χ² at the noise known beforehand."""
         return float(self.view.point.left @ self.view.point.left - point.left @ point.left)
 
-    def formula(self, channel: str) -> FormulaFacts:
-        """Return the formula of what the model leaves of a channel, and the effect that it becomes."""
-        found = self.view.formula(channel)
+    def formula(self, channel: str, drawn: Drawing | None = None) -> FormulaFacts:
+        """Return the formula of what the model leaves of a channel, or of a drawing, and the effect that it becomes."""
+        found = self.view.formula(channel, drawn)
         sheet = formula_sheet(self.diagnosis.model_copy(update={"formulas": (found,) if found is not None else ()}))
         return FormulaFacts(
-            sentence=formula_text(found, channel),
+            sentence=drawn_text(found) if isinstance(found, DrawnFormula) else formula_text(found, channel),
             table=shown_table(sheet) if found is not None else None,
             source=formula_source(found) if found is not None else "",
         )
@@ -220,5 +226,6 @@ def opened(name: str, result: Result, tell: Tell) -> OpenModel:
     view = LinearView(explained, result.summary)
     model = OpenModel(name, result, found, view, PointTable(result, view), campaign_stamp(result))
     view.prepare(tell)
-    model.refitted(found.proposed.effects if found.proposed is not None else tuple(view.variants)[:1])
+    effects = found.proposed.effects if found.proposed is not None else tuple(view.variants)[:1]
+    model.ahead_of_adding(effects, model.channels_for(effects))  # so that the first is as fast as the others
     return model

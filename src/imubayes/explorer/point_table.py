@@ -14,7 +14,7 @@ import numpy as np
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.display.figure_style import NORMAL, band, numbers, varies
 from imubayes.display.numbers_and_labels import covariates, pretty, readable
-from imubayes.explorer.linear_view import LinearView
+from imubayes.explorer.linear_view import Ahead, LinearView
 from imubayes.explorer.messages import Axis, Brush, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.results.result import Result, to_input_units
@@ -184,12 +184,12 @@ class PointTable:
         declared = self.view.fit.model.campaign.channels
         return pretty(next(each.output_unit for each in declared if each.name == channel))
 
-    def frame(self, wanted: PointsWanted, refitted: KnownNoisePoint | None = None) -> bytes:
+    def frame(self, wanted: PointsWanted, ahead: Ahead | None = None) -> bytes:
         """Return the points of a view: the length of a header, the header as JSON, and the columns as Float32.
 
         Parameters
         ----------
-        refitted : what is previewed; the linear prediction where None.
+        ahead : the change that is shown; the linear prediction of causes where None.
 
         Raises
         ------
@@ -203,13 +203,15 @@ class PointTable:
         here = view.entries & self._of(wanted.channel) & np.isfinite(x)
         if wanted.runs:
             here &= np.isin(self.runs, wanted.runs)[self.run]
+        if ahead is not None:
+            here &= ~ahead.gone
         if wanted.between is not None:
             here &= (x >= wanted.between[0]) & (x <= wanted.between[1])
         order = self._order(wanted.x)
         places = order[here[order]]
-        previewed = view.with_causes(wanted.effects) if refitted is None else refitted
+        previewed = view.with_causes(wanted.effects) if ahead is None else ahead.point
         factor, label = self._scale_of(wanted, places)
-        label += " of the model before" if refitted is not None and wanted.y == "fitted" else ""
+        label += " of the model before" if ahead is not None and wanted.y == "fitted" else ""
         y, after = (factor * self.ordinate(wanted.y, point)[places] for point in (None, previewed))
         marked = self.chosen(wanted.brushes)[places]
         kept = decimated(x[places], y, marked, wanted.most)
@@ -219,7 +221,7 @@ class PointTable:
         head = PointsHead(
             count=len(places), of=int(here.sum()), arrays=_ARRAYS, groups=names, x_label=self._label_of(wanted.x),
             y_label=label, y_factor=factor, output_label=f"{wanted.channel} / {self.output_unit(wanted.channel)}",
-            refitted=refitted is not None,
+            refitted=ahead is not None,
         )  # fmt: skip
         drawn = (*self.shown.values(), self.curve(previewed))
         observed, predicted, wide, curve = (each[places] for each in drawn)

@@ -121,13 +121,13 @@ class _Answers:
         session, require = self.session, self.session.require
         asked: tuple[tuple[str, Answer], ...] = (
             ("model", _asked(ModelWanted, self.model)),
-            ("points", _asked(PointsWanted, lambda w: _numbers(require(w.model).frame(w)))),
+            ("points", _asked(PointsWanted, lambda w: _numbers(session.frame(w)))),
             (
                 "selection",
                 _asked(SelectionWanted, lambda w: _json(require(w.model).select(w.brushes, session.left_out))),
             ),
             ("preview", _asked(PreviewWanted, lambda w: _json(session.previewed(w)))),
-            ("formula", _asked(FormulaWanted, lambda w: _json(require(w.model).formula(w.channel)))),
+            ("formula", _asked(FormulaWanted, lambda w: _json(require(w.model).formula(w.channel, w.drawn)))),
             ("known", _asked(ModelWanted, lambda w: _json(known_tables(require(w.model).result)))),
             ("quantity", _asked(QuantityWanted, lambda w: _json(quantity_facts(require(w.model).result, w.name)))),
             ("change", _asked(ChangeWanted, lambda w: _json(Begun(task=session.change(w)), 202))),

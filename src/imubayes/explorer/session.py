@@ -9,24 +9,29 @@ import shlex
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imubayes.api import add, export, fit, refit, remove
 from imubayes.display.loop.change_report import change_lines
-from imubayes.display.loop.diagnosis_report import add_command
+from imubayes.display.loop.diagnosis_report import add_command, formula_source
 from imubayes.display.loop.history import gain_text
 from imubayes.display.loop.selection_text import fitted_text
 from imubayes.explorer.edited_model import EditedModel, edited_model
 from imubayes.explorer.kept_session import ModelNote, read_session, write_session
-from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PreviewFacts, PreviewWanted
+from imubayes.explorer.linear_view import Ahead
+from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PointsWanted, PreviewFacts, PreviewWanted
 from imubayes.explorer.open_model import OpenModel, opened, quoted
-from imubayes.explorer.worker import TaskOutcome, TaskProgress, Work, Worker
-from imubayes.foundations.errors import input_error, kept_if_possible
+from imubayes.explorer.worker import TaskOutcome, TaskProgress, Worker
+from imubayes.foundations.errors import InputError, input_error, kept_if_possible
 from imubayes.foundations.files import write_text
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
+from imubayes.loop.model_changes import reduce
 from imubayes.loop.model_history import ChiSquareDrop, Tree, rms_by_unit
+from imubayes.model.bind import bind
 from imubayes.results.change_records import ModelChange
 from imubayes.results.folder_files import MANIFEST, MODEL
 from imubayes.results.history_tree import campaign_of, read_tree, select, shown_place
@@ -74,6 +79,45 @@ class SessionState(Record):
     locks: dict[str, str]
 
 
+@dataclass(frozen=True)
+class Change:
+    """A change of a model.
+
+    Attributes
+    ----------
+    what, command : of it, in words, and what does the same.
+    make, predict : what does it, and what shows it before the fit is made.
+    adding : effects that are added, of which there is a linear prediction as well.
+    write, file : what writes the file that it needs; the file goes where the change is not made.
+    """
+
+    what: str
+    command: str
+    make: Callable[[Tell], ModelChange]
+    predict: Callable[[], Ahead | None]
+    adding: tuple[str, ...] = ()
+    write: Callable[[], object] = lambda: None
+    file: Path | None = None
+
+    @cached_property
+    def ahead(self) -> Ahead | None:
+        """What it does to the residuals; None where that takes the fit, and where the fit will say what is wrong."""
+        try:
+            return self.predict()
+        except InputError:
+            return None
+
+    def written(self, tell: Tell) -> ModelChange:
+        """Make the change."""
+        self.write()
+        try:
+            return self.make(tell)
+        except BaseException:
+            if self.file is not None:
+                self.file.unlink(missing_ok=True)
+            raise
+
+
 class Session:
     """One tree of models, from its first result on.
 
@@ -87,6 +131,8 @@ class Session:
         self._lock, self._listeners = threading.RLock(), list[Callable[[], None]]()
         self._open, self._kept = dict[str, OpenModel](), read_session(root)
         self._read: tuple[Tree | None, _Marks] = None, frozenset()
+        self._refits = threading.Lock()
+        self._change: tuple[int, Change | None] = 0, None
         self.worker = Worker(self.changed)
 
     # ---- what windows are told ----
@@ -211,10 +257,22 @@ class Session:
         self.worker.submit("fit", f"fit {campaign.name}", "", work)
 
     def previewed(self, wanted: PreviewWanted) -> PreviewFacts:
-        """Return what causes would do together, with the command that adds them."""
-        found = self.require(wanted.model)
+        """Return what causes would do together, with the command that adds them, or what a change does."""
+        found, (ahead, what) = self.require(wanted.model), self._ahead_of(wanted)
         out = self.folder_for(found, wanted.effects[0]) if wanted.effects else found.folder
-        return found.preview(wanted.effects, quoted(out), wanted.refitted)
+        return found.preview(wanted.effects, quoted(out), ahead, what)
+
+    def frame(self, wanted: PointsWanted) -> bytes:
+        """Return the points of a view as bytes (see `PointTable.frame`)."""
+        return self.require(wanted.model).table.frame(wanted, self._ahead_of(wanted)[0])
+
+    def _ahead_of(self, wanted: PreviewWanted | PointsWanted) -> tuple[Ahead | None, str]:
+        """Return the refit of a change that is at work, and its name; made once, by whoever asks first."""
+        number, change = self._change
+        if not wanted.task or number != wanted.task or change is None:
+            return None, ""
+        with self._refits:
+            return change.ahead, change.what
 
     # ---- changes ----
 
@@ -249,86 +307,90 @@ class Session:
         """
         model = self.require(wanted.model)
         self._refuse_changed_campaign(model)
-        adding: tuple[str, ...] = ()
-        if wanted.formula_of:
-            what, make = f"add the formula of {wanted.formula_of}", self._adding_formula(model, wanted.formula_of)
-        elif wanted.add:
-            effects = self._with_locked(wanted.add, model)
-            adding = effects if wanted.channels is None else ()
-            what, make = f"add {', '.join(effects)}", self._adding(model, effects, wanted.channels, bool(adding))
-        elif wanted.remove:
-            what, make = f"remove {', '.join(wanted.remove)}", self._removing(model, wanted.remove)
-        else:
-            edited = edited_model(model, wanted)
-            what, make = edited.what, self._refitting(model, edited)
+        change = self._made(model, wanted)
+
+        def work(tell: Tell) -> TaskOutcome:
+            tell("new residuals")
+            with self._refits:
+                _ = change.ahead  # shown while the fit is made
+            return self._after(change.written(tell), change.command, tell)
+
         with self._lock:  # two windows may ask at once
             if any(each.kind == "change" and each.at_work for each in self.worker.tasks):
                 raise input_error("a change is at work already", "this session", "one change at a time",
                                   "wait for it, or cancel it")  # fmt: skip
-            return self.worker.submit("change", what, model.id, make, adding)
+            number = self.worker.submit("change", change.what, model.id, work, change.adding)
+            self._change = number, change
+            return number
+
+    def _made(self, model: OpenModel, wanted: ChangeWanted) -> Change:
+        """Return a change as it was asked for."""
+        if wanted.formula_of:
+            return self._adding_formula(model, wanted)
+        if wanted.add:
+            return self._adding(model, self._with_locked(wanted.add, model), wanted.channels)
+        if wanted.remove:
+            return self._removing(model, wanted.remove)
+        return self._refitting(model, edited_model(model, wanted))
 
     def _with_locked(self, effects: tuple[str, ...], model: OpenModel) -> tuple[str, ...]:
         """Return effects with those that are always added."""
         locked = [name for name, lock in self._kept.locks.items() if lock == "in" and name in model.view.variants]
         return tuple(dict.fromkeys((*effects, *locked)))
 
-    def _adding(
-        self, model: OpenModel, effects: tuple[str, ...], channels: tuple[str, ...] | None, shown: bool
-    ) -> Work:
+    def _adding(self, model: OpenModel, effects: tuple[str, ...], channels: tuple[str, ...] | None) -> Change:
         folder, channels = self.folder_for(model, effects[0]), channels or model.channels_for(effects)
-        command = add_command(effects, channels, model.place, quoted(folder))
+        return Change(
+            what=f"add {', '.join(effects)}",
+            command=add_command(effects, channels, model.place, quoted(folder)),
+            make=lambda tell: add(model.result, effects, folder, channels, diagnosis=model.diagnosis, progress=tell),
+            predict=lambda: model.ahead_of_adding(effects, channels),
+            adding=effects,
+        )
 
-        def work(tell: Tell) -> TaskOutcome:
-            if shown:
-                tell("new residuals")
-                model.refitted(effects)  # shown while its fit is made
-            change = add(model.result, effects, folder, channels, diagnosis=model.diagnosis, progress=tell)
-            return self._after(change, command, tell)
-
-        return work
-
-    def _adding_formula(self, model: OpenModel, channel: str) -> Work:
-        """Return the work of writing an effect for the formula of a residual, and adding it on its channel."""
-        source = model.formula(channel).source
-        if not source:
+    def _adding_formula(self, model: OpenModel, wanted: ChangeWanted) -> Change:
+        """Return the change of writing an effect for the formula of a residual, and adding it on its channel."""
+        channel, found = wanted.formula_of, model.view.formula(wanted.formula_of, wanted.drawn)
+        if found is None:
             raise input_error(f"the residual of {channel} has no formula", "formula", "a channel with one",
                               "choose another channel")  # fmt: skip
         folder = self.folder_for(model, "found_shape")
         file = folder.with_name(f"{folder.name}.py")
-        command = add_command([quoted(file)], [channel], model.place, quoted(folder))
+        view = model.view
+        return Change(
+            what=f"add the formula of {channel}",
+            command=add_command([quoted(file)], [channel], model.place, quoted(folder)),
+            make=lambda tell: add(
+                model.result, [str(file)], folder, [channel], diagnosis=model.diagnosis, progress=tell
+            ),
+            predict=lambda: view.ahead(view.fit.model, columns=view.columns_of(found, wanted.drawn)),
+            write=lambda: write_text(file, formula_source(found)),
+            file=file,
+        )
 
-        def work(tell: Tell) -> TaskOutcome:
-            write_text(file, source)
-            change = add(model.result, [str(file)], folder, [channel], diagnosis=model.diagnosis, progress=tell)
-            return self._after(change, command, tell)
-
-        return work
-
-    def _removing(self, model: OpenModel, effects: tuple[str, ...]) -> Work:
+    def _removing(self, model: OpenModel, effects: tuple[str, ...]) -> Change:
         folder = self.folder_for(model, f"without-{effects[0]}")
-        command = f"imubayes remove {shlex.join(effects)} --from {model.place} --out {quoted(folder)}"
+        return Change(
+            what=f"remove {', '.join(effects)}",
+            command=f"imubayes remove {shlex.join(effects)} --from {model.place} --out {quoted(folder)}",
+            make=lambda tell: remove(model.result, effects, folder, progress=tell),
+            predict=lambda: model.view.ahead(reduce(model.view.fit, effects).model),
+        )
 
-        def work(tell: Tell) -> TaskOutcome:
-            return self._after(remove(model.result, effects, folder, progress=tell), command, tell)
-
-        return work
-
-    def _refitting(self, model: OpenModel, edited: EditedModel) -> Work:
-        """Return the work of fitting an edited model; its file stays beside the results, as the command names it."""
-        folder = self.folder_for(model, edited.word)
+    def _refitting(self, model: OpenModel, edited: EditedModel) -> Change:
+        """Return the change to an edited model; its file stays beside the results, as the command names it."""
+        folder, fitted = self.folder_for(model, edited.word), model.view.fit.model
         file = folder.with_name(f"{folder.name}.toml")
-        command = f"imubayes refit {model.place} --model {quoted(file)} --out {quoted(folder)}"
-
-        def work(tell: Tell) -> TaskOutcome:
-            write_model(edited.spec, file)
-            try:
-                change = refit(model.result, file, folder, progress=tell)
-            except BaseException:
-                file.unlink(missing_ok=True)
-                raise
-            return self._after(change, command, tell)
-
-        return work
+        return Change(
+            what=edited.what,
+            command=f"imubayes refit {model.place} --model {quoted(file)} --out {quoted(folder)}",
+            make=lambda tell: refit(model.result, file, folder, progress=tell),
+            # Readings that are taken back are none of those that are at hand.
+            predict=lambda: None if edited.word == "taken-back"
+            else model.view.ahead(bind(edited.spec, fitted.campaign, fitted.registry)),
+            write=lambda: write_model(edited.spec, file),
+            file=file,
+        )  # fmt: skip
 
     def _after(self, change: ModelChange, command: str, tell: Tell) -> TaskOutcome:
         self.keep(command)

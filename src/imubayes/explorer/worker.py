@@ -32,7 +32,7 @@ class TaskProgress(Record):
     ----------
     what : of it, in words; `step` is what goes on.
     of, made : model that it starts from, and that it has made or opened; empty for none.
-    adding : effects whose refit at the noise known beforehand is shown while the fit is made.
+    adding : effects that a change adds, whose linear prediction is shown where there is no refit ahead.
     seconds : since it began.
     issues : why it failed, as text in four parts.
     lines : what a change brought, in words.

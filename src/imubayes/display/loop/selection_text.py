@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from imubayes.criticism.drawn_shape import DrawnFormula
 from imubayes.criticism.formula_search import ResidualFormula
 from imubayes.display.loop.diagnosis_sentences import probability
 from imubayes.display.numbers_and_labels import counted, listed, percent, relation, significant
@@ -36,23 +37,25 @@ def selection_text(
     return f"{said} No single cause stands out."
 
 
-def preview_text(
-    effects: Sequence[str], predicted: float, largest: tuple[str, float] | None, observed: float | None = None
-) -> str:
-    """Return what previewed causes would do, or what their refit did.
+def refitted_text(what: str, predicted: float | None, observed: float, largest: tuple[str, float] | None) -> str:
+    """Return what a change did, its refit at the noise known beforehand (see `preview_text`)."""
+    told = "" if predicted is None else f" predicted {significant(predicted)}, observed"
+    moved = "" if largest is None else f" {largest[0]} moved by {significant(largest[1], 2)} sd."
+    return (
+        f"Refitted ({what}): Δχ²{told} {significant(observed)} at the noise known beforehand.{moved} "
+        "Noise scales, uncertainties and verdict follow."
+    )
+
+
+def preview_text(effects: Sequence[str], predicted: float, largest: tuple[str, float] | None) -> str:
+    """Return what previewed causes would do.
 
     Parameters
     ----------
-    predicted, observed : drop of χ² at the noise known beforehand, by the linear model and by the refit.
+    predicted : drop of χ² at the noise known beforehand.
     largest : the estimate that moves most, and by how many of its standard deviations.
     """
     drop = f"Δχ² {significant(predicted)} at the noise known beforehand"
-    if observed is not None:
-        moved = "" if largest is None else f" {largest[0]} moved by {significant(largest[1], 2)} sd."
-        return (
-            f"Refitted with {listed(effects)}: predicted {drop}, observed {significant(observed)}.{moved} "
-            "Noise scales, uncertainties and verdict follow."
-        )
     moved = "" if largest is None else f" {largest[0]} would move by {significant(largest[1], 2)} sd."
     return f"Predicted with {listed(effects)}: {drop}.{moved}"
 
@@ -66,6 +69,18 @@ def formula_text(found: ResidualFormula | None, channel: str) -> str:
         f"The residual of {channel} is {found.shape}; its first term leads in {percent(found.inclusion)} of resampled "
         f"runs.{near}"
     )
+
+
+def drawn_text(found: DrawnFormula) -> str:
+    """Return the formula that is like a drawing, what the data say of it, and how it predicts runs left out."""
+    like = "no formula is like it" if found.free_form else f"{percent(found.likeness)} of its variance explained"
+    drop, odds = (sum(each) for each in zip(*((t.delta_chi2, t.log_odds) for t in found.terms), strict=True))
+    runs = (
+        "Only one run shows it, so that none can be left out." if found.held_out is None
+        else f"Predicted from all others, {found.better} of {counted(found.runs, 'run')} "
+        f"{'is' if found.better == 1 else 'are'} predicted better, Δχ² {significant(found.held_out)} in all."
+    )  # fmt: skip
+    return f"Drawn: {found.shape} ({like}). Δχ² {significant(drop)}, log odds {significant(odds)}. {runs}"
 
 
 def fitted_text(place: str) -> str:

@@ -83,7 +83,7 @@ function estimates(panel) {
     el("td", { class: each.in_sd > 0 ? "up" : "down" }, `${each.in_sd > 0 ? "↑" : "↓"} ${digits(Math.abs(each.in_sd), 2)} sd`)));
   const empty = el("tr", {}, el("td", { class: "left quiet", colspan: "6" }, "No estimate would move by a twentieth of its standard uncertainty."));
   fill(panel, el("table", {},
-    el("thead", {}, el("tr", {}, el("th", { class: "left" }, "estimate"), [preview.refitted ? "before" : "now", "sd", `with ${preview.effects.join(", ")}`].map((words) => el("th", {}, words)), el("th", { class: "left" }, "unit"), el("th", {}, preview.refitted ? "moved" : "would move"))),
+    el("thead", {}, el("tr", {}, el("th", { class: "left" }, "estimate"), [preview.refitted ? "before" : "now", "sd", preview.refitted ? "after" : `with ${preview.effects.join(", ")}`].map((words) => el("th", {}, words)), el("th", { class: "left" }, "unit"), el("th", {}, preview.refitted ? "moved" : "would move"))),
     el("tbody", {}, rows.length ? rows : empty)));
 }
 

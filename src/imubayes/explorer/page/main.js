@@ -110,7 +110,7 @@ async function select() {
 async function preview() {
   if (!told.facts || told.facts.id !== view.model) return;
   const wanted = previewed();
-  if (!wanted.effects.length) {
+  if (!wanted.effects.length && !wanted.task) {
     tell({ preview: null });
     return;
   }

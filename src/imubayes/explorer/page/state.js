@@ -62,10 +62,10 @@ function readAddress() {
   for (const listener of listeners) listener(Object.keys(FIRST), []);
 }
 
-// Of what is added its refit stands in the place of a preview, from the first second of the fit on.
+// What a change does stands in the place of a preview, from the first second of the fit on.
 export function previewed() {
-  const refit = told.session?.tasks.find((task) => atWork(task) && task.of === view.model && task.adding.length);
-  if (refit) return { effects: refit.adding, refitted: true };
+  const refit = told.session?.tasks.find((task) => atWork(task) && task.kind === "change" && task.of === view.model);
+  if (refit) return { effects: refit.adding, task: refit.number };
   const hovered = told.hovered && !view.ticked.includes(told.hovered) ? [told.hovered] : [];
-  return { effects: [...view.ticked, ...hovered], refitted: false };
+  return { effects: [...view.ticked, ...hovered] };
 }

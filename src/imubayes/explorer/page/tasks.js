@@ -17,7 +17,7 @@ export function drawTasks(place, actions) {
 }
 
 function progress(task, actions) {
-  const refit = task.adding.length && told.preview?.refitted ? told.preview.sentence : null;
+  const refit = task.kind === "change" && told.preview?.refitted ? told.preview.sentence : null;
   return el("div", {}, el("progress", { "aria-label": task.what }),
     refit ? el("span", { class: "said", id: "refit-sentence" }, refit) : null,
     el("span", { class: refit ? "quiet" : "said" }, `${task.what}: ${task.state === "cancelling" ? "cancelling at the next step" : task.step || "waiting"} · ${task.seconds.toFixed(0)} s`),
