@@ -6,6 +6,7 @@ from imubayes.display.fit_quality_tables import combination_sheet, contribution_
 from imubayes.display.numbers_and_labels import pretty
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.explorer.edited_model import prior_text
+from imubayes.explorer.geometry import AxisFrame, axis_frames
 from imubayes.explorer.messages import ShownTable, shown_table
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.records import Record
@@ -17,10 +18,11 @@ _PLACES, _REACH, _KERNEL = 81, 5.0, 0.25
 
 
 class KnownTables(Record):
-    """The tables of what is known, and the names of the quantities that can be asked for."""
+    """The tables of what is known, the names of the quantities that can be asked for, and the sensor axes."""
 
     tables: tuple[ShownTable, ...]
     quantities: tuple[str, ...]
+    frames: tuple[AxisFrame, ...]
 
 
 class QuantityFacts(Record):
@@ -44,7 +46,8 @@ def known_tables(result: Result) -> KnownTables:
         weak_sheet(summary), next_run_sheet(summary), combination_sheet(summary), derived_sheet(summary),
         parameter_sheet(summary), contribution_sheet(summary),
     )  # fmt: skip
-    return KnownTables(tables=tuple(map(shown_table, sheets)), quantities=tuple(result.quantities))
+    shown, names = tuple(map(shown_table, sheets)), tuple(result.quantities)
+    return KnownTables(tables=shown, quantities=names, frames=axis_frames(result))
 
 
 def quantity_facts(result: Result, name: str) -> QuantityFacts:

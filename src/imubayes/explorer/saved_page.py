@@ -19,8 +19,8 @@ from imubayes.explorer.session import SessionState
 from imubayes.foundations.records import Record
 
 _MODULES = (
-    "dom", "offline", "net", "state", "chart", "verdict", "map", "causes", "knowledge", "below", "tasks", "formula",
-    "keys", "tour", "picture", "panels", "main",
+    "dom", "offline", "net", "state", "chart", "verdict", "map", "causes", "geometry", "knowledge", "below", "tasks",
+    "formula", "keys", "tour", "picture", "panels", "main",
 )  # fmt: skip
 _PREVIEWED, _MOST_NUMBERS = 6, 700_000
 """Causes of each model that are previewed, and numbers of each model that a file has room for."""

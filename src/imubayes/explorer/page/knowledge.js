@@ -1,6 +1,7 @@
 // What the runs determined, what they did not, and the run that would; any quantity with its prior and posterior.
 
 import { digits, el, fill } from "./dom.js";
+import { geometry } from "./geometry.js";
 import { ask } from "./net.js";
 import { told, view } from "./state.js";
 
@@ -21,7 +22,8 @@ export function drawKnowledge(panel, actions) {
         list: "quantities", "data-key": "quantity", value: sought, size: 34, placeholder: "name, such as scale_factor[gx]",
         oninput: (event) => { sought = event.target.value; }, onchange: (event) => seek(event.target.value, panel, actions),
       })), el("datalist", { id: "quantities" }, found.map((name) => el("option", { value: name }))),
-      chosen ? [chosen.written ? prior(actions) : null, densities(chosen)] : el("p", { class: "quiet" }, "Name a quantity to see its prior and posterior.")),
+      chosen ? [chosen.written ? prior(actions) : null, densities(chosen)] : el("p", { class: "quiet" }, "Name a quantity to see its prior and posterior."),
+      el("h3", { class: "quiet aside" }, "Sensor axes"), geometry(known.tables.frames)),
     el("div", {}, tables.filter((table) => table.rows.length || table.note).map((table, at) => el("details", {
         open: unfolded.get(table.title) ?? at < 2, ontoggle: (event) => unfolded.set(table.title, event.target.open),
       },

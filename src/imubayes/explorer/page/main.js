@@ -7,7 +7,7 @@ import { formulaDialog } from "./formula.js";
 import { helpDialog, listenToKeys } from "./keys.js";
 import { drawMap } from "./map.js";
 import { ask, latest, listen, points, text } from "./net.js";
-import { drawCharts, drawControls, focusRuns, makeCharts, picture, restyle, zoomToSelection } from "./panels.js";
+import { drawCharts, drawControls, drawShape, focusRuns, makeCharts, picture, restyle, zoomToSelection } from "./panels.js";
 import { atWork, hear, onChange, previewed, show, tell, told, view } from "./state.js";
 import { drawTasks } from "./tasks.js";
 import { tour } from "./tour.js";
@@ -53,10 +53,11 @@ const actions = {
   save: () => download("session.html"),
   picture: (kind) => download(`${view.channel}.${kind}`, () => picture(kind)),
   script: () => download("script.sh"),
-  formula: (channel) => attempt(async () => {
-    const found = await ask("formula", { model: view.model, channel });
-    formulaDialog(dialog, channel, found, () => actions.change({ formula_of: channel }));
+  formula: (channel, drawn = null) => attempt(async () => {
+    const found = await ask("formula", { model: view.model, channel, drawn });
+    formulaDialog(dialog, channel, found, () => actions.change({ formula_of: channel, drawn }));
   }),
+  draw: () => told.points && drawShape((drawn) => actions.formula(view.channel, drawn)),
   copy: () => attempt(async () => navigator.clipboard.writeText(await text("script.sh"))),
 };
 
@@ -195,7 +196,7 @@ listenToKeys({
   x: () => told.session?.tasks.filter(atWork).forEach((task) => actions.cancel(task.number)),
   n: () => show({ channel: next(channels(), view.channel, 1) }), N: () => show({ channel: next(channels(), view.channel, -1) }),
   v: () => turnX(1), V: () => turnX(-1), y: () => show({ y: next(RESIDUALS, view.y, 1) }), o: focusRuns,
-  f: () => told.facts && actions.formula(view.channel), p: () => show({ after: !view.after }), z: zoomToSelection, Z: () => show({ between: null }),
+  f: () => told.facts && actions.formula(view.channel), w: actions.draw, p: () => show({ after: !view.after }), z: zoomToSelection, Z: () => show({ between: null }),
   Escape: () => show(view.brushes.length ? { brushes: [], only: [] } : { ticked: [] }),
   1: () => show({ tab: "models" }), 2: () => show({ tab: "estimates" }), 3: () => show({ tab: "knowledge" }), 4: () => show({ tab: "commands" }),
 });

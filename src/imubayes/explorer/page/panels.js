@@ -49,8 +49,47 @@ export function drawControls(actions) {
     pick("colour", "colour", facts.groupings.map((name) => [name, name])),
     el("label", {}, el("input", { type: "checkbox", "data-key": "only", checked: view.only.length > 0, onchange: focusRuns }), "only selected runs"),
     el("label", {}, el("input", { type: "checkbox", "data-key": "after", checked: view.after, onchange: (event) => show({ after: event.target.checked }) }), "residual after preview"),
+    el("button", { "data-key": "draw", id: "draw", title: "draw the shape that you see, and get its formula; key w", onclick: actions.draw }, "draw a shape"),
     view.between ? el("button", { onclick: () => show({ between: null }) }, "whole range") : null,
     ["svg", "png"].map((kind) => el("button", { class: "plain quiet", "data-key": kind, id: `picture-${kind}`, title: `the panels as ${kind.toUpperCase()}, key ${kind === "svg" ? "g" : "G"}`, onclick: () => actions.picture(kind) }, kind.toUpperCase())));
+}
+
+// A shape is drawn over the residuals: points by dragging, or with arrow keys, the space bar and Enter.
+export function drawShape(done) {
+  const { over } = residuals.plot, sheet = el("div", { class: "drawing", id: "drawing", tabindex: "0", role: "application",
+    "aria-label": "Draw a shape over the residuals: drag, or move with the arrow keys, set points with the space bar, end with Enter; Escape gives up." });
+  const line = document.createElementNS("http://www.w3.org/2000/svg", "svg"), way = document.createElementNS("http://www.w3.org/2000/svg", "path");
+  const width = over.clientWidth, height = over.clientHeight, points = [];
+  let at = [0, height / 2];
+  line.append(way);
+  sheet.append(line, el("p", { class: "hint" }, "Drag the shape that you see; Escape gives up."));
+  const draw = () => way.setAttribute("d", `${[...points].sort((one, other) => one[0] - other[0]).map(([x, y], n) => `${n ? "L" : "M"}${x} ${y}`).join("")}M${at[0] - 5} ${at[1]}h10m-5 -5v10`);
+  const end = () => {
+    sheet.remove();
+    const over = points.map(([x, y]) => [residuals.plot.posToVal(x, "x"), residuals.plot.posToVal(y, "y")]);
+    if (over.length > 1) done({ over: view.x, points: over });
+  };
+  const put = (event) => {
+    const box = sheet.getBoundingClientRect();
+    at = [event.clientX - box.left, event.clientY - box.top];
+    if (!points.some(([x]) => Math.abs(x - at[0]) < width / 60)) points.push(at);
+    draw();
+  };
+  sheet.addEventListener("pointerdown", (event) => { sheet.setPointerCapture(event.pointerId); put(event); });
+  sheet.addEventListener("pointermove", (event) => event.buttons && put(event));
+  sheet.addEventListener("pointerup", end);
+  sheet.addEventListener("keydown", (event) => {
+    const moves = { ArrowLeft: [-width / 20, 0], ArrowRight: [width / 20, 0], ArrowUp: [0, -height / 20], ArrowDown: [0, height / 20] }, move = moves[event.key];
+    if (event.key !== "Tab") event.stopPropagation();
+    if (move) at = [Math.min(width, Math.max(0, at[0] + move[0])), Math.min(height, Math.max(0, at[1] + move[1]))];
+    else if (event.key === " ") points.push(at);
+    else if (event.key === "Enter") end();
+    else if (event.key === "Escape") sheet.remove();
+    if (move || event.key === " ") { event.preventDefault(); draw(); }
+  });
+  over.append(sheet);
+  sheet.focus();
+  draw();
 }
 
 export function focusRuns() {
