@@ -36,6 +36,7 @@ COMPILED = (
     "model/test_compile_cache_limit.py",  # first, as it drops what its process compiled before
     "readme",
     "criticism",
+    "explore/test_explore_ahead.py",
     "explore/test_explore_answers.py",
     "explore/test_explore_page.py",
     "explore/test_explore_session.py",
@@ -108,6 +109,7 @@ GROUPS = {
         "criticism/test_known_noise_fit.py",
         "criticism/test_removal.py",
         "results/test_posterior.py",
+        "explore/test_explore_ahead.py",
         "explore/test_explore_answers.py",
         "explore/test_explore_page.py",
         "explore/test_explore_session.py",

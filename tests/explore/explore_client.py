@@ -2,10 +2,13 @@
 
 import http.client
 import json
+import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from imubayes.explorer.start import Exploration
 
@@ -45,6 +48,16 @@ class Client:
         status, content = self.ask(path, body)
         assert status in (200, 202), (path, status, content[:300])
         return json.loads(content)
+
+
+def framed(client: Client, wanted: Any) -> tuple[Any, dict[str, np.ndarray]]:
+    """Return the header of the points of a view, and their columns."""
+    status, content = client.ask("points", wanted)
+    assert status == 200, content
+    (length,) = struct.unpack("<I", content[:4])
+    head = json.loads(content[4 : 4 + length])
+    numbers = np.frombuffer(content[4 + length :], "<f4").reshape(len(head["arrays"]), head["count"])
+    return head, dict(zip(head["arrays"], numbers, strict=True))
 
 
 def wait_for(condition: Callable[[], Any], patience: float = PATIENCE) -> Any:

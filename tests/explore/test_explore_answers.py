@@ -15,7 +15,7 @@ from unittest.mock import Mock
 import numpy as np
 import polars as pl
 import pytest
-from explore_client import settled
+from explore_client import framed, settled
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.api import add, diagnose
@@ -207,20 +207,11 @@ def test_a_cause_of_some_rows_is_judged_as_dense_algebra_does(model, monkeypatch
     assert view.rank(chosen).causes[0].effect == HIDDEN
 
 
-def _frame(client, wanted):
-    status, content = client.ask("points", wanted)
-    assert status == 200, content
-    (length,) = struct.unpack("<I", content[:4])
-    head = json.loads(content[4 : 4 + length])
-    numbers = np.frombuffer(content[4 + length :], "<f4").reshape(len(head["arrays"]), head["count"])
-    return head, dict(zip(head["arrays"], numbers, strict=True))
-
-
 def test_points_are_those_of_the_result(client, explored, first):
     table = pl.read_parquet(explored.session.root / "residuals.parquet").filter(pl.col("channel") == "gz")
     fast = {"x": "table_rate_deg_s", "x_low": 50, "x_high": 1e6}
     wanted = {"model": first, "channel": "gz", "x": "table_rate_deg_s", "y": "input"}
-    head, points = _frame(client, wanted | {"effects": [HIDDEN], "brushes": [fast]})
+    head, points = framed(client, wanted | {"effects": [HIDDEN], "brushes": [fast]})
     shown = table.filter(pl.col("table_rate_deg_s").is_not_null()).sort("table_rate_deg_s", maintain_order=True)
     assert head["of"] == head["count"] == shown.height
     np.testing.assert_allclose(points["x"], shown["table_rate_deg_s"], rtol=1e-6)
@@ -232,7 +223,7 @@ def test_points_are_those_of_the_result(client, explored, first):
 
 def test_a_brush_of_residuals_selects_what_it_shows(client, first):
     wanted = {"model": first, "channel": "gz", "x": "rate_i", "y": "known"}
-    _, points = _frame(client, wanted)
+    _, points = framed(client, wanted)
     brush = {"channels": ["gz"], "x": "rate_i", "x_low": 0, "x_high": 1e9, "y": "known", "y_low": 3, "y_high": 1e9}
     found = client.json("selection", {"model": first, "brushes": [brush]})
     assert found["n"] == ((points["x"] >= 0) & (points["y"] >= 3)).sum() > 0
@@ -392,11 +383,9 @@ def test_a_change_is_that_of_the_command(client, explored, first, facts):
     task = client.json("change", {"model": first, "add": [HIDDEN]})["task"]
     assert client.json("state")["tasks"][-1]["adding"] == [HIDDEN]
     began = time.monotonic()
-    early = client.json("preview", {"model": first, "effects": [HIDDEN], "refitted": True})
+    early = client.json("preview", {"model": first, "effects": [HIDDEN], "task": task})
     seconds = time.monotonic() - began
-    head, points = _frame(
-        client, {"model": first, "channel": "gz", "x": "reading", "effects": [HIDDEN], "refitted": True}
-    )
+    head, points = framed(client, {"model": first, "channel": "gz", "x": "reading", "effects": [HIDDEN], "task": task})
     settled(explored)
     assert early["refitted"]
     assert head["refitted"]
@@ -415,7 +404,7 @@ def test_a_change_is_that_of_the_command(client, explored, first, facts):
     np.testing.assert_allclose(early["cells"], [cell["chi2"] for cell in after["cells"]], rtol=1e-4)
     assert early["delta_chi2"] == pytest.approx(facts["chi2"] - after["chi2"], abs=0.1)
     assert "observed 103" in early["sentence"]
-    _, fitted = _frame(client, {"model": done["made"], "channel": "gz", "x": "reading"})
+    _, fitted = framed(client, {"model": done["made"], "channel": "gz", "x": "reading"})
     np.testing.assert_allclose(points["after"], fitted["y"], atol=2e-3)
     assert np.max(np.abs(points["y"] - fitted["y"])) > 3
     command = next(each for each in state["commands"] if each.startswith("imubayes add"))

@@ -230,3 +230,48 @@ def test_an_address_of_nonsense_opens_the_page(fresh, explored):
     fresh.driver.get("about:blank")
     fresh.open(f"{explored.address}#{nonsense}")
     assert HIDDEN in fresh.text("#sentence")
+
+
+def test_sensor_axes_are_turned_by_mouse_and_by_keys(fresh):
+    """The picture says what it shows, its exaggeration included, and a table says it in numbers."""
+    fresh.press("3")
+    fresh.wait("document.querySelectorAll('#geometry .cone').length === 6")
+    label = fresh.run("document.querySelector('#geometry').getAttribute('aria-label')")
+    assert "gx is tilted by" in label
+    assert "drawn 200 times as large" in label
+    assert fresh.run("document.querySelectorAll('.geometry-figure tbody tr').length") == 6
+    fresh.run("(document.querySelector('#geometry').scrollIntoView({ block: 'center' }), null)")
+    drawn = "document.querySelector('#geometry .fitted').getAttribute('d')"
+    found = [fresh.run(drawn)]
+    picture = fresh.driver.find_element(By.ID, "geometry")
+    ActionChains(fresh.driver).click_and_hold(picture).move_by_offset(40, 10).release().perform()
+    found.append(fresh.run(drawn))
+    fresh.run("(document.querySelector('#geometry').focus(), null)")
+    for keys in ((Keys.ARROW_LEFT,), ("+",), ("0",)):
+        fresh.press(*keys)
+        found.append(fresh.run(drawn))
+    assert len(set(found)) == 4
+    assert found[-1] == found[0]
+    fresh.run("(document.querySelector('#geometry-frame').value = 'pyramid', null)")
+    fresh.run("(document.querySelector('#geometry-frame').dispatchEvent(new Event('change')), null)")
+    assert "mounting pyramid" in fresh.run("document.querySelector('#geometry').getAttribute('aria-label')")
+
+
+def test_a_shape_is_drawn_by_mouse_and_by_keys(fresh):
+    fresh.click("#draw")
+    sheet = fresh.driver.find_element(By.ID, "drawing")
+    wide, high = sheet.rect["width"], sheet.rect["height"]
+    drag = ActionChains(fresh.driver, duration=50)
+    drag.move_to_element_with_offset(sheet, int(-0.45 * wide), int(-0.4 * high)).click_and_hold()
+    for way in (1, 1, 1, 1, -1, -1, -1, -1):
+        drag.move_by_offset(int(wide / 9), int(way * high / 6))
+    drag.release().perform()
+    fresh.wait("document.querySelector('#dialog[open] #add-formula')")
+    assert "Drawn: |Ω_i|" in fresh.text("#dialog")
+    fresh.press(Keys.ESCAPE)
+    fresh.press("w", Keys.SPACE, *[Keys.ARROW_RIGHT] * 19, *[Keys.ARROW_UP] * 8, Keys.SPACE, Keys.ENTER)
+    fresh.wait("document.querySelector('#dialog[open] #add-formula')")
+    assert "Drawn: Ω_i" in fresh.text("#dialog")
+    fresh.press(Keys.ESCAPE)
+    fresh.press("w", Keys.ESCAPE)
+    assert not fresh.run("document.querySelector('#drawing')")

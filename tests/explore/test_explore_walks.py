@@ -60,7 +60,7 @@ def test_two_effects_are_previewed_together_and_added_by_keys(two):
         for effect in hidden:
             page.wait(f"document.querySelector('#preview-sentence')?.textContent.includes('{effect}')")
         page.press(Keys.ENTER)
-        page.wait("document.querySelector('#refit-sentence')?.textContent.startsWith('Refitted with')")
+        page.wait("document.querySelector('#refit-sentence')?.textContent.startsWith('Refitted (add ')")
         page.wait("document.querySelector('#cancel')")  # the fit goes on
         early = page.text("#refit-sentence")
         page.wait("document.querySelector('#sentence')?.textContent.includes('explains the data')")

@@ -55,7 +55,7 @@ function models(panel, actions) {
     units.map((unit) => el("td", {}, size(line.rms[unit], unit))),
     el("td", {}, line.selected ? "● selected" : line.taken ? el("button", { class: "plain", "data-key": `select-${line.id}`, onclick: () => actions.select(line.id) }, "○ select") : ""),
     el("td", {}, el("button", { class: "plain", "data-key": `note-${line.id}`, title: line.note || "name and note", onclick: () => actions.note(line) }, line.note ? "✎ note" : "✎"))));
-  const head = ["χ²/n", "Δχ² predicted", "observed", "Δ elpd", ...units.map((unit) => `rms / ${unit === "deg/s" ? "deg/h" : unit === "g" ? "µg" : unit}`), "", ""];
+  const head = ["χ²/n", "Δχ² predicted", "observed", "Δ elpd", ...units.map((unit) => `rms / ${unit === "deg/s" ? "deg/h" : unit === "g" ? "µg" : unit}`), "exported", "note"];
   const effects = (told.facts?.effects ?? []).map((effect) => el("span", { class: "chip" }, effect,
     el("button", { class: "plain", "data-key": `remove-${effect}`, title: `remove ${effect}, and refit`, "aria-label": `remove ${effect}`, onclick: () => actions.change({ remove: [effect] }) }, "×")));
   const aside = (told.facts?.set_aside ?? []).map((words, at) => el("span", { class: "chip" }, words,

@@ -77,7 +77,7 @@ const KEYS = {
 };
 
 export function geometry(frames) {
-  const picture = shape("svg", { viewBox: `0 0 ${SIZE} ${SIZE}`, class: "geometry", id: "geometry", role: "img", tabindex: "0" });
+  const picture = shape("svg", { viewBox: `12 6 ${SIZE - 24} ${SIZE - 30}`, class: "geometry", id: "geometry", role: "img", tabindex: "0" });
   const words = el("figcaption", { "aria-live": "polite" }), rows = el("tbody"), place = el("figure", { class: "geometry-figure" });
   const draw = () => {
     const found = frames.find((each) => each.name === frame) ?? frames[0], factor = paint(picture, found);
