@@ -63,6 +63,11 @@ def test_the_fit_finds_the_residuals_that_were_shown(client, explored, first, na
     before = client.json("model", {"model": first})["cells"]
     told = {(cell["run"], cell["channel"]): chi2 for cell, chi2 in zip(before, early["cells"], strict=True)}
     assert {key: told[key] for key in cells} == pytest.approx(cells, rel=0.01, abs=0.1)
+    # The model that was made can be changed in its turn, an effect of its own file included.
+    task = client.json("change", {"model": done["made"], **CHANGES["prior"]})["task"]
+    assert client.json("preview", {"model": done["made"], "task": task})["refitted"] or name == "prior"
+    client.json("cancel", {"task": task})
+    settled(explored)
     client.json("select", {"model": first})
 
 

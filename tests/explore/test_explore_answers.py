@@ -407,7 +407,7 @@ def test_a_change_is_that_of_the_command(client, explored, first, facts):
     _, fitted = framed(client, {"model": done["made"], "channel": "gz", "x": "reading"})
     np.testing.assert_allclose(points["after"], fitted["y"], atol=2e-3)
     assert np.max(np.abs(points["y"] - fitted["y"])) > 3
-    command = next(each for each in state["commands"] if each.startswith("imubayes add"))
+    command = next(each for each in state["commands"] if each.startswith(f"imubayes add {HIDDEN}"))
     assert client.ask("script.sh")[1].decode().splitlines()[-2:] == [command, state["commands"][-1]]
     # Undo: the one before is selected, and exported.
     assert "gyro_scale_asymmetry" in client.ask("model.toml")[1].decode()

@@ -10,7 +10,7 @@ import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import explained_fit
-from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.drawn_shape import Drawing, DrawnFormula
 from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text
@@ -39,6 +39,7 @@ from imubayes.foundations.progress import Tell
 from imubayes.foundations.tail_probabilities import chi2_survival
 from imubayes.loop.warm_start import extended
 from imubayes.model.bind import bind
+from imubayes.model.model_file import ModelSpec
 from imubayes.results.change_records import write_diagnosis
 from imubayes.results.history_tree import shown_place
 from imubayes.results.result import Result
@@ -146,9 +147,13 @@ class OpenModel:
     def ahead_of_adding(self, effects: Sequence[str], channels: Sequence[str] | None) -> Ahead | None:
         """Return the refit with effects at the noise known beforehand; None where it takes the whole fit."""
         fitted, told = self.view.fit.model, [self.diagnosis.estimate(each) for each in effects]
-        spec = extended(fitted.spec, effects, channels, fitted.campaign, fitted.registry)
-        changed = bind(spec, fitted.campaign, fitted.registry)
-        return self.view.ahead(changed, [line for line in told if line is not None])
+        spec = extended(fitted.spec, effects, channels, fitted.campaign, fitted.registry.without_files())
+        return self.ahead_of(spec, [line for line in told if line is not None])
+
+    def ahead_of(self, spec: ModelSpec, estimates: Sequence[ScreenedEffect] = ()) -> Ahead | None:
+        """Return the refit of an edited model at the noise known beforehand; None where it takes the whole fit."""
+        fitted = self.view.fit.model
+        return self.view.ahead(bind(spec, fitted.campaign, fitted.registry.without_files()), estimates)
 
     def preview(self, effects: Sequence[str], out: str, ahead: Ahead | None = None, what: str = "") -> PreviewFacts:
         """Return what causes would do together, or what a change does.

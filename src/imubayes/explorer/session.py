@@ -31,7 +31,6 @@ from imubayes.foundations.progress import Tell
 from imubayes.foundations.records import Record
 from imubayes.loop.model_changes import reduce
 from imubayes.loop.model_history import ChiSquareDrop, Tree, rms_by_unit
-from imubayes.model.bind import bind
 from imubayes.results.change_records import ModelChange
 from imubayes.results.folder_files import MANIFEST, MODEL
 from imubayes.results.history_tree import campaign_of, read_tree, select, shown_place
@@ -379,7 +378,7 @@ class Session:
 
     def _refitting(self, model: OpenModel, edited: EditedModel) -> Change:
         """Return the change to an edited model; its file stays beside the results, as the command names it."""
-        folder, fitted = self.folder_for(model, edited.word), model.view.fit.model
+        folder = self.folder_for(model, edited.word)
         file = folder.with_name(f"{folder.name}.toml")
         return Change(
             what=edited.what,
@@ -387,7 +386,7 @@ class Session:
             make=lambda tell: refit(model.result, file, folder, progress=tell),
             # Readings that are taken back are none of those that are at hand.
             predict=lambda: None if edited.word == "taken-back"
-            else model.view.ahead(bind(edited.spec, fitted.campaign, fitted.registry)),
+            else model.ahead_of(edited.spec),
             write=lambda: write_model(edited.spec, file),
             file=file,
         )  # fmt: skip
