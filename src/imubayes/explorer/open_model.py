@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from inspect import getdoc
 from pathlib import Path
 
@@ -153,6 +153,10 @@ class OpenModel:
     def ahead_of(self, spec: ModelSpec, estimates: Sequence[ScreenedEffect] = ()) -> Ahead | None:
         """Return the refit of an edited model at the noise known beforehand; None where it takes the whole fit."""
         fitted = self.view.fit.model
+        known = fitted.campaign.set_aside
+        if not set(known) <= set(spec.set_aside):
+            return None  # readings that are taken back are not at hand
+        spec = replace(spec, set_aside=tuple(each for each in spec.set_aside if each not in known) or known)
         return self.view.ahead(bind(spec, fitted.campaign, fitted.registry.without_files()), estimates)
 
     def preview(self, effects: Sequence[str], out: str, ahead: Ahead | None = None, what: str = "") -> PreviewFacts:

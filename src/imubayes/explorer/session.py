@@ -384,9 +384,7 @@ class Session:
             what=edited.what,
             command=f"imubayes refit {model.place} --model {quoted(file)} --out {quoted(folder)}",
             make=lambda tell: refit(model.result, file, folder, progress=tell),
-            # Readings that are taken back are none of those that are at hand.
-            predict=lambda: None if edited.word == "taken-back"
-            else model.ahead_of(edited.spec),
+            predict=lambda: model.ahead_of(edited.spec),
             write=lambda: write_model(edited.spec, file),
             file=file,
         )  # fmt: skip
