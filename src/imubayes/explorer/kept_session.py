@@ -52,24 +52,21 @@ class KeptSession(Record):
         """Return a shell script of the commands."""
         return "\n".join(["#!/bin/sh", "set -eu", *self.commands, ""])
 
+    @classmethod
+    def read(cls, root: Path) -> "KeptSession":
+        """Return what the session of a first result has kept; a new one where there is none.
 
-def session_file(root: Path) -> Path:
-    """Return where the session of a first result is kept."""
+        Raises
+        ------
+        InputError
+            where the file cannot be read.
+        """
+        return read_record(_file(root), cls) if _file(root).is_file() else cls()
+
+    def write(self, root: Path) -> None:
+        """Keep a session beside its first result."""
+        write_text(_file(root), self.json_text())
+
+
+def _file(root: Path) -> Path:
     return root.with_name(f"{root.name}.explore.json")
-
-
-def read_session(root: Path) -> KeptSession:
-    """Return what the session of a first result has kept; a new one where there is none.
-
-    Raises
-    ------
-    InputError
-        where the file cannot be read.
-    """
-    file = session_file(root)
-    return read_record(file, KeptSession) if file.is_file() else KeptSession()
-
-
-def write_session(root: Path, session: KeptSession) -> None:
-    """Keep a session beside its first result."""
-    write_text(session_file(root), session.json_text())

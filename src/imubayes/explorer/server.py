@@ -67,46 +67,33 @@ def application(session: Session, token: str, port: int) -> Application:
     return Guard(Starlette(routes=_Answers(session).routes()), token, port)
 
 
-def _json(record: Record, status: int = 200) -> Response:
-    return Response(record.model_dump_json(), status, media_type="application/json")
+Said = Record | bytes | str | Response
 
 
-def _numbers(content: bytes) -> Response:
-    return Response(content, media_type="application/octet-stream")
+def _response(said: Said) -> Response:
+    if isinstance(said, Record):
+        return Response(said.model_dump_json(), media_type="application/json")
+    if isinstance(said, bytes):
+        return Response(said, media_type="application/octet-stream")
+    return PlainTextResponse(said) if isinstance(said, str) else said
 
 
-def _faults(*issues: str) -> Response:
-    return _json(Faults(issues=issues), 400)
-
-
-Answer = Callable[[Request], Awaitable[Response]]
-
-
-def _asked[Asked: Record](kind: type[Asked], answer: Callable[[Asked], Response]) -> Answer:
-    """Return the handler of a request of a kind, answered in a thread."""
+def _answered(
+    answer: Callable[..., Said], kind: type[Record] | None = None
+) -> Callable[[Request], Awaitable[Response]]:
+    """Return the handler of a request of a kind, or of one that says nothing further, answered in a thread."""
 
     async def handle(request: Request) -> Response:
         try:
-            wanted = kind.model_validate_json(await request.body())
-            return await run_in_threadpool(answer, wanted)
+            wanted = () if kind is None else (kind.model_validate_json(await request.body()),)
+            return _response(await run_in_threadpool(answer, *wanted))
         except InputError as error:
-            return _faults(*map(str, error.issues))
+            issues = error.issues
         except ValidationError as error:
-            told = [Issue(each["msg"], ".".join(map(str, each["loc"])) or "request", "", "correct the request")
-                    for each in error.errors(include_input=False)]  # fmt: skip
-            return _faults(*map(str, told))
-
-    return handle
-
-
-def _given(answer: Callable[[], Response]) -> Answer:
-    """Return the handler of a request that says nothing further."""
-
-    async def handle(request: Request) -> Response:
-        try:
-            return await run_in_threadpool(answer)
-        except InputError as error:
-            return _faults(*map(str, error.issues))
+            issues = [Issue(each["msg"], ".".join(map(str, each["loc"])) or "request", "", "correct the request")
+                      for each in error.errors(include_input=False)]  # fmt: skip
+        faults = Faults(issues=tuple(map(str, issues)))
+        return Response(faults.model_dump_json(), 400, media_type="application/json")
 
     return handle
 
@@ -119,32 +106,27 @@ class _Answers:
 
     def routes(self) -> list[Route]:
         session, require = self.session, self.session.require
-        asked: tuple[tuple[str, Answer], ...] = (
-            ("model", _asked(ModelWanted, self.model)),
-            ("points", _asked(PointsWanted, lambda w: _numbers(session.frame(w)))),
-            (
-                "selection",
-                _asked(SelectionWanted, lambda w: _json(require(w.model).select(w.brushes, session.left_out))),
-            ),
-            ("preview", _asked(PreviewWanted, lambda w: _json(session.previewed(w)))),
-            ("formula", _asked(FormulaWanted, lambda w: _json(require(w.model).formula(w.channel, w.drawn)))),
-            ("known", _asked(ModelWanted, lambda w: _json(known_tables(require(w.model).result)))),
-            ("quantity", _asked(QuantityWanted, lambda w: _json(quantity_facts(require(w.model).result, w.name)))),
-            ("change", _asked(ChangeWanted, lambda w: _json(Begun(task=session.change(w)), 202))),
-            ("select", _asked(ModelWanted, self._done(lambda w: session.select(w.model)))),
-            ("note", _asked(NoteWanted, self._done(session.note))),
-            ("lock", _asked(LockWanted, self._done(session.lock))),
-            ("cancel", _asked(Begun, self._done(lambda w: session.worker.cancel(w.task)))),
-        )
-        given = (
-            ("state", _given(lambda: _json(session.state()))),
-            ("script.sh", _given(lambda: PlainTextResponse(session.script()))),
-            ("session.html", _given(self.saved)),
-            ("model.toml", _given(lambda: PlainTextResponse(session.exported()))),
-        )
+        asked: dict[str, tuple[type[Record], Callable[..., Said]]] = {
+            "model": (ModelWanted, self.model),
+            "points": (PointsWanted, session.frame),
+            "selection": (SelectionWanted, lambda w: require(w.model).select(w.brushes, session.left_out)),
+            "preview": (PreviewWanted, session.previewed),
+            "formula": (FormulaWanted, lambda w: require(w.model).formula(w.channel, w.drawn)),
+            "known": (ModelWanted, lambda w: known_tables(require(w.model).result)),
+            "quantity": (QuantityWanted, lambda w: quantity_facts(require(w.model).result, w.name)),
+            "change": (ChangeWanted, lambda w: Begun(task=session.change(w))),
+            "select": (ModelWanted, self._done(lambda w: session.select(w.model))),
+            "note": (NoteWanted, self._done(session.note)),
+            "lock": (LockWanted, self._done(session.lock)),
+            "cancel": (Begun, self._done(lambda w: session.worker.cancel(w.task))),
+        }
+        given: dict[str, Callable[[], Said]] = {
+            "state": session.state, "script.sh": session.script, "model.toml": session.exported,
+            "session.html": lambda: saved_page(session.state(), session.open_models, self.files),
+        }  # fmt: skip
         return [
-            *(Route(f"/{name}", handle, methods=["POST"]) for name, handle in asked),
-            *(Route(f"/{name}", handle) for name, handle in given),
+            *(Route(f"/{name}", _answered(act, kind), methods=["POST"]) for name, (kind, act) in asked.items()),
+            *(Route(f"/{name}", _answered(act)) for name, act in given.items()),
             Route("/events", self.events),
             Route("/", self.file),
             Route("/page/{name}", self.file),
@@ -183,19 +165,15 @@ class _Answers:
 
     # ---- what is asked ----
 
-    def model(self, wanted: ModelWanted) -> Response:
+    def model(self, wanted: ModelWanted) -> Said:
         found = self.session.get(wanted.model)
-        return Response(status_code=202) if found is None else _json(found.facts())
+        return Response(status_code=202) if found is None else found.facts()
 
-    def _done[Asked: Record](self, act: Callable[[Asked], None]) -> Callable[[Asked], Response]:
+    def _done(self, act: Callable[..., None]) -> Callable[[Record], Said]:
         """Return what does something and answers with the state after it."""
 
-        def answer(wanted: Asked) -> Response:
+        def answer(wanted: Record) -> Said:
             act(wanted)
-            return _json(self.session.state())
+            return self.session.state()
 
         return answer
-
-    def saved(self) -> Response:
-        page = saved_page(self.session.state(), self.session.open_models, self.files)
-        return Response(page, media_type="text/plain; charset=utf-8")

@@ -20,7 +20,7 @@ from imubayes.display.loop.diagnosis_report import add_command, formula_source
 from imubayes.display.loop.history import gain_text
 from imubayes.display.loop.selection_text import fitted_text
 from imubayes.explorer.edited_model import EditedModel, edited_model
-from imubayes.explorer.kept_session import ModelNote, read_session, write_session
+from imubayes.explorer.kept_session import KeptSession, ModelNote
 from imubayes.explorer.linear_view import Ahead
 from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PointsWanted, PreviewFacts, PreviewWanted
 from imubayes.explorer.open_model import OpenModel, opened, quoted
@@ -128,7 +128,7 @@ class Session:
     def __init__(self, root: Path):
         self.root, self._version = root, 0
         self._lock, self._listeners = threading.RLock(), list[Callable[[], None]]()
-        self._open, self._kept = dict[str, OpenModel](), read_session(root)
+        self._open, self._kept = dict[str, OpenModel](), KeptSession.read(root)
         self._read: tuple[Tree | None, _Marks] = None, frozenset()
         self._refits = threading.Lock()
         self._change: tuple[int, Change | None] = 0, None
@@ -285,7 +285,7 @@ class Session:
     def _write(self) -> None:
         """Write what is kept; it stays with the session where there is no right to write, or no room."""
         with kept_if_possible(self.root.parent):
-            write_session(self.root, self._kept)
+            self._kept.write(self.root)
 
     def folder_for(self, model: OpenModel, word: str) -> Path:
         """Return a free folder beside a model for the one that follows it."""
