@@ -22,7 +22,7 @@ LIKE = 0.95
 _MOST_TERMS, _MOST_POINTS = 2, 12
 
 
-class Drawing(Record):
+class DrawnCurve(Record):
     """A curve over a covariate: its name, and points, whose heights have any unit."""
 
     over: str
@@ -61,7 +61,7 @@ class DrawnShape:
     inside: np.ndarray
 
 
-def drawn_shape(drawing: Drawing, covariates: Sequence[ResidualCovariate], gravity: float) -> DrawnShape:
+def drawn_shape(drawing: DrawnCurve, covariates: Sequence[ResidualCovariate], gravity: float) -> DrawnShape:
     """Return a drawing as a term; raises InputError where there is none, or its covariate stands in no formula."""
     entries = {each.column: each for each in regressors() if each.symbol}
     known = {each.name: each.values for each in covariates if each.name in entries}

@@ -18,7 +18,7 @@ import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
 from imubayes.criticism.diagnose import ExplainedFit
-from imubayes.criticism.drawn_shape import Drawing, drawn_shape, likest
+from imubayes.criticism.drawn_shape import DrawnCurve, drawn_shape, likest
 from imubayes.criticism.evidence.free_forms import AMPLITUDES
 from imubayes.criticism.evidence.hypothesis import Solved
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED
@@ -161,7 +161,7 @@ class LinearAnswers:
             return None
         return form.log_prior + self._scan.exact(form) - FormScan(self.explained.of, others).exact(form)
 
-    def formula(self, channel: str, drawing: Drawing | None = None) -> ResidualFormula | None:
+    def formula(self, channel: str, drawing: DrawnCurve | None = None) -> ResidualFormula | None:
         """Return the simplest formula for what the model leaves of a channel, or the one that is like a drawing.
 
         None where no term is worth its odds; a drawing is its own term where no other is like it.
@@ -180,7 +180,7 @@ class LinearAnswers:
             own = terms_of(fitted, [each for each in known if each.name == drawing.over], place)
             return likest(terms_beside(of, at, at.scale, fitted, [*own, drawn.term], place), drawn)
 
-    def columns_of(self, found: ResidualFormula, drawing: Drawing | None = None) -> np.ndarray:
+    def columns_of(self, found: ResidualFormula, drawing: DrawnCurve | None = None) -> np.ndarray:
         """Return the responses (E, T) to the terms of a formula."""
         campaign, known = self.fit.model.campaign, self.explained.known
         channel = [each.name for each in campaign.channels].index(found.channel)

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from imubayes.criticism.drawn_shape import Drawing
+from imubayes.criticism.drawn_shape import DrawnCurve
 from imubayes.criticism.explanations import ProbableExplanation, Verdict
 from imubayes.criticism.linear_answers import RankedCause
 from imubayes.display.layout import Sheet
@@ -120,7 +120,7 @@ class ChangeWanted(Record):
     add: tuple[str, ...] = ()
     remove: tuple[str, ...] = ()
     formula_of: str = ""
-    drawn: Drawing | None = None
+    drawn: DrawnCurve | None = None
     channels: tuple[str, ...] | None = None
     prior_of: str = ""
     prior: str = Field("", max_length=200)
@@ -134,7 +134,7 @@ class FormulaWanted(Record):
 
     model: str
     channel: str
-    drawn: Drawing | None = None
+    drawn: DrawnCurve | None = None
 
 
 class FormulaFacts(Record):

@@ -11,7 +11,7 @@ import numpy as np
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import explained_fit
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
-from imubayes.criticism.drawn_shape import Drawing, DrawnFormula
+from imubayes.criticism.drawn_shape import DrawnCurve, DrawnFormula
 from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.loop.diagnosis_report import (
@@ -183,7 +183,7 @@ class OpenModel:
         """Return the drop of χ² at the noise known beforehand."""
         return float(self.view.point.left @ self.view.point.left - point.left @ point.left)
 
-    def formula(self, channel: str, drawn: Drawing | None = None) -> FormulaFacts:
+    def formula(self, channel: str, drawn: DrawnCurve | None = None) -> FormulaFacts:
         """Return the formula of what the model leaves of a channel, or of a drawing, and the effect that it becomes."""
         found = self.view.formula(channel, drawn)
         sheet = formula_sheet(self.diagnosis.model_copy(update={"formulas": (found,) if found is not None else ()}))

@@ -250,15 +250,7 @@ class CatalogueModel:
         It cannot where the noise has other scales, and of an effect outside the catalogue or on fewer channels than
         share its parameters.
         """
-        own, wanted = (
-            {each.name: each.prior for each in model.hyper_layout.parameters} for model in (self.fitted.model, changed)
-        )
-        if not all(name in own and eqx.tree_equal(own[name], prior) for name, prior in wanted.items()):
-            return None
-        lost = {name.partition(".")[0] for name in own} - {name.partition(".")[0] for name in wanted}
-        names = {each.name for each in changed.assembly.effects}
-        if not all(issubclass(each.effect_class, Effect) for each in self.fitted.model.assembly.effects
-                   if each.name in lost - names):  # fmt: skip
+        if not self._same_noise(changed):
             return None
         channels = {each.name: each for each in self._extended.effects}
         found = {}
@@ -271,6 +263,16 @@ class CatalogueModel:
                     return None
                 found[self._extended.places[each.name]] = each
         return found
+
+    def _same_noise(self, changed: Model) -> bool:
+        """Tell whether a changed model has the noise scales of this one, but for those of effects that it lacks."""
+        model = self.fitted.model
+        own = {each.name: each for each in model.hyper_layout.parameters}
+        wanted = {each.name: each for each in changed.hyper_layout.parameters}
+        if not all(name in own and eqx.tree_equal(own[name].prior, each.prior) for name, each in wanted.items()):
+            return False
+        lost = {each.effect for each in own.values()} - {each.effect for each in wanted.values()}
+        return all(issubclass(model.registry.effects[name], Effect) for name in lost)
 
     @property
     def size(self) -> int:
