@@ -207,7 +207,9 @@ class LinearCampaign:
         entries, channels = self.model.entries, self.model.campaign.channels
         of = [rows & ~entries.closing & (entries.channel == place) for place in range(len(channels))]
         names, power = [channel.name for channel in channels], [float(np.sum(left[each] ** 2)) for each in of]
-        place = names.index(column.owner) if column.owner in names else int(np.argmax(power))
+        # A gyro that drives a table has no outputs of its own: the angle of the table shows its errors.
+        own = column.owner in names and of[names.index(column.owner)].any()
+        place = names.index(column.owner) if own else int(np.argmax(power))
         return channels[place], of[place]
 
     def _covariate(
