@@ -37,6 +37,7 @@ from imubayes.display.fit_cautions import contradiction_text
 from imubayes.display.layout import print_report, terminal
 from imubayes.display.loop import diagnosis_report as shown
 from imubayes.display.loop.change_report import injection_json, injection_report, injection_sheet
+from imubayes.display.loop.diagnosis_sentences import sentence
 from imubayes.display.loop.history import history_json, history_sheet
 from imubayes.foundations.errors import InputError
 from imubayes.loop.injection_recovery import Size, Trial, Trials
@@ -97,14 +98,14 @@ def test_the_answer_comes_first(capsys):
 def test_what_is_in_doubt_is_told_with_its_probability(verdict, probability, said, command):
     form = THERMAL if verdict == "unexplained_structure" else None
     found = diagnosis(verdict, probability, form, TAILS if verdict == "noise_model" else ())
-    assert shown.sentence(found).startswith(said)
+    assert sentence(found).startswith(said)
     assert shown.next_command(found).startswith(f"imubayes {command}")
 
 
 def test_noise_that_the_model_lacks_is_what_to_add():
     found = diagnosis("noise_model", noise=TAILS)
     found = found.model_copy(update={"suggested": Suggestion(effects=("outliers",), channels=None)})
-    assert "With the noise corrected, no effect is missing." in shown.sentence(found)
+    assert "With the noise corrected, no effect is missing." in sentence(found)
     assert shown.next_command(found) == "imubayes add outliers --to R --out R-outliers"
     (sheet,) = shown.leading_sheets(found)
     assert [cell.text for cell in sheet.rows[0]] == ["heavy tails on gx", "1.20"]
@@ -119,7 +120,7 @@ def test_a_wrong_record_is_told_with_what_would_agree(row, probability):
     other = replace_record(cause, form="factor", quantity="table_rate_deg_s", unit="1", recorded=1.0, agreeing=(1.1,))
     wrong = Disagreement(run="A", row=row, log_odds=40.0, causes=(cause, other), instead=("B",))
     found = diagnosis("run_disagrees", probability).model_copy(update={"disagreeing": (wrong,)})
-    said = shown.sentence(found)
+    said = sentence(found)
     if row is None:
         assert said.startswith("Run A does not agree with the other runs. It would agree with temperature_degC about")
         assert said.endswith("Correct the record, or leave the run out, and fit again.")
@@ -140,7 +141,7 @@ def test_a_second_missing_effect_is_told_beside_the_first():
     first = diagnosis().groups[0].model_copy(update={"candidates": diagnosis().groups[0].candidates[:1]})
     second = first.model_copy(update={"candidates": diagnosis().groups[0].candidates[1:], "probability": 0.7})
     found = diagnosis().model_copy(update={"groups": (first, second), "delta_chi2": 120.0})
-    assert "gyro_scale_quadratic is probably also missing on gx (probability 0.70)." in shown.sentence(found)
+    assert "gyro_scale_quadratic is probably also missing on gx (probability 0.70)." in sentence(found)
     assert (
         "Predicted with gyro_scale_asymmetry, gyro_scale_quadratic added: Δχ² 120 at the noise known beforehand; "
         "residual of gx 2.80 → 1.50 deg/h rms, with gyro_scale_asymmetry alone."
@@ -297,36 +298,36 @@ def comparison(channel: str, ratio: float, p: float) -> NoiseComparison:
 def test_noise_that_disagrees_with_its_record_is_told():
     compared = (comparison("ax", 2.14, 1e-40), comparison("ay", 1.02, 0.4), comparison("az", 0.6, 1.0))
     found = diagnosis("adequate").model_copy(update={"recorded_noise": compared})
-    assert "fitted noise of ax is 2.14 ± 0.11 times the known noise" in shown.sentence(found)
-    assert "1 more channel disagrees" in shown.sentence(found)
+    assert "fitted noise of ax is 2.14 ± 0.11 times the known noise" in sentence(found)
+    assert "1 more channel disagrees" in sentence(found)
     assert [row[0].text for row in shown.recorded_noise_sheet(found).rows] == ["ax", "az"]
     agreeing = found.model_copy(update={"recorded_noise": compared[1:2]})
-    assert "known noise" not in shown.sentence(agreeing)
+    assert "known noise" not in sentence(agreeing)
 
 
 @pytest.mark.parametrize(("in_sd", "told"), [(-663.0, True), (0.2, False)])
 def test_what_an_undetectable_effect_would_do_is_told(in_sd, told):
     bias = ParameterBias("accel_bias.bias[ax]", "ug", 300.0, in_sd, "gravity_anomaly.anomaly[all]", 300.0, "ug")
     hidden = UndetectableEffect(effect="gravity_anomaly", reason="absorbed", bias=bias)
-    said = shown.sentence(diagnosis("adequate").model_copy(update={"undetectable": (hidden,)}))
-    sentence = (
+    said = sentence(diagnosis("adequate").model_copy(update={"undetectable": (hidden,)}))
+    clause = (
         "No interval includes it: gravity_anomaly.anomaly[all] of 300 µg, the largest typical size, would bias "
         "accel_bias.bias[ax] by 663 times its sd."
     )
-    assert (sentence in said) == told
+    assert (clause in said) == told
     assert "1 effect of the catalogue is undetectable in these runs." in said
 
 
 def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_explains_it():
     told = (comparison("ax", 53.0, 1e-300), comparison("ay", 2.14, 1e-40))
     noisy = diagnosis("noise_model", noise=TAILS).model_copy(update={"contradicted": told, "recorded_noise": told})
-    said = shown.sentence(noisy)
+    said = sentence(noisy)
     assert said.startswith(
         "white_noise.sigma[ax], 424 pulse/s, is 53.0 ± 2.7 times what the raw samples of the same rows"
     )
     assert "an effect or noise slower than a row; white_noise.sigma[ay] likewise. The noise is not as modelled" in said
     assert "times the known noise" not in said
-    explained = shown.sentence(diagnosis().model_copy(update={"contradicted": told}))
+    explained = sentence(diagnosis().model_copy(update={"contradicted": told}))
     assert explained.startswith("gyro_scale_asymmetry is missing")
     assert "stands in for" not in explained
     scatter = NoiseComparison(
@@ -347,10 +348,10 @@ def test_the_picture_of_the_recorded_noise(tmp_path):
 
 
 def test_an_effect_of_unusual_size_is_said_to_be_one():
-    assert "typical" not in shown.sentence(diagnosis())
+    assert "typical" not in sentence(diagnosis())
     size = UntypicalSize(name="station_level.north[all]", value=-1456.0, largest=60.0, unit="arcsec")
     group = diagnosis().groups[0].model_copy(update={"beyond_typical": (size,)})
-    said = shown.sentence(diagnosis().model_copy(update={"groups": (group,)}))
+    said = sentence(diagnosis().model_copy(update={"groups": (group,)}))
     assert "station_level.north[all] would be -1460 arcsec, beyond the typical range (up to 60.0)" in said
 
 

@@ -4,7 +4,8 @@ The model is linear about nominal equipment and sensors, with the noise that the
 information on a coefficient that would come from the data follows from the rows alone, not from their readings.  What
 equipment and station are uncertain of is always part of the model.  Bias, scale factor and misalignment are, where
 these runs tell anything of them: to leave one out that they tell little of would make the others look too well known.
-Further effects are where the runs determine every coefficient, beside all others.
+Further effects are where the runs determine every coefficient, beside all others, and tell it from bias, scale factor
+and misalignment: of six faces K0 and K2 have hardly more than a sum.
 """
 
 from collections.abc import Sequence
@@ -28,9 +29,11 @@ SENSORS = ("gyro_bias", "gyro_scale_factor", "gyro_misalignment", "accel_bias", 
 FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lever_arm", "gyro_bias_temperature",
            "gyro_scale_temperature", "accel_bias_temperature", "accel_scale_temperature", "converter_gain_drift",
            "converter_offset_drift")  # fmt: skip
-NOISE = ("white_noise", "run_scatter")
+NOISE = ("white_noise", "encoder_noise", "run_scatter")
 # Of bias, scale factor and misalignment, and of further effects: the least share of the information from the data.
 _TOLD, _DETERMINED = 0.1, 0.5
+# Factor by which a further effect may widen the standard deviation of a bias, scale factor or misalignment.
+_WIDENED = 5.0
 _HELD, _HELD_RAD = "normal(0, 0.001 arcsec)", 1e-8
 
 
@@ -124,14 +127,30 @@ def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple
     held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
     kept, shares = set(names), {}
     while True:
-        inside = np.flatnonzero(np.isin(owner, list(kept)))
+        # What the model adds by itself, such as the attitudes of a unit turned by hand, stays.
+        inside = np.flatnonzero(~np.isin(owner, list(set(names) - kept)))
         told = 1 - np.diag(inverse_of_precision(precision[np.ix_(inside, inside)])) / widths[inside] ** 2
         now = _shares(told, owner[inside], ~held[inside])
         shares |= now
         below = _below(now, FURTHER, 0, _DETERMINED) or _below(now, SENSORS, 1, _TOLD)
-        if not below:
+        widened = {} if below else _widening(precision, owner, kept & set(FURTHER), inside)
+        if below:
+            kept.remove(min(below, key=below.__getitem__))
+        elif max(widened.values(), default=0.0) > _WIDENED:
+            kept.remove(max(widened, key=widened.__getitem__))
+        else:
             return kept, shares
-        kept.remove(min(below, key=below.__getitem__))
+
+
+def _widening(precision: np.ndarray, owner: np.ndarray, effects: set[str], inside: np.ndarray) -> dict[str, float]:
+    """Return the largest factor by which each effect widens the standard deviation of a parameter of `SENSORS`."""
+
+    def sd(places: np.ndarray) -> np.ndarray:
+        own = np.isin(owner[places], SENSORS)
+        return np.sqrt(np.diag(inverse_of_precision(precision[np.ix_(places, places)]))[own])
+
+    whole = sd(inside)
+    return {name: float(np.max(whole / sd(inside[owner[inside] != name]), initial=1.0)) for name in effects}
 
 
 def _shares(told: np.ndarray, owner: np.ndarray, free: np.ndarray) -> dict[str, tuple[float, float]]:

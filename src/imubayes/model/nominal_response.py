@@ -353,7 +353,7 @@ def noisy_runs(noise: type[Noise], campaign: Campaign, nodes: NodeTable, entries
 
 def is_independent(noise: type[EntryNoise], campaign: Campaign) -> bool:
     """Tell whether a noise component gives every reading a variance of its own, at rest too."""
-    still = Entry(*map(jnp.asarray, (1.0, 0.0, 0.0)))
+    still = Entry(*map(jnp.asarray, (1.0, 0.0, 0.0, 0.0)))
     return "closure" not in noise.kinds and float(noise(**_largest(noise, campaign)).variance(still)) > 0
 
 

@@ -40,14 +40,15 @@ class Entry(eqx.Module):
     --------
     >>> import jax.numpy as jnp
     >>> import imubayes
-    >>> imubayes.Entry(samples=jnp.array(600.0), rate=jnp.array(0.0), reference=jnp.array(0.0)).samples.item()
+    >>> nothing = jnp.array(0.0)
+    >>> imubayes.Entry(samples=jnp.array(600.0), rate=nothing, reference=nothing, encoder=nothing).samples.item()
     600.0
     """
 
     samples: Scalars
     rate: Scalars
     reference: Scalars
-    encoder: Scalars | float = 0.0
+    encoder: Scalars
 
 
 class Noise(eqx.Module):
@@ -83,7 +84,7 @@ class EntryNoise(Noise):
     ...
     ...     def variance(self, entry: imubayes.Entry) -> imubayes.Scalar:
     ...         return self.step**2 / 12
-    >>> entry = imubayes.Entry(jnp.array(600.0), jnp.array(0.0), jnp.array(0.0))
+    >>> entry = imubayes.Entry(jnp.array(600.0), jnp.array(0.0), jnp.array(0.0), jnp.array(0.0))
     >>> Rounding(jnp.array(6.0)).variance(entry).item()
     3.0
     """

@@ -61,7 +61,8 @@ class ReadingNoise:
 
     def variances(self, channel: Channel, samples: np.ndarray, outputs: np.ndarray) -> np.ndarray:
         """Return the variance of rows that are means of `samples` samples, shape (R,), output units squared."""
-        entries = Entry(jnp.asarray(samples), jnp.abs(jnp.asarray(outputs) - channel.offset), jnp.zeros(len(samples)))
+        nothing = jnp.zeros(len(samples))
+        entries = Entry(jnp.asarray(samples), jnp.abs(jnp.asarray(outputs) - channel.offset), nothing, nothing)
         members = self.members[channel.name]
         if not members:
             return np.full(len(samples), (channel.noise or 0.0) ** 2) / samples
