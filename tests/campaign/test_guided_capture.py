@@ -102,6 +102,7 @@ def test_what_is_not_turned_stays_open(tmp_path):
     assert last.up[0] != 0
 
 
+@pytest.mark.slow
 def test_standard_input_is_kept_until_the_campaign_is_written(log, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(log.read_bytes())))
     made = imubayes.capture(tmp_path / "desk", "-", **OPTIONS)

@@ -71,6 +71,22 @@ def test_what_the_runs_do_not_determine_is_a_comment(tmp_path, capsys):
     assert run(["new", str(tmp_path / "still")]) == 2  # there is a model already
 
 
+@pytest.mark.parametrize(("poses", "told"), [(6, False), (60, True)])
+def test_what_six_faces_cannot_tell_from_a_bias_is_no_effect_of_the_model(tmp_path, poses, told):
+    """|f| = g at attitudes that nobody knows: six values tell six biases and scale factors, and no K2 beside them."""
+    rng = np.random.default_rng(2)
+    faces = np.repeat(np.eye(3), 2, axis=0) * np.tile([1.0, -1.0], 3)[:, None] + 0.03 * rng.normal(size=(6, 3))
+    directions = faces if poses == 6 else rng.normal(size=(poses, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    means = [0.03, 0.004, -0.03] + [1.005, 1.001, 1.009] * directions + 1e-4 * rng.normal(size=(poses, 3))
+    lines = ["ax,ay,az,samples", *(",".join(f"{value:.7f}" for value in row) + ",1000" for row in means)]
+    (tmp_path / "means.csv").write_text("\n".join(lines))
+    stated = ["--accel-unit", "g", "--latitude-deg", "31"]
+    assert run(["new", str(tmp_path / "unit"), str(tmp_path / "means.csv"), *stated]) == 0
+    assert ("accel_quadratic" in effects_of(tmp_path / "unit")) == told
+    assert {"accel_bias", "accel_scale_factor"} < set(effects_of(tmp_path / "unit"))
+
+
 def fill_in(campaign: Path) -> None:
     """State what the template leaves open."""
     stated = {"gravity_m_s2": "9.81", "scale": "1.0", "temperature_degC": "23.0", "preset": '"aligned"'}

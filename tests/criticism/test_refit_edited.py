@@ -73,6 +73,7 @@ def test_readings_set_aside_are_as_if_they_had_not_been_recorded(place, first, a
     assert aside.summary.known_noise.dof == other.summary.known_noise.dof
 
 
+@pytest.mark.slow  # a fit with another structure; test_explore_session.py sets readings aside at every run
 def test_what_is_set_aside_is_recorded_with_its_reason(place, first, aside, capsys):
     told = SetAside(run=RUN, channels=(CHANNEL,), rows=tuple(ROWS), reason="the table slipped")
     assert aside.summary.set_aside == (told,) == read_model(aside.folder / "model.toml").set_aside

@@ -80,6 +80,7 @@ def test_the_derivative_through_the_differential_equation(servo):
         assert np.abs(expected - found).max() < 1e-6 * np.abs(found).max(), name
 
 
+@pytest.mark.slow
 def test_the_quarter_of_a_day_is_followed_as_well_as_the_day(servo):
     model, mode, _ = servo
     misfit = np.asarray(mode.about.misfit)

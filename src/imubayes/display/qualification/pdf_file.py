@@ -16,16 +16,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import lazy_loader
 import matplotlib as mpl
 from matplotlib.font_manager import findSystemFonts
 from matplotlib.ft2font import FT2Font
 
 from imubayes.display.layout import Sheet
 from imubayes.display.qualification.document import Drawings, ReportDocument
-from imubayes.foundations.errors import input_error
+from imubayes.foundations.errors import ExtraPackage, input_error
 
-typst: Any = lazy_loader.load("typst")
+typst: Any = ExtraPackage("typst")
 # A column whose longest text is shorter than this keeps its width; wider ones share what is left.  All keep theirs
 # where a row of the longest texts, with the gap beside each, fits the page.
 _NARROW, _WIDEST, _GAP, _PAGE = 24, 60, 2, 125

@@ -5,10 +5,10 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import lazy_loader
 import numpy as np
 
 from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
+from imubayes.foundations.errors import ExtraPackage
 
 MAGICS = (b"\xa3\x95\x80", b"FMT, ", b"FMT,")
 _SENSORS = ("IMU", "IMU2", "IMU3", "ACC", "ACC1", "ACC2", "ACC3", "GYR", "GYR1", "GYR2", "GYR3", "IMT")
@@ -16,7 +16,7 @@ _SENSORS = ("IMU", "IMU2", "IMU3", "ACC", "ACC1", "ACC2", "ACC3", "GYR", "GYR1",
 _UNITS = {"Acc": "m/s^2", "Gyr": "rad/s", "Tim": "us", "Sam": "us", "T": "degC"}
 _INSTANCE = "I"
 
-reader: Any = lazy_loader.load("pymavlink.DFReader", suppress_warning=True)
+reader: Any = ExtraPackage("pymavlink.DFReader")
 
 
 class DataFlashLog(SourceRecording):

@@ -5,15 +5,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import lazy_loader
 import numpy as np
 
 from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
+from imubayes.foundations.errors import ExtraPackage
 
 MAGIC = b"MDF     "
 _MASTER = "time"
 
-asammdf: Any = lazy_loader.load("asammdf", suppress_warning=True)
+asammdf: Any = ExtraPackage("asammdf")
 
 
 class MdfRecording(SourceRecording):

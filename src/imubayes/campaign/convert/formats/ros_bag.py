@@ -6,10 +6,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import lazy_loader
 import numpy as np
 
 from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
+from imubayes.foundations.errors import ExtraPackage
 
 MAGICS = (b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0")
 FOLDER_FILE = "metadata.yaml"
@@ -18,8 +18,8 @@ _MOST_ELEMENTS = 9  # of an array that is taken apart into columns
 _UNITS = {"linear_acceleration": "m/s^2", "angular_velocity": "rad/s", "temperature": "degC"}
 _STAMP, _ARRIVAL = "header.stamp", "arrival"
 
-highlevel: Any = lazy_loader.load("rosbags.highlevel", suppress_warning=True)
-typesys: Any = lazy_loader.load("rosbags.typesys", suppress_warning=True)
+highlevel: Any = ExtraPackage("rosbags.highlevel")
+typesys: Any = ExtraPackage("rosbags.typesys")
 
 
 class RosBag(SourceRecording):

@@ -6,14 +6,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import lazy_loader
 import numpy as np
 
 from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
+from imubayes.foundations.errors import ExtraPackage
 
 MAGIC = b"TDSm"
 
-nptdms: Any = lazy_loader.load("nptdms")
+nptdms: Any = ExtraPackage("nptdms")
 
 
 class TdmsRecording(SourceRecording):

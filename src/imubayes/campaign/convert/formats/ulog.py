@@ -4,10 +4,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import lazy_loader
 import numpy as np
 
 from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
+from imubayes.foundations.errors import ExtraPackage
 
 MAGIC = b"ULog\x01\x12\x35"
 # Units are in the names of fields, or in the definition of the message.
@@ -15,7 +15,7 @@ _UNITS = {"gyro_rad": "rad/s", "accelerometer_m_s2": "m/s^2"}
 _OF_MESSAGE = {"sensor_accel": "m/s^2", "sensor_gyro": "rad/s", "vehicle_acceleration": "m/s^2",
                "vehicle_angular_velocity": "rad/s"}  # fmt: skip
 
-pyulog: Any = lazy_loader.load("pyulog")
+pyulog: Any = ExtraPackage("pyulog")
 
 
 class ULogRecording(SourceRecording):
