@@ -11,6 +11,7 @@ from tumble_files import tumble_log
 from imubayes.campaign import load_campaign
 from imubayes.campaign.convert import convert, read_recordings
 from imubayes.campaign.convert.column_names import role_of
+from imubayes.campaign.convert.options import read_options
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError
 
@@ -158,3 +159,10 @@ def test_a_temperature_of_a_lower_rate_and_an_empty_cell_change_no_procedure(tmp
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     read = read_recordings([tmp_path / "log.csv"], accel_unit="m/s^2")
     assert [run["procedure"] for run in read.campaign.document["run"]] == ["thermal_ramp"]
+
+
+def test_a_unit_of_an_option_is_spelled_as_in_a_header():
+    given = read_options({"accel_unit": "m/s²", "gyro_unit": "dps", "time_unit": "msec"})
+    assert (given.accel_unit, given.gyro_unit, given.time_unit) == ("m/s^2", "deg/s", "ms")
+    with pytest.raises(InputError, match="'furlong' is not known"):
+        read_options({"accel_unit": "furlong"})

@@ -4,13 +4,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from imubayes.campaign.convert.column_names import ACCEL_UNITS, GYRO_UNITS, TARGETS, TIME_UNITS
+from imubayes.campaign.convert.column_names import ACCEL_UNITS, GYRO_UNITS, TARGETS, TIME_UNITS, unit_named
 from imubayes.campaign.convert.formats.text_layout import DELIMITERS
 from imubayes.foundations.errors import InputError, Issue, closest_first
 from imubayes.procedures import PROCEDURES
 
 CLOCKS = ("recorded", "even")
 ROWS = ("samples", "means")
+
+
+_UNITS = ("accel_unit", "gyro_unit", "time_unit")
+"""Options that are units, spelled as in the header of a recording."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,7 @@ def read_options(given: Mapping[str, Any]) -> ConvertOptions:
         if key not in names
     ]
     known = {key: _three(key, value, issues) for key, value in given.items() if key in names}
+    known |= {key: unit_named(known[key]) or known[key] for key in _UNITS if key in known}
     options = ConvertOptions(**known)
     choices = {
         "accel_unit": ("", *ACCEL_UNITS),
