@@ -162,8 +162,8 @@ def symbol_pages() -> Pages:
     standards = (
         "# Symbols of the standards\n\nNames and symbols under which the uncertainty report lists its quantities: IEEE "
         "Std 952 (fibre-optic gyros), IEEE Std 517 (rate-integrating gyros, terms of force) and IEEE Std 1293 "
-        "(accelerometers). The key names a quantity in a specification. The asymmetry of the standards is the difference of two scale factors; "
-        "the coefficient of the effect is half of it.\n\n"
+        "(accelerometers). The key names a quantity in a specification. The asymmetry of the standards is the "
+        "difference of two scale factors; the coefficient of the effect is half of it.\n\n"
         + table(("symbol", "quantity", "standard", "term", "key", "effects"), quantities)
     )
     columns = [
