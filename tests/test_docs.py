@@ -101,8 +101,8 @@ def test_the_pattern_of_a_residual_is_named_by_its_simplest_curve():
     def said(y: np.ndarray) -> str:
         column = responses.Column("effect", 0, "effect.a", "gx", "deg/h", 1.0, 0.1)
         left = responses.Left(
-            "effect", "rate_table", "campaign", column, 9.0, 0.5, (), (), None, "gx", "deg/h", rate, (rate, force), run,
-            y, y + 0.01 * rng.standard_normal(200), np.ones(200),
+            "effect", "rate_table", "campaign", column, 9.0, 0.5, (), (), None, None, "gx", "deg/h", rate,
+            (rate, force), run, y, y + 0.01 * rng.standard_normal(200), np.ones(200),
         )  # fmt: skip
         return gallery.pattern(left)
 

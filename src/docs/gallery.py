@@ -144,8 +144,12 @@ def _left_behind(lefts: Sequence[Left]) -> list[str]:
     header = ("procedure", "standing", "retained", "taken up by", "imitated by")
     parts = [_filled("left", figures="\n".join(figures) or none, shown=f"{SHOWN:g}", table=table(header, rows))]
     runs = [
-        (f"`{left.procedure}`", _links([left.imitators[0][0]]), *_separating(left))
+        (f"`{left.procedure}`", _links([left.imitators[0][0]]), *_separating(left.separating))
         for left in shown if left.separating is not None
+    ]  # fmt: skip
+    runs += [
+        (f"`{left.procedure}`", f"`{left.absorbed[0][0]}` of the model", *_separating(left.freeing))
+        for left in lefts if left.freeing is not None
     ]  # fmt: skip
     if runs:
         parts.append(_filled("separating", table=table(("beside the runs of", "from", "further run", "Δχ²"), runs)))
@@ -228,8 +232,8 @@ def _curves(covariate: ResidualCovariate) -> list[dict[str, np.ndarray]]:
     return [{name: np.stack(columns, axis=1) for name, columns in group.items()} for group in named]
 
 
-def _separating(left: Left) -> tuple[str, str]:
-    run, before, after = left.separating or ("", 0.0, 0.0)
+def _separating(told: tuple[str, float, float]) -> tuple[str, str]:
+    run, before, after = told
     return run, f"{_rounded(before)} → {_rounded(after)}"
 
 

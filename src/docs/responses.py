@@ -50,6 +50,8 @@ _OFFSET = 0.5
 """Standard deviation of the offset of a run, in noise of a raw sample: the default prior of `run_scatter`."""
 _ROUNDING = 1e-10
 """What rounding leaves of a squared response, as a share."""
+_MOSTLY = 0.5
+"""Share of a response from which on a family that takes it up is one to be told from."""
 _ALIKE = 0.8
 """Share of what an effect leaves that another has to explain in order to imitate it."""
 
@@ -79,6 +81,8 @@ class Left:
     absorbed : parameter families that take up the rest, with their shares.
     imitators : effects that explain most of what it leaves, with the share.
     separating : run that tells it from the first of these, and Δχ² between the two without and with that run.
+    freeing : run that tells it from what the model takes up most of it with, where that is half; Δχ² beside the model
+        without and with that run.
     channel, unit : that is drawn, and unit of response, left and noise.
     covariate : of the abscissa.
     others : further covariates that vary in the rows.
@@ -94,6 +98,7 @@ class Left:
     absorbed: tuple[tuple[str, float], ...]
     imitators: tuple[tuple[str, float], ...]
     separating: tuple[str, float, float] | None
+    freeing: tuple[str, float, float] | None
     channel: str
     unit: str
     covariate: ResidualCovariate
@@ -179,12 +184,11 @@ class LinearCampaign:
         if not mine:
             return None
         k = mine[int(np.argmax(here.left[mine, mine]))]
-        imitators, separating = here.imitators(k), None
-        if imitators and self.designs:
-            apart = [gram.beside(effect).apart(k, imitators[0][0]) for gram in grams]
-            best = int(np.argmax(apart[1:]))
-            if apart[1 + best] > max(2 * apart[0], SHOWN**2):
-                separating = (self.designs[best], apart[0], apart[1 + best])
+        imitators, absorbed = here.imitators(k), here.absorbed(k)
+        besides = [gram.beside(effect) for gram in grams]
+        separating = self._helping([each.apart(k, imitators[0][0]) for each in besides]) if imitators else None
+        taken = bool(absorbed) and absorbed[0][1] >= _MOSTLY and absorbed[0][0] != "run offsets"
+        freeing = self._helping([float(each.left[k, k]) for each in besides]) if taken else None
         square = max(float(here.left[k, k]), 0.0)
         column, size = self.columns[k], min(1.0, DRAWN / (math.sqrt(square) or 1.0))
         size = max(size, min(1.0, column.least / column.size))
@@ -196,11 +200,20 @@ class LinearCampaign:
         varying = [each for each in self.covariates if each.name != "row" and _varies(each.values[shown])]
         return Left(
             effect, procedure, self.name, replace(column, size=size * column.size), math.sqrt(square),
-            square / float(here.raw[k]), here.absorbed(k), imitators, separating, channel.name, unit,
+            square / float(here.raw[k]), absorbed, imitators, separating, freeing, channel.name, unit,
             self._covariate(effect, channel.kind, shown, followed[shown], varying),
             tuple(replace(each, values=each.values[shown]) for each in varying), self.model.entries.run[shown],
             response[shown] * scale, left[shown] * scale, scale,
         )  # fmt: skip
+
+    def _helping(self, apart: Sequence[float]) -> tuple[str, float, float] | None:
+        """Return the run that adds most to Δχ², and Δχ² without, which is the first, and with it; None where none helps."""
+        if not self.designs:
+            return None
+        best = int(np.argmax(apart[1:]))
+        return (
+            (self.designs[best], apart[0], apart[1 + best]) if apart[1 + best] > max(2 * apart[0], SHOWN**2) else None
+        )
 
     def _channel(self, column: Column, rows: np.ndarray, left: np.ndarray) -> tuple[Channel, np.ndarray]:
         """Return the channel that is drawn, the coefficient's own or the one that shows it best, and its rows."""
