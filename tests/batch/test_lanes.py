@@ -69,7 +69,7 @@ def units(tmp_path_factory) -> list[Path]:
 
 
 @pytest.mark.parametrize("name", ["polar-tumble", "trihedral-imu", "redundant-imu", "accel-channel"])
-@pytest.mark.slow  # the posteriors below are those of polar-tumble at every run
+@pytest.mark.slow
 def test_the_optimum_is_that_of_a_single_fit(name):
     assert distance(model_of(DATA / name, name)) < 0.01
 
