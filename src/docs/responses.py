@@ -207,7 +207,7 @@ class LinearCampaign:
         )  # fmt: skip
 
     def _helping(self, apart: Sequence[float]) -> tuple[str, float, float] | None:
-        """Return the run that adds most to Δχ², and Δχ² without, which is the first, and with it; None where none helps."""
+        """Return the run that adds most, and Δχ² without (the first of `apart`) and with it; None where none helps."""
         if not self.designs:
             return None
         best = int(np.argmax(apart[1:]))

@@ -54,6 +54,7 @@ def test_a_replayed_file_is_guided_to_what_was_asked_for(log, tmp_path, capsys):
     assert campaign.runs[0].rows == 20  # with all that came after it was reached
 
 
+@pytest.mark.slow
 def test_what_is_shown_as_reached_is_what_the_poses_determine(log):
     steps = steps_of(log)
     assert steps[-1].state == "done"

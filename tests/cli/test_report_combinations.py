@@ -13,6 +13,7 @@ from imubayes.results.change_records import write_diagnosis
 from imubayes.results.result import read_result
 
 ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.slow  # a fit of its own; test_uncertainty_budget.py has functions of quantities at every run
 SYMBOLS = {"D_II-D_SS[g]": "deg/h/g^2", "D_II-D_OO[g]": "deg/h/g^2", "D_F+D_II[g]": "deg/h"}
 
 

@@ -68,6 +68,7 @@ def together_recovered() -> recover.Recovered:
     return recover.recovered(bind(spec(*RECOVERED), wide_campaign()))
 
 
+@pytest.mark.slow  # test_faults.py recovers one at every run
 @pytest.mark.parametrize("name", RECOVERED)
 def test_simulate_recover(together_recovered, name):
     recover.is_recovered(together_recovered.of(name))
