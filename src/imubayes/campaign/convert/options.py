@@ -83,8 +83,7 @@ def read_options(given: Mapping[str, Any]) -> ConvertOptions:
         for key in given
         if key not in names
     ]
-    known = {key: _three(key, value, issues) for key, value in given.items() if key in names}
-    known |= {key: unit_named(known[key]) or known[key] for key in _UNITS if key in known}
+    known = {key: _plain(key, value, issues) for key, value in given.items() if key in names}
     options = ConvertOptions(**known)
     choices = {
         "accel_unit": ("", *ACCEL_UNITS),
@@ -110,8 +109,10 @@ def read_options(given: Mapping[str, Any]) -> ConvertOptions:
     return options
 
 
-def _three(key: str, value: Any, issues: list[Issue]) -> Any:
-    """Return one number repeated for three axes."""
+def _plain(key: str, value: Any, issues: list[Issue]) -> Any:
+    """Return one number repeated for three axes, a unit in its own spelling, anything else as it is."""
+    if key in _UNITS:
+        return unit_named(value) or value
     if not key.endswith(("_scale", "_offset")) or value is None:
         return value
     values = [float(value)] * 3 if isinstance(value, int | float) else [float(number) for number in value]
