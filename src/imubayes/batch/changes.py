@@ -27,6 +27,7 @@ from imubayes.batch.population import LEAST_UNITS, discoveries
 from imubayes.batch.population_laws import normal_law
 from imubayes.foundations.records import Record, finite
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival, t_survival
+from imubayes.foundations.units import DAYS_PER_YEAR
 
 RATE = 0.05
 """False discovery rate of changed estimates (convention)."""
@@ -193,7 +194,6 @@ def _parameter(changes: pl.DataFrame) -> ParameterChange:
     )
 
 
-DAYS_PER_YEAR = 365.25
 _NUMBER = re.compile(r"(\d+)\D*$")
 
 DRIFTS = pl.Schema(

@@ -19,6 +19,8 @@ BIAS_CONVENTION = (
     "A bias is referred to the input: output = nominal scale · (1 + scale factor error) · (input + bias + …) + offset. "
     "The b of an export is referred to the output: b = (1 + scale factor error) · bias, subtracted first."
 )
+DAYS_PER_YEAR = 365.25
+NUMBER_AND_UNIT = re.compile(r"^\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>\S.*?)?\s*$")
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901; used only where the site is unknown
 
 # name → (factor to SI, power of the site's gravity, dimension as exponents of (rad, s, m, K, A, output, T))

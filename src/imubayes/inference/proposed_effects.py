@@ -129,28 +129,31 @@ def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple
     while True:
         # What the model adds by itself, such as the attitudes of a unit turned by hand, stays.
         inside = np.flatnonzero(~np.isin(owner, list(set(names) - kept)))
-        told = 1 - np.diag(inverse_of_precision(precision[np.ix_(inside, inside)])) / widths[inside] ** 2
+        variance = np.diag(inverse_of_precision(precision[np.ix_(inside, inside)]))
+        told = 1 - variance / widths[inside] ** 2
         now = _shares(told, owner[inside], ~held[inside])
         shares |= now
         below = _below(now, FURTHER, 0, _DETERMINED) or _below(now, SENSORS, 1, _TOLD)
-        widened = {} if below else _widening(precision, owner, kept & set(FURTHER), inside)
         if below:
             kept.remove(min(below, key=below.__getitem__))
-        elif max(widened.values(), default=0.0) > _WIDENED:
-            kept.remove(max(widened, key=widened.__getitem__))
-        else:
+            continue
+        widened = {name: _widening(precision, owner, inside, variance, name) for name in kept & set(FURTHER)}
+        if max(widened.values(), default=0.0) <= _WIDENED:
             return kept, shares
+        kept.remove(max(widened, key=widened.__getitem__))
 
 
-def _widening(precision: np.ndarray, owner: np.ndarray, effects: set[str], inside: np.ndarray) -> dict[str, float]:
-    """Return the largest factor by which each effect widens the standard deviation of a parameter of `SENSORS`."""
+def _widening(precision: np.ndarray, owner: np.ndarray, inside: np.ndarray, variance: np.ndarray, effect: str) -> float:
+    """Return the largest factor by which an effect widens the standard deviation of a parameter of `SENSORS`.
 
-    def sd(places: np.ndarray) -> np.ndarray:
-        own = np.isin(owner[places], SENSORS)
-        return np.sqrt(np.diag(inverse_of_precision(precision[np.ix_(places, places)]))[own])
-
-    whole = sd(inside)
-    return {name: float(np.max(whole / sd(inside[owner[inside] != name]), initial=1.0)) for name in effects}
+    Parameters
+    ----------
+    inside, variance : places of all parameters of the model, and their variances beside one another.
+    """
+    others = inside[owner[inside] != effect]
+    without = np.diag(inverse_of_precision(precision[np.ix_(others, others)]))
+    ratio = variance[np.isin(owner[inside], SENSORS)] / without[np.isin(owner[others], SENSORS)]
+    return float(np.sqrt(np.max(ratio, initial=1.0)))
 
 
 def _shares(told: np.ndarray, owner: np.ndarray, free: np.ndarray) -> dict[str, tuple[float, float]]:

@@ -236,10 +236,16 @@ def nominal_rates(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.
     first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
     rate = np.zeros((first_row[-1], 3))
     rate[first_row[nodes.run] + stimulus.row] = turning_rate(stimulus)
+    return _along_gyros(campaign, entries, rate)
+
+
+def _along_gyros(campaign: Campaign, entries: Entries, vectors: np.ndarray) -> np.ndarray:
+    """Return for each entry of a gyro the size of its row's vector (R, 3) along the input axis, times its scale, SI."""
+    first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
     gyro = np.array([channel.kind == "gyro" for channel in campaign.channels] + [False] * 3)[entries.channel]
     axes = np.array([channel.axes[0] * channel.scale_si for channel in campaign.channels] + [np.zeros(3)] * 3)
     row = np.where(entries.closing, 0, first_row[entries.run] + np.where(entries.closing, 0, entries.row))
-    return np.where(gyro, np.abs(np.sum(axes[entries.channel] * rate[row], axis=1)), 0.0)
+    return np.where(gyro, np.abs(np.sum(axes[entries.channel] * vectors[row], axis=1)), 0.0)
 
 
 def reference_scales(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
@@ -258,14 +264,11 @@ def encoder_slopes(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np
     if not stimulus.table_acceleration.any() or not has_row_times(campaign):
         return np.zeros(len(entries))
     first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
-    place = first_row[nodes.run] + stimulus.row
     axis = np.zeros((first_row[-1], 3))
-    axis[place] = np.where(stimulus.table_acceleration[:, None] != 0, stimulus.mounting[:, 2], 0.0)
+    accelerates = stimulus.table_acceleration[:, None] != 0
+    axis[first_row[nodes.run] + stimulus.row] = np.where(accelerates, stimulus.mounting[:, 2], 0.0)
     axis /= np.concatenate([length for _, length in _spans(campaign)])[:, None]
-    gyro = np.array([channel.kind == "gyro" for channel in campaign.channels] + [False] * 3)[entries.channel]
-    axes = np.array([channel.axes[0] * channel.scale_si for channel in campaign.channels] + [np.zeros(3)] * 3)
-    row = np.where(entries.closing, 0, first_row[entries.run] + np.where(entries.closing, 0, entries.row))
-    return np.where(gyro, np.abs(np.sum(axes[entries.channel] * axis[row], axis=1)), 0.0)
+    return _along_gyros(campaign, entries, axis)
 
 
 def time_ranks(campaign: Campaign, entries: Entries) -> np.ndarray:

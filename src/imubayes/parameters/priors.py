@@ -22,7 +22,7 @@ from scipy import special
 from imubayes.foundations.arrays import Array, Float, Scalar
 from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.tail_probabilities import normal_survival
-from imubayes.foundations.units import same_dimension, to_si
+from imubayes.foundations.units import NUMBER_AND_UNIT, same_dimension, to_si
 
 
 class Prior(eqx.Module):
@@ -246,7 +246,6 @@ FAMILIES: dict[str, tuple[type[Prior], tuple[bool, ...]]] = {
 # Units whose size depends on the channel.
 _OF_CHANNEL = re.compile(r"\b(noise|scale)\b")
 _FORM = re.compile(r"^\s*(?P<family>[A-Za-z_]+)\s*\((?P<arguments>(?:[^()]|\([^()]*\))*)\)\s*$")
-_ARGUMENT = re.compile(r"^\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>\S.*?)?\s*$")
 
 
 def parse_prior(text: str, unit: str, gravity: float, where: str, own: Mapping[str, float] | None = None) -> Prior:
@@ -306,7 +305,7 @@ def _split(text: str, refuse: Refuse) -> tuple[type[Prior], tuple[bool, ...], li
         raise refuse(f"'{form['family']}' is not a prior", closest_first(form["family"], FAMILIES))
     family, with_unit = FAMILIES[form["family"]]
     written = form["arguments"].split(",")
-    arguments = [argument for argument in map(_ARGUMENT.match, written) if argument is not None]
+    arguments = [argument for argument in map(NUMBER_AND_UNIT.match, written) if argument is not None]
     if not len(arguments) == len(written) == len(with_unit):
         fields = ", ".join(family.__dataclass_fields__)
         raise refuse(f"'{text}' does not have the arguments of {form['family']}", f"{form['family']}({fields})")

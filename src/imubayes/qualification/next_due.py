@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from imubayes.foundations.records import Record
+from imubayes.foundations.units import DAYS_PER_YEAR
 
-YEAR = 365.25  # days
 MOST_INTERVALS = 10.0
-_EXPANDED = 2.0  # coverage factor
+EXPANDED = 2.0  # coverage factor
 _STEPS = 2000
 
 
@@ -55,15 +55,15 @@ def next_due(name: str, unit: str, found: TwoEstimates, days: float, lower: floa
     drift = found.second - found.first
     share = np.linspace(0.0, MOST_INTERVALS, _STEPS)
     variance = ((1 + share) * found.second_sd) ** 2 + (share * found.first_sd) ** 2 - 2 * share * (1 + share) * common
-    reach = _EXPANDED * np.sqrt(np.maximum(variance, 0.0))
+    reach = EXPANDED * np.sqrt(np.maximum(variance, 0.0))
     value = found.second + drift * share
     outside = (value + reach > upper) | (value - reach < lower)
     at = float(share[int(np.argmax(outside))]) * days if outside.any() else None
     return NextDue(
         name=name,
         unit=unit,
-        rate=drift * YEAR / days,
-        rate_sd=found.difference_sd * YEAR / days,
+        rate=drift * DAYS_PER_YEAR / days,
+        rate_sd=found.difference_sd * DAYS_PER_YEAR / days,
         lower=lower if math.isfinite(lower) else None,
         upper=upper if math.isfinite(upper) else None,
         days=at,

@@ -29,10 +29,9 @@ from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import prior_widths
 from imubayes.parameters.declarations import Parameter, prior_slopes
 from imubayes.procedures.ambient import instant, starts_of
-from imubayes.qualification.next_due import NextDue
+from imubayes.qualification.next_due import EXPANDED, NextDue
 from imubayes.results.prediction import LEAST_CHANCE
 
-_EXPANDED = 2.0  # coverage factor of E_n
 # Share of the information from the data below which a calibration has nothing to be compared.  Convention.
 _LEAST_FROM_DATA = 0.1
 # Correlations of differences below which an eigenvalue is rounding.
@@ -313,7 +312,7 @@ def _compared(name: str, one: _Normal, other: _Normal, cross: np.ndarray, count:
         difference=apart,
         difference_sd=sd,
         common=2 * common / (first + second),
-        e_n=apart / (_EXPANDED * sd) if sd > 0 else 0.0,
+        e_n=apart / (EXPANDED * sd) if sd > 0 else 0.0,
         p=p,
         moved=count * p < LEAST_CHANCE,
     )

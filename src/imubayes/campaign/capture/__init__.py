@@ -5,7 +5,6 @@ is lost.  After each rest the file is read as `convert` reads it, and its poses 
 what is shown as done is what the campaign will hold.
 """
 
-import re
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,13 +23,12 @@ from imubayes.campaign.convert.column_names import TIME
 from imubayes.campaign.convert.formats.text import TextRecording
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE
 from imubayes.foundations.errors import InputError, closest_first, input_error
-from imubayes.foundations.units import same_dimension, to_si
+from imubayes.foundations.units import NUMBER_AND_UNIT, same_dimension, to_si
 
 UNTIL = ("accel_bias=0.3mg", "accel_scale_factor=300ppm", "accel_misalignment=2arcmin", "gyro_bias=20deg/h",
          "gyro_scale_factor=0.1%", "gyro_misalignment=4arcmin")  # fmt: skip
 """What is asked for by default: what a small unit on a desk reaches in a quarter of an hour."""
 
-_QUANTITY = re.compile(r"\s*(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|\.\d+)\s*([^\d\s].*)")
 _BEGIN = 200  # lines by which the columns are told
 _FIRST, _SHORTEST, _LONGEST = 10.0, 2.0, 10.0  # s to hold the first rest, and any other
 _PAUSE = 50.0  # mean steps without a sample: the rest is not known to have gone on
@@ -86,8 +84,8 @@ def read_wanted(words: Sequence[str], gravity: float) -> tuple[Wanted, ...]:
         if effect not in COEFFICIENTS:
             allowed = closest_first(effect, COEFFICIENTS, most=len(COEFFICIENTS))
             raise input_error(f"'{effect}' is not asked for by rests and turns", "option until", allowed, "correct it")
-        match, usual = _QUANTITY.fullmatch(text), COEFFICIENTS[effect].unit
-        size, unit = (float(match[1]), match[2]) if match else (0.0, "")
+        match, usual = NUMBER_AND_UNIT.match(text), COEFFICIENTS[effect].unit
+        size, unit = (float(match["number"]), match["unit"] or "") if match else (0.0, "")
         if not size > 0 or not unit or not same_dimension(unit, usual, "option until"):
             what = f"'{word}' has no uncertainty above 0 with a unit of {usual}"
             raise input_error(what, "option until", f"such as {effect}=1{usual}", "state number and unit")

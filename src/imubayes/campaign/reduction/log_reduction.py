@@ -111,17 +111,13 @@ def reduce_log(
     spans = detected.spans
     columns = [name for name in (*recorded_columns(), *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
-    numbers = _columns(columns, layout, reduced)
+    jerked = _jerked(reduced)
+    numbers = _columns(columns, layout, reduced, jerked)
     first = tuple(span.start for span in spans)
     if "time_s" not in numbers and blocks.interval is None and all(row.samples == 1 for row in reduced):
         note = f"no 'samples' and no 'time_s' column: each of the {rows} rows counts as one sample"
         return Rows(numbers, first, (), (note,))
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
-    jerked = _jerked(reduced)
-    for name in layout.channels:
-        numbers[name] = np.where(jerked, np.nan, numbers[name])
-    if (steady := _values(reduced, "passing").astype(bool) & ~jerked).any():
-        numbers["table_acceleration_deg_s2"][steady] = _slope(numbers["time_s"], numbers["table_rate_deg_s"])[steady]
     changing = (f"{jerked.sum()} means left out where the acceleration of the table changes",) if jerked.any() else ()
     lost = _leave_out_clipped(numbers, source, spans, limits or {})
     return Rows(
@@ -168,7 +164,7 @@ def _leave_out_clipped(
     )
 
 
-def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row]) -> dict[str, np.ndarray]:
+def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row], jerked: np.ndarray) -> dict[str, np.ndarray]:
     shape = (len(reduced), len(columns))
     mean, sd = _values(reduced, "mean").reshape(shape), _values(reduced, "sd").reshape(shape)
     lost, known = _values(reduced, "lost").astype(bool), _values(reduced, "angle_known").astype(bool)
@@ -176,7 +172,7 @@ def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row]) -> di
     still = swept == 0.0
     numbers = {name: mean[:, index] for index, name in enumerate(columns)}
     for name in layout.channels:
-        numbers[name] = np.where(lost, np.nan, numbers[name])
+        numbers[name] = np.where(lost | jerked, np.nan, numbers[name])
         numbers[f"{name}_sd"] = sd[:, columns.index(name)]
     numbers["samples"] = _values(reduced, "samples").astype(float)
     if "table_angle_deg" in numbers:
@@ -191,8 +187,11 @@ def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row]) -> di
         # A rate column may be a command, which the table follows later.
         recorded = numbers.get("table_rate_deg_s", np.zeros(len(reduced)))
         numbers["table_rate_deg_s"] = np.where(passing, _values(reduced, "rate"), recorded)
+        slope = np.where(
+            jerked, _values(reduced, "acceleration"), _slope(numbers["time_s"], numbers["table_rate_deg_s"])
+        )
         known = numbers.get("table_acceleration_deg_s2", np.zeros(len(reduced)))
-        numbers["table_acceleration_deg_s2"] = np.where(passing, _values(reduced, "acceleration"), known)
+        numbers["table_acceleration_deg_s2"] = np.where(passing, slope, known)
     return numbers
 
 

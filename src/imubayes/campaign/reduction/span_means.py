@@ -52,7 +52,6 @@ class Row:
     angle_known: bool
     missing: bool
     holes: bool
-
     passing: bool
 
     @property

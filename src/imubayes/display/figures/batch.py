@@ -12,6 +12,7 @@ from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.batch.pooled_discovery import PooledDiscovery, PooledFinding
 from imubayes.display import figure_style as style
 from imubayes.display.numbers_and_labels import pretty, value_and_sd
+from imubayes.foundations.units import DAYS_PER_YEAR
 
 _MOST_ROWS, _MOST_PANELS, _MOST_UNITS = 20, 6, 60
 # Standard uncertainties above so many times the median do not set the limits of an axis.
@@ -103,7 +104,7 @@ def trend_picture(estimates: pl.DataFrame, parameters: Sequence[str]) -> style.P
         axes.set_visible(False)
     for axes, name in zip(grid.flat, chosen, strict=False):
         table = estimates.filter((pl.col("parameter") == name) & pl.col("date").is_not_null()).sort("date")
-        years = 1970 + table["date"].cast(pl.Int32).to_numpy() / 365.25
+        years = 1970 + table["date"].cast(pl.Int32).to_numpy() / DAYS_PER_YEAR
         value, sd = table["estimate"].to_numpy(), table["estimate_sd"].to_numpy()
         owners = table["unit"].to_numpy()
         for unit in np.unique(owners):

@@ -26,8 +26,9 @@ from imubayes.display.numbers_and_labels import (
 )
 from imubayes.foundations.files import refuse_occupied, write_text
 from imubayes.foundations.progress import Tell
+from imubayes.foundations.units import DAYS_PER_YEAR
 from imubayes.loop.predicted_runs import ShiftedEstimate
-from imubayes.qualification.next_due import MOST_INTERVALS, YEAR
+from imubayes.qualification.next_due import MOST_INTERVALS
 from imubayes.qualification.repeatability import ComparedQuantity, Repeatability
 from imubayes.results.folder_files import RESIDUALS
 from imubayes.results.prediction import LEAST_CHANCE, RunPrediction
@@ -204,9 +205,7 @@ def _moved(each: ComparedQuantity, days: float | None) -> str:
     apart, sd = value_and_sd(each.difference, each.difference_sd)
     text = f"{each.name} moved by {apart} ± {sd} {pretty(each.unit)} (E_n {significant(each.e_n, 2)})"
     if days:
-        text += (
-            f", {significant(each.difference * YEAR / abs(days), 2)} {pretty(each.unit)} per year if it drifts evenly"
-        )
+        text += f", {significant(each.difference * DAYS_PER_YEAR / abs(days), 2)} {pretty(each.unit)} per year if it drifts evenly"
     return f"{text}."
 
 
