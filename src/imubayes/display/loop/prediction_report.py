@@ -205,7 +205,8 @@ def _moved(each: ComparedQuantity, days: float | None) -> str:
     apart, sd = value_and_sd(each.difference, each.difference_sd)
     text = f"{each.name} moved by {apart} ± {sd} {pretty(each.unit)} (E_n {significant(each.e_n, 2)})"
     if days:
-        text += f", {significant(each.difference * DAYS_PER_YEAR / abs(days), 2)} {pretty(each.unit)} per year if it drifts evenly"
+        rate = significant(each.difference * DAYS_PER_YEAR / abs(days), 2)
+        text += f", {rate} {pretty(each.unit)} per year if it drifts evenly"
     return f"{text}."
 
 
