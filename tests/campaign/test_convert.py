@@ -101,7 +101,7 @@ def test_static_log_for_a_thermal_ramp(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"accel_unit": "m/s2"}, "accel_unit"),
+        ({"accel_unit": "ft/s2"}, "accel_unit"),
         ({"acel_unit": "g"}, "not an option"),
         ({"gyro_scale": [1.0, 2.0]}, "gyro_scale has 2 numbers"),
         ({"sample_rate_hz": -1.0}, "not positive"),
