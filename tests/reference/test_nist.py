@@ -18,6 +18,8 @@ WANTED = 6.0
 NOT_REACHED = {("MGH10", 0)}
 # Its data are exact to the last digit, so the residual, and with it every standard deviation, is rounding.
 WITHOUT_RESIDUAL = {"Lanczos1"}
+# Of every kind of formula and level of difficulty at every run of the tests; each problem compiles a fit of its own.
+AT_ONCE = ("Misra1a", "Lanczos1", "Gauss1", "ENSO", "MGH10", "MGH17", "Thurber", "Rat43", "Bennett5")
 
 
 @cache
@@ -52,7 +54,9 @@ def reached(name: str, start: int) -> float:
 
 @here
 @pytest.mark.parametrize("start", [0, 1])
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize(
+    "name", [name if name in AT_ONCE else pytest.param(name, marks=pytest.mark.slow) for name in PROBLEMS]
+)
 def test_certified_digits_or_a_flag(name, start):
     if (name, start) in NOT_REACHED:
         assert not bool(outcome(name, start)[0].successful)
@@ -62,6 +66,7 @@ def test_certified_digits_or_a_flag(name, start):
 
 
 @here
+@pytest.mark.slow
 def test_at_least_26_of_27_from_both_starts():
     assert len(PROBLEMS) == 27
     assert sum(all(reached(name, start) >= WANTED for start in (0, 1)) for name in PROBLEMS) >= 26
