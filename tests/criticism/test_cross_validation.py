@@ -31,18 +31,18 @@ from imubayes.results.result import read_result
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory) -> Path:
-    return tmp_path_factory.mktemp("loop")
+def first(lacking) -> Result:
+    return lacking[0]
 
 
 @pytest.fixture(scope="module")
-def first(place) -> Result:
-    return fit(CAMPAIGN, lacking_model(), place / "first", sample=False)
+def second(lacking) -> ModelChange:
+    return lacking[1]
 
 
 @pytest.fixture(scope="module")
-def second(place, first) -> ModelChange:
-    return add(place / "first", [LACKING], place / "second")
+def place(first) -> Path:
+    return first.folder.parent
 
 
 @pytest.fixture(scope="module")

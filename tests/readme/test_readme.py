@@ -18,6 +18,8 @@ DOCUMENTS = ("README.md", "data/archives.md")
 COMMANDS = [(document, heading) for document in DOCUMENTS for heading in sections(document)]
 # What takes long is run by `make study`: an archive is fitted in a minute, and `make demo` is the main job.
 LONG = ("The main job", "Archives")
+# What comes before the refit, of a campaign that other tests fit and diagnose as well; all of it by `make study`.
+BEGINNING = {"The loop": "imubayes add"}
 WRITTEN = {"archive": "unit=*/*.parquet", "batch": "model-*/part-*/units.parquet"}
 
 
@@ -53,17 +55,10 @@ def test_an_estimate_that_moved_is_not_told():
     assert not is_told("c 1.5", said)
 
 
-@pytest.mark.parametrize(
-    ("heading", "document"),
-    [
-        pytest.param(heading, document, id=heading, marks=pytest.mark.slow if heading in LONG else ())
-        for document, heading in COMMANDS
-    ],
-)
-def test_commands_run_as_written(heading, document, like_the_repository, capsys):
-    """Those of a section, in order, in a folder that looks like the repository."""
+def said_by(commands: list[str], capsys) -> dict[str, list[str]]:
+    """Run commands in order; return what each printed, by its verb."""
     told: dict[str, list[str]] = {}
-    for command in sections(document)[heading]:
+    for command in commands:
         status = run(shlex.split(command)[1:])
         said = capsys.readouterr()
         assert status == 0, f"{command}\n{said.err}"
@@ -72,12 +67,39 @@ def test_commands_run_as_written(heading, document, like_the_repository, capsys)
         if "--out" in command:
             out = Path(command.split("--out ")[1].split()[0])
             assert out.is_file() if out.suffix else any(out.glob(WRITTEN.get(verb, "summary.json")))
+    return told
+
+
+def check_shown(told: dict[str, list[str]], heading: str, document: str) -> None:
+    """Check that what a section shows of these commands was printed."""
     for verb, lines in outputs(document, heading).items():
-        for line in lines:
+        for line in lines if verb in told else ():
             assert is_told(one_line(line), told[verb][0])
+
+
+@pytest.mark.parametrize(
+    ("heading", "document"),
+    [
+        pytest.param(heading, document, id=heading, marks=pytest.mark.slow if heading in (*LONG, *BEGINNING) else ())
+        for document, heading in COMMANDS
+    ],
+)
+def test_commands_run_as_written(heading, document, like_the_repository, capsys):
+    """Those of a section, in order, in a folder that looks like the repository."""
+    told = said_by(sections(document)[heading], capsys)
+    check_shown(told, heading, document)
     if "diagnose" in told:
         assert re.match("The model (probably )?explains the data", told["diagnose"][1])
         assert Path("results", "history.html").is_file()
+
+
+@pytest.mark.parametrize(("heading", "end"), BEGINNING.items())
+def test_commands_before_a_refit_run_as_written(heading, end, like_the_repository, capsys):
+    commands = sections("README.md")[heading]
+    first = next(place for place, command in enumerate(commands) if command.startswith(end))
+    told = said_by(commands[:first], capsys)
+    assert "diagnose" in told
+    check_shown(told, heading, "README.md")
 
 
 def test_every_output_is_one_of_a_section_that_runs():
