@@ -249,6 +249,20 @@ def accel_channel(tmp_path_factory) -> Path:
     return folder
 
 
+SAMPLED_STEPS = 60  # of each ensemble, too few for intervals
+
+
+@pytest.fixture(scope="session")
+def sampled_channel(tmp_path_factory) -> Path:
+    """The same, sampled by a few steps with seed 3."""
+    from imubayes.api import Settings, fit
+
+    folder, root = tmp_path_factory.mktemp("sampled") / "result", Path(__file__).parents[1]
+    settings = Settings(least_steps=SAMPLED_STEPS, most_steps=SAMPLED_STEPS)
+    fit(root / "data" / "accel-channel", root / "models" / "accel-channel.toml", folder, seed=3, settings=settings)
+    return folder
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _what_stays_is_not_searched():
     """Leave what a module left behind, compiled programs above all, out of later searches for garbage."""

@@ -4,10 +4,12 @@ import json
 import re
 import shutil
 import tomllib
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+import imubayes.api
 from imubayes.cli.main import app, run
 from imubayes.foundations.units import BIAS_CONVENTION
 
@@ -196,8 +198,10 @@ def test_effects_says_what_a_campaign_could_show(capsys):
     assert "gyro_bias" not in shown
 
 
-def test_fit_writes_the_contract(tmp_path, capsys):
+def test_fit_writes_the_contract(tmp_path, capsys, monkeypatch):
     """`summary.json` has every key of the interface, alone on standard output with --json-output."""
+    # Enough for convergence, and not what the sampler would take by itself.
+    monkeypatch.setattr(imubayes.api, "fit", partial(imubayes.api.fit, settings=imubayes.api.Settings(most_steps=200)))
     out = tmp_path / "result"
     campaign, model = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"
     status, said_out, _ = said(capsys, "fit", campaign, "--model", model, "--out", out, "--json-output")

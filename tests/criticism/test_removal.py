@@ -25,6 +25,7 @@ from imubayes.model.model_file import EffectSpec, ModelSpec, PriorCorrelation
 from imubayes.results.change_records import estimate_changes
 from imubayes.results.history_tree import read_node, read_tree
 
+
 @pytest.fixture(scope="module")
 def first(lacking) -> Result:
     return lacking[0]

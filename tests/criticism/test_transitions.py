@@ -167,6 +167,7 @@ def test_the_lag_is_named_where_the_model_lacks_it(whole):
     assert found.explanations.leading.kind == "effects"
 
 
+@pytest.mark.slow  # compiles another model; the ramps tell the lags at every run
 def test_a_clock_offset_is_told_from_the_lags(tmp_path):
     """One common delay is the clock's where the model has it alone; lag and offset share their sum."""
     folder = write_campaign(tmp_path / "late", 4, "transitions = true", skew_ms=-7, lags=np.zeros(3))

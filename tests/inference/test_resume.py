@@ -15,7 +15,7 @@ from imubayes.foundations.errors import InputError
 from imubayes.inference.checkpoint import Checkpoint
 
 ROOT = Path(__file__).parents[2]
-STEPS = 60
+STEPS = 60  # those of the whole chain
 SCRIPT = """
 import sys
 import jax
@@ -31,11 +31,11 @@ imubayes.fit(
 """
 
 
-def fitted(out: Path, resume: bool = False) -> None:
+def resumed(out: Path) -> None:
     """The same fit as that of the script, in this process."""
     settings = Settings(least_steps=STEPS, most_steps=STEPS)
     paths = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml", out
-    fit(*paths, seed=3, resume=resume, settings=settings)
+    fit(*paths, seed=3, resume=True, settings=settings)
 
 
 def chain(folder: Path) -> np.ndarray:
@@ -51,9 +51,8 @@ def steps_done(folder: Path) -> int:
         return 0
 
 
-def test_killed_and_resumed_is_the_same_chain(tmp_path, command_environment):
-    whole, killed = tmp_path / "whole", tmp_path / "killed"
-    fitted(whole)
+def test_killed_and_resumed_is_the_same_chain(sampled_channel, tmp_path, command_environment):
+    whole, killed = sampled_channel, tmp_path / "killed"
     cache = Path(command_environment["XDG_CACHE_HOME"]) / "imubayes" / "compiled"
     words = [sys.executable, "-c", SCRIPT, str(killed), str(STEPS), str(cache)]
     process = subprocess.Popen(words, cwd=ROOT, env=command_environment)
@@ -63,7 +62,7 @@ def test_killed_and_resumed_is_the_same_chain(tmp_path, command_environment):
     process.wait()
     done = steps_done(killed)
     assert 0 < done < STEPS, "the kill came too late to mean anything"
-    fitted(killed, resume=True)
+    resumed(killed)
     np.testing.assert_array_equal(chain(killed), chain(whole))
     assert len(np.unique(chain(whole)[:, -1])) > 1000
 
