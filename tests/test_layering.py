@@ -57,7 +57,7 @@ def is_member(module: str) -> bool:
 
 def violations(sources: dict[str, str]) -> list[str]:
     """Return what breaks a rule, in sentences; sources are module name → text."""
-    found, edges = [], {}
+    found, edges, modules = [], {}, set(sources)
     for module, text in sources.items():
         tree = ast.parse(text)
         if text.count("\n") > MOST_LINES:
@@ -65,7 +65,7 @@ def violations(sources: dict[str, str]) -> list[str]:
         if floor(module) < 0:
             found.append(f"{module} stands on no floor")
         statements = list(ast.walk(tree))
-        edges[module] = [name for node in statements for name in imported(node, set(sources))]
+        edges[module] = [name for node in statements for name in imported(node, modules)]
         for name in edges[module]:
             if floor(name) > floor(module):
                 found.append(f"{module} imports {name}, which is above it")

@@ -12,12 +12,11 @@ from imubayes.foundations.covariates import COVARIATES, Covariate
 from imubayes.foundations.signal_path_state import Ambient
 from imubayes.foundations.units import same_dimension
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
 from imubayes.responses.residual_covariates import covariates
-from imubayes.results.result import residuals_of
+from imubayes.results.result import Predicted, residual_table
 
 HUMIDITY = Covariate("humidity", "humidity_pct", "%", "1", "relative humidity", symbol="H")
 
@@ -39,14 +38,16 @@ def test_a_new_covariate_is_read_shown_and_regressed_on(moist):
     assert "humidity" in PROCEDURES[run.procedure].stimulus(run, moist).supplies
 
     spec = ModelSpec("small", tuple(EffectSpec(name) for name in ("gyro_bias", "accel_bias", "white_noise")))
-    fit = joint_fit(bind(spec, moist), None)
+    # What is told of the readings needs no fit: a prediction of one pulse/s, at the middle of the priors.
+    model = bind(spec, moist)
+    fit = Fit(model, *map(np.zeros, model.problem.size), True)
     np.testing.assert_array_equal(np.unique(np.asarray(fit.model.problem.nodes.ambient.humidity))[[0, -1]], [0, 0.6])
-    table = residuals_of(fit).table
+    table = residual_table(model, Predicted(*np.ones((4, len(model.entries))))).table
     assert np.nanmax(numbers(table, "humidity_pct")) == pytest.approx(60.0)
     assert HUMIDITY in covariates_of(table)
     assert abscissa(numbers(table, "humidity_pct"), HUMIDITY)[1] == "relative humidity / %"
 
-    found = covariates(Fit(fit.model, np.asarray(fit.mode.z), np.asarray(fit.mode.h), True))
+    found = covariates(fit)
     regressor = next(each for each in found if each.name == "humidity_pct")
     assert np.nanmax(regressor.values) == pytest.approx(60.0)
     terms = library([regressor], np.isfinite(regressor.values), moist.site.gravity)

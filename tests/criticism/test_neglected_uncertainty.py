@@ -82,6 +82,7 @@ def test_gravity_is_as_uncertain_as_the_way_it_was_got(stated, excess, size, inc
     assert (unstated > 40) == (not included)
 
 
+@pytest.mark.slow  # a second fit; the shifts have their sizes in the other tests at every run
 def test_what_is_included_is_what_a_fit_finds_that_knows_of_it():
     at, scale = fitted(1e-3), "accel_scale_factor.scale[ax]"
     gravity, _ = gravity_of(at, scale)

@@ -128,6 +128,7 @@ def test_an_output_too_coarse_for_its_noise_names_no_effect(tmp_path: Path, step
         assert found.verdict == "adequate", told(found)
 
 
+@pytest.mark.slow  # test_shipped.py has a complete model at every run
 @pytest.mark.parametrize("seed", DRAWS)
 def test_complete_models_are_adequate(seed: int) -> None:
     """Fresh white noise on all six channels of the table campaigns."""

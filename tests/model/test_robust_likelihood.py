@@ -121,7 +121,10 @@ def test_run_offsets_are_marginalised():
     assert float(density(model.problem, z, h)) == pytest.approx(found.sum() + prior, rel=1e-10)
 
 
-@pytest.mark.parametrize("noise", [("white_noise", "outliers"), ("white_noise", "run_scatter", "outliers")])
+@pytest.mark.parametrize(
+    "noise",
+    [pytest.param(("white_noise", "outliers"), marks=pytest.mark.slow), ("white_noise", "run_scatter", "outliers")],
+)
 def test_pseudo_values_have_the_gradient_of_the_log_density(noise):
     model = contaminated(noise)
     z, h = point(model, 5)

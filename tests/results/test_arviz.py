@@ -41,6 +41,10 @@ PLOTS = (
 )  # fmt: skip
 
 
+# Of every kind at every run of the tests.
+AT_ONCE = ("plot_dist", "plot_trace", "plot_rank", "plot_ess", "plot_prior_posterior", "plot_ppc_dist", "plot_loo_pit")
+
+
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory) -> xarray.DataTree:
     """The file of a sampled fit, read again."""
@@ -90,7 +94,9 @@ def test_statistics_run_without_options(tree, name):
 
 
 @pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto distribution")
-@pytest.mark.parametrize("name", PLOTS)
+@pytest.mark.parametrize(
+    "name", [name if name in AT_ONCE else pytest.param(name, marks=pytest.mark.slow) for name in PLOTS]
+)
 def test_plots_run_without_options(tree, name):
     getattr(arviz_plots, name)(tree)
     plt.close("all")
