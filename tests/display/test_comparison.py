@@ -302,7 +302,7 @@ def test_the_nearest_result_is_named(trihedral: Path):
 def test_the_tables_are_shown_where_no_figure_can_be_written(single: Path, capsys):
     (single / "figures").write_text("in the way")
     with pytest.warns(NotKept, match=re.escape(f"nothing of this is kept in {single} (File exists)")):
-        shown = compare(single)
+        shown = compare_first(single)
     assert not shown.pictures
     assert not shown.page.exists()
     print_comparison(shown)

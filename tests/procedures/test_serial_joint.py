@@ -34,7 +34,7 @@ def shipped(name):
     return model, truth, true
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "centrifuge" else n for n in MODULES])
 def test_the_signal_path_agrees_with_attitude_and_place_differentiated(name):
     """All effects of the model at their true values: every mean to a thousandth of what noise a row has.
 
