@@ -133,7 +133,6 @@ def test_programs_of_lanes_outlast_the_process(tmp_path, command_environment):
     assert len(list(tmp_path.iterdir())) == 2, "of the units, and of the index of their readings"
 
 
-@pytest.mark.slow  # with a wrong slope the posteriors in lanes are not those of single fits
 def test_the_slope_of_the_marginal_is_the_derivative_of_its_value():
     model = model_of(DATA / "polar-tumble")
     structure = LaneStructure.of(model.problem)
