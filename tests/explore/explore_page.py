@@ -26,6 +26,8 @@ class Page:
             options.add_argument(f"--{argument}")
         options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}  # of what the page has
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         self.address, self.requested = address, set[str]()
         self.open(address)
 

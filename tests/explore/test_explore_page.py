@@ -257,6 +257,23 @@ def test_sensor_axes_are_turned_by_mouse_and_by_keys(fresh):
     assert "mounting pyramid" in fresh.run("document.querySelector('#geometry').getAttribute('aria-label')")
 
 
+def test_five_causes_are_in_sight_whatever_is_open(fresh):
+    """Sensor axes below, a selection above, a preview beneath; what else may explain the selection stands apart."""
+    whole = (
+        "[...document.querySelectorAll('#causes .cause:not(.other)')].filter((each) => each.getBoundingClientRect()"
+        ".bottom <= document.querySelector('#causes .accept').getBoundingClientRect().top + 1).length"
+    )
+    fresh.press("3")
+    fresh.wait("document.querySelector('#geometry')")
+    assert fresh.run(whole) >= 5
+    fresh.click(f'[id="tick-{HIDDEN}"]')
+    fresh.click('[data-key="cell-rate-x-up-gx"]')
+    fresh.wait("document.querySelector('#selection-sentence') && document.querySelector('#preview-sentence')")
+    assert fresh.run("document.querySelectorAll('#causes .cause.other').length") >= 2
+    assert fresh.run(whole) >= 5
+    assert fresh.run("document.querySelector('#causes .accept').getBoundingClientRect().bottom <= innerHeight")
+
+
 def test_a_shape_is_drawn_by_mouse_and_by_keys(fresh):
     fresh.click("#draw")
     sheet = fresh.driver.find_element(By.ID, "drawing")

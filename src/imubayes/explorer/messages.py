@@ -193,6 +193,13 @@ class MapCell(Record):
     unit: str
 
 
+class ExpectedCell(Record):
+    """Readings and χ² of one channel of one run with a preview, without those that it sets aside."""
+
+    n: int
+    chi2: float
+
+
 class CauseLine(Record):
     """A possible cause.
 
@@ -286,7 +293,7 @@ class PreviewFacts(Record):
     Attributes
     ----------
     delta_chi2 : predicted drop of χ² at the noise known beforehand, of all together.
-    cells : expected χ² of each run and channel, in the order of the model's cells.
+    cells : what is expected of each run and channel, in the order of the model's cells.
     moved : estimates that would move, those that would most first.
     effects, refitted : the causes, or the name of a change whose refit these are.
     sentence, command : the prediction in words, and the command that adds the causes.
@@ -295,7 +302,7 @@ class PreviewFacts(Record):
     effects: tuple[str, ...]
     refitted: bool
     delta_chi2: float
-    cells: tuple[float, ...]
+    cells: tuple[ExpectedCell, ...]
     moved: tuple[MovedEstimate, ...]
     sentence: str
     command: str

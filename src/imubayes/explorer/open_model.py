@@ -168,13 +168,13 @@ class OpenModel:
         ahead, what : the change and its name.
         """
         predicted = self.view.with_causes(effects)
-        point = predicted if ahead is None else ahead.point
+        point, gone = (predicted, ~self.view.entries) if ahead is None else (ahead.point, ahead.gone)
         drop, moved = self._drop(point), self.view.moved(point)
         largest = (moved[0].name, moved[0].in_sd) if moved else None
         command = add_command(effects, self.channels_for(effects), self.place, out) if effects else ""
         return PreviewFacts(
             effects=tuple(effects) or ((what,) if ahead is not None else ()), refitted=ahead is not None,
-            delta_chi2=drop, cells=self.table.expected(point), moved=moved, command=command,
+            delta_chi2=drop, cells=self.table.expected(point, gone), moved=moved, command=command,
             sentence=preview_text(effects, self._drop(predicted), largest) if ahead is None
             else refitted_text(what, self._drop(predicted) if effects else None, drop, largest),
         )  # fmt: skip

@@ -15,7 +15,7 @@ from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.display.figure_style import NORMAL, band, numbers, varies
 from imubayes.display.numbers_and_labels import covariates, pretty, readable
 from imubayes.explorer.linear_view import Ahead, LinearView
-from imubayes.explorer.messages import Axis, Brush, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
+from imubayes.explorer.messages import Axis, Brush, ExpectedCell, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.results.result import Result, to_input_units
 
@@ -147,10 +147,12 @@ class PointTable:
             ))  # fmt: skip
         return tuple(found)
 
-    def expected(self, point: KnownNoisePoint) -> tuple[float, ...]:
-        """Return the expected χ² of every run and channel with causes previewed, in the order of the cells."""
+    def expected(self, point: KnownNoisePoint, gone: np.ndarray) -> tuple[ExpectedCell, ...]:
+        """Return what is expected of every run and channel with a preview, entries (E,) bool gone, in their order."""
         square = self.view.whitened(point) ** 2
-        return tuple(float(square[places].sum()) for _, _, places in self._cells)
+        return tuple(
+            ExpectedCell(n=int((~gone[places]).sum()), chi2=float(square[places].sum())) for _, _, places in self._cells
+        )
 
     # ---- colours ----
 

@@ -13,6 +13,7 @@ from typing import get_args
 import numpy as np
 
 from imubayes.display.figure_style import numbers
+from imubayes.explorer.knowledge import KnownTables, known_tables
 from imubayes.explorer.messages import ModelFacts, Ordinate, PreviewFacts
 from imubayes.explorer.open_model import OpenModel
 from imubayes.explorer.session import SessionState
@@ -46,6 +47,7 @@ class SavedModel(Record):
     """
 
     facts: ModelFacts
+    known: KnownTables
     of: int
     count: int
     columns: dict[str, str]
@@ -85,7 +87,7 @@ def saved_model(model: OpenModel) -> SavedModel:
         previews.append(SavedPreview(facts=found, after=after, curve=curve))
     labels = {by: tuple(table.label(run, by) for run in table.run_names) for by in table.groupings()}
     return SavedModel(
-        facts=facts, of=len(every), count=len(kept),
+        facts=facts, known=known_tables(model.result), of=len(every), count=len(kept),
         columns={name: _base64(np.asarray(values)[kept]) for name, values in columns.items()},
         labels=labels, units=tuple(table.output_unit(channel) for channel in table.channels), previews=tuple(previews),
     )  # fmt: skip

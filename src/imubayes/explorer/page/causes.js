@@ -98,7 +98,7 @@ function accept(actions, selection) {
     preview ? el("p", { id: "preview-sentence", role: "status" }, preview.sentence) : el("p", { class: "quiet" }, "Point at a cause to preview it without a refit; tick several to preview them together."),
     preview ? el("pre", { tabindex: "0", "aria-label": "command" }, preview.command) : null,
     el("div", { class: "row" },
-      el("button", { class: "main", id: "accept", "data-key": "accept", disabled: !ticked || busy, onclick: actions.accept }, "add what is ticked, and refit"),
+      el("button", { class: "main", id: "accept", "data-key": "accept", disabled: !ticked || busy, title: "adds what is ticked; key a", onclick: actions.accept }, "add, and refit"),
       selection || told.facts.verdict === "unexplained_structure" ? el("button", { "data-key": "formula", id: "formula", onclick: () => actions.formula(view.channel) }, `formula of ${view.channel}`) : null,
       el("button", { "data-key": "untick", disabled: !ticked, onclick: () => show({ ticked: [] }) }, "untick")));
 }

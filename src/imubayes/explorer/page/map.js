@@ -29,14 +29,15 @@ export function drawMap(place) {
 }
 
 function cellButton(cell, expected) {
-  const chi2 = fitted && expected === null ? cell.fitted ?? cell.chi2 : expected ?? cell.chi2;
-  const ratio = chi2 / cell.n, { back, text } = heat(ratio), words = compact(ratio);
+  const { n, chi2 } = expected ?? { n: cell.n, chi2: fitted ? cell.fitted ?? cell.chi2 : cell.chi2 };
+  // Nothing is left of a cell whose readings are all set aside.
+  const { back, text } = n ? heat(chi2 / n) : {}, words = n ? compact(chi2 / n) : "–";
   const marked = view.brushes.some((brush) => !brush.x && matches(brush.channels, cell.channel) && matches(brush.runs, cell.run));
   const names = ["cell", marked && "marked", expected !== null && (told.preview.refitted ? "refitted" : "previewed"), cell.channel === view.channel && "shown"];
   return el("button", {
     class: names.filter(Boolean).join(" "), "data-key": `cell-${cell.run}-${cell.channel}`, "aria-pressed": String(marked),
     style: { backgroundColor: back, color: text }, title: `${cell.run} ${cell.channel}: χ² ${digits(cell.chi2, 4)} of ${cell.n}, ${digits(cell.rms)} ${cell.unit} rms`
-      + (expected === null ? "" : `; ${told.preview.refitted ? "now" : "expected"} χ² ${digits(expected, 4)}`),
+      + (expected === null ? "" : `; ${told.preview.refitted ? "now" : "expected"} χ² ${digits(expected.chi2, 4)} of ${expected.n}`),
     "aria-label": `${words}: χ² per reading of run ${cell.run}, channel ${cell.channel}`,
     onclick: (event) => choose(cell, event.shiftKey),
   }, words);

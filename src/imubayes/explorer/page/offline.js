@@ -19,7 +19,7 @@ const refusal = "this page was saved, and has no server: start `imubayes explore
 export function savedAnswer(name, body) {
   const model = body && find(body.model);
   if (!model) throw new Error(name === "model" ? "this model was not open when the page was saved" : refusal);
-  if (name === "model") return model.facts;
+  if (name === "model" || name === "known") return model[name === "model" ? "facts" : name];
   if (name === "selection") return selection(model, body.brushes);
   if (name === "preview") {
     const found = body.effects.length === 1 && model.previews.find((each) => each.facts.effects[0] === body.effects[0]);

@@ -12,7 +12,7 @@ export function makeCharts(place) {
   const controls = el("div", { class: "controls", id: "controls" });
   const above = el("div", { class: "chart", id: "measurement", role: "img", "aria-label": "Measurement and model" });
   const below = el("div", { class: "chart", id: "residuals", role: "img", "aria-label": "Residuals" });
-  place.append(controls, above, below, el("div", { class: "legend", id: "legend" }));
+  place.append(controls, above, below, el("div", { class: "legend", id: "legend", role: "group", tabindex: "0", "aria-label": "Colours" }));
   measurement = new Chart(above, { both: false, onBrush: brushed, draw: drawMeasurement });
   residuals = new Chart(below, { both: true, onBrush: brushed, draw: drawResiduals });
   above.append(el("div", { class: "title" }, "measurement (points) and model (line)"));
