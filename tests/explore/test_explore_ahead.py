@@ -11,6 +11,8 @@ LINE = {"over": "rate_i", "points": [[-100, 1], [0, 0], [100, 1]]}
 CHANGES = {
     "remove": {"remove": ["table_axis_tilt"]},
     "prior": {"prior_of": "gyro_bias.bias[gz]", "prior": "normal(0, 0.001 deg/h)"},
+    "noise": {"remove": ["run_scatter"]},
+    "noise_prior": {"prior_of": "run_scatter.tau[gz]", "prior": "lognormal(3 noise, 1.0)"},
     "aside": {"aside": [{"channels": ["gz"], "x": "rate_i", "x_low": 50.0, "x_high": 1e9}], "reason": "too fast"},
     "formula": {"formula_of": "gz"},
     "drawn": {"formula_of": "gz", "drawn": LINE},
@@ -38,7 +40,7 @@ def test_every_change_shows_its_residuals_at_once(client, explored, first, name)
     whole = next(cell for cell in facts["cells"] if (cell["run"], cell["channel"]) == ("rate-z-up", "gz"))
     assert (head["of"] < 120) == (name == "aside")
     assert np.max(np.abs(points["y"] - points["after"])) > 0.1
-    assert early["delta_chi2"] * (1 if name in ("aside", "formula", "drawn", "add") else -1) > 1
+    assert early["delta_chi2"] * (-1 if name in ("remove", "prior", "noise") else 1) > 1
     # χ² per reading is over the readings that are left, as they are drawn.
     own = zip(early["cells"], facts["cells"], strict=True)
     assert sum(each["n"] for each, cell in own if cell["channel"] == "gz") == head["of"]
@@ -48,7 +50,7 @@ def test_every_change_shows_its_residuals_at_once(client, explored, first, name)
 
 
 @pytest.mark.slow  # a refit each; that of an addition is in test_explore_answers
-@pytest.mark.parametrize("name", ["remove", "prior", "aside", "formula"])
+@pytest.mark.parametrize("name", ["remove", "prior", "noise", "noise_prior", "aside", "formula"])
 def test_the_fit_finds_the_residuals_that_were_shown(client, explored, first, name):
     task = client.json("change", {"model": first, **CHANGES[name]})["task"]
     wanted = {"channel": "gz", "x": "reading"}
@@ -71,16 +73,6 @@ def test_the_fit_finds_the_residuals_that_were_shown(client, explored, first, na
     client.json("cancel", {"task": task})
     settled(explored)
     client.json("select", {"model": first})
-
-
-def test_a_removed_noise_waits_for_the_fit(client, explored, first):
-    """Its residuals are over another noise, which nothing predicts."""
-    task = client.json("change", {"model": first, "remove": ["run_scatter"]})["task"]
-    early = client.json("preview", {"model": first, "task": task})
-    client.json("cancel", {"task": task})
-    settled(explored)
-    assert not early["refitted"]
-    assert early["effects"] == []
 
 
 def test_a_drawn_shape_gets_the_formula_that_is_like_it(client, first):

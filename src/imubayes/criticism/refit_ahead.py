@@ -3,19 +3,24 @@
 Residuals at the noise known beforehand depend on the parameters alone, and the program by which the diagnosis predicted
 every candidate predicts any choice of them: effects added or removed, with any priors, by any of the readings.  A few
 Gauss–Newton steps with it lead to the least squares of the changed model within a second, where its own programs take a
-minute to compile.  What no program predicts yet, a formula of the covariates, responds linearly.  Scales of the noise,
-uncertainties and the verdict are those of the fit, which follows.
+minute to compile.  A noise component that is removed, or has another prior, changes what residuals are over, and the
+prediction not at all.  What no program predicts yet, a formula of the covariates, responds linearly.  Scales of the
+noise as fitted, uncertainties and the verdict are those of the fit, which follows.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.adequacy.known_noise import known_scales
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
 from imubayes.criticism.diagnosis_record import ScreenedEffect
+from imubayes.effects.base import Effect
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import Linearised, whitened_about
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem, masked
@@ -32,14 +37,29 @@ _NO_PRIOR = 1e6
 """Width of the prior of a response of unit length.  Numerical: a thousand times what any residual asks for."""
 
 
+@dataclass(frozen=True)
+class Ahead:
+    """The fit of a changed model at the noise known beforehand.
+
+    Attributes
+    ----------
+    point : with the entries and parameters before: residuals that were set aside are 0, parameters that were removed at
+        their nulls, and z is on the scale of the priors before; residuals are over the noise of the changed model.
+    gone : shape (E,) bool, the entries that it has set aside.
+    """
+
+    point: KnownNoisePoint
+    gone: np.ndarray
+
+
 def refitted(
     model: CatalogueModel,
     point: KnownNoisePoint,
     changed: Model,
     estimates: Sequence[ScreenedEffect] = (),
     columns: np.ndarray | None = None,
-) -> KnownNoisePoint | None:
-    """Return the fit of a changed model at the noise known beforehand, with the entries and parameters before.
+) -> Ahead | None:
+    """Return the fit of a changed model before it is made.
 
     Parameters
     ----------
@@ -50,28 +70,28 @@ def refitted(
 
     Returns
     -------
-    fit : residuals that were set aside are 0, parameters that were removed at their nulls, and z is on the scale of
-        the priors before; None where the program cannot predict the model, and where no minimum was reached.
+    fit : None where the program cannot predict the model, and where no minimum was reached.
     """
-    free, left_out = model.parameters_of(changed), readings_gone(point.model, changed)
-    if free is None or left_out is None:
+    free, left_out = model.parameters_of(changed), _readings_gone(point.model, changed)
+    noise = None if left_out is None else _noise(model.fitted, point, changed, left_out)
+    if free is None or left_out is None or noise is None:
         return None
-    problem = masked(point.model.problem, left_out) if left_out.any() else point.model.problem
-    priors = point.model.problem.priors
+    (problem, h), priors = noise, point.model.problem.priors
     free, start, width = _start(model, point, free, estimates)
     given = np.zeros((len(point.misfit), 0)) if columns is None else columns
-    white = _white(problem, point.h, given)
+    white = _white(problem, h, given)
     length = np.linalg.norm(white, axis=0)
     used = length > 0
     further = given[:, used] / length[used], white[:, used] / length[used]
-    problem_at = _Changed(model, problem, point.h, free, width, further)
+    problem_at = _Changed(model, problem, h, free, width, further)
     here = _RefitAt(problem_at, np.concatenate([start, np.zeros(int(used.sum()))]))
     for _ in range(_MOST_STEPS):
         if here.size <= _ARRIVED:
             kept = len(point.left)  # without the priors of what is added
             after = model.values(here.z[: len(free)], free)[: model.size]
             before, slopes = (np.asarray(each(priors, jnp.asarray(point.z))) for each in (prior_values, prior_slopes))
-            return replace(point, misfit=here.misfit, left=here.right[:kept], z=point.z + (after - before) / slopes)
+            z = point.z + (after - before) / slopes
+            return Ahead(replace(point, misfit=here.misfit, left=here.right[:kept], z=z), left_out)
         ahead = (here.moved(length) for length in _LENGTHS)
         here = next((each for each in ahead if each.square < here.square), None)
         if here is None:
@@ -79,7 +99,7 @@ def refitted(
     return None
 
 
-def readings_gone(model: Model, changed: Model) -> np.ndarray | None:
+def _readings_gone(model: Model, changed: Model) -> np.ndarray | None:
     """Return which entries of a model, (E,) bool, a changed one lacks; None where it has others."""
     if changed.campaign.set_aside == model.campaign.set_aside:
         return np.zeros(len(model.entries), dtype=bool)
@@ -89,6 +109,29 @@ def readings_gone(model: Model, changed: Model) -> np.ndarray | None:
     size = 1 + max(int(own.row.max()), int(theirs.row.max())), 4 + len(model.campaign.channels)
     keys = [(run * size[0] + each.row) * size[1] + each.channel for run, each in ((own.run, own), (runs, theirs))]
     return None if not np.isin(keys[1], keys[0]).all() else ~np.isin(keys[0], keys[1])
+
+
+def _noise(
+    fitted: Fit, point: KnownNoisePoint, changed: Model, left_out: np.ndarray
+) -> tuple[Problem, np.ndarray] | None:
+    """Return the problem with the readings and the noise of a changed model, and the scales known of that, in z.
+
+    None of a noise scale that is new, and of another noise where parameters or readings are others as well.
+    """
+    model = fitted.model
+    own = {each.name: each for each in model.hyper_layout.parameters}
+    wanted = {each.name: each for each in changed.hyper_layout.parameters}
+    if not set(wanted) <= set(own):
+        return None
+    lost = {each.effect for name, each in own.items() if name not in wanted}
+    same = all(eqx.tree_equal(own[name].prior, each.prior) for name, each in wanted.items())
+    if same and all(issubclass(model.registry.effects[name], Effect) for name in lost):
+        return (masked(point.model.problem, left_out) if left_out.any() else point.model.problem), point.h
+    if left_out.any() or changed.layout.names != model.layout.names:
+        return None
+    sizes = {name: each.value_at(float(z)) for (name, each), z in zip(own.items(), fitted.h, strict=True)}
+    h = np.array([each.z_at(sizes[name]) or 0.0 for name, each in wanted.items()])
+    return changed.problem, known_scales(replace(fitted, model=changed, h=h))
 
 
 def _start(
@@ -119,7 +162,7 @@ class _Changed:
 
     Attributes
     ----------
-    problem, h : the model before, readings that were set aside masked, with its noise.
+    problem, h : of the model before, readings that were set aside masked, with the noise of the changed one.
     free : its parameters by their places, in order.
     width : of the priors of those that the model before has not.
     further : responses (E, C) of unit length, plain and whitened.

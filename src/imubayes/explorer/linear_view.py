@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import jax.numpy as jnp
@@ -12,7 +11,7 @@ from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import ExplainedFit
 from imubayes.criticism.diagnosis_record import ScreenedEffect
 from imubayes.criticism.linear_answers import LinearAnswers
-from imubayes.criticism.refit_ahead import readings_gone, refitted
+from imubayes.criticism.refit_ahead import Ahead, refitted
 from imubayes.explorer.messages import MovedEstimate
 from imubayes.foundations.progress import Tell
 from imubayes.model.bind import Model
@@ -22,14 +21,6 @@ from imubayes.responses.candidate_effects import CatalogueModel
 from imubayes.results.summary import ParameterSummary, Summary, in_output_units
 
 _MOST_MOVED, _STAYED = 60, 0.05
-
-
-@dataclass(frozen=True)
-class Ahead:
-    """The fit of a changed model at the noise known beforehand, and which entries (E,) bool it has set aside."""
-
-    point: KnownNoisePoint
-    gone: np.ndarray
 
 
 class LinearView(LinearAnswers):
@@ -51,11 +42,7 @@ class LinearView(LinearAnswers):
         self, changed: Model, estimates: Sequence[ScreenedEffect] = (), columns: np.ndarray | None = None
     ) -> Ahead | None:
         """Return the fit of a changed model before it is made (see `refit_ahead.refitted`); None where it must be."""
-        point, gone = (
-            refitted(self._catalogue, self.point, changed, estimates, columns),
-            readings_gone(self.fit.model, changed),
-        )
-        return None if point is None or gone is None else Ahead(point, gone)
+        return refitted(self._catalogue, self.point, changed, estimates, columns)
 
     def whitened(self, point: KnownNoisePoint | None = None) -> np.ndarray:
         """Return the residual of every entry in units of the noise known beforehand, (E,)."""

@@ -12,6 +12,7 @@ from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import explained_fit
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.drawn_shape import DrawnCurve, DrawnFormula
+from imubayes.criticism.refit_ahead import Ahead
 from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.loop.diagnosis_report import (
@@ -23,7 +24,7 @@ from imubayes.display.loop.diagnosis_report import (
 )
 from imubayes.display.loop.diagnosis_sentences import evidence_text, form_text, sentence
 from imubayes.display.loop.selection_text import drawn_text, formula_text, preview_text, refitted_text, selection_text
-from imubayes.explorer.linear_view import Ahead, LinearView
+from imubayes.explorer.linear_view import LinearView
 from imubayes.explorer.messages import (
     Brush,
     CauseLine,

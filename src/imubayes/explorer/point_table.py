@@ -12,9 +12,10 @@ from functools import cached_property
 import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
+from imubayes.criticism.refit_ahead import Ahead
 from imubayes.display.figure_style import NORMAL, band, numbers, varies
 from imubayes.display.numbers_and_labels import covariates, pretty, readable
-from imubayes.explorer.linear_view import Ahead, LinearView
+from imubayes.explorer.linear_view import LinearView
 from imubayes.explorer.messages import Axis, Brush, ExpectedCell, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.results.result import Result, to_input_units

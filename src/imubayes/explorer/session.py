@@ -15,13 +15,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imubayes.api import add, export, fit, refit, remove
+from imubayes.criticism.refit_ahead import Ahead
 from imubayes.display.loop.change_report import change_lines
 from imubayes.display.loop.diagnosis_report import add_command, formula_source
 from imubayes.display.loop.history import gain_text
 from imubayes.display.loop.selection_text import fitted_text
 from imubayes.explorer.edited_model import EditedModel, edited_model
 from imubayes.explorer.kept_session import KeptSession, ModelNote
-from imubayes.explorer.linear_view import Ahead
 from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PointsWanted, PreviewFacts, PreviewWanted
 from imubayes.explorer.open_model import OpenModel, opened, quoted
 from imubayes.explorer.worker import TaskOutcome, TaskProgress, Worker

@@ -247,11 +247,8 @@ class CatalogueModel:
     def parameters_of(self, changed: Model) -> dict[int, Parameter] | None:
         """Return the parameters of a changed model by their places; None where this model cannot predict it.
 
-        It cannot where the noise has other scales, and of an effect outside the catalogue or on fewer channels than
-        share its parameters.
+        It cannot of an effect outside the catalogue or on fewer channels than share its parameters.
         """
-        if not self._same_noise(changed):
-            return None
         channels = {each.name: each for each in self._extended.effects}
         found = {}
         for effect in changed.assembly.effects:
@@ -263,16 +260,6 @@ class CatalogueModel:
                     return None
                 found[self._extended.places[each.name]] = each
         return found
-
-    def _same_noise(self, changed: Model) -> bool:
-        """Tell whether a changed model has the noise scales of this one, but for those of effects that it lacks."""
-        model = self.fitted.model
-        own = {each.name: each for each in model.hyper_layout.parameters}
-        wanted = {each.name: each for each in changed.hyper_layout.parameters}
-        if not all(name in own and eqx.tree_equal(own[name].prior, each.prior) for name, each in wanted.items()):
-            return False
-        lost = {each.effect for each in own.values()} - {each.effect for each in wanted.values()}
-        return all(issubclass(model.registry.effects[name], Effect) for name in lost)
 
     @property
     def size(self) -> int:
