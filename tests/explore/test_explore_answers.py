@@ -17,11 +17,12 @@ import polars as pl
 import pytest
 from explore_client import framed, settled
 
-from imubayes.adequacy.known_noise_fit import KnownNoisePoint
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
 from imubayes.api import add, diagnose
 from imubayes.cli.main import run
 from imubayes.criticism.evidence.free_forms import ChosenForm
 from imubayes.criticism.evidence.model_search import states_noise
+from imubayes.criticism.linear_answers import LinearAnswers
 from imubayes.display.loop.diagnosis_report import diagnosis_json
 from imubayes.display.loop.selection_text import selection_text
 from imubayes.explorer.linear_view import LinearView
@@ -205,6 +206,30 @@ def test_a_cause_of_some_rows_is_judged_as_dense_algebra_does(model, monkeypatch
         assert odds == pytest.approx(expected, abs=0.01 * abs(expected) + 0.01), form.name
     # Readings of one side alone do not tell an asymmetry from other causes; with the others they do.
     assert view.rank(chosen).causes[0].effect == HIDDEN
+
+
+def test_a_cause_that_is_no_line_is_previewed_as_it_acts(client, first, model):
+    """A saturation takes off a share of what is beyond its limit; the model's parameters are fitted beside."""
+    effect, view, point = "converter_saturation", model.view, model.view.point
+    told, off, slope = model.diagnosis.estimate(effect), np.zeros(len(point.misfit)), np.ones(len(point.misfit))
+    for channel, each in ((c, e) for c in view.fit.model.campaign.channels for e in told.coefficients):
+        share = max(each.value, 0.0) / 100 * (f"[{channel.name}]" in each.name)  # a compression has one sign
+        signal = np.where(model.table.channel == channel.name, model.table.shown["predicted"], 0.0)
+        beyond = np.maximum(np.abs(signal) - told.shape["limit"] * channel.scale, 0.0)
+        off, slope = off - share * np.sign(signal) * beyond, slope - share * (beyond > 0)
+    columns = np.concatenate([off[:, None], point.jacobian * slope[:, None]], axis=1)
+    white, count = whitened_rows(view.fit.model.problem, point.h, columns), len(point.misfit)
+    widths = np.diag(point.left[count:] / -point.z)
+    rows, right = (
+        np.concatenate([white[:, 1:], widths]),
+        point.left - np.concatenate([white[:, 0], np.zeros(len(widths))]),
+    )
+    left = right - rows @ np.linalg.lstsq(rows, right)[0]
+    found = view.with_causes([effect])
+    np.testing.assert_allclose(found.left, left, atol=0.02)
+    assert np.max(np.abs(found.left - LinearAnswers.with_causes(view, [effect]).left)) > 0.2
+    drop = point.left @ point.left - left @ left
+    assert client.json("preview", {"model": first, "effects": [effect]})["delta_chi2"] == pytest.approx(drop, rel=0.01)
 
 
 def test_points_are_those_of_the_result(client, explored, first):

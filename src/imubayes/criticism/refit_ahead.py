@@ -138,10 +138,7 @@ def _start(
     model: CatalogueModel, point: KnownNoisePoint, free: Mapping[int, Parameter], estimates: Sequence[ScreenedEffect]
 ) -> tuple[dict[int, Parameter], np.ndarray, np.ndarray]:
     """Return the parameters of a change in the order of their places, their z to begin with, and widths of new ones."""
-    told = {each.name: each.value for line in estimates for each in line.coefficients if each.value is not None}
-    shapes = ((line.effect, name.rpartition(".")[2], value) for line in estimates for name, value in line.shape.items())
-    told |= {f"{effect}.{field}": value for effect, field, value in shapes}
-    layout = point.model.layout
+    told, layout = told_values(estimates), point.model.layout
     values = np.asarray(prior_values(point.model.problem.priors, jnp.asarray(point.z))) / layout.factors()
     free, own = dict(sorted(free.items())), dict(zip(layout.names, values.tolist(), strict=True))
     start = np.array([
@@ -150,6 +147,13 @@ def _start(
     ])  # fmt: skip
     fresh = start[sum(k < model.size for k in free) :]
     return free, start, np.where(np.abs(fresh) > _WIDENED, np.abs(fresh), 1.0)
+
+
+def told_values(estimates: Sequence[ScreenedEffect]) -> dict[str, float]:
+    """Return the values of coefficients by name, and of shapes by effect and field, in their units."""
+    told = {each.name: each.value for line in estimates for each in line.coefficients if each.value is not None}
+    shapes = ((line.effect, name.rpartition(".")[2], value) for line in estimates for name, value in line.shape.items())
+    return told | {f"{effect}.{field}": value for effect, field, value in shapes}
 
 
 def _white(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:

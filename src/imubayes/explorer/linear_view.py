@@ -9,9 +9,9 @@ import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import ExplainedFit
-from imubayes.criticism.diagnosis_record import ScreenedEffect
+from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.linear_answers import LinearAnswers
-from imubayes.criticism.refit_ahead import Ahead, refitted
+from imubayes.criticism.refit_ahead import Ahead, refitted, told_values
 from imubayes.explorer.messages import MovedEstimate
 from imubayes.foundations.progress import Tell
 from imubayes.model.bind import Model
@@ -26,9 +26,9 @@ _MOST_MOVED, _STAYED = 60, 0.05
 class LinearView(LinearAnswers):
     """A diagnosed result, and what it answers without a refit."""
 
-    def __init__(self, explained: ExplainedFit, summary: Summary):
+    def __init__(self, explained: ExplainedFit, diagnosis: Diagnosis, summary: Summary):
         super().__init__(explained)
-        self._shown = in_output_units(summary)
+        self._diagnosis, self._shown = diagnosis, in_output_units(summary)
 
     def prepare(self, tell: Tell) -> None:
         super().prepare(tell)
@@ -43,6 +43,22 @@ class LinearView(LinearAnswers):
     ) -> Ahead | None:
         """Return the fit of a changed model before it is made (see `refit_ahead.refitted`); None where it must be."""
         return refitted(self._catalogue, self.point, changed, estimates, columns)
+
+    def with_causes(self, effects: Sequence[str]) -> KnownNoisePoint:
+        """Return the fit at the noise known beforehand with causes beside; raises InputError for an unknown one.
+
+        A cause of one sign, such as a dead zone or a saturation, is no line: it acts as it is found, and the
+        parameters of the model are fitted beside it.
+        """
+        of, linear = self.explained.of, super().with_causes(effects)
+        bent = [each for each in effects if of.problem.sign[list(of.variants[self.variants[each]].places)].any()]
+        if not bent:
+            return linear
+        told = told_values([each for each in map(self._diagnosis.estimate, bent) if each is not None])
+        plain = [self._columns(each)[0] for each in effects if each not in bent]
+        beside = np.concatenate(plain, axis=1) if plain else None
+        found = refitted(self._catalogue.at(told), self.point, self.fit.model, columns=beside)
+        return linear if found is None else found.point
 
     def whitened(self, point: KnownNoisePoint | None = None) -> np.ndarray:
         """Return the residual of every entry in units of the noise known beforehand, (E,)."""

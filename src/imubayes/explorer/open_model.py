@@ -233,7 +233,7 @@ def opened(name: str, result: Result, tell: Tell) -> OpenModel:
     with kept_if_possible(folder):
         write_diagnosis(folder, found, result.identity)
     tell("laying out the readings")
-    view = LinearView(explained, result.summary)
+    view = LinearView(explained, found, result.summary)
     model = OpenModel(name, result, found, view, PointTable(result, view), campaign_stamp(result))
     view.prepare(tell)
     effects = found.proposed.effects if found.proposed is not None else tuple(view.variants)[:1]

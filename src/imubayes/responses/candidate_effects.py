@@ -5,6 +5,7 @@ candidates change nothing, so one linearisation gives the Jacobian of the fit an
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -259,6 +260,21 @@ class CatalogueModel:
                 if each.name not in self._extended.places or shared:
                     return None
                 found[self._extended.places[each.name]] = each
+        return found
+
+    def at(self, values: Mapping[str, float]) -> "CatalogueModel":
+        """Return the same with candidates at values in place of their nulls.
+
+        Parameters
+        ----------
+        values : of parameters, or of fields of effects, in their units; those that a prior excludes stay at the null.
+        """
+        found, nulls = copy(self), self._nulls.copy()
+        for place, each in enumerate(self._extended.parameters[self.size :], self.size):
+            value = values.get(each.name, values.get(f"{each.effect}.{each.field}"))
+            if value is not None and each.z_at(value) is not None:
+                nulls[place] = value * each.factor
+        vars(found)["_nulls"] = nulls
         return found
 
     @property
