@@ -189,7 +189,7 @@ def test_help_tour_theme_and_what_is_known(fresh):
     fresh.press(Keys.ESCAPE)
 
 
-def test_what_is_typed_and_folded_stays_while_the_worker_works(fresh, explored):
+def test_what_is_typed_and_folded_stays_while_the_worker_works(fresh, explored, first):
     """A step of the worker draws its own line anew; a change of the tree, or of locks, not what has no part in it."""
     fresh.press("3")
     fresh.wait("document.querySelectorAll('#tab-panel details').length > 3")
@@ -206,7 +206,10 @@ def test_what_is_typed_and_folded_stays_while_the_worker_works(fresh, explored):
                 break
         return TaskOutcome("", ("worked",))
 
-    explored.session.worker.submit("change", "a long task", "", work)
+    explored.session.worker.submit("change", "a long task", first, work)
+    fresh.wait(
+        "document.querySelector('#late-sentence')?.textContent === 'The residuals of this change come with its fit.'"
+    )
     fresh.wait("/step [2-9]/.test(document.querySelector('#notice').textContent)")
     fresh.run("(document.querySelector('#causes').firstChild.dataset.same = 'yes', null)")  # after busy was told
     seen = fresh.text("#notice")

@@ -296,11 +296,13 @@ class PreviewFacts(Record):
     cells : what is expected of each run and channel, in the order of the model's cells.
     moved : estimates that would move, those that would most first.
     effects, refitted : the causes, or the name of a change whose refit these are.
+    task : that was asked for; where nothing is refitted, its residuals come with the fit.
     sentence, command : the prediction in words, and the command that adds the causes.
     """
 
     effects: tuple[str, ...]
     refitted: bool
+    task: int = 0
     delta_chi2: float
     cells: tuple[ExpectedCell, ...]
     moved: tuple[MovedEstimate, ...]

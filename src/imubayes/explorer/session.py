@@ -259,7 +259,7 @@ class Session:
         """Return what causes would do together, with the command that adds them, or what a change does."""
         found, (ahead, what) = self.require(wanted.model), self._ahead_of(wanted)
         out = self.folder_for(found, wanted.effects[0]) if wanted.effects else found.folder
-        return found.preview(wanted.effects, quoted(out), ahead, what)
+        return found.preview(wanted.effects, quoted(out), ahead, what).model_copy(update={"task": wanted.task})
 
     def frame(self, wanted: PointsWanted) -> bytes:
         """Return the points of a view as bytes (see `PointTable.frame`)."""

@@ -18,8 +18,10 @@ export function drawTasks(place, actions) {
 
 function progress(task, actions) {
   const refit = task.kind === "change" && told.preview?.refitted ? told.preview.sentence : null;
+  const late = told.preview?.task === task.number && !refit;
   return el("div", {}, el("progress", { "aria-label": task.what }),
     refit ? el("span", { class: "said", id: "refit-sentence" }, refit) : null,
+    late ? el("span", { id: "late-sentence" }, task.adding.length ? "The points show the linear prediction; the residuals of this change come with its fit." : "The residuals of this change come with its fit.") : null,
     el("span", { class: refit ? "quiet" : "said" }, `${task.what}: ${task.state === "cancelling" ? "cancelling at the next step" : task.step || "waiting"} · ${task.seconds.toFixed(0)} s`),
     task.kind === "open" ? null : el("button", { id: "cancel", "data-key": "cancel", disabled: task.state === "cancelling", onclick: () => actions.cancel(task.number) }, "cancel"));
 }
