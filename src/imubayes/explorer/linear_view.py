@@ -72,8 +72,8 @@ class LinearView(LinearAnswers):
         return np.concatenate([np.diag(own), derived_jacobian(self.fit.derived.derivation, model.problem, z)])
 
     def moved(self, point: KnownNoisePoint) -> tuple[MovedEstimate, ...]:
-        """Return the estimates that a previewed fit moves, those that it moves most first."""
-        if point is self.point:
+        """Return the estimates that a previewed fit moves, those that it moves most first; none of another model's."""
+        if point is self.point or point.model is not self.fit.model:
             return ()
         names = (*self.fit.model.layout.names, *(each.name for each in self.fit.derived.names))
         steps = dict(zip(names, (self._slopes @ (point.z - self.point.z)).tolist(), strict=True))

@@ -156,26 +156,28 @@ class OpenModel:
         fitted = self.view.fit.model
         known = fitted.campaign.set_aside
         if not set(known) <= set(spec.set_aside):
-            return None  # readings that are taken back are not at hand
+            return None  # readings that are taken back are at hand where there is a model with them
         spec = replace(spec, set_aside=tuple(each for each in spec.set_aside if each not in known) or known)
         return self.view.ahead(bind(spec, fitted.campaign, fitted.registry.without_files()), estimates)
 
-    def preview(self, effects: Sequence[str], out: str, ahead: Ahead | None = None, what: str = "") -> PreviewFacts:
+    def preview(
+        self, effects: Sequence[str], out: str, ahead: Ahead | None = None, what: str = "", by: PointTable | None = None
+    ) -> PreviewFacts:
         """Return what causes would do together, or what a change does.
 
         Parameters
         ----------
         out : folder of the command that adds them.
-        ahead, what : the change and its name.
+        ahead, what, by : the change, its name, and the table of the readings that it is of; this model's where None.
         """
         predicted = self.view.with_causes(effects)
-        point, gone = (predicted, ~self.view.entries) if ahead is None else (ahead.point, ahead.gone)
-        drop, moved = self._drop(point), self.view.moved(point)
+        shown = Ahead(predicted, ~self.view.entries) if ahead is None else ahead
+        drop, moved = self._drop(shown.point), self.view.moved(shown.point)
         largest = (moved[0].name, moved[0].in_sd) if moved else None
         command = add_command(effects, self.channels_for(effects), self.place, out) if effects else ""
         return PreviewFacts(
             effects=tuple(effects) or ((what,) if ahead is not None else ()), refitted=ahead is not None,
-            delta_chi2=drop, cells=self.table.expected(point, gone), moved=moved, command=command,
+            delta_chi2=drop, cells=(by or self.table).expected(shown, self.table), moved=moved, command=command,
             sentence=preview_text(effects, self._drop(predicted), largest) if ahead is None
             else refitted_text(what, self._drop(predicted) if effects else None, drop, largest),
         )  # fmt: skip

@@ -148,12 +148,11 @@ class PointTable:
             ))  # fmt: skip
         return tuple(found)
 
-    def expected(self, point: KnownNoisePoint, gone: np.ndarray) -> tuple[ExpectedCell, ...]:
-        """Return what is expected of every run and channel with a preview, entries (E,) bool gone, in their order."""
-        square = self.view.whitened(point) ** 2
-        return tuple(
-            ExpectedCell(n=int((~gone[places]).sum()), chi2=float(square[places].sum())) for _, _, places in self._cells
-        )
+    def expected(self, ahead: Ahead, of: "PointTable") -> tuple[ExpectedCell, ...]:
+        """Return what is expected of the runs and channels of a table, in the order of its cells, with a preview."""
+        own, square = {(run, channel): k for run, channel, k in self._cells}, self.view.whitened(ahead.point) ** 2
+        found = (own.get((run, channel), np.zeros(0, dtype=int)) for run, channel, _ in of._cells)
+        return tuple(ExpectedCell(n=int((~ahead.gone[k]).sum()), chi2=float(square[k].sum())) for k in found)
 
     # ---- colours ----
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from operator import methodcaller
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -24,6 +25,7 @@ from imubayes.explorer.edited_model import EditedModel, edited_model
 from imubayes.explorer.kept_session import KeptSession, ModelNote
 from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PointsWanted, PreviewFacts, PreviewWanted
 from imubayes.explorer.open_model import OpenModel, opened, quoted
+from imubayes.explorer.point_table import PointTable
 from imubayes.explorer.worker import TaskOutcome, TaskProgress, Worker
 from imubayes.foundations.errors import InputError, input_error, kept_if_possible
 from imubayes.foundations.files import write_text
@@ -259,11 +261,18 @@ class Session:
         """Return what causes would do together, with the command that adds them, or what a change does."""
         found, (ahead, what) = self.require(wanted.model), self._ahead_of(wanted)
         out = self.folder_for(found, wanted.effects[0]) if wanted.effects else found.folder
-        return found.preview(wanted.effects, quoted(out), ahead, what).model_copy(update={"task": wanted.task})
+        told = found.preview(wanted.effects, quoted(out), ahead, what, self._table_of(found, ahead))
+        return told.model_copy(update={"task": wanted.task})
 
     def frame(self, wanted: PointsWanted) -> bytes:
         """Return the points of a view as bytes (see `PointTable.frame`)."""
-        return self.require(wanted.model).table.frame(wanted, self._ahead_of(wanted)[0])
+        found, (ahead, _) = self.require(wanted.model), self._ahead_of(wanted)
+        return self._table_of(found, ahead).frame(wanted, ahead)
+
+    def _table_of(self, model: OpenModel, ahead: Ahead | None) -> PointTable:
+        """Return the table with the readings of a change: those of another model where some are taken back."""
+        others = (each.table for each in self.open_models if ahead and each.view.fit.model is ahead.point.model)
+        return next(others, model.table)
 
     def _ahead_of(self, wanted: PreviewWanted | PointsWanted) -> tuple[Ahead | None, str]:
         """Return the refit of a change that is at work, and its name; made once, by whoever asks first."""
@@ -380,11 +389,12 @@ class Session:
         """Return the change to an edited model; its file stays beside the results, as the command names it."""
         folder = self.folder_for(model, edited.word)
         file = folder.with_name(f"{folder.name}.toml")
+        ahead_of = methodcaller("ahead_of", edited.spec)
         return Change(
             what=edited.what,
             command=f"imubayes refit {model.place} --model {quoted(file)} --out {quoted(folder)}",
             make=lambda tell: refit(model.result, file, folder, progress=tell),
-            predict=lambda: model.ahead_of(edited.spec),
+            predict=lambda: next(filter(None, map(ahead_of, (model, *self.open_models))), None),
             write=lambda: write_model(edited.spec, file),
             file=file,
         )  # fmt: skip
