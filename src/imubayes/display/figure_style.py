@@ -153,7 +153,7 @@ def run_signs(residuals: pl.DataFrame, runs: Sequence[str] | None = None) -> Run
     Results of earlier versions have no mountings in their table; their hues are those of the runs.
     """
     names = list(runs) if runs is not None else residuals["run"].unique(maintain_order=True).to_list()
-    return RunSigns(names, _text(residuals, "mounting"), _levels(residuals), _text(residuals, "procedure"))
+    return RunSigns(names, _text(residuals, "mounting"), temperature_levels(residuals), _text(residuals, "procedure"))
 
 
 def _text(residuals: pl.DataFrame, column: str) -> dict[str, str]:
@@ -164,7 +164,7 @@ def _text(residuals: pl.DataFrame, column: str) -> dict[str, str]:
     return {run: text for run, text in found.iter_rows() if text is not None}
 
 
-def _levels(residuals: pl.DataFrame) -> dict[str, str]:
+def temperature_levels(residuals: pl.DataFrame) -> dict[str, str]:
     """Return the temperature level of each run, "−40 °C" or "ramp"; nothing for runs that recorded none."""
     columns = [COVARIATES[name].column for name in ("temperature", "converter_temperature")]
     known = [pl.col(column) for column in columns if column in residuals.columns]

@@ -10,6 +10,8 @@ import secrets
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
+from starlette.responses import PlainTextResponse
+
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
@@ -49,7 +51,9 @@ class Guard:
             return
         refusal = self._refusal(scope) if scope["type"] == "http" else "only HTTP is spoken here"
         if refusal:
-            await _refuse(send, refusal)
+            answer = PlainTextResponse(f"refused: {refusal}\n", 403)
+            answer.raw_headers.extend(_HEADERS)
+            await answer(scope, receive, send)
             return
         token = scope["path"].removeprefix("/").partition("/")[0]
         inner = {**scope, "root_path": f"/{token}"}
@@ -88,9 +92,3 @@ class Guard:
             return "a change is sent as JSON"
         length = headers.get(b"content-length", b"")
         return "" if length.isdigit() and int(length) <= _MOST_BYTES else "the request is too large, or has no length"
-
-
-async def _refuse(send: Send, reason: str) -> None:
-    headers = [(b"content-type", b"text/plain; charset=utf-8"), *_HEADERS]
-    await send({"type": "http.response.start", "status": 403, "headers": headers})
-    await send({"type": "http.response.body", "body": f"refused: {reason}\n".encode()})

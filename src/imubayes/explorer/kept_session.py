@@ -3,16 +3,20 @@
 from pathlib import Path
 from typing import Literal
 
+from pydantic import Field
+
 from imubayes.foundations.files import write_text
 from imubayes.foundations.records import Record
 from imubayes.results.folder_files import read_record
+
+Lock = Literal["in", "out"]
 
 
 class ModelNote(Record):
     """A name and a note of a model, in the user's words."""
 
-    name: str = ""
-    note: str = ""
+    name: str = Field(default="", max_length=120)
+    note: str = Field(default="", max_length=4000)
 
 
 class KeptSession(Record):
@@ -28,7 +32,7 @@ class KeptSession(Record):
     format: Literal[1] = 1
     commands: tuple[str, ...] = ()
     notes: dict[str, ModelNote] = {}
-    locks: dict[str, Literal["in", "out"]] = {}
+    locks: dict[str, Lock] = {}
 
     def with_command(self, command: str, *, again: bool = False) -> "KeptSession":
         """Return the same with a command after the others.
@@ -43,7 +47,7 @@ class KeptSession(Record):
         """Return the same with another note of a model."""
         return self.model_copy(update={"notes": self.notes | {folder: note}})
 
-    def with_lock(self, effect: str, lock: Literal["in", "out", ""]) -> "KeptSession":
+    def with_lock(self, effect: str, lock: Lock | Literal[""]) -> "KeptSession":
         """Return the same with an effect locked in or out, or free."""
         others = {name: kept for name, kept in self.locks.items() if name != effect}
         return self.model_copy(update={"locks": others | {effect: lock} if lock else others})

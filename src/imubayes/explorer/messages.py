@@ -8,10 +8,12 @@ from typing import Literal
 
 from pydantic import Field
 
+from imubayes.criticism.diagnosis_record import CovariateLabel
 from imubayes.criticism.drawn_shape import DrawnCurve
 from imubayes.criticism.explanations import ProbableExplanation, Verdict
 from imubayes.criticism.linear_answers import RankedCause
 from imubayes.display.layout import Sheet
+from imubayes.explorer.kept_session import Lock, ModelNote
 from imubayes.foundations.records import Record
 
 Ordinate = Literal["known", "input", "fitted"]
@@ -62,22 +64,26 @@ class Brush(Record):
     y_high: float = 0.0
 
 
-class SelectionWanted(Record):
-    """Which rows of a model are selected."""
+class ModelWanted(Record):
+    """A model by its id."""
 
     model: str
+
+
+class SelectionWanted(ModelWanted):
+    """Which rows of a model are selected."""
+
     brushes: tuple[Brush, ...] = Field(max_length=200)
 
 
-class PreviewWanted(Record):
+class PreviewWanted(ModelWanted):
     """Which causes are previewed on a model, together, or the task whose change is shown before its fit is made."""
 
-    model: str
     effects: tuple[str, ...] = Field((), max_length=20)
     task: int = 0
 
 
-class PointsWanted(Record):
+class PointsWanted(PreviewWanted):
     """Which points are drawn: one channel of some runs, or of all where there are none named.
 
     Attributes
@@ -85,11 +91,9 @@ class PointsWanted(Record):
     x, y, colour : column of the abscissa, the residual, and what tells the points apart.
     between : part of the abscissa that is shown; None for all.
     brushes : the selection.
-    effects, task : what is previewed, as in `PreviewWanted`.
     most : points at most, beyond which the extremes of each place stand for all.
     """
 
-    model: str
     channel: str
     runs: tuple[str, ...] = ()
     x: str
@@ -97,12 +101,10 @@ class PointsWanted(Record):
     colour: Grouping = "run"
     between: tuple[float, float] | None = None
     brushes: tuple[Brush, ...] = Field((), max_length=200)
-    effects: tuple[str, ...] = Field((), max_length=20)
-    task: int = 0
     most: int = Field(12_000, ge=100, le=50_000)
 
 
-class ChangeWanted(Record):
+class ChangeWanted(ModelWanted):
     """A change of a model.
 
     No code is taken from a page: an effect is made of the formula that is found again.
@@ -116,7 +118,6 @@ class ChangeWanted(Record):
     take_back : places in the list of those set aside.
     """
 
-    model: str
     add: tuple[str, ...] = ()
     remove: tuple[str, ...] = ()
     formula_of: str = ""
@@ -129,10 +130,9 @@ class ChangeWanted(Record):
     take_back: tuple[int, ...] = ()
 
 
-class FormulaWanted(Record):
+class FormulaWanted(ModelWanted):
     """The channel of a model whose residual is put into a formula, or a shape drawn over it."""
 
-    model: str
     channel: str
     drawn: DrawnCurve | None = None
 
@@ -145,24 +145,13 @@ class FormulaFacts(Record):
     source: str
 
 
-class NoteWanted(Record):
-    """A name and a note of a model, in the user's words."""
-
-    model: str
-    name: str = Field("", max_length=120)
-    note: str = Field("", max_length=4000)
+class NoteWanted(ModelNote, ModelWanted):
+    """A name and a note of a model."""
 
 
-class ModelWanted(Record):
-    """A model by its id."""
-
-    model: str
-
-
-class QuantityWanted(Record):
+class QuantityWanted(ModelWanted):
     """A quantity of a model by its name."""
 
-    model: str
     name: str
 
 
@@ -170,34 +159,24 @@ class LockWanted(Record):
     """An effect that is always added, never proposed, or neither."""
 
     effect: str
-    lock: Literal["in", "out", ""]
-
-
-class Axis(Record):
-    """An abscissa: its column, unit, and words."""
-
-    name: str
-    unit: str
-    phrase: str
-
-
-class MapCell(Record):
-    """One channel of one run: rows, χ² at the noise known beforehand and as fitted, and rms at the first, in `unit`."""
-
-    run: str
-    channel: str
-    n: int
-    chi2: float
-    fitted: float | None
-    rms: float
-    unit: str
+    lock: Lock | Literal[""]
 
 
 class ExpectedCell(Record):
-    """Readings and χ² of one channel of one run with a preview, without those that it sets aside."""
+    """Readings and χ² of one channel of one run; with a preview, without those that it sets aside."""
 
     n: int
     chi2: float
+
+
+class MapCell(ExpectedCell):
+    """One channel of one run; χ² is at the noise known beforehand and as fitted, rms at the first, in `unit`."""
+
+    run: str
+    channel: str
+    fitted: float | None
+    rms: float
+    unit: str
 
 
 class CauseLine(Record):
@@ -245,7 +224,7 @@ class ModelFacts(Record):
     cells: tuple[MapCell, ...]
     channels: tuple[str, ...]
     runs: tuple[str, ...]
-    abscissae: tuple[Axis, ...]
+    abscissae: tuple[CovariateLabel, ...]
     groupings: tuple[Grouping, ...]
     effects: tuple[str, ...]
     set_aside: tuple[str, ...]

@@ -1,7 +1,8 @@
 """A model that is open: its result, diagnosis and linear model in memory, and what the page is told of it."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from inspect import getdoc
 from pathlib import Path
@@ -45,6 +46,9 @@ from imubayes.results.change_records import write_diagnosis
 from imubayes.results.history_tree import shown_place
 from imubayes.results.result import Result
 
+Stamp = frozenset[tuple[str, int, int, int]]
+"""Files, with what tells that one was replaced."""
+
 
 @dataclass(frozen=True)
 class OpenModel:
@@ -54,7 +58,7 @@ class OpenModel:
     ----------
     id : its name on the page.
     result, diagnosis, view, table : the result, what the diagnosis says, its linear model, and its readings.
-    stamp : size and time of each file of the campaign when it was opened.
+    stamp : of the files of the campaign when it was opened.
     """
 
     id: str
@@ -62,7 +66,7 @@ class OpenModel:
     diagnosis: Diagnosis
     view: LinearView
     table: PointTable
-    stamp: tuple[tuple[str, int, int], ...]
+    stamp: Stamp
 
     @property
     def folder(self) -> Path:
@@ -206,12 +210,20 @@ def quoted(folder: Path) -> str:
     return shlex.quote(shown_place(str(folder.resolve())))
 
 
-def campaign_stamp(result: Result) -> tuple[tuple[str, int, int], ...]:
-    """Return name, size and time of each file of the campaign of a result."""
+def stamp_of(files: Iterable[Path]) -> Stamp:
+    """Return what tells that one of some files was replaced or is gone."""
+    found = set[tuple[str, int, int, int]]()
+    for file in files:
+        with suppress(FileNotFoundError):  # removed meanwhile
+            stat = file.stat()
+            found.add((str(file), stat.st_ino, stat.st_size, stat.st_mtime_ns))
+    return frozenset(found)
+
+
+def campaign_stamp(result: Result) -> Stamp:
+    """Return the stamp of the files of the campaign of a result."""
     folder = result.fit.model.campaign.folder
-    files = sorted(Path(folder).rglob("*")) if folder else []
-    known = [(file, file.stat()) for file in files if file.is_file()]
-    return tuple((file.name, stat.st_size, stat.st_mtime_ns) for file, stat in known)
+    return stamp_of(filter(Path.is_file, Path(folder).rglob("*")) if folder else ())
 
 
 def opened(name: str, result: Result, tell: Tell) -> OpenModel:

@@ -4,7 +4,6 @@ What is too much for a screen is never sent: of each place on the abscissa the l
 all, selected points and others apart.  Numbers are sent as Float32 behind a header; sums are made before, in float64.
 """
 
-import math
 import struct
 from collections.abc import Sequence
 from functools import cached_property
@@ -12,11 +11,12 @@ from functools import cached_property
 import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
+from imubayes.criticism.diagnosis_record import CovariateLabel
 from imubayes.criticism.refit_ahead import Ahead
-from imubayes.display.figure_style import NORMAL, band, numbers, varies
+from imubayes.display.figure_style import NORMAL, band, numbers, temperature_levels, varies
 from imubayes.display.numbers_and_labels import covariates, pretty, readable
 from imubayes.explorer.linear_view import LinearView
-from imubayes.explorer.messages import Axis, Brush, ExpectedCell, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
+from imubayes.explorer.messages import Brush, ExpectedCell, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.results.result import Result, to_input_units
 
@@ -42,8 +42,8 @@ class PointTable:
         own |= {each.column: (each.unit, each.phrase) for each in covariates()}
         self.columns = {"reading": np.arange(len(table), dtype=float)} | {k: v for k, v in known.items() if varies(v)}
         self.abscissae = tuple(
-            Axis(name=name, unit=pretty(own[name][0]), phrase=own[name][1]) if name in own
-            else Axis(name=name, unit="", phrase="reading, in order")
+            CovariateLabel(name=name, unit=pretty(own[name][0]), phrase=own[name][1]) if name in own
+            else CovariateLabel(name=name, unit="", phrase="reading, in order")
             for name in self.columns
         )  # fmt: skip
 
@@ -168,15 +168,17 @@ class PointTable:
         places = {label: place for place, label in enumerate(labels)}
         return tuple(map(str, labels)), np.array([places[name] for name in names])[self.run]
 
+    @cached_property
+    def _levels(self) -> dict[str, str]:
+        return temperature_levels(self.table)
+
     def label(self, run: str, by: Grouping) -> str:
         """Return the group of a run."""
         if by == "run":
             return run
         recorded = next(each for each in self.view.fit.model.campaign.runs if each.name == run)
         if by == "temperature":
-            values = recorded.covariates.get("temperature", np.array([np.nan]))
-            mean = float(np.nanmean(values)) if np.isfinite(values).any() else math.nan
-            return "no temperature" if math.isnan(mean) else f"{mean:.0f} °C"
+            return self._levels.get(run, "no temperature")
         return (recorded.mounting if by == "mounting" else recorded.table) or "none"
 
     # ---- what is drawn ----

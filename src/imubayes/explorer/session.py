@@ -8,7 +8,6 @@ import hashlib
 import shlex
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from operator import methodcaller
@@ -24,7 +23,7 @@ from imubayes.display.loop.selection_text import fitted_text
 from imubayes.explorer.edited_model import EditedModel, edited_model
 from imubayes.explorer.kept_session import KeptSession, ModelNote
 from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PointsWanted, PreviewFacts, PreviewWanted
-from imubayes.explorer.open_model import OpenModel, opened, quoted
+from imubayes.explorer.open_model import OpenModel, Stamp, opened, quoted, stamp_of
 from imubayes.explorer.point_table import PointTable
 from imubayes.explorer.worker import TaskOutcome, TaskProgress, Worker
 from imubayes.foundations.errors import InputError, input_error, kept_if_possible
@@ -40,8 +39,6 @@ from imubayes.results.result import Result, read_result
 from imubayes.results.result_folder import write_model
 
 _MOST_OPEN = 4
-_Marks = frozenset[tuple[str, int, int, int]]
-"""Manifests, with what tells that one was replaced."""
 
 
 class TreeLine(Record):
@@ -131,7 +128,7 @@ class Session:
         self.root, self._version = root, 0
         self._lock, self._listeners = threading.RLock(), list[Callable[[], None]]()
         self._open, self._kept = dict[str, OpenModel](), KeptSession.read(root)
-        self._read: tuple[Tree | None, _Marks] = None, frozenset()
+        self._read: tuple[Tree | None, Stamp] = None, frozenset()
         self._refits = threading.Lock()
         self._change: tuple[int, Change | None] = 0, None
         self.worker = Worker(self.changed)
@@ -286,15 +283,14 @@ class Session:
 
     def keep(self, command: str, *, again: bool = False) -> None:
         """Keep the command of what was done; see `KeptSession.with_command`."""
-        with self._lock:
-            self._kept = self._kept.with_command(command, again=again)
-            self._write()
-        self.changed()
+        self._keep(lambda kept: kept.with_command(command, again=again))
 
-    def _write(self) -> None:
-        """Write what is kept; it stays with the session where there is no right to write, or no room."""
-        with kept_if_possible(self.root.parent):
+    def _keep(self, changed: Callable[[KeptSession], KeptSession]) -> None:
+        """Keep a change; it stays with the session where there is no right to write, or no room."""
+        with self._lock, kept_if_possible(self.root.parent):
+            self._kept = changed(self._kept)
             self._kept.write(self.root)
+        self.changed()
 
     def folder_for(self, model: OpenModel, word: str) -> Path:
         """Return a free folder beside a model for the one that follows it."""
@@ -422,18 +418,12 @@ class Session:
 
     def note(self, wanted: NoteWanted) -> None:
         """Keep a name and a note of a model."""
-        folder = self.place_of(wanted.model)
-        with self._lock:
-            self._kept = self._kept.with_note(folder.name, ModelNote(name=wanted.name, note=wanted.note))
-            self._write()
-        self.changed()
+        folder, note = self.place_of(wanted.model).name, ModelNote(name=wanted.name, note=wanted.note)
+        self._keep(lambda kept: kept.with_note(folder, note))
 
     def lock(self, wanted: LockWanted) -> None:
         """Lock an effect in or out, or free it."""
-        with self._lock:
-            self._kept = self._kept.with_lock(wanted.effect, wanted.lock)
-            self._write()
-        self.changed()
+        self._keep(lambda kept: kept.with_lock(wanted.effect, wanted.lock))
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -469,12 +459,7 @@ def id_of(place: str) -> str:
     return hashlib.sha256(str(Path(place).resolve()).encode()).hexdigest()[:12]
 
 
-def _marks(root: Path, tree: Tree | None) -> _Marks:
+def _marks(root: Path, tree: Tree | None) -> Stamp:
     """Return the manifests of a tree, and those beside: a model that is added is written there."""
     folders = {root.resolve().parent, *(Path(place).parent for place in (tree.nodes if tree is not None else ()))}
-    found = set[tuple[str, int, int, int]]()
-    for file in (file for folder in folders for file in folder.glob(f"*/{MANIFEST}")):
-        with suppress(FileNotFoundError):  # removed meanwhile
-            stat = file.stat()
-            found.add((str(file), stat.st_ino, stat.st_size, stat.st_mtime_ns))
-    return frozenset(found)
+    return stamp_of(file for folder in folders for file in folder.glob(f"*/{MANIFEST}"))

@@ -66,6 +66,8 @@ function readAddress() {
 export function previewed() {
   const refit = told.session?.tasks.find((task) => atWork(task) && task.kind === "change" && task.of === view.model);
   if (refit) return { effects: refit.adding, task: refit.number };
-  const hovered = told.hovered && !view.ticked.includes(told.hovered) ? [told.hovered] : [];
+  // What was pointed at in the model before may be no cause of this one.
+  const known = told.facts?.causes.some((cause) => cause.effect === told.hovered);
+  const hovered = known && !view.ticked.includes(told.hovered) ? [told.hovered] : [];
   return { effects: [...view.ticked, ...hovered] };
 }
