@@ -48,7 +48,7 @@ export function drawControls(actions) {
     pick("y", "residual", [["known", "over known noise"], ["input", "in input units"], ["fitted", "over fitted noise"]]),
     pick("colour", "colour", facts.groupings.map((name) => [name, name])),
     el("label", {}, el("input", { type: "checkbox", "data-key": "only", checked: view.only.length > 0, onchange: focusRuns }), "only selected runs"),
-    el("label", {}, el("input", { type: "checkbox", "data-key": "after", checked: view.after, onchange: (event) => show({ after: event.target.checked }) }), "residual after preview"),
+    el("label", {}, el("input", { type: "checkbox", "data-key": "after", checked: view.after, title: "the residual after the preview; key p", onchange: (event) => show({ after: event.target.checked }) }), "after preview"),
     el("button", { "data-key": "draw", id: "draw", title: "draw the shape that you see, and get its formula; key w", onclick: actions.draw }, "draw a shape"),
     view.between ? el("button", { onclick: () => show({ between: null }) }, "whole range") : null,
     ["svg", "png"].map((kind) => el("button", { class: "plain quiet", "data-key": kind, id: `picture-${kind}`, title: `the panels as ${kind.toUpperCase()}, key ${kind === "svg" ? "g" : "G"}`, onclick: () => actions.picture(kind) }, kind.toUpperCase())));
