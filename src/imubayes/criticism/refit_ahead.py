@@ -118,20 +118,24 @@ def _noise(
 
     None of a noise scale that is new, and of another noise where parameters or readings are others as well.
     """
-    model = fitted.model
-    own = {each.name: each for each in model.hyper_layout.parameters}
+    own = {each.name: each for each in fitted.model.hyper_layout.parameters}
     wanted = {each.name: each for each in changed.hyper_layout.parameters}
     if not set(wanted) <= set(own):
         return None
-    lost = {each.effect for name, each in own.items() if name not in wanted}
-    same = all(eqx.tree_equal(own[name].prior, each.prior) for name, each in wanted.items())
-    if same and all(issubclass(model.registry.effects[name], Effect) for name in lost):
+    if _alike(fitted.model, own, wanted):
         return (masked(point.model.problem, left_out) if left_out.any() else point.model.problem), point.h
-    if left_out.any() or changed.layout.names != model.layout.names:
+    if left_out.any() or changed.layout.names != fitted.model.layout.names:
         return None
     sizes = {name: each.value_at(float(z)) for (name, each), z in zip(own.items(), fitted.h, strict=True)}
     h = np.array([each.z_at(sizes[name]) or 0.0 for name, each in wanted.items()])
     return changed.problem, known_scales(replace(fitted, model=changed, h=h))
+
+
+def _alike(model: Model, own: Mapping[str, Parameter], wanted: Mapping[str, Parameter]) -> bool:
+    """Tell whether noise scales are those of a model, but for those of effects that are lacking."""
+    lost = {each.effect for name, each in own.items() if name not in wanted}
+    same = all(eqx.tree_equal(own[name].prior, each.prior) for name, each in wanted.items())
+    return same and all(issubclass(model.registry.effects[name], Effect) for name in lost)
 
 
 def _start(

@@ -29,6 +29,7 @@ class LinearView(LinearAnswers):
     def __init__(self, explained: ExplainedFit, diagnosis: Diagnosis, summary: Summary):
         super().__init__(explained)
         self._diagnosis, self._shown = diagnosis, in_output_units(summary)
+        self._acting: tuple[tuple[str, ...], Ahead | None] = (), None
 
     def prepare(self, tell: Tell) -> None:
         super().prepare(tell)
@@ -50,14 +51,17 @@ class LinearView(LinearAnswers):
         A cause of one sign, such as a dead zone or a saturation, is no line: it acts as it is found, and the
         parameters of the model are fitted beside it.
         """
-        of, linear = self.explained.of, super().with_causes(effects)
+        of, linear, asked = self.explained.of, super().with_causes(effects), tuple(effects)
         bent = [each for each in effects if of.problem.sign[list(of.variants[self.variants[each]].places)].any()]
         if not bent:
             return linear
-        told = told_values([each for each in map(self._diagnosis.estimate, bent) if each is not None])
-        plain = [self._columns(each)[0] for each in effects if each not in bent]
-        beside = np.concatenate(plain, axis=1) if plain else None
-        found = refitted(self._catalogue.at(told), self.point, self.fit.model, columns=beside)
+        known, found = self._acting
+        if known != asked:  # the points of a preview are asked for after its words
+            told = told_values([each for each in map(self._diagnosis.estimate, bent) if each is not None])
+            plain = [self._columns(each)[0] for each in effects if each not in bent]
+            beside = np.concatenate(plain, axis=1) if plain else None
+            found = refitted(self._catalogue.at(told), self.point, self.fit.model, columns=beside)
+            self._acting = asked, found
         return linear if found is None else found.point
 
     def whitened(self, point: KnownNoisePoint | None = None) -> np.ndarray:
