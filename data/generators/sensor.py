@@ -126,6 +126,8 @@ def bias_over_temperature_and_time(kind: str, error: Callable[[str], float], aro
     bias = error(f"{kind}_bias.bias") + error(f"{kind}_bias_temperature.slope") * warmer
     if curvature := error(f"{kind}_bias_temperature_quadratic.curvature"):
         bias = bias + curvature * warmer**2
+    if coefficient := error(f"{kind}_bias_temperature_cubic.coefficient"):
+        bias = bias + coefficient * warmer**3
     if slope := error(f"{kind}_bias_temperature_rate.slope"):
         bias = bias + slope * around.temperature_rate
     if coefficient := error(f"{kind}_thermal_lag.coefficient"):

@@ -23,8 +23,11 @@ from planted_data import (
 )  # fmt: skip
 
 from imubayes.criticism.diagnose import judge
+from imubayes.criticism.evidence import explain
+from imubayes.criticism.evidence.linear_problem import linear_problem
 from imubayes.display.loop.diagnosis_report import diagnosis_json, diagnosis_lines, next_command
 from imubayes.inference.fitted_model import Fit
+from imubayes.responses.candidate_effects import LinearisationPoint, candidate_responses
 
 BETWEEN = "gyro_magnetic_sensitivity"
 
@@ -199,3 +202,18 @@ def test_an_effect_that_is_in_doubt_is_not_called_absent() -> None:
     found = judge(planted(converter(), 3, standing(converter(), effect, 20.0)[0]), effect=effect)
     assert found.probability(effect) > 0.05
     assert found.verdict != "adequate", told(found)
+
+
+def test_a_linearisation_about_an_effect_with_a_shape_restores_what_the_fit_leaves() -> None:
+    """Coefficients count from zero wherever the model is linearised, so that no other effect meets what one takes."""
+    fitted = converter()
+    responses = candidate_responses(fitted)
+    problem = linear_problem(fitted, responses)
+    lag = next(each for each in responses.candidates if each.scan.shape)
+    shapes = {lag.scan.effect: {name: 1.3 * value for name, value in lag.scan.shape.items()}}
+    sizes = {each.parameter.name: size for each, size in zip(problem.coefficients, problem.sizes, strict=True)}
+    values = {each.parameter.name: 0.3 * sizes[each.parameter.name] for each in lag.coefficients}
+    moved = explain._linearised(problem, explain._About(fitted, LinearisationPoint(values, shapes)))
+    assert moved is not None
+    for before, after in zip(problem.rows, moved.rows, strict=True):
+        np.testing.assert_allclose(after.columns[:, -1], before.columns[:, -1], atol=1e-6)

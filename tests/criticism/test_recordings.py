@@ -19,25 +19,9 @@ pytestmark = [
 THERMAL = {
     name: f"imu.{'acc' if name[0] == 'a' else 'gyro'}.{name[1]}" for name in ("ax", "ay", "az", "gx", "gy", "gz")
 }
-CUBIC = '''
-from imubayes import Order, Sample, Scalar, SignalEffect, Stage, parameter
-
-
-class AccelBiasTemperatureCubic(SignalEffect):
-    """Bias cubic in sensor temperature: signal + c·(T − 25)³."""
-
-    name = "accel_bias_temperature_cubic"
-    stage, order, kinds, needs = Stage.SENSOR, Order.BIAS, ("accelerometer",), ("temperature",)
-    reference = "a polynomial of degree three"
-    coefficient: Scalar = parameter("ug/degC^3", "normal(0, 1 ug/degC^3)", (0.001, 1), "the cubic coefficient")
-
-    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return signal + self.coefficient * (sample.ambient.temperature - 25.0) ** 3
-'''
 POLYNOMIALS = """
 format = 1
 name = "polynomials"
-files = ["cubic.py"]
 [[effect]]
 name = "accel_bias"
 prior = { bias = "normal(0, 100 mg)" }
@@ -89,7 +73,6 @@ def test_a_temperature_cycle_shows_lag_hysteresis_and_drift(tmp_path):
         [RECORDINGS / "thermal" / "imu_raw_data.csv"], tmp_path / "thermal", sample_rate_hz=10,
         procedure="thermal_ramp", delimiter="tab", columns={**THERMAL, "temperature_degC": "imu.temperature"},
     )  # fmt: skip
-    (tmp_path / "cubic.py").write_text(CUBIC)
     (tmp_path / "model.toml").write_text(POLYNOMIALS)
     first = fit(campaign, tmp_path / "model.toml", tmp_path / "first", sample=False)
     document = diagnosis_json(diagnose(tmp_path / "first"))

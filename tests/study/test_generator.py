@@ -136,6 +136,7 @@ def test_lag_behind_a_ramp_tends_to_slope_times_tau():
     ("parameters", "around", "expected"),
     [
         ({"bias_temperature_quadratic.curvature": 2.0}, {"temperature": 35.0}, 200.0),
+        ({"bias_temperature_cubic.coefficient": 0.2}, {"temperature": 35.0}, 200.0),
         ({"bias_temperature_rate.slope": 3.0}, {"temperature_rate": 0.5}, 1.5),
         ({"warm_up.amplitude": 10.0, "warm_up.tau": 5.0}, {"power_on_min": 10.0}, 10 * np.exp(-2)),
         ({"warm_up.amplitude": 10.0, "warm_up.tau": 5.0}, {}, 0.0),

@@ -112,6 +112,14 @@ class AccelBiasTemperatureQuadratic(Accelerometer, formulas.QuadraticThermalBias
     )
 
 
+class AccelBiasTemperatureCubic(Accelerometer, formulas.CubicThermalBias):
+    name = "accel_bias_temperature_cubic"
+    reference = "IEEE Std 1293, bias temperature sensitivity; the third order of an autopilot's calibration"
+    coefficient: Scalar = parameter(
+        "ug/degC^3", "normal(0, 0.1 ug/degC^3)", (1e-4, 0.4), "the bias per degree cubed", coarse=(0.3, 1)
+    )
+
+
 class AccelBiasTemperatureRate(Accelerometer, formulas.ThermalRateBias):
     name = "accel_bias_temperature_rate"
     reference = "IEEE Std 1293, bias thermal-transient sensitivity"

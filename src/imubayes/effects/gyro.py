@@ -39,6 +39,14 @@ class GyroBiasTemperatureQuadratic(Gyro, formulas.QuadraticThermalBias):
     )
 
 
+class GyroBiasTemperatureCubic(Gyro, formulas.CubicThermalBias):
+    name = "gyro_bias_temperature_cubic"
+    reference = "IEEE Std 952, bias temperature sensitivity; the third order of an autopilot's calibration"
+    coefficient: Scalar = parameter(
+        "deg/h/degC^3", "normal(0, 0.01 deg/h/degC^3)", (1e-6, 0.04), "the bias per degree cubed", coarse=(0.05, 0.2)
+    )
+
+
 class GyroBiasTemperatureRate(Gyro, formulas.ThermalRateBias):
     """Bias linear in the rate of sensor temperature: signal + c·dT/dt, the Shupe term of a fibre-optic gyro."""
 

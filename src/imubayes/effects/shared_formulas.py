@@ -190,6 +190,19 @@ class QuadraticThermalBias(Device, SignalEffect):
         return signal + self.curvature * (self.temperature(sample.ambient) - self.reference_degC) ** 2
 
 
+class CubicThermalBias(Device, SignalEffect):
+    """Bias cubic in sensor temperature: signal + c·(T − T_ref)³."""
+
+    order = Order.BIAS
+    needs = ("temperature",)
+    confused_with = "the linear and quadratic coefficients, over a narrow range; thermal_lag, in a single slow ramp"
+    coefficient: Parameter
+    reference_degC: float = reference_temperature()
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.coefficient * (self.temperature(sample.ambient) - self.reference_degC) ** 3
+
+
 class ThermalRateBias(Device, SignalEffect):
     """Bias linear in the rate of sensor temperature: signal + c·dT/dt, a measure of gradients inside the sensor."""
 

@@ -27,8 +27,9 @@ STATION = ("station_heading", "station_level", "reference_alignment", "reference
 SENSORS = ("gyro_bias", "gyro_scale_factor", "gyro_misalignment", "accel_bias", "accel_scale_factor",
            "accel_misalignment")  # fmt: skip
 FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lever_arm", "gyro_bias_temperature",
-           "gyro_scale_temperature", "accel_bias_temperature", "accel_scale_temperature", "converter_gain_drift",
-           "converter_offset_drift")  # fmt: skip
+           "gyro_bias_temperature_quadratic", "gyro_bias_temperature_cubic", "gyro_scale_temperature",
+           "accel_bias_temperature", "accel_bias_temperature_quadratic", "accel_bias_temperature_cubic",
+           "accel_scale_temperature", "converter_gain_drift", "converter_offset_drift")  # fmt: skip
 NOISE = ("white_noise", "encoder_noise", "run_scatter")
 # Of bias, scale factor and misalignment, and of further effects: the least share of the information from the data.
 _TOLD, _DETERMINED = 0.1, 0.5

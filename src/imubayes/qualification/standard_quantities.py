@@ -352,6 +352,8 @@ STANDARD_QUANTITIES: tuple[StandardQuantity, ...] = (
             "gyro_bias_temperature.slope"),
     _scalar("gyro_bias_temperature_2", "D_TT", "bias temperature sensitivity, second order", "D_TT·(T − T_ref)²",
             "gyro_bias_temperature_quadratic.curvature"),
+    _scalar("gyro_bias_temperature_3", "D_TTT", "bias temperature sensitivity, third order", "D_TTT·(T − T_ref)³",
+            "gyro_bias_temperature_cubic.coefficient"),
     _scalar("gyro_bias_temperature_rate", "D_Ṫ", "bias temperature-rate sensitivity", "D_Ṫ·dT/dt",
             "gyro_bias_temperature_rate.slope"),
     *(
@@ -405,6 +407,8 @@ STANDARD_QUANTITIES: tuple[StandardQuantity, ...] = (
             "accel_bias_temperature.slope"),
     _scalar("accel_bias_temperature_2", "K_0TT", "bias temperature sensitivity, second order", "K_0TT·(T − T_ref)²",
             "accel_bias_temperature_quadratic.curvature"),
+    _scalar("accel_bias_temperature_3", "K_0TTT", "bias temperature sensitivity, third order", "K_0TTT·(T − T_ref)³",
+            "accel_bias_temperature_cubic.coefficient"),
     _scalar("accel_scale_temperature", "K_1T", "scale factor temperature sensitivity", "K_1T·(T − T_ref)·a_i",
             "accel_scale_temperature.slope"),
     _scalar("accel_scale_temperature_2", "K_1TT", "scale factor temperature sensitivity, second order",

@@ -161,9 +161,10 @@ def _linearised(problem: LinearProblem, about: _About) -> LinearProblem | None:
     responses = candidate_responses(about.fitted, about=about.point)
     if not np.isfinite(responses.misfit).all():
         return None
-    columns = {
-        c.parameter.name: x for r in responses.candidates for c, x in zip(r.coefficients, r.columns.T, strict=True)
-    }
+    columns: dict[str, np.ndarray] = {}
+    for each in responses.candidates:
+        if dict(each.scan.shape) == dict(about.point.shapes.get(each.scan.effect, {})):
+            columns |= {c.parameter.name: x for c, x in zip(each.coefficients, each.columns.T, strict=True)}
     nulls = {each.parameter.name: each.null / each.parameter.factor for each in problem.coefficients}
     moved = {name: value - nulls[name] for name, value in about.point.values.items() if name in columns}
     restored = responses.misfit + sum(columns[name] * size for name, size in moved.items())

@@ -329,12 +329,12 @@ def _prediction(found: Diagnosis) -> str:
     best = found.groups[0]
     rms, together = best.residual, found.delta_chi2 if found.delta_chi2 is not None else best.delta_chi2
     added = numbers.listed([each.effects[0] for each in found.groups])
+    told = f"Predicted with {added} added: Δχ² {numbers.significant(together)} at the noise known beforehand"
+    if rms.after >= rms.before:  # one of several, whose coefficient is that beside the others
+        return f"{told}."
     alone = f", with {best.effects[0]} alone" if len(found.groups) > 1 else ""
     before, after = (numbers.significant(each) for each in (rms.before, rms.after))
-    return (
-        f"Predicted with {added} added: Δχ² {numbers.significant(together)} at the noise known beforehand; residual "
-        f"of {rms.channel} {before} → {after} {numbers.pretty(rms.unit)} rms{alone}."
-    )
+    return f"{told}; residual of {rms.channel} {before} → {after} {numbers.pretty(rms.unit)} rms{alone}."
 
 
 def _discriminating(found: Diagnosis) -> list[str]:
