@@ -20,7 +20,8 @@ _PER_RADIAN = {"rad/s": 1.0, "deg/s": 57.29578, "mrad/s": 1000.0, "mdeg/s": 5729
 _NEAR = 0.25  # of a unit; the next is a factor of 17 away
 _MOST_SAMPLES = 300_000
 _FEW_COUNTS = 20
-_LARGEST_BIAS = 1.0  # rad/s
+# Zero-rate outputs that MEMS gyros have at most (20 deg/s, MPU-6050 product specification); the next unit is 57 times away.
+_LARGEST_BIAS = {"rad/s": 0.35, "deg/s": 20.0}
 
 
 @dataclass(frozen=True)
@@ -156,11 +157,14 @@ def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, where: str) -> tupl
     if near:
         return near[0], f"turns between poses integrate to {per_radian:.4g} {near[0].split('/')[0]} per radian"
     size = float(np.median(np.linalg.norm(rest_means(rate), axis=1)))
-    if accel == "m/s^2" and not turned and size < _LARGEST_BIAS:
-        return "rad/s", (
-            f"{size:.3g} at rest, and the accelerometers are in m/s^2: rad/s goes with it; no turns tell, if it is "
-            "deg/s state --gyro-unit deg/s"
-        )
+    if accel == "m/s^2" and not turned:
+        if size < _LARGEST_BIAS["rad/s"]:
+            return "rad/s", (
+                f"{size:.3g} at rest, and the accelerometers are in m/s^2: rad/s goes with it; no turns tell, if it is "
+                "deg/s state --gyro-unit deg/s"
+            )
+        if size < _LARGEST_BIAS["deg/s"]:
+            return "deg/s", f"{size:.3g} at rest is no bias in rad/s; no turns tell, if it is another state --gyro-unit"
     told = "the accelerometers do not tell" if accel else "there are no accelerometers and no turns to tell it by"
     raise input_error(
         f"the unit of the gyros is not known{turned}: {told}", where, ", ".join(GYRO_UNITS),

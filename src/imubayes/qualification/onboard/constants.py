@@ -19,6 +19,7 @@ from imubayes.qualification.onboard import record as onboard
 from imubayes.qualification.onboard import unexpressed_effects as unexpressed
 from imubayes.qualification.onboard.correct_recording import ReadingNoise, reading_noise
 from imubayes.qualification.onboard.response import (
+    NEGLIGIBLE,
     TEMPERATURES,
     LinearResponse,
     SensorPosterior,
@@ -34,8 +35,6 @@ from imubayes.results.result import Result
 
 _AXES = "xyz"
 _UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
-# Of a term, over the calibrated range: m/s², rad/s or 1.
-_NEGLIGIBLE = 1e-10
 _SAMPLE_FORCE, _SAMPLE_RATE = np.array([1.5, -2.5, 9.0]), np.array([0.2, -0.3, 0.5])
 
 
@@ -186,7 +185,7 @@ def _sensitivity(kind: str, found: np.ndarray, like: _Triad | None) -> _Block | 
 
 
 def _kept(coefficients: np.ndarray, grid: ThermalGrid) -> np.ndarray:
-    return np.abs(coefficients).max(axis=(0, 1)) * grid.reach > _NEGLIGIBLE
+    return np.abs(coefficients).max(axis=(0, 1)) * grid.reach > NEGLIGIBLE
 
 
 def _record(

@@ -26,6 +26,7 @@ from imubayes.foundations.errors import input_error
 from imubayes.noise_analysis.noise_densities import NoiseDensity
 from imubayes.noise_analysis.noise_record import StaticNoise
 from imubayes.qualification.onboard.record import OnboardConstants, ThermalPolynomial, TriadConstants
+from imubayes.qualification.onboard.response import NEGLIGIBLE
 from imubayes.results.result import Result
 
 
@@ -202,7 +203,7 @@ def losses(constants: OnboardConstants, target: Target) -> tuple[Loss, ...]:
         for each in constants.unexpressed
         if each.kind in units
     ]
-    return tuple(loss for loss in found if loss.size > 0)
+    return tuple(loss for loss in found if loss.size > NEGLIGIBLE)
 
 
 def along_axes(triad: TriadConstants) -> bool:

@@ -147,8 +147,8 @@ def prior_values(result: Result, posterior: SensorPosterior) -> np.ndarray | Non
 
 # Bias quadratic times scale factor cubic in temperature has degree five.
 _MOST_DEGREE = 5
-# Terms of a polynomial below this share of the whole, over the calibrated range, are left out.
-_NEGLIGIBLE = 1e-10
+NEGLIGIBLE = 1e-10
+"""Of 1 m/s² or rad/s, or of a gain, over the calibrated range: rounding, below which nothing is a term or a loss."""
 # Half the width of the range where all data are of one temperature, °C.
 _NARROW = 10.0
 _DRAWS_AT_ONCE = 500
@@ -289,4 +289,4 @@ def sufficient_grid(
 def negligible(response: LinearResponse, grid: ThermalGrid) -> np.ndarray:
     """Return which terms contribute less than a share of 1e-10, shape (K,): of 1 for k, of 1 m/s² or rad/s for z."""
     sizes = [np.abs(each).max(axis=(0, 1)) * grid.reach for each in (response.zero, response.gain)]
-    return np.max(sizes, axis=0) < _NEGLIGIBLE
+    return np.max(sizes, axis=0) < NEGLIGIBLE
