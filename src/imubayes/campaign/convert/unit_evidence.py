@@ -20,7 +20,7 @@ _PER_RADIAN = {"rad/s": 1.0, "deg/s": 57.29578, "mrad/s": 1000.0, "mdeg/s": 5729
 _NEAR = 0.25  # of a unit; the next is a factor of 17 away
 _MOST_SAMPLES = 300_000
 _FEW_COUNTS = 20
-# Zero-rate outputs that MEMS gyros have at most (20 deg/s, MPU-6050 product specification); the next unit is 57 times away.
+# The largest zero-rate output of MEMS gyros: 20 deg/s, MPU-6050 product specification.
 _LARGEST_BIAS = {"rad/s": 0.35, "deg/s": 20.0}
 
 
