@@ -233,6 +233,9 @@ class RunEntry(_Entry):
     """of a free tumble: time at rest before the first motion; found where absent"""
     transitions: bool = False
     """of a raw log of a rate table with table_angle_deg: the rows between levels are used as well, in short means"""
+    turn_uncertainty_deg: Positive | None = None
+    """of a rate_table run whose turning rows are turns from rest to rest through a known angle, by hand or by a stop:
+    standard uncertainty of that angle, which encoder_noise takes up"""
     ignore: list[str] = []
     """columns of the file that are not read"""
 

@@ -81,6 +81,7 @@ def build_run(
         (*notes, *covariate_notes),
         entry.temperature_uncertainty_degC,
         entry.converter_temperature_uncertainty_degC,
+        None if entry.turn_uncertainty_deg is None else float(np.radians(entry.turn_uncertainty_deg)),
     )
 
 
@@ -284,6 +285,11 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     reduction = PROCEDURES[entry.procedure].reduction
     if entry.transitions:
         _refuse_transitions(source, entry, reduction, survey)
+    if entry.turn_uncertainty_deg is not None and (reduction is not Reduction.CONSTANT or not source.layout.reduced):
+        raise input_error(
+            f"run '{entry.name}' states the uncertainty of turns, and has none",
+            str(source.file), "turn_uncertainty_deg for rows of a rate table, each a turn or a rest", "remove the key",
+        )  # fmt: skip
     if reduction is Reduction.POSES:
         return _load_tumble(source, entry, equipment, survey.limits)
     gravity = equipment.site.gravity

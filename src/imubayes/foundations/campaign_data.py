@@ -231,6 +231,8 @@ class Run:
     notes : what the reduction did and what it left out, one sentence each.
     temperature_uncertainty, converter_temperature_uncertainty : standard uncertainty of what all rows have in common of
         these temperatures, °C; None or 0 where they are exact.
+    turn_uncertainty : standard uncertainty of the angle of each row that turns, rad, where it is a turn from rest to
+        rest; None where rows are at constant rates.
     """
 
     name: str
@@ -247,6 +249,7 @@ class Run:
     notes: tuple[str, ...] = ()
     temperature_uncertainty: float | None = None
     converter_temperature_uncertainty: float | None = None
+    turn_uncertainty: float | None = None
 
     @property
     def rows(self) -> int:

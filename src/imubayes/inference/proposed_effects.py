@@ -82,7 +82,8 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
     InputError
         where not even noise can be bound to the campaign.
     """
-    by_hand = all(run.tumble is not None for run in campaign.runs)
+    tumbles = [run.tumble is not None for run in campaign.runs]
+    by_hand = any(tumbles) and all(t or run.turn_uncertainty for t, run in zip(tumbles, campaign.runs, strict=True))
     wanted = (*of_equipment(), *STATION, *SENSORS, *FURTHER, *NOISE)
     found = {each.effect_class.name: each.missing for each in observability(campaign)}
     names = [name for name in wanted if not found[name]]
@@ -106,6 +107,9 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
     """
     if name == "white_noise" and by_hand:  # with room for what is slower than a rest
         return (EffectSpec(name, prior={"sigma": "lognormal(2 noise, 1.0)"}),)
+    turned = [run.turn_uncertainty for run in campaign.runs if run.turn_uncertainty is not None]
+    if name == "encoder_noise" and turned:  # the angle of a turn has an error at each end
+        return (EffectSpec(name, prior={"sigma": f"lognormal({np.degrees(max(turned)) / np.sqrt(2):.4g} deg, 0.5)"}),)
     accelerometers = campaign.of_kind("accelerometer")
     if name != "accel_misalignment" or not by_hand or len(accelerometers) < 3:
         return (EffectSpec(name, optional=name not in NOISE),)

@@ -258,15 +258,17 @@ def reference_scales(campaign: Campaign, nodes: NodeTable, entries: Entries) -> 
 def encoder_slopes(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
     """Return for each entry of a gyro its output per angle of the table, output units per rad; 0 where none is used.
 
-    The mean rate of a row in which the table accelerates is the difference of two angles over its length.
+    The mean rate of a row in which the table accelerates, or turns from rest to rest, is the difference of two angles
+    over its length.
     """
     stimulus = nodes.stimulus
-    if not stimulus.table_acceleration.any() or not has_row_times(campaign):
+    by_turns = np.array([run.turn_uncertainty is not None for run in campaign.runs])[nodes.run]
+    between = (stimulus.table_acceleration != 0) | by_turns & (turning_rate(stimulus) != 0).any(axis=1)
+    if not between.any() or not has_row_times(campaign):
         return np.zeros(len(entries))
     first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
     axis = np.zeros((first_row[-1], 3))
-    accelerates = stimulus.table_acceleration[:, None] != 0
-    axis[first_row[nodes.run] + stimulus.row] = np.where(accelerates, stimulus.mounting[:, 2], 0.0)
+    axis[first_row[nodes.run] + stimulus.row] = np.where(between[:, None], stimulus.mounting[:, 2], 0.0)
     axis /= np.concatenate([length for _, length in _spans(campaign)])[:, None]
     return _along_gyros(campaign, entries, axis)
 

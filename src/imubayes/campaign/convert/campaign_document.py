@@ -9,6 +9,7 @@ import numpy as np
 
 from imubayes.campaign.convert.column_names import (
     ACCEL_UNITS,
+    ACCELEROMETERS,
     GYRO_UNITS,
     GYROS,
     SIX,
@@ -18,9 +19,11 @@ from imubayes.campaign.convert.column_names import (
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.convert.raw_counts import nominal_of_counts
 from imubayes.campaign.convert.recorded_runs import Columns, RecordedRun, still_seconds
+from imubayes.campaign.convert.stated_turns import BODY_TO_TABLE, TURN_TABLE, StatedTurns, find_stated_turns
 from imubayes.campaign.convert.unit_evidence import Units, find_units
 from imubayes.foundations.earth import normal_gravity
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.units import to_si
 from imubayes.procedures import procedure_named
 
 DEFAULT_LATITUDE = 45.0
@@ -64,6 +67,13 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     stated = replace(options, accel_unit=units.accel or "m/s^2", gyro_unit=units.gyro or "rad/s")
     notes = [f"converted from {source}", *(note for run in runs for note in run.notes)]
     channels = _channels(longest.columns, stated, gravity, notes, source)
+    if options.turn_deg is None and not options.procedure and not units.accel and not still_seconds(longest):
+        raise input_error(
+            "the unit turns, and there are no accelerometers to tell how far", source,
+            "turns through an angle that is known, from rest to rest: --turn-deg 360; or --procedure of a table",
+            "state the angle, add the accelerometers, or give a record at rest",
+        )  # fmt: skip
+    turns = [_turns(run, channels, options, source) for run in runs] if options.turn_deg is not None else []
     procedure, why = _procedure(longest, options)
     guesses = {**longest.guesses, **units.guesses, "procedure": why}
     guesses = {key: evidence for key, evidence in guesses.items() if evidence}
@@ -75,7 +85,58 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     document |= _equipment(procedure)
     document["run"] = [_run(label, procedure, options) for label in labels]
     tables = {_file(label): _table(run.columns) for label, run in zip(labels, runs, strict=True)}
+    if turns:
+        _add_turns(document, tables, list(zip(labels, turns, strict=True)), options)
     return ConvertedCampaign(document, tables, stated, guesses)
+
+
+def _turns(
+    run: RecordedRun, channels: Sequence[Mapping[str, Any]], options: ConvertOptions, source: str
+) -> StatedTurns:
+    """Return the turns of a recording through the stated angle."""
+    assert options.turn_deg is not None
+    gyros = [each for each in channels if each["kind"] == "gyro"]
+    if run.means or TIME not in run.columns or not gyros:
+        fault = "--turn-deg needs gyros, sample by sample, with their times"
+        raise input_error(fault, source, "a raw log with gx, gy or gz", "leave out --turn-deg, or give the log")
+    names = [each["name"] for each in gyros]
+    rate = [(run.columns[c["name"]] - c["offset"]) / c["scale"] * to_si(c["per"]) for c in gyros]
+    return find_stated_turns(run.columns, np.stack(rate, axis=1), names, math.radians(options.turn_deg), source)
+
+
+def _add_turns(
+    document: dict[str, Any],
+    tables: dict[str, Columns],
+    found: Sequence[tuple[str, StatedTurns]],
+    options: ConvertOptions,
+) -> None:
+    """Add stated turns as runs of a table about each axis; of a recording with accelerometers the rest stays."""
+    gyros = [channel["name"] for channel in document["channel"] if channel["kind"] == "gyro"]
+    kept, turned = [], dict[str, int]()
+    for run, (label, turns) in zip(document["run"], found, strict=True):
+        document["notes"] += turns.notes
+        rest = tables.pop(_file(label))
+        if any(name in rest for name in ACCELEROMETERS):
+            tables[_file(label)] = {name: values[~turns.turning] for name, values in rest.items()}
+            kept.append(run)
+        for axis, rows in turns.rows.items():
+            own = label.replace("recording", f"turns-{gyros[axis][1]}")
+            tables[_file(own)] = rows
+            turned[gyros[axis][1]] = "xyz".index(gyros[axis][1])
+            here = {"table": TURN_TABLE, "mounting": f"about-{gyros[axis][1]}"}
+            kept.append(
+                _run(own, "rate_table", options) | here | {"turn_uncertainty_deg": options.turn_uncertainty_deg}
+            )
+            count = int(np.count_nonzero(rows["table_rate_deg_s"]))
+            angle = f"{options.turn_deg:g} deg ± {options.turn_uncertainty_deg:g} deg"
+            document["notes"].append(f"{own}: {count} turns, each through a multiple of {angle}")
+    bench = {"name": TURN_TABLE, "azimuth_deg": 0.0, "elevation_deg": 90.0, "axis_uncertainty_arcsec": 3600.0}
+    document.setdefault("table", []).append(bench)
+    document.setdefault("mounting", []).extend(
+        {"name": f"about-{axis}", "body_to_table": BODY_TO_TABLE[place], "uncertainty_arcmin": 60.0}
+        for axis, place in turned.items()
+    )
+    document["run"] = kept
 
 
 def _equipment(procedure: str) -> dict[str, Any]:

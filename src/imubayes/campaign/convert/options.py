@@ -65,6 +65,10 @@ class ConvertOptions:
     """Temperature during the recording."""
     initial_rest_s: float | None = None
     """Length of the initial rest."""
+    turn_deg: float | None = None
+    """Angle of each turn about an input axis of a gyro, from rest to rest, where it is known: 360 for a full turn."""
+    turn_uncertainty_deg: float = 1.0
+    """Standard uncertainty of the angle of each turn."""
     procedure: str = ""
     """Procedure of the run; by default free_tumble for a unit moved by hand, static_record for one that rests."""
 
@@ -99,7 +103,7 @@ def read_options(given: Mapping[str, Any]) -> ConvertOptions:
         if value not in allowed:
             listed = closest_first(str(value), [word for word in allowed if word], most=len(allowed))
             issues.append(Issue(f"{key} = '{value}' is not known", f"option {key}", listed, "use an allowed value"))
-    for key in ("sample_rate_hz", "gravity_m_s2", "initial_rest_s", "samples"):
+    for key in ("sample_rate_hz", "gravity_m_s2", "initial_rest_s", "samples", "turn_deg", "turn_uncertainty_deg"):
         value = getattr(options, key)
         if value is not None and not value > 0:
             issues.append(Issue(f"{key} = {value} is not positive", f"option {key}", "more than 0", "correct it"))

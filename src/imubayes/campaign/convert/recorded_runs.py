@@ -242,5 +242,6 @@ def still_seconds(run: RecordedRun) -> float:
         across = np.linalg.norm(moved - np.outer(moved @ along, along), axis=1).max()
         still = across < _TILTED * np.linalg.norm(usual) and np.abs(moved).max() < _DRIFTED * np.linalg.norm(usual)
     else:
-        still = np.abs(moved).max() < 20 * float(np.median(np.nanstd(values, axis=0)))
+        scatter = np.median([np.nanstd(part, axis=0) for part in np.array_split(values, count)], axis=0)
+        still = np.abs(moved).max() < 20 * float(np.median(scatter))
     return float(run.columns[TIME][-1] - run.columns[TIME][0]) if still else 0.0
