@@ -269,16 +269,17 @@ class ReferenceNoise(EntryNoise):
 
 
 class EncoderNoise(EntryNoise):
-    """Noise of the encoder in rows between levels: variance 2 (k σ/T)², k the scale along the table axis, T the row.
+    """Noise of the angles that bound a row between levels: variance 2 (k σ/T)², k the scale along the table axis.
 
-    The mean rate of such a row is the difference of two angles over its length (errors in variables).  A row shares an
-    angle with each of its neighbours; the correlations of −1/2 are neglected, so that what is slow is overstated.
+    The mean rate of such a row of length T is the difference of two angles over T (errors in variables), of an encoder
+    or, for a turn from rest to rest, of marks.  A row between levels shares an angle with each of its neighbours; the
+    correlations of −1/2 are neglected, so that what is slow is overstated.
     """
 
     name = "encoder_noise"
     kinds = ("gyro",)
     per = ()
-    needs = ("acceleration",)
+    needs = ("turning",)
     confused_with = "white_noise, where no row is at a constant rate"
     reference = "Fuller, Measurement Error Models (1987); encoders of 0.05 … 5 arcsec"
 

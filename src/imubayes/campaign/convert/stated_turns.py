@@ -138,6 +138,14 @@ def _reduced(columns: Mapping[str, np.ndarray], spans: Sequence[tuple[int, int, 
         for name in (TIME, *GYROS, TEMPERATURE)
         if name in columns
     }
+    # The scatter of the readings is noise at rest alone.
+    scatter = {
+        f"{name}_sd": np.array(
+            [np.nan if rate else np.nanstd(columns[name][first:last]) for first, last, rate in spans]
+        )
+        for name in GYROS
+        if name in columns
+    }
     rates = np.array([rate for *_, rate in spans])
     counts = np.array([float(last - first) for first, last, _ in spans])
-    return {TIME: means.pop(TIME), "table_rate_deg_s": rates, SAMPLES: counts, **means}
+    return {TIME: means.pop(TIME), "table_rate_deg_s": rates, SAMPLES: counts, **means, **scatter}

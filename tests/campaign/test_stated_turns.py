@@ -1,0 +1,119 @@
+"""Turns of a unit by hand through an angle that is stated: gyros alone, or beside accelerometers."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imubayes
+from imubayes.campaign.convert import convert, read_recordings
+from imubayes.foundations.errors import InputError
+from imubayes.inference.proposed_effects import propose_effects
+
+SCALE, BIAS, NOISE, HZ = np.array([1.01, 0.99, 1.005]), np.array([0.002, -0.001, 0.003]), 1e-3, 100
+FULL = tuple((axis, sense * 360.0) for axis in range(3) for sense in (1, -1, 2))
+
+
+def turned(turns: Sequence[tuple[int, float]], seed: int = 1, error: float = 0.0) -> np.ndarray:
+    """Return times and rates of turns about x, y, z through angles in deg, with rests between, (N, 4)."""
+    rng, parts = np.random.default_rng(seed), [np.zeros((5 * HZ, 3))]
+    for axis, angle in turns:
+        seconds = 2.0 + rng.uniform(0, 1.5)
+        shape = np.sin(np.linspace(0, np.pi, round(seconds * HZ))) ** 2  # as a hand moves
+        rate = np.zeros((len(shape), 3))
+        rate[:, axis] = np.radians(angle + error * rng.normal()) * shape / shape.sum() * HZ
+        parts += [rate, np.zeros((round(rng.uniform(2, 4) * HZ), 3))]
+    rate = np.concatenate(parts) * SCALE + BIAS
+    rate += rng.normal(0, NOISE, rate.shape)
+    return np.column_stack([np.arange(len(rate)) / HZ, rate])
+
+
+def write(file: Path, values: np.ndarray, header: str = "time_s,gx (rad/s),gy (rad/s),gz (rad/s)") -> Path:
+    np.savetxt(file, values, delimiter=",", header=header, comments="", fmt="%.9g")
+    return file
+
+
+def test_each_turn_is_a_row_of_the_stated_angle(tmp_path: Path) -> None:
+    file = write(tmp_path / "turns.csv", turned([*FULL, (0, 271.0)]))
+    made = read_recordings([file], turn_deg=360.0, turn_uncertainty_deg=0.5).campaign
+    assert [run["name"] for run in made.document["run"]] == ["turns-x", "turns-y", "turns-z"]
+    assert {run["turn_uncertainty_deg"] for run in made.document["run"]} == {0.5}
+    for axis, letter in enumerate("xyz"):
+        rows = made.tables[f"runs/turns-{letter}.csv"]
+        angles = rows["table_rate_deg_s"] * rows["samples"] / HZ
+        np.testing.assert_allclose(angles[angles != 0], [360, -360, 720])
+        outputs = np.stack([rows[name] for name in ("gx", "gy", "gz")], axis=1) - BIAS
+        nominal = np.radians(rows["table_rate_deg_s"])[:, None] * np.eye(3)[axis] * SCALE
+        np.testing.assert_allclose(outputs, nominal, atol=6 * NOISE / np.sqrt(200))
+        assert (np.isnan(rows["gx_sd"]) == (angles != 0)).all()
+    # The turn that is none through a full circle, nor from rest to rest about one axis, is named.
+    assert sum("turn left out: 273.7 deg about gx" in note for note in made.document["notes"]) == 1
+
+
+def test_the_angles_are_no_better_than_they_are_stated(tmp_path: Path) -> None:
+    file = write(tmp_path / "turns.csv", turned(FULL))
+    campaign = imubayes.load_campaign(convert([file], tmp_path / "unit", turn_deg=360.0))
+    proposal = propose_effects(campaign)
+    specs = {each.spec.name: each.spec for each in proposal.effects}
+    assert {"gyro_bias", "gyro_scale_factor", "mounting_error", "encoder_noise"} <= set(specs)
+    assert specs["encoder_noise"].prior == {"sigma": "lognormal(0.7071 deg, 0.5)"}
+
+
+def test_accelerometers_keep_what_is_not_a_stated_turn(tmp_path: Path) -> None:
+    rates = turned([(2, 360.0), (0, 90.0), (2, -360.0)])
+    force = np.zeros((len(rates), 3)) + np.random.default_rng(2).normal(0, 0.01, (len(rates), 3))
+    angle = np.cumsum((rates[:, 1] - BIAS[0]) / SCALE[0]) / HZ
+    force[:, 1:] += 9.81 * np.column_stack([np.sin(angle), np.cos(angle)])
+    names = "time_s,gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
+    file = write(tmp_path / "unit.csv", np.column_stack([rates, force]), names)
+    made = read_recordings([file], turn_deg=360.0, gravity_m_s2=9.81).campaign
+    assert [(run["name"], run["procedure"]) for run in made.document["run"]] == [
+        ("recording", "free_tumble"), ("turns-z", "rate_table"),
+    ]  # fmt: skip
+    rest = made.tables["runs/recording.csv"]
+    # The turns about z are told once, as rows; the one about x is left to gravity.
+    assert np.ptp(np.cumsum(rest["gz"] - BIAS[2])) / HZ < 0.1
+    assert np.ptp(np.cumsum(rest["gx"] - BIAS[0])) / HZ == pytest.approx(1.01 * np.pi / 2, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "turns", "said"),
+    [
+        ({}, FULL, "no accelerometers to tell how far"),
+        ({"turn_deg": 90.0}, [(0, 40.0)], "no turn is one through 90 deg: 40.38 deg about gx"),
+        ({"turn_deg": 360.0}, [], "the unit never turns"),
+        ({"turn_deg": -360.0}, FULL, "turn_deg = -360.0 is not positive"),
+    ],
+)
+def test_what_is_no_stated_turn_is_refused(tmp_path: Path, options: dict, turns: Sequence, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        convert([write(tmp_path / "turns.csv", turned(turns))], tmp_path / "unit", **options)
+    assert not (tmp_path / "unit").exists()
+
+
+def test_a_run_without_turns_states_no_uncertainty_of_them(tmp_path: Path) -> None:
+    file = write(tmp_path / "turns.csv", turned(FULL))
+    folder = convert([file], tmp_path / "unit", turn_deg=360.0)
+    text = (folder / "campaign.toml").read_text().replace('"rate_table"', '"static_record"', 1)
+    (folder / "campaign.toml").write_text(text)
+    with pytest.raises(InputError, match="states the uncertainty of turns, and has none"):
+        imubayes.load_campaign(folder)
+
+
+@pytest.mark.slow  # 16 fits of one shape
+def test_scale_factors_cover_the_truth_with_the_angle_that_a_hand_reaches(tmp_path: Path) -> None:
+    pulls = []
+    for seed in range(16):
+        here = tmp_path / str(seed)
+        here.mkdir()
+        made = imubayes.new(here / "unit", [write(here / "turns.csv", turned(FULL, seed, 1.0))], turn_deg=360.0)
+        result = imubayes.fit(made.folder, made.model, here / "fit", sample=False)
+        for line in result.summary.parameters:
+            if line.name.startswith("gyro_scale_factor.scale"):
+                assert line.mean is not None
+                assert line.sd is not None
+                pulls.append((line.mean - 1e6 * (SCALE["xyz".index(line.name[-2])] - 1)) / line.sd)
+    spread = float(np.sqrt(np.mean(np.square(pulls))))
+    print(f"pull of 48 scale factors: {spread:.2f} (0.80 to 1.20 in 95 % of studies)")
+    assert 0.7 < spread < 1.3
