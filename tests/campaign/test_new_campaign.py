@@ -1,5 +1,6 @@
 """`imubayes new`: from a recording, a campaign or nothing to a campaign and a model that are read, bound and right."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from test_convert import write_log
 from tumble_files import tumble_log
 
 import imubayes
+from imubayes.campaign.convert import convert
 from imubayes.cli.main import run
 from imubayes.model.model_file import read_model
 
@@ -137,3 +139,16 @@ def test_options_without_a_recording_are_refused(tmp_path, capsys):
     shutil.copytree(DATA / "static-record", tmp_path / "still")
     assert run(["new", str(tmp_path / "still"), "--gyro-unit", "deg/s"]) == 2
     assert "no recording is named" in capsys.readouterr().err
+
+
+def test_more_parameters_than_values_are_told_with_what_to_leave_out(tmp_path, capsys):
+    means = np.array([[0.05, -0.03, 10.01], [9.86, -0.03, 0.2], [0.05, 9.75, 0.2], [-9.7, 0.0, 0.2]])
+    np.savetxt(tmp_path / "m.csv", means, delimiter=",", header="ax,ay,az", comments="")
+    campaign = convert([tmp_path / "m.csv"], tmp_path / "unit", rows="means", samples=100, gravity_m_s2=9.81)
+    model = Path(__file__).parents[2] / "models" / "free-tumble.toml"
+    assert run(["check", str(campaign), "--model", str(model)]) == 0
+    said = capsys.readouterr().out
+    assert "24 parameters, 3 of noise, 12 measured values" in said
+    assert "of accel_misalignment these runs tell less than 10 %" in said
+    assert run(["check", str(campaign), "--model", str(model), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["model"]["untold"] == ["accel_misalignment"]

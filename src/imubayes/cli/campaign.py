@@ -97,11 +97,18 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
             return inspection, None
         tell("binding the model")
         declared = bind(read_model(model), inspection.campaign)
+        untold: tuple[str, ...] = ()
+        if len(declared.layout) > len(declared.entries):
+            from imubayes.inference.proposed_effects import untold_effects
+
+            tell("what the runs determine")
+            untold = untold_effects(declared)
     return inspection, CheckedModel(
         name=declared.spec.name,
         parameters=len(declared.layout),
         noise_parameters=len(declared.hyper_layout),
         measured_values=len(declared.entries),
+        untold=untold,
         left_out=declared.left_out,
     )
 

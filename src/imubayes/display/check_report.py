@@ -157,6 +157,7 @@ class CheckedModel(Record):
     parameters: int
     noise_parameters: int
     measured_values: int
+    untold: tuple[str, ...] = ()
     left_out: tuple[SingleRunEffect, ...] = ()
 
 
@@ -230,6 +231,11 @@ def check_report(
             f"model '{model.name}' fits this campaign: {model.parameters} parameters, "
             f"{model.noise_parameters} of noise, {model.measured_values} measured values"
         )
+        if model.untold:
+            lines.append(
+                f"more parameters than measured values: of {', '.join(model.untold)} these runs tell less than 10 %, "
+                "and the fit would return the prior; leave them out of the model, or record more"
+            )
         lines += left_out_lines(model.left_out)
     lines += [*_grade_lines(campaign), *warnings, *([f"next: {command}"] if command else [])]
     every = verbose or len(campaign.runs) <= _MOST_RUNS

@@ -123,12 +123,26 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
     )
 
 
-def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple[float, float]]]:
-    """Return the effects of the model, and the least and largest share of the coefficients of each, beside them."""
+def untold_effects(model: Model) -> tuple[str, ...]:
+    """Return the effects of sensors of a model of which the runs tell less than a tenth, beside all others."""
+    precision, widths, owner = _precision(model)
+    told = 1 - np.diag(inverse_of_precision(precision)) / widths**2
+    others = {*of_equipment(), *STATION, *(e.name for e in model.assembly.effects if e.effect_class.nuisance)}
+    names = [name for name in dict.fromkeys(owner.tolist()) if name not in others]
+    return tuple(name for name in names if float(np.max(told[owner == name])) < _TOLD)
+
+
+def _precision(model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the precision of the parameters before any reading, (P, P), their prior widths and their effects, (P,)."""
     about = linearise(model.problem, jnp.zeros(len(model.layout)))
     _, jacobian, widths = whitened_about(model.problem, about, np.zeros(len(model.hyper_layout)))
-    precision = jacobian.T @ jacobian + np.diag(widths**-2)
     owner = np.array([parameter.effect for parameter in model.layout.parameters])
+    return jacobian.T @ jacobian + np.diag(widths**-2), widths, owner
+
+
+def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple[float, float]]]:
+    """Return the effects of the model, and the least and largest share of the coefficients of each, beside them."""
+    precision, widths, owner = _precision(model)
     held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
     kept, shares = set(names), {}
     while True:
