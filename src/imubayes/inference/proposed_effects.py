@@ -82,8 +82,7 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
     InputError
         where not even noise can be bound to the campaign.
     """
-    tumbles = [run.tumble is not None for run in campaign.runs]
-    by_hand = any(tumbles) and all(t or run.turn_uncertainty for t, run in zip(tumbles, campaign.runs, strict=True))
+    by_hand = _turned_by_hand(campaign)
     wanted = (*of_equipment(), *STATION, *SENSORS, *FURTHER, *NOISE)
     found = {each.effect_class.name: each.missing for each in observability(campaign)}
     names = [name for name in wanted if not found[name]]
@@ -97,6 +96,12 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
         missing={name: found[name] for name in (*SENSORS, *FURTHER) if set(found[name]) - {"gyro", "accelerometer"}},
         turned_by_hand=by_hand,
     )
+
+
+def _turned_by_hand(campaign: Campaign) -> bool:
+    """Tell whether there is no fixture: a unit that rests in attitudes that nobody knows, and stated turns of it."""
+    apart = [run for run in campaign.runs if run.tumble is None]
+    return len(apart) < len(campaign.runs) and all(run.turn_uncertainty is not None for run in apart)
 
 
 def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpec]:

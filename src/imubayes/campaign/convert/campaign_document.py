@@ -67,14 +67,8 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     stated = replace(options, accel_unit=units.accel or "m/s^2", gyro_unit=units.gyro or "rad/s")
     notes = [f"converted from {source}", *(note for run in runs for note in run.notes)]
     channels = _channels(longest.columns, stated, gravity, notes, source)
-    if options.turn_deg is None and not options.procedure and not units.accel and not still_seconds(longest):
-        raise input_error(
-            "the unit turns, and there are no accelerometers to tell how far", source,
-            "turns through an angle that is known, from rest to rest: --turn-deg 360; or --procedure of a table",
-            "state the angle, add the accelerometers, or give a record at rest",
-        )  # fmt: skip
-    turns = [_turns(run, channels, options, source) for run in runs] if options.turn_deg is not None else []
-    procedure, why = _procedure(longest, options)
+    turns = _turns(runs, channels, options, source)
+    procedure, why = _procedure(longest, options, source)
     guesses = {**longest.guesses, **units.guesses, "procedure": why}
     guesses = {key: evidence for key, evidence in guesses.items() if evidence}
     stated = replace(stated, procedure=procedure, time_unit=longest.time_unit or options.time_unit)
@@ -85,23 +79,25 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     document |= _equipment(procedure)
     document["run"] = [_run(label, procedure, options) for label in labels]
     tables = {_file(label): _table(run.columns) for label, run in zip(labels, runs, strict=True)}
-    if turns:
-        _add_turns(document, tables, list(zip(labels, turns, strict=True)), options)
+    _add_turns(document, tables, list(zip(labels, turns, strict=False)), options)
     return ConvertedCampaign(document, tables, stated, guesses)
 
 
 def _turns(
-    run: RecordedRun, channels: Sequence[Mapping[str, Any]], options: ConvertOptions, source: str
-) -> StatedTurns:
-    """Return the turns of a recording through the stated angle."""
-    assert options.turn_deg is not None
-    gyros = [each for each in channels if each["kind"] == "gyro"]
-    if run.means or TIME not in run.columns or not gyros:
-        fault = "--turn-deg needs gyros, sample by sample, with their times"
-        raise input_error(fault, source, "a raw log with gx, gy or gz", "leave out --turn-deg, or give the log")
-    names = [each["name"] for each in gyros]
-    rate = [(run.columns[c["name"]] - c["offset"]) / c["scale"] * to_si(c["per"]) for c in gyros]
-    return find_stated_turns(run.columns, np.stack(rate, axis=1), names, math.radians(options.turn_deg), source)
+    runs: Sequence[RecordedRun], channels: Sequence[Mapping[str, Any]], options: ConvertOptions, source: str
+) -> list[StatedTurns]:
+    """Return the turns of each recording through the stated angle; nothing where none is stated."""
+    if options.turn_deg is None:
+        return []
+    gyros, found = [each for each in channels if each["kind"] == "gyro"], []
+    for run in runs:
+        if run.means or TIME not in run.columns or not gyros:
+            fault = "--turn-deg needs gyros, sample by sample, with their times"
+            raise input_error(fault, source, "a raw log with gx, gy or gz", "leave out --turn-deg, or give the log")
+        rate = [(run.columns[c["name"]] - c["offset"]) / c["scale"] * to_si(c["per"]) for c in gyros]
+        names, angle = [each["name"] for each in gyros], math.radians(options.turn_deg)
+        found.append(find_stated_turns(run.columns, np.stack(rate, axis=1), names, angle, source))
+    return found
 
 
 def _add_turns(
@@ -111,6 +107,8 @@ def _add_turns(
     options: ConvertOptions,
 ) -> None:
     """Add stated turns as runs of a table about each axis; of a recording with accelerometers the rest stays."""
+    if not found:
+        return
     gyros = [channel["name"] for channel in document["channel"] if channel["kind"] == "gyro"]
     kept, turned = [], dict[str, int]()
     for run, (label, turns) in zip(document["run"], found, strict=True):
@@ -178,11 +176,17 @@ def _run(label: str, procedure: str, options: ConvertOptions) -> dict[str, Any]:
     return run | ({"table": "bench", "mounting": "aligned"} if procedure_named(procedure).needs_table else {})
 
 
-def _procedure(run: RecordedRun, options: ConvertOptions) -> tuple[str, str]:
+def _procedure(run: RecordedRun, options: ConvertOptions, where: str) -> tuple[str, str]:
     """Return the procedure, and why it was taken where it was not stated."""
     if options.procedure:
         return options.procedure, ""
     seconds = still_seconds(run)
+    if not seconds and options.turn_deg is None and not any(name in run.columns for name in ACCELEROMETERS):
+        raise input_error(
+            "the unit turns, and there are no accelerometers to tell how far", where,
+            "turns through an angle that is known, from rest to rest: --turn-deg 360; or --procedure of a table",
+            "state the angle, add the accelerometers, or give a record at rest",
+        )  # fmt: skip
     if not seconds:
         return "free_tumble", ""
     warmth = run.columns.get(TEMPERATURE, np.zeros(1))

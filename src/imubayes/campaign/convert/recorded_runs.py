@@ -242,6 +242,10 @@ def still_seconds(run: RecordedRun) -> float:
         across = np.linalg.norm(moved - np.outer(moved @ along, along), axis=1).max()
         still = across < _TILTED * np.linalg.norm(usual) and np.abs(moved).max() < _DRIFTED * np.linalg.norm(usual)
     else:
-        scatter = np.median([np.nanstd(part, axis=0) for part in np.array_split(values, count)], axis=0)
-        still = np.abs(moved).max() < 20 * float(np.median(scatter))
+        still = np.abs(moved).max() < 20 * _scatter(values, count)
     return float(run.columns[TIME][-1] - run.columns[TIME][0]) if still else 0.0
+
+
+def _scatter(values: np.ndarray, count: int) -> float:
+    """Return the typical standard deviation of readings within one of `count` parts: motion is not noise."""
+    return float(np.median([np.nanstd(part, axis=0) for part in np.array_split(values, count)]))
