@@ -185,8 +185,11 @@ def _joined(parts: Sequence[RecordedRun]) -> RecordedRun | None:
 
 def _told_rows(part: RecordedRun, options: ConvertOptions, tables: Sequence[ChosenTable]) -> RecordedRun:
     """Return the run with what its rows are: as stated, by its columns, or by the numbers."""
-    if options.rows == "means" or (options.rows != "samples" and not options.procedure and _pose_means(part.columns)):
-        why = "as stated" if options.rows else "|f| stays the same while its direction changes from row to row"
+    counted = SAMPLES in part.columns and TIME not in part.columns
+    told = not options.procedure and (counted or _pose_means(part.columns))
+    if options.rows == "means" or (options.rows != "samples" and told):
+        why = "its number of samples is recorded" if counted else "|f| is the same while its direction changes"
+        why = "as stated" if options.rows else why
         return replace(part, means=True, notes=(*part.notes, f"each row is the mean of one pose: {why}"))
     if TIME in part.columns:
         return part
