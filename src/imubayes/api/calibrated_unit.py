@@ -14,13 +14,14 @@ from imubayes.display.progress import progress_of
 from imubayes.foundations.errors import input_error
 from imubayes.noise_analysis.noise_densities import of_record
 from imubayes.qualification.onboard.constants import onboard_constants as constants_of
+from imubayes.qualification.onboard.effects_not_shown import effects_not_shown
 from imubayes.qualification.onboard.inputs_along_axes import (
     CalibratedInputs,
     inputs_along_axes,
     read_readings,
 )
 from imubayes.qualification.onboard.losses import Loss, of_fit, read_noise, refuse_other_unit
-from imubayes.qualification.onboard.navigation_impact import NavigationImpact, level_mission, read_mission
+from imubayes.qualification.onboard.navigation_impact import NavigationImpact, level_mission, motion_of, read_mission
 from imubayes.qualification.onboard.navigation_impact import navigation_impact as impact_of
 from imubayes.qualification.onboard.record import OnboardConstants
 from imubayes.qualification.onboard.recording_files import (
@@ -30,6 +31,7 @@ from imubayes.qualification.onboard.recording_files import (
 )
 from imubayes.qualification.report_build import report_of
 from imubayes.qualification.report_record import QualificationReport, ReportSection
+from imubayes.results.change_records import read_diagnosis
 from imubayes.results.result import Result, opened
 
 report_files: Any = lazy_loader.load("imubayes.display.qualification.report_files", suppress_warning=True)
@@ -176,7 +178,8 @@ def navigation_impact(
     """Return the position, velocity and attitude errors that the uncertainty of a calibration leaves in a mission.
 
     The joint covariance of the constants on board goes through the strapdown error equations in the ψ-angle form;
-    start and alignment are exact.  Body axes are forward, right, down.
+    start and alignment are exact.  Body axes are forward, right, down.  With a diagnosis in the result folder, what the effects do
+    that its runs could not show is given apart, at their largest typical sizes.
 
     Parameters
     ----------
@@ -214,7 +217,12 @@ def navigation_impact(
         mission = level_mission(duration, at, speed, math.radians(heading))
         moving = f"{speed:g} m/s, heading {heading:g}°" if speed else "at rest"
         name = f"{duration / 60:g} min {moving}, latitude {math.degrees(at):.4g}°"
-    return impact_of(constants_of(found), mission, name, temperature, rate, aided_height)
+    constants = constants_of(found)
+    diagnosis = read_diagnosis(found.folder) if found.folder is not None else None
+    hidden = None
+    if diagnosis is not None:
+        hidden = effects_not_shown(found, constants, diagnosis, motion_of(mission), temperature)
+    return impact_of(constants, mission, name, temperature, rate, aided_height, hidden)
 
 
 def report(

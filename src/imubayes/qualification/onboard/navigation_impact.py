@@ -83,6 +83,33 @@ class ErrorSource(Record):
     attitude_rad: float
 
 
+class EffectNotShown(ErrorSource):
+    """What an effect that the runs could not show does at the end, every coefficient of the largest size.
+
+    The coefficients of all channels have independent signs: squares of what they do are added.  The size is no standard
+    uncertainty, and neither is what follows from it.
+
+    Attributes
+    ----------
+    size, unit : largest size met in practice that the data do not contradict, of the first coefficient.
+    """
+
+    size: float
+    unit: str
+
+
+class EffectNotPropagated(Record):
+    """An effect of the unit that the runs could not show, and that was not propagated.
+
+    Attributes
+    ----------
+    needs : what it depends on and the mission does not state; empty of one with memory or a limit, and of a lever arm.
+    """
+
+    effect: str
+    needs: tuple[str, ...]
+
+
 class NavigationImpact(Record):
     """Navigation errors that follow from the uncertainty of a calibration.
 
@@ -91,6 +118,9 @@ class NavigationImpact(Record):
     errors : from the beginning to the end of the mission.
     sources : each alone, largest horizontal error first.  Constants are correlated: their squares need not add up.
     not_in : what the constants do not express, and is not in the errors.
+    diagnosed : whether a diagnosis told which effects the runs could not show.
+    not_shown : these effects, largest horizontal error first; none is in the errors.
+    not_propagated : those of them of which nothing is known for this mission.
 
     Examples
     --------
@@ -105,6 +135,9 @@ class NavigationImpact(Record):
     errors: tuple[NavigationError, ...]
     sources: tuple[ErrorSource, ...]
     not_in: tuple[str, ...]
+    diagnosed: bool = False
+    not_shown: tuple[EffectNotShown, ...] = ()
+    not_propagated: tuple[EffectNotPropagated, ...] = ()
 
 
 def level_mission(
@@ -167,7 +200,7 @@ def _rotation(angles: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Motion:
+class Motion:
     """Nominal rates and forces of a mission, (T, 3): ω_ie, ω_en, f in North, East, Down; ω and f in body axes."""
 
     earth: np.ndarray
@@ -178,7 +211,8 @@ class _Motion:
     gravity: np.ndarray
 
 
-def _motion(mission: Mission) -> _Motion:
+def motion_of(mission: Mission) -> Motion:
+    """Return the nominal rates and forces of a mission."""
     # `earth_rate` counts East, North, Up.
     earth = np.array([earth_rate(latitude) for latitude in mission.latitude])[:, [1, 0, 2]] * [1, 1, -1]
     radius = RADIUS + mission.height
@@ -192,10 +226,10 @@ def _motion(mission: Mission) -> _Motion:
     turned = np.einsum("tij,tjk->tik", to_body, np.gradient(mission.attitude, mission.time, axis=0))
     turning = np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0]], axis=1)
     rate = turning + np.einsum("tij,tj->ti", to_body, earth + transport)
-    return _Motion(earth, transport, force, rate, np.einsum("tij,tj->ti", to_body, force), gravity)
+    return Motion(earth, transport, force, rate, np.einsum("tij,tj->ti", to_body, force), gravity)
 
 
-def _input_errors(constants: OnboardConstants, motion: _Motion, warmer: float) -> np.ndarray:
+def _input_errors(constants: OnboardConstants, motion: Motion, warmer: float) -> np.ndarray:
     """Return the derivative of rate and specific force, body axes, by every constant, shape (T, 6, n).
 
     Sensors and converter are by `warmer` °C above the reference temperature of the constants.
@@ -227,7 +261,7 @@ def _input_errors(constants: OnboardConstants, motion: _Motion, warmer: float) -
     return found
 
 
-def _dynamics(motion: _Motion, at: int, radius: float) -> np.ndarray:
+def _dynamics(motion: Motion, at: int, radius: float) -> np.ndarray:
     """Return F of δṗ, δv̇, ψ̇ at an instant, shape (9, 9)."""
     found = np.zeros((9, 9))
     earth, transport = motion.earth[at], motion.transport[at]
@@ -247,7 +281,32 @@ class _Drivers:
     source: tuple[tuple[str, str], ...]
 
 
-def _drivers(constants: OnboardConstants, motion: _Motion, warmer: float) -> _Drivers:
+@dataclass(frozen=True)
+class HiddenEffect:
+    """An effect that the runs could not show, on one kind of channels.
+
+    Attributes
+    ----------
+    size, unit : largest size of its coefficients, of the first where they differ.
+    error : shape (T, 6, n), of rate and specific force, body axes, by each of its coefficients at that size.
+    """
+
+    effect: str
+    kind: str
+    size: float
+    unit: str
+    error: np.ndarray
+
+
+@dataclass(frozen=True)
+class HiddenEffects:
+    """The effects that the runs could not show: those that are propagated, and the others."""
+
+    effects: tuple[HiddenEffect, ...]
+    left: tuple[EffectNotPropagated, ...]
+
+
+def _drivers(constants: OnboardConstants, motion: Motion, warmer: float) -> _Drivers:
     """Return the constants, and the offset of a recording about each axis of body."""
     kinds = {channel: triad.kind for triad in constants.triads for channel in triad.channels}
     source = []
@@ -272,6 +331,7 @@ def navigation_impact(
     temperature: float | None = None,
     rate_hz: float | None = None,
     aided_height: bool = True,
+    hidden: HiddenEffects | None = None,
 ) -> NavigationImpact:
     """Return what the uncertainty of constants amounts to over a mission.
 
@@ -281,6 +341,7 @@ def navigation_impact(
     temperature : of sensors and converter, °C; the reference temperature of the constants where None.
     rate_hz : of the samples, by which their noise is a random walk; without it noise is left out and named.
     aided_height : whether height and vertical velocity are known from elsewhere.
+    hidden : effects that the runs could not show, along this mission; None where there is no diagnosis.
 
     Raises
     ------
@@ -291,12 +352,14 @@ def navigation_impact(
         has = constants.triads[0].kind if constants.triads else "none"
         fault = f"navigation takes gyros and accelerometers, and three axes are known of {has} alone"
         raise input_error(fault, f"unit {constants.serial}", "a fit of a whole unit", "fit both in one campaign")
-    motion = _motion(mission)
+    motion = motion_of(mission)
     warmer = 0.0 if temperature is None else temperature - constants.reference_degC
     drivers = _drivers(constants, motion, warmer)
     densities = np.concatenate([_density(constants.triad(kind), rate_hz) for kind in ("gyro", "accelerometer")])
     count = len(mission.time)
-    sensitivity, noise = np.zeros((9, drivers.derivative.shape[2])), np.zeros((9, 9))
+    effects, own = hidden.effects if hidden is not None else (), drivers.derivative.shape[2]
+    derivative = np.concatenate([drivers.derivative, *(each.error for each in effects)], axis=2)
+    sensitivity, noise = np.zeros((9, derivative.shape[2])), np.zeros((9, 9))
     kept = np.ones(9) if not aided_height else np.array([1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0])
     told = set(np.linspace(0, count - 1, min(count, _TOLD)).astype(int).tolist())
     errors = [_error(0.0, np.zeros((9, 9)))]
@@ -309,19 +372,22 @@ def navigation_impact(
         change = step * kept[:, None] * _dynamics(motion, at, RADIUS + mission.height[at])
         through = np.eye(9) + change + change @ change / 2
         gain = step * (np.eye(9) + change / 2) @ into
-        mean = (drivers.derivative[at] + drivers.derivative[at + 1]) / 2
+        mean = (derivative[at] + derivative[at + 1]) / 2
         sensitivity = through @ sensitivity + gain @ mean
         noise = through @ noise @ through.T + step * (into * densities) @ into.T
         if at + 1 in told:
-            total = sensitivity @ drivers.covariance @ sensitivity.T + noise
+            total = sensitivity[:, :own] @ drivers.covariance @ sensitivity[:, :own].T + noise
             errors.append(_error(float(mission.time[at + 1]), total))
     return NavigationImpact(
         serial=constants.serial,
         mission=name,
         errors=tuple(errors),
-        sources=_alone(drivers, sensitivity, noise if rate_hz else None),
+        sources=_alone(drivers, sensitivity[:, :own], noise if rate_hz else None),
         not_in=(*(each.effect for each in constants.unexpressed), *constants.slow_noise,
                 *(() if rate_hz else ("white noise: the rate of the samples is not stated",))),
+        diagnosed=hidden is not None,
+        not_shown=_not_shown(effects, sensitivity[:, own:]),
+        not_propagated=hidden.left if hidden is not None else (),
     )  # fmt: skip
 
 
@@ -346,12 +412,22 @@ def _alone(drivers: _Drivers, sensitivity: np.ndarray, noise: np.ndarray | None)
         covariances[source] = own @ drivers.covariance[np.ix_(chosen, chosen)] @ own.T
     if noise is not None:
         covariances["", "white noise"] = noise
-    found = []
-    for (kind, source), covariance in covariances.items():
-        end = _error(0.0, covariance)
-        size = math.hypot(*end.attitude_rad)
-        found.append(
-            ErrorSource(kind=kind, source=source, horizontal_m=end.horizontal_m, vertical_m=end.position_m[2],
-                        attitude_rad=size)
-        )  # fmt: skip
+    found = (ErrorSource(**_at_end(each), kind=kind, source=name) for (kind, name), each in covariances.items())
+    return tuple(sorted(found, key=lambda each: -each.horizontal_m))
+
+
+def _at_end(covariance: np.ndarray) -> dict[str, float]:
+    end = _error(0.0, covariance)
+    return {"horizontal_m": end.horizontal_m, "vertical_m": end.position_m[2],
+            "attitude_rad": math.hypot(*end.attitude_rad)}  # fmt: skip
+
+
+def _not_shown(effects: tuple[HiddenEffect, ...], sensitivity: np.ndarray) -> tuple[EffectNotShown, ...]:
+    """Return what each effect does at the end; the sensitivity to their coefficients, (9, n), is in their order."""
+    found, first = [], 0
+    for each in effects:
+        columns = sensitivity[:, first : first + each.error.shape[2]]
+        first += columns.shape[1]
+        end = _at_end(columns @ columns.T)
+        found.append(EffectNotShown(**end, kind=each.kind, source=each.effect, size=each.size, unit=each.unit))
     return tuple(sorted(found, key=lambda each: -each.horizontal_m))
