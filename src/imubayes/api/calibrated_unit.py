@@ -178,8 +178,8 @@ def navigation_impact(
     """Return the position, velocity and attitude errors that the uncertainty of a calibration leaves in a mission.
 
     The joint covariance of the constants on board goes through the strapdown error equations in the ψ-angle form;
-    start and alignment are exact.  Body axes are forward, right, down.  With a diagnosis in the result folder, what the effects do
-    that its runs could not show is given apart, at their largest typical sizes.
+    start and alignment are exact.  Body axes are forward, right, down.  With a diagnosis in the result folder, effects
+    that its runs could not show are propagated apart, each at the largest size that is met in practice.
 
     Parameters
     ----------

@@ -211,6 +211,8 @@ def mission(
 ) -> None:
     """Say what the calibration leaves in navigation; start and alignment are exact, body axes forward, right, down.
 
+    After `imubayes diagnose`, effects that the runs could not show are added in a table of their own.
+
     Example: imubayes mission results/desk-imu --duration-min 10 --speed-m-s 20
 
     Parameters
@@ -229,7 +231,8 @@ def mission(
     latitude_deg
         Latitude of its beginning; by default that of the site.
     temperature
-        Temperature of the unit in degC; by default the reference temperature of the constants.
+        Temperature of the unit in degC; by default the reference temperature of the constants. Effects over temperature
+        that the runs could not show are propagated only where it is stated.
     rate_hz
         Rate of the samples; without it their noise is left out.
     aided_height

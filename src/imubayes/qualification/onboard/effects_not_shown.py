@@ -2,8 +2,8 @@
 
 A coefficient of the largest typical size, or of the largest that the data leave open, changes the output of its
 channel, by the formula of the effect at the rate and specific force of the mission.  Where the runs respond to it, the
-parameters of the fit take up a part: by the linear shift Δz of `taken_as_exact`, so that the unit is described by z − Δz
-and the effect.  What the constants leave in is the sum of both.  An effect is propagated where it is linear in its
+parameters of the fit take up a part: by the linear shift Δz of `taken_as_exact`, so that z − Δz and the effect describe
+the unit.  What the constants leave in is the sum of both.  An effect is propagated where it is linear in its
 coefficients and acts by rate, specific force and a stated temperature alone; the others are named.
 """
 
@@ -154,8 +154,8 @@ class _Unit:
 
     def _own(self, member: type[SignalEffect], channel: Channel, parameter: Parameter, size: float) -> np.ndarray:
         """Return what an effect adds to the input of its channel on the nominal scale, (T,)."""
-        declared = declared_parameters(member)
-        make = member(**{name: jnp.asarray(each.null) for name, each in declared.items()} | {parameter.field: size})
+        values = {name: each.null for name, each in declared_parameters(member).items()} | {parameter.field: size}
+        make = member(**{name: jnp.asarray(value) for name, value in values.items()})
         none, warm = jnp.zeros(()), dict.fromkeys(TEMPERATURES, jnp.asarray(self.temperature))
         ambient = Ambient(**dict.fromkeys(ambient_names(), none)).updated(**warm)
         scale = channel.scale_si if member.stage == Stage.CONVERTER else 1.0
