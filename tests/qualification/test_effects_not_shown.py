@@ -1,4 +1,4 @@
-"""Effects that the runs could not show, in a mission: closed forms, and a unit that has the effect, fitted without it."""
+"""Effects that the runs could not show, in a mission: a closed form, and a unit that has one, fitted without it."""
 
 import math
 from dataclasses import replace
@@ -90,8 +90,8 @@ def test_what_the_fit_takes_up_of_an_effect_is_counted(unit, monkeypatch):
     read = []
     for constants, size in ((unit[1], 0.0), (onboard_constants(other), QUADRATIC)):
         felt = force + size * force**2
-        outputs = dict(zip(("ax", "ay", "az"), ACCEL_SCALE * felt.T, strict=True))
-        triads = {"accelerometer": constants.triad("accelerometer")}
+        outputs = {name: ACCEL_SCALE * felt[:, place] for place, name in enumerate(("ax", "ay", "az"))}
+        triads = {each.kind: each for each in constants.triads if each.kind == "accelerometer"}
         read.append(body_inputs(triads, outputs, np.full((1, 2), 25.0), 25.0)["accelerometer"][0])
     by_coefficients = found.error[0, 3:].sum(axis=1)
     assert by_coefficients == pytest.approx(read[1] - read[0], rel=0.02, abs=1e-3 * QUADRATIC * GRAVITY**2)

@@ -211,14 +211,12 @@ def mission(
 ) -> None:
     """Say what the calibration leaves in navigation; start and alignment are exact, body axes forward, right, down.
 
-    After `imubayes diagnose`, effects that the runs could not show are added in a table of their own.
-
     Example: imubayes mission results/desk-imu --duration-min 10 --speed-m-s 20
 
     Parameters
     ----------
     result
-        Result folder of a fit of a unit with three axes of gyros and of accelerometers.
+        Result folder of a unit with three axes of each kind; `imubayes diagnose` adds effects that no run could show.
     trajectory
         CSV file with time_s, latitude_deg, longitude_deg, height_m, roll_deg, pitch_deg and heading_deg. Without it the
         mission is level.
@@ -231,8 +229,7 @@ def mission(
     latitude_deg
         Latitude of its beginning; by default that of the site.
     temperature
-        Temperature of the unit in degC; by default the reference temperature of the constants. Effects over temperature
-        that the runs could not show are propagated only where it is stated.
+        Temperature of the unit in degC, which such effects over temperature need; by default that of the constants.
     rate_hz
         Rate of the samples; without it their noise is left out.
     aided_height

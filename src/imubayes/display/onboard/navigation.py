@@ -75,7 +75,7 @@ def _not_propagated(found: NavigationImpact) -> Iterator[str]:
     left = []
     for needs in dict.fromkeys(each.needs for each in found.not_propagated):
         names = [each.effect for each in found.not_propagated if each.needs == needs]
-        why = f"by {' and '.join(needs)}" if needs else "memory, a limit, or a lever arm"
+        why = f"by {' and '.join(needs)}" if needs else "memory, a limit, a shape, or a lever arm"
         stated = needs and all(need.endswith("temperature") for need in needs)
         left.append(f"{listed(names)} ({why}{', which --temperature states' if stated else ''})")
     if left:

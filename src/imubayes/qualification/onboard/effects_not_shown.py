@@ -29,7 +29,7 @@ from imubayes.qualification.onboard.navigation_impact import (
     EffectNotPropagated,
     HiddenEffect,
     HiddenEffects,
-    Motion,
+    MissionMotion,
 )
 from imubayes.qualification.onboard.record import OnboardConstants
 from imubayes.qualification.onboard.response import TEMPERATURES, SensorPosterior, sensor_posterior
@@ -46,7 +46,11 @@ _SHOWN = 4.0
 
 
 def effects_not_shown(
-    result: Result, constants: OnboardConstants, diagnosis: Diagnosis, motion: Motion, temperature: float | None = None
+    result: Result,
+    constants: OnboardConstants,
+    diagnosis: Diagnosis,
+    motion: MissionMotion,
+    temperature: float | None = None,
 ) -> HiddenEffects:
     """Return what the undetectable effects of the unit do to rate and specific force along a mission.
 
@@ -84,7 +88,7 @@ class _Unit:
     """A fitted unit in a mission, with the errors that coefficients make there."""
 
     def __init__(
-        self, result: Result, constants: OnboardConstants, motion: Motion, temperature: float,
+        self, result: Result, constants: OnboardConstants, motion: MissionMotion, temperature: float,
         members: Sequence[type[SignalEffect]],
     ):  # fmt: skip
         self.result, self.constants, self.motion, self.temperature = result, constants, motion, temperature

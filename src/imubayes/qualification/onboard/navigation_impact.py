@@ -103,7 +103,8 @@ class EffectNotPropagated(Record):
 
     Attributes
     ----------
-    needs : what it depends on and the mission does not state; empty of one with memory or a limit, and of a lever arm.
+    needs : what it depends on and the mission does not state; empty of one with memory, a limit or a shape, and of a
+        lever arm.
     """
 
     effect: str
@@ -200,7 +201,7 @@ def _rotation(angles: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MissionMotion:
     """Nominal rates and forces of a mission, (T, 3): ω_ie, ω_en, f in North, East, Down; ω and f in body axes."""
 
     earth: np.ndarray
@@ -211,7 +212,7 @@ class Motion:
     gravity: np.ndarray
 
 
-def motion_of(mission: Mission) -> Motion:
+def motion_of(mission: Mission) -> MissionMotion:
     """Return the nominal rates and forces of a mission."""
     # `earth_rate` counts East, North, Up.
     earth = np.array([earth_rate(latitude) for latitude in mission.latitude])[:, [1, 0, 2]] * [1, 1, -1]
@@ -226,10 +227,10 @@ def motion_of(mission: Mission) -> Motion:
     turned = np.einsum("tij,tjk->tik", to_body, np.gradient(mission.attitude, mission.time, axis=0))
     turning = np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0]], axis=1)
     rate = turning + np.einsum("tij,tj->ti", to_body, earth + transport)
-    return Motion(earth, transport, force, rate, np.einsum("tij,tj->ti", to_body, force), gravity)
+    return MissionMotion(earth, transport, force, rate, np.einsum("tij,tj->ti", to_body, force), gravity)
 
 
-def _input_errors(constants: OnboardConstants, motion: Motion, warmer: float) -> np.ndarray:
+def _input_errors(constants: OnboardConstants, motion: MissionMotion, warmer: float) -> np.ndarray:
     """Return the derivative of rate and specific force, body axes, by every constant, shape (T, 6, n).
 
     Sensors and converter are by `warmer` °C above the reference temperature of the constants.
@@ -261,7 +262,7 @@ def _input_errors(constants: OnboardConstants, motion: Motion, warmer: float) ->
     return found
 
 
-def _dynamics(motion: Motion, at: int, radius: float) -> np.ndarray:
+def _dynamics(motion: MissionMotion, at: int, radius: float) -> np.ndarray:
     """Return F of δṗ, δv̇, ψ̇ at an instant, shape (9, 9)."""
     found = np.zeros((9, 9))
     earth, transport = motion.earth[at], motion.transport[at]
@@ -270,6 +271,23 @@ def _dynamics(motion: Motion, at: int, radius: float) -> np.ndarray:
     found[3:6, 3:6], found[3:6, 6:] = cross_matrices(2 * earth + transport), cross_matrices(motion.force[at]).T
     found[6:, 6:] = cross_matrices(earth + transport)
     return found
+
+
+def _step(
+    mission: Mission, motion: MissionMotion, at: int, kept: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what a step makes of the errors, (9, 9), and of those of rate and force, (9, 6): whole, and per second.
+
+    Parameters
+    ----------
+    kept : shape (9,), 0 for the errors that stay zero, otherwise 1.
+    """
+    step, middle = mission.time[at + 1] - mission.time[at], mission.attitude[at] + mission.attitude[at + 1]
+    into = np.zeros((9, 6))
+    into[6:, :3], into[3:6, 3:] = -middle / 2, middle / 2
+    into *= kept[:, None]
+    change = step * kept[:, None] * _dynamics(motion, at, RADIUS + mission.height[at])
+    return np.eye(9) + change + change @ change / 2, step * (np.eye(9) + change / 2) @ into, into
 
 
 @dataclass(frozen=True)
@@ -306,7 +324,7 @@ class HiddenEffects:
     left: tuple[EffectNotPropagated, ...]
 
 
-def _drivers(constants: OnboardConstants, motion: Motion, warmer: float) -> _Drivers:
+def _drivers(constants: OnboardConstants, motion: MissionMotion, warmer: float) -> _Drivers:
     """Return the constants, and the offset of a recording about each axis of body."""
     kinds = {channel: triad.kind for triad in constants.triads for channel in triad.channels}
     source = []
@@ -365,13 +383,7 @@ def navigation_impact(
     errors = [_error(0.0, np.zeros((9, 9)))]
     for at in range(count - 1):
         step = mission.time[at + 1] - mission.time[at]
-        middle = mission.attitude[at] + mission.attitude[at + 1]
-        into = np.zeros((9, 6))
-        into[6:, :3], into[3:6, 3:] = -middle / 2, middle / 2
-        into *= kept[:, None]
-        change = step * kept[:, None] * _dynamics(motion, at, RADIUS + mission.height[at])
-        through = np.eye(9) + change + change @ change / 2
-        gain = step * (np.eye(9) + change / 2) @ into
+        through, gain, into = _step(mission, motion, at, kept)
         mean = (derivative[at] + derivative[at + 1]) / 2
         sensitivity = through @ sensitivity + gain @ mean
         noise = through @ noise @ through.T + step * (into * densities) @ into.T
