@@ -149,7 +149,7 @@ def test_what_cannot_be_predicted_is_refused(first):
 
 def test_the_command_writes_what_it_says(first, tmp_path, capsys, monkeypatch):
     campaign, result = first
-    monkeypatch.setattr("imubayes.api.held_against.opened", lambda folder: result)
+    monkeypatch.setattr("imubayes.api.comparisons.opened", lambda folder: result)
     out = tmp_path / "predicted"
     assert run(["predict", "RESULT", campaign.folder, "--out", str(out)]) == 0
     said = capsys.readouterr().out

@@ -11,8 +11,8 @@ from .calibrated_unit import (
     report,
 )
 from .capture import Captured, capture
+from .comparisons import Repeatability, RunPrediction, predict, repeatability
 from .fitting import Result, Settings, fit, load, read_result
-from .held_against import Repeatability, RunPrediction, predict, repeatability
 from .loop import ModelChange, add, diagnose, export, history, plant, refit, remove
 from .new_campaign import NewCampaign, new
 from .own_equation import (
