@@ -16,15 +16,18 @@ from imubayes.campaign.convert.column_names import CLOCK, COUNTER, DATE, SIX, TI
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.foundations.errors import input_error
 
-_RATES = {unit: factor for unit, factor in TIME_UNITS.items() if unit in ("s", "ms", "us", "ns")}
+_RATES = {unit: factor for unit, factor in TIME_UNITS.items() if unit in ("s", "ms", "us", "ns", "d")}
 _USUAL_HZ = (0.6, 5000.0)  # sampling rates of inertial units
 _WHOLE_SECOND = 0.99
 _EPOCH = (1e9, 3e9)  # s since 1970 of recordings from 2001 to 2065
-_WRAPS = (2.0**8, 2.0**16, 2.0**24, 2.0**32, 2.0**32 / 1000)  # the last is that of microseconds in ms
+# The fifth is that of microseconds in ms; the others are a day and a week.
+_WRAPS = (2.0**8, 2.0**16, 2.0**24, 2.0**32, 2.0**32 / 1000, 86400.0, 86400e3, 604800.0, 604800e3)
+_COARSE = 5000.0  # ticks of SampleTimeFine a sample: more would be less than 2 Hz in 100 µs
 _OUT_OF_ORDER = 1e-3  # share of the rows that may be late
 _GAP = 1.6  # sampling intervals
 _JITTER = 0.1  # of the sampling interval
 _PACKED = 0.3  # of the mean step, below which a step is within a packet
+_WITHIN = 2e-3  # s, of steps within a packet; longer ones are a sampling interval, between pauses of the record
 _DAY = 86400.0
 
 
@@ -79,7 +82,8 @@ def read_clock(
         return None
     keep = filled & np.isfinite(raw)
     if not keep.any():
-        what, remedy = "no row has both a time and a reading", "state the columns of time and channels"
+        what = "no row has both a time and a reading"
+        remedy = "state the columns of time and channels, or --sample-rate-hz"
         raise input_error(what, table.topic.where, "rows with both", remedy)
     time, wrapped = _unwrapped(raw[keep], factor)
     late = time < np.maximum.accumulate(time)
@@ -99,9 +103,11 @@ def read_clock(
 def _unit(table: ChosenTable, time: np.ndarray, options: ConvertOptions) -> tuple[str, str]:
     """Return the unit of a time column, and why it was taken where neither name nor option states it."""
     stated = options.time_unit or table.columns[TIME].unit
+    filled = time[np.isfinite(time)]
+    if stated == "100us" and not options.time_unit and (step := _mean_step(filled)) > _COARSE:
+        return "us", f"mean step {step:.5g}: {1e6 / step:.5g} Hz in us, as of Movella DOT, {1e4 / step:.3g} Hz in 100us"
     if stated in TIME_UNITS:
         return stated, ""
-    filled = time[np.isfinite(time)]
     start = abs(float(filled[:1].sum()))
     since = [unit for unit, factor in _RATES.items() if _EPOCH[0] < start * factor < _EPOCH[1]]
     if since:
@@ -131,7 +137,7 @@ def _unit_of_step(step: float, whole: bool, where: str) -> tuple[str, str]:
         f"the unit of the time is not known: its mean step is {step:.5g}",
         where,
         ", ".join(f"{unit} ({rate:.4g} Hz)" for unit, rate in rates.items()) or "s, ms, us, ns",
-        f"state it, such as --time-unit {(usual or ['s'])[0]}",
+        f"state it, such as --time-unit {usual[0]}" if usual else "state the rate: --sample-rate-hz N",
     )
 
 
@@ -178,7 +184,7 @@ def _mended(time: np.ndarray, options: ConvertOptions) -> tuple[np.ndarray, list
         return time, []
     mean, median = float(np.mean(step)), float(np.median(step))
     packed = step < _PACKED * mean
-    if packed.mean() > 0.4 and (~packed).any():
+    if packed.mean() > 0.4 and (~packed).any() and np.median(step[packed]) < _WITHIN:
         between = float(np.median(step[~packed]))
         size = round(1 + packed.sum() / max(1, (~packed).sum()))
         even = _even(time, step > _GAP * between)

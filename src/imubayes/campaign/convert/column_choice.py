@@ -19,6 +19,7 @@ from imubayes.campaign.convert.column_names import (
     TIME_UNITS,
     UNKNOWN_AXES,
     ColumnRole,
+    body_rates,
     quantity_of,
     role_of,
     words_of,
@@ -158,6 +159,9 @@ def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, al
     if not topic.named:
         return _without_names(table, stated, options, alone)
     roles = [_resolved(role, topic, recording) for role in roles]
+    if not any(role is not None and role.target in GYROS for role in roles):
+        rates = body_rates(topic.names)
+        roles = [rates.get(place, role) for place, role in enumerate(roles)]
     try:
         columns = stated | _by_name(topic, roles, stated)
     except InputError as error:
@@ -173,6 +177,10 @@ def _checked(table: ChosenTable, roles: Sequence[ColumnRole | None], options: Co
     if unknown.get(TEMPERATURE):
         left += (f"the unit '{unknown[TEMPERATURE]}' of the temperature is not known: it is not read",)
         columns = {target: column for target, column in columns.items() if target != TEMPERATURE}
+    text = [target for target, own in columns.items() if topic.columns[own.position].unit == "text"]
+    for target in (name for name in text if name[:2] not in SIX and name not in (TIME, *options.columns)):
+        left += (f"'{topic.names[columns[target].position]}' holds text: {target} is not read",)
+        columns = {name: own for name, own in columns.items() if name != target}
     faults = [*_unknown_units(topic, columns, unknown, options), *_read_twice(topic, columns)]
     return replace(table, columns=columns, left=left, faults=tuple(faults))
 
@@ -189,7 +197,8 @@ def _unknown_units(
     return [
         Issue(
             f"the unit '{unknown[found[0]]}' of {found[0]} is not known", topic.where, ", ".join(allowed),
-            f"correct it in the recording, or state the unit with --{option}",
+            f"correct it in the recording, or state the unit with --{option}"
+            + (", or the rate with --sample-rate-hz" if option == "time-unit" else ""),
         )
         for option, targets, stated, allowed in by_option
         if not stated and (found := [target for target in targets if target in columns and unknown.get(target)])

@@ -6,6 +6,7 @@ quantity, one the axis, one perhaps a statistic or a unit.  What is left over te
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from imubayes.foundations.covariates import recorded_columns
@@ -46,7 +47,7 @@ GYRO_UNITS = {
     "deg": InputUnit("deg/s", 1.0, True),
     "count": InputUnit("rad/s"),
 }
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "100us": 1e-4, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "100us": 1e-4, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 TEMPERATURE_UNITS = ("degC", "K", "degF")
 _WORDS_OF_TIME = (DATE, CLOCK, "stamp")  # what a text table holds in words is read as seconds
 
@@ -71,6 +72,7 @@ _SPELLED = {
     "ns": "ns nsec nsecs nanos nanosecond nanoseconds",
     "min": "min",
     "h": "h hr hour hours",
+    "d": "day days",
     "degC": "c degc °c ºc celsius deg.c",
     "K": "k kelvin",
     "degF": "degf °f fahrenheit",
@@ -90,8 +92,13 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-_ACCEL = _words("a f acc accel accels accelerometer accelerometers acceleration accelerations accelero xl sf")
-_GYRO = _words("g gyr gyro gyros gyroscope gyroscopes w omega ω angvel angrate turnrate rotationrate rate rates")
+_ACCEL = _words(
+    "a f acc accel accels accelerometer accelerometers acceleration accelerations accelero xl sf accl"
+    " beschleunigung beschl"
+)
+_GYRO = _words(
+    "g gyr gyro gyros gyroscope gyroscopes w omega ω angvel angrate turnrate rotationrate rate rates drehrate"
+)
 _NEITHER = _words(
     "mag magn magnetometer magnetic compass baro barometer gps gnss quat quaternion euler roll pitch yaw cov covariance"
     " var variance position pos gravity grav bias true ref reference nominal target ideal set max min error err user"
@@ -99,8 +106,11 @@ _NEITHER = _words(
     " angle angles inclination tilt heading attitude speed"
 )
 _MEAN, _SCATTER = _words("mean avg average median means"), _words("std sd stdev stddev sigma")
-_TIMES = _words("t time times timestamp timestamps ts stamp elapsed ustime mstime utc unixtime epoch loggingtime")
-_TEMPERATURES = {"temp", "temperature", "tmp", "temperatures"}  # `temps` is a time in French
+_TIMES = _words(
+    "t time times timestamp timestamps ts stamp elapsed ustime mstime utc unixtime epoch loggingtime"
+    " zeit zeitstempel tow sow itow datenum"
+)
+_TEMPERATURES = {"temp", "temperature", "tmp", "temperatures", "temperatur"}  # `temps` is a time in French
 _COUNTERS = _words("counter count cnt seq sequence packet packetcounter sample index idx frame")
 _AXES = ("x", "y", "z")
 _DULL = _ACCEL | _GYRO | _MEAN | _SCATTER | {*_AXES, "axis", "angular", "velocity", "linear", "specific", "force"}
@@ -130,16 +140,17 @@ class ColumnRole:
     unknown: str = ""
 
 
-# Names that do not say what their unit is: Physics Toolbox, Xsens.
+# Names that do not say what they are, or their unit: Physics Toolbox, Xsens, LabVIEW.
 _OF_PROGRAMS = {f"gF{axis}": ColumnRole(f"a{axis}", "g") for axis in _AXES} | {
-    "SampleTimeFine": ColumnRole(TIME, "100us")
+    "SampleTimeFine": ColumnRole(TIME, "100us"),
+    "X_Value": ColumnRole(TIME, "s"),
 }
 
 
 def unit_named(word: str) -> str:
     """Return the unit that is written in any usual spelling; empty where it is none that a recording has."""
     plain = word.strip().strip("[](){}").replace("²", "2").replace("⁻", "-").replace("¹", "1")
-    for sign in ("^", "**", " ", "_", "·", "*"):
+    for sign in ("^", "**", " ", "_", "·", "*", "(", ")"):
         plain = plain.replace(sign, "")
     if plain in ("K", "C", "F"):
         return {"K": "K", "C": "degC", "F": "degF"}[plain]
@@ -188,15 +199,30 @@ def _known_role(name: str, stated_unit: str) -> ColumnRole | None:
     if not unit:
         words, unit = _without_ending(words)
     if not words or set(words) & _NEITHER:
-        return None
+        return _time_of_gps(words, unit)
     if index is not None:
         return _channel(words, "xyz"[int(index[1]) : int(index[1]) + 1], unit)
     return _beside(words, unit) or _channel(*_apart(words), unit)
 
 
+def _time_of_gps(words: list[str], unit: str) -> ColumnRole | None:
+    known = words[:1] == ["gps"] and set(words[1:]) <= _TIMES and (words[1:] or unit in TIME_UNITS)
+    return ColumnRole(TIME, unit, ("gps",)) if known else None
+
+
 def _is_unknown(text: str) -> bool:
     """Tell whether what stands in the place of a unit is none that is known, and no word beside it."""
-    return bool(text.strip()) and not is_unit(text) and not set(words_of(text)) <= _NO_UNIT
+    named = bool(text.strip()) and not re.search(r"\d{3}", text)  # a descriptor, such as [x8004], is none
+    return named and not is_unit(text) and not set(words_of(text)) <= _NO_UNIT
+
+
+def body_rates(names: Sequence[str]) -> dict[int, ColumnRole]:
+    """Return position → role of columns p, q and r, the rates about x, y and z; none unless all three are there."""
+    bare = [_BRACKETED.sub("", name).strip() for name in names]
+    if any(bare.count(letter) != 1 for letter in "pqr"):
+        return {}
+    places = [bare.index(letter) for letter in "pqr"]
+    return {k: ColumnRole(name, unit_named(names[k].strip()[1:])) for k, name in zip(places, GYROS, strict=True)}
 
 
 def quantity_of(words: set[str], unit: str) -> str:
@@ -236,6 +262,8 @@ def _last_unit(words: list[str]) -> str:
     if len(last) == 1 and last in "fhk":
         return unit_named(last.upper()) if warm and last != "h" else ""
     unit = unit_named(last)
+    if unit in TEMPERATURE_UNITS and not warm:  # UncompAccel.c[0]
+        return ""
     per_second = {"rad": "rad/s", "deg": "deg/s"} if set(words) & _GYRO else {}  # PX4 writes gyro_rad for rad/s
     return per_second.get(unit, unit)
 
