@@ -22,6 +22,7 @@ _MOST_SAMPLES = 300_000
 _FEW_COUNTS = 20
 # The largest zero-rate output of MEMS gyros: 20 deg/s, MPU-6050 product specification.
 _LARGEST_BIAS = {"rad/s": 0.35, "deg/s": 20.0}
+_FAR = 3.0  # times the unit that is stated; others are a factor of 17 and more away
 
 
 @dataclass(frozen=True)
@@ -59,14 +60,16 @@ def find_units(
         where the unit is not known and the numbers fit none or several.
     """
     guesses: dict[str, str] = {}
-    accel = _stated("accel_unit", options.accel_unit, ACCELEROMETERS, columns, stated, where)
     names = [name for name in ACCELEROMETERS if name in columns]
     force = np.stack([columns[name][:READ] for name in names], axis=1) if names else np.zeros((0, 0))
+    accel = options.accel_unit  # where gravity speaks for it, what the recording states is wrong
+    if not accel or force.shape[1] != 3 or unit_of_gravity(force, rest_means(force))[0] != accel:
+        accel = _stated("accel_unit", accel, ACCELEROMETERS, columns, stated, where)
     if accel:
         _refuse_no_gravity(accel, force, where)
     elif names:
         accel, guesses["accel_unit"] = _of_accelerometers(force, where)
-    gyro = _stated("gyro_unit", options.gyro_unit, GYROS, columns, stated, where)
+    gyro = _of_stated_gyros(columns, stated, options, where)
     if not gyro and any(name in columns for name in GYROS):
         gyro, guesses["gyro_unit"] = _of_gyros(columns, accel, where)
     return Units(accel, gyro, guesses)
@@ -92,6 +95,27 @@ def _stated(
         remedy = f"state the unit with --{option.replace('_', '-')}"
         raise input_error(what, where, "one unit for the three: " + ", ".join(allowed), remedy)
     return own.pop()
+
+
+def _of_stated_gyros(
+    columns: Mapping[str, np.ndarray], stated: Mapping[str, str], options: ConvertOptions, where: str
+) -> str:
+    """Return the unit that is stated, held against the turns between poses; an option is right where they agree."""
+    given, own = options.gyro_unit, {stated[name] for name in GYROS if name in columns and stated.get(name)}
+    wanted = given or (own.pop() if len(own) == 1 else "")
+    size = 0.0
+    if wanted in _PER_RADIAN and all(name in columns for name in (*SIX, TIME)):
+        size, _ = _per_radian({name: columns[name] for name in (*SIX, TIME)}, where)
+        if size and not 1 / _FAR < size / _PER_RADIAN[wanted] < _FAR:
+            raise _other_turns(wanted, size, where)
+    return given if given and size else _stated("gyro_unit", given, GYROS, columns, stated, where)
+
+
+def _other_turns(unit: str, size: float, where: str) -> InputError:
+    near = [other for other, per in _PER_RADIAN.items() if abs(size / per - 1) < _NEAR]
+    remedy = f"state the unit: --gyro-unit {near[0]}" if near else "correct --gyro-unit, or --time-unit"
+    what = f"the gyros are in {unit}, and turns between poses integrate to {size:.4g} {unit}·s per radian"
+    return input_error(what, where, f"about {_PER_RADIAN[unit]:.4g}", remedy)
 
 
 def _refuse_no_gravity(unit: str, force: np.ndarray, where: str) -> None:
