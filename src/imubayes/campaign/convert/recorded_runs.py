@@ -20,6 +20,9 @@ _TURN = np.deg2rad(4.0)  # between the directions of most rows and the next, in 
 _STILL = 0.05  # scatter of a face relative to g
 _TILTED, _DRIFTED = 0.03, 0.15  # of f across and along itself, relative to g, that is no motion yet
 _LEAST_FACES = 4
+_ALTERNATE = 0.1  # share of rows with forces and rates, below which they stand in rows of their own
+_WARM = (-100.0, 200.0)  # degC of an inertial unit; kelvins and counts are beyond
+_MOST_VOID = 0.1  # share of rows in which all six channels read the same
 _MEAN_AND_SCATTER = (np.nanmean, np.nanstd)
 
 
@@ -53,7 +56,7 @@ def recorded_runs(tables: Sequence[ChosenTable], options: ConvertOptions) -> tup
     InputError
         where a raw log has no times, or two clocks do not overlap.
     """
-    parts = [_part(table, options) for table in tables]
+    parts = [_table_part(table, options) for table in tables]
     kinds = [table.kinds for table in tables]
     if sorted(kinds) == ["a", "g"]:
         parts = [_merged(parts[kinds.index("a")], parts[kinds.index("g")], tables)]
@@ -64,9 +67,51 @@ def recorded_runs(tables: Sequence[ChosenTable], options: ConvertOptions) -> tup
     return tuple(_from_zero(_told_rows(part, options, tables), options) for part in parts)
 
 
-def _part(table: ChosenTable, options: ConvertOptions) -> RecordedRun:
+def _table_part(table: ChosenTable, options: ConvertOptions) -> RecordedRun:
+    """Return the run of a table, whose forces and rates may stand in rows of their own: two clocks then."""
     values = values_of(table)
-    filled = np.any([np.isfinite(values[name]) for name in SIX if name in values], axis=0)
+    force, rate = (
+        np.any([np.isfinite(values[name]) for name in names if name in values], axis=0)
+        for names in (ACCELEROMETERS, GYROS)
+    )
+    if table.kinds != "ag" or np.sum(force & rate) >= _ALTERNATE * min(force.sum(), rate.sum()):
+        return _part(table, options, values)
+    forces, rates = (
+        replace(table, columns={name: own for name, own in table.columns.items() if name[:2] not in left_out})
+        for left_out in (GYROS, ACCELEROMETERS)
+    )
+    return _merged(_part(forces, options, values), _part(rates, options, values), [table])
+
+
+def _filled(values: Columns) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return which rows have a reading, and a note on those whose six channels all read the same: a sign of none."""
+    channels = [values[name] for name in SIX if name in values]
+    filled = np.any([np.isfinite(column) for column in channels], axis=0)
+    void = np.all([column == channels[0] for column in channels], axis=0)  # a NaN is no value
+    if len(channels) < len(SIX) or not 0 < void.sum() <= _MOST_VOID * filled.sum():
+        return filled, ()
+    word = f"{channels[0][np.flatnonzero(void)[0]]:.6g}"
+    return filled & ~void, (f"{int(void.sum())} rows in which all six channels read the same ({word}) are left out",)
+
+
+def _beside(others: Columns, keep: np.ndarray, units: dict[str, str]) -> tuple[Columns, list[str]]:
+    """Return the kept rows: a temperature in rows of its own is interpolated, one that is none in degC left out."""
+    kept, notes = dict(others) if keep.all() else {name: column[keep] for name, column in others.items()}, []
+    for name in [name for name in kept if "temperature" in name]:
+        there = np.flatnonzero(np.isfinite(others[name]))
+        if len(there) and np.isfinite(kept[name]).mean() < _ALTERNATE and np.sum(~keep[there]) > 0.5 * len(there):
+            kept[name] = np.interp(np.flatnonzero(keep), there, others[name][there])
+            notes.append(f"{name} is recorded in {len(there)} rows of its own: interpolated")
+        usual = float(np.median(others[name][there])) if len(there) else 0.0
+        if not units.get(name) and not _WARM[0] < usual < _WARM[1]:
+            del kept[name]
+            notes.append(f"{name} reads {usual:.5g}, which is no degC: not read; its header may state K or degF")
+    return kept, notes
+
+
+def _part(table: ChosenTable, options: ConvertOptions, values: Columns) -> RecordedRun:
+    values = {name: values[name] for name in table.columns}
+    filled, void = _filled(values)
     if not filled.any():
         remedy = "state the column of each channel, such as --column ax=NAME"
         raise input_error("no row has a reading", table.topic.where, "numbers in the columns of the channels", remedy)
@@ -75,11 +120,10 @@ def _part(table: ChosenTable, options: ConvertOptions) -> RecordedRun:
     note = _understood(table, values)
     others = {name: column for name, column in values.items() if name not in (TIME, DATE, CLOCK, COUNTER)}
     guesses = {"columns": table.evidence} if table.evidence else {}
-    left = (*table.left, *table.recording.notes())
+    kept, beside = _beside(others, filled if clock is None else clock.keep, units)
+    left = (*table.left, *table.recording.notes(), *void, *beside)
     if clock is None:
-        kept = others if filled.all() else {name: column[filled] for name, column in others.items()}
         return RecordedRun(kept, units, (note, *left), guesses)
-    kept = others if clock.keep.all() else {name: column[clock.keep] for name, column in others.items()}
     return RecordedRun(
         {TIME: clock.time, **kept}, units, (note, *left, *clock.notes), guesses | _time_guess(clock), clock.unit
     )

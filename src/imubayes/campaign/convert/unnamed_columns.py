@@ -141,7 +141,7 @@ def _increments(
     values: np.ndarray, rest: np.ndarray, triples: list[list[int]], clock: int | None
 ) -> GuessedColumns | None:
     """Return the layout of PSINS: three angle increments, three velocity increments that are g times the step, time."""
-    if clock is None or len(triples) != 2:
+    if clock is None or len(triples) != 2 or (values[:1000, triples[1]] % 1 == 0).all():  # counts are none
         return None
     step = float(np.median(np.diff(values[:READ, clock])))
     unit, size = gravity_unit(rest[:, triples[1]] / step) if step > 0 else ("", 0.0)
