@@ -1,5 +1,6 @@
 """NumPy arrays, `.npy` and `.npz`; and how arrays of any container are taken as tables."""
 
+import math
 import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,14 +19,15 @@ _MOST_CHANNELS = 32  # a matrix of so many rows and more columns has one channel
 class _Part:
     """One column of an array that supports slices: of a matrix along either axis, or a field of a structured one."""
 
-    def __init__(self, data: Any, place: int | str) -> None:
-        self.data, self.place = data, place
+    def __init__(self, data: Any, place: int | str, element: int = 0) -> None:
+        self.data, self.place, self.element = data, place, element
         self.across = data.ndim == 2 and data.shape[0] <= _MOST_CHANNELS and data.shape[1] > data.shape[0]
         self.rows = data.shape[1] if self.across else data.shape[0]
 
     def read(self, block: slice) -> np.ndarray:
         if isinstance(self.place, str):
-            return np.asarray(self.data[block][self.place], dtype=np.float64).ravel()
+            field = np.asarray(self.data[block][self.place], dtype=np.float64)
+            return field.reshape(len(field), -1)[:, self.element]
         if self.data.ndim == 1:
             return np.asarray(self.data[block], dtype=np.float64)
         part = self.data[self.place, block] if self.across else self.data[block, self.place]
@@ -71,7 +73,12 @@ class ArrayRecording(SourceRecording):
     def _columns(self, name: str, value: Any) -> list[tuple[SourceColumn, _Part]]:
         unit, short = self._units.get(name, ""), re.split(r"[./]", name)[-1]
         if value.dtype.names:
-            return [(SourceColumn(field), _Part(value, field)) for field in value.dtype.names]
+            widths = {field: math.prod(value.dtype[field].shape) for field in value.dtype.names}
+            return [
+                (SourceColumn(field if width == 1 else f"{field}[{place}]"), _Part(value, field, place))
+                for field, width in widths.items()
+                for place in range(width)
+            ]
         width = 1 if value.ndim == 1 else min(value.shape)
         label = (short,) if width == 1 else tuple(f"{short}[{place}]" for place in range(width))
         return [(SourceColumn(label[place], unit), _Part(value, place)) for place in range(width)]
@@ -112,7 +119,7 @@ def _group(name: str) -> str:
 
 def _numeric(value: Any) -> bool:
     if value.dtype.names:
-        return value.ndim == 1 and all(value.dtype[name].kind in "iufb" for name in value.dtype.names)
+        return value.ndim == 1 and all(value.dtype[name].base.kind in "iufb" for name in value.dtype.names)
     return value.dtype.kind in "iufb" and 1 <= value.ndim <= 2 and value.size > 1
 
 

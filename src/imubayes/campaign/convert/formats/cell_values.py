@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, date, datetime
 from enum import StrEnum
 
-_EMPTY = {"", "nan", "na", "n/a", "null", "none", "-"}
+_EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "--", "---", "#n/a", "#na", "#nv", "nat"}
 _DATE = re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4})")
-_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)")
-_STAMP = re.compile(r"\d{4}[-/]?\d{2}[-/]?\d{2}[T_ ]\d{2}.*")
+_CLOCK = re.compile(r"(?:(\d+) days? )?(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)(?: ?([aApP])[mM])?")
+_PARTED = re.compile(r"([\d./-]{8,10})[T_ ]+(\d+:[\d:.,]+(?: ?[aApP][mM])?) ?(Z|UTC|[+-]\d\d:?\d\d)?")
+_STAMP = re.compile(rf"\d{{4}}[-/]?\d{{2}}[-/]?\d{{2}}[T_ ]\d{{2}}.*|{_PARTED.pattern}")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
 
@@ -66,15 +67,22 @@ def seconds_of_date(cell: str) -> float:
 
 
 def seconds_of_clock(cell: str) -> float:
-    """Return the seconds of a time of day, h:m:s or m:s."""
+    """Return the seconds of a time of day, h:m:s or m:s, with days before it or AM or PM behind it."""
     found = _CLOCK.fullmatch(cell.strip())
     if not found:
         raise ValueError(f"'{cell}' is no time of day")
-    return 3600.0 * int(found[1] or 0) + 60.0 * int(found[2]) + float(found[3].replace(",", "."))
+    days, hours, half = int(found[1] or 0), int(found[2] or 0), (found[5] or "").lower()
+    hours = hours % 12 + 12 * (half == "p") if half else hours
+    return 86400.0 * days + 3600.0 * hours + 60.0 * int(found[3]) + float(found[4].replace(",", "."))
 
 
 def seconds_of_stamp(cell: str) -> float:
-    """Return the seconds from 1970 of a date and time in ISO 8601; without a zone it is taken as UTC."""
+    """Return the seconds from 1970 of a date and a time of day; without a zone it is taken as UTC."""
+    parted = _PARTED.fullmatch(cell.strip())
+    if parted and _DATE.fullmatch(parted[1]):
+        zone = (parted[3] or "").replace(":", "")
+        east = float(f"{zone[0]}1") * (60 * int(zone[1:3]) + int(zone[3:])) if zone[:1] in tuple("+-") else 0.0
+        return seconds_of_date(parted[1]) + seconds_of_clock(parted[2]) - 60.0 * east
     stamp = datetime.fromisoformat(cell.strip().replace("_", "T").replace(",", ".").replace("/", "-"))
     return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
 

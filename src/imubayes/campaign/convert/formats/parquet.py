@@ -48,7 +48,7 @@ def _readable(kind: pa.DataType) -> bool:
 
 def _unit(field: pa.Field) -> str:
     if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type):
-        return "s"
+        return "stamp" if field.name.startswith("__index_level_") else "s"  # an index that has no name in pandas
     stated = (field.metadata or {}).get(b"unit") or (field.metadata or {}).get(b"units") or b""
     return stated.decode("utf-8", "replace")
 
