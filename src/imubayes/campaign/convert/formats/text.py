@@ -54,11 +54,16 @@ class TextRecording(SourceRecording):
         layout, self._damaged, self._lines = self.layout, [], 0
         kinds = layout.tags.get(topic.name, layout.kinds)
         self._refuse_text(topic, kinds, positions)
-        plain = not layout.tags and not layout.decimal_comma and all(kinds[k] is CellKind.NUMBER for k in positions)
+        plain = (
+            not layout.tags
+            and not layout.labels
+            and not layout.decimal_comma
+            and all(kinds[k] is CellKind.NUMBER for k in positions)
+        )
         with open_text(self.file, layout.encoding) as stream:
             lines = islice(enumerate(stream, 1), layout.first - 1, None)
             while chunk := list(islice(lines, BLOCK_ROWS)):
-                rows = [(n, line) for n, line in chunk if not line.isspace() and not self._comment(line)]
+                rows = [(n, line) for n, line in chunk if not line.isspace() and not self._no_data(line)]
                 self._lines, self._last = self._lines + len(rows), rows[-1][0] if rows else self._last
                 block = self._whole(rows, positions) if plain else None
                 yield self._by_line(rows, topic, kinds, positions) if block is None else block
@@ -88,7 +93,10 @@ class TextRecording(SourceRecording):
                     "write it so; or leave the column out: a time may be replaced by --sample-rate-hz",
                 )
 
-    def _comment(self, line: str) -> bool:
+    def _no_data(self, line: str) -> bool:
+        """Tell whether a line is a comment, or the heading once more, as of a logger that was started again."""
+        if line.strip() == self.layout.head:
+            return True
         sign = COMMENT_SIGN.match(line)
         return sign is not None and sign[1] != self.layout.delimiter
 

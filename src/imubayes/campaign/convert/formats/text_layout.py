@@ -5,14 +5,14 @@ import csv
 import gzip
 import lzma
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from imubayes.campaign.convert.column_names import is_unit
+from imubayes.campaign.convert.column_names import is_unit, role_of
 from imubayes.campaign.convert.formats.cell_values import CellKind, has_decimal_comma, is_number, kind_of
 from imubayes.foundations.errors import input_error
 
@@ -22,6 +22,10 @@ COMMENT_SIGN = re.compile(r"\s*(#+|%+|!+|\*+|;+|//+|--+(?![\d.])) *")
 _MOST_LINES = 300  # among which the first numbers are sought
 _SAMPLE = 40  # lines by which the kinds of the columns are told
 _MOST_TAGS = 12
+_FEW = 6  # lines that tell the usual number of cells
+_LABELLED = 0.8  # share of the lines with the same labels
+_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
+_REMARKS = ("comment", "comments", "remark", "remarks")
 _COMPRESSED: dict[bytes, Callable[..., Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
 
 
@@ -38,6 +42,8 @@ class TextLayout:
     names : of the columns; more or fewer than `kinds` where they do not fit.
     units : from a line of units below the names; empty where there is none.
     kinds : what each column holds, as many as data fields.
+    head : the line of the names, which may come again.
+    labels : what stands between the numbers, where each line names its numbers: `AX: 0.12 AY: 9.7`, JSON.
     tags : first words of the lines, where each line says what it holds, with the kinds of its columns.
     """
 
@@ -50,9 +56,13 @@ class TextLayout:
     units: tuple[str, ...]
     kinds: tuple[CellKind, ...]
     tags: dict[str, tuple[CellKind, ...]]
+    head: str = ""
+    labels: tuple[str, ...] = ()
 
     def cells(self, line: str) -> list[str]:
         """Return the cells of a data line, with decimal points."""
+        if self.labels:
+            return _NUMBER.findall(line) if _between(line) == self.labels else []
         cells = split_cells(line, self.delimiter)
         return [cell.replace(",", ".") for cell in cells] if self.decimal_comma else cells
 
@@ -74,14 +84,19 @@ def find_layout(file: Path, delimiter: str | None) -> TextLayout:
         if the file is not text, is empty or holds no numbers.
     """
     encoding, lines = _first_lines(file)
-    stated = DELIMITERS[delimiter] if delimiter else None
+    return (None if delimiter else _labelled(encoding, lines)) or _table(file, encoding, lines, delimiter)
+
+
+def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimiter: str | None) -> TextLayout:
+    typical = _typical([line for _, line in lines], delimiter)
     for index, (first, line) in enumerate(lines):
-        separator, comma = (stated, False) if delimiter else _separator(line)
-        comma = comma or (separator != "," and any(map(has_decimal_comma, split_cells(line, separator))))
+        separator, comma = _separator(line, delimiter)
+        comma = comma or _has_commas(split_cells(line, separator), separator)
         point = _with_point(comma)
         following = lines[index + 1][1] if index + 1 < len(lines) else ""
         cells = point(split_cells(line, separator))
-        if not _is_data(line, cells, point(split_cells(following, separator)), separator):
+        below = point(split_cells(following, separator))
+        if _above(cells, point(typical)) or not _is_data(line, cells, below, separator):
             continue
         sample = [point(split_cells(text, separator)) for _, text in lines[index : index + _SAMPLE]]
         tags = _tags(sample)
@@ -90,13 +105,20 @@ def find_layout(file: Path, delimiter: str | None) -> TextLayout:
         heading, names, units = _heading(lines[:index], separator, {len(cells), width})
         width = len(cells) if len(names) == len(cells) else width
         kinds = tuple(kind_of([row[place] for row in sample if place < len(row)]) for place in range(width))
-        return TextLayout(encoding, separator, comma, first, heading, names, units, kinds, tags)
+        head = dict(lines).get(heading, "").strip()
+        return TextLayout(encoding, separator, comma, first, heading, names, units, kinds, tags, head)
     raise input_error(
         f"there is no line of numbers among the first {lines[-1][0]} lines",
         str(file),
         "numbers delimited by commas, semicolons, tabs or spaces",
         "export the recording as a table of numbers",
     )
+
+
+def _has_commas(cells: Sequence[str], separator: str | None) -> bool:
+    """Tell whether numbers have decimal commas: in quotes between commas; three digits behind each are thousands."""
+    digits = [len(re.split("[,eE]", cell)[1]) for cell in cells if has_decimal_comma(cell)]
+    return any(separator != "," or count != 3 for count in digits)
 
 
 def _with_point(comma: bool) -> Callable[[list[str]], list[str]]:
@@ -122,6 +144,8 @@ def _first_lines(file: Path) -> tuple[str, list[tuple[int, str]]]:
 
 def split_cells(line: str, separator: str | None) -> list[str]:
     """Return the cells of a line, without quotes and spaces around them."""
+    if " -> " in line:  # time of the serial monitor
+        line = line.replace(" -> ", separator or " ", 1)
     if '"' not in line and "'" not in line:
         parts = line.split(separator)
         return [part.strip() for part in parts] if separator else parts
@@ -133,8 +157,10 @@ def split_cells(line: str, separator: str | None) -> list[str]:
     return [cell.strip().strip("'\"").strip() for cell in cells]
 
 
-def _separator(line: str) -> tuple[str | None, bool]:
+def _separator(line: str, stated: str | None) -> tuple[str | None, bool]:
     """Return the delimiter of a line, and whether commas in it are decimal signs."""
+    if stated:
+        return DELIMITERS[stated], False
     mark = next((mark for mark in "\t;|" if mark in line.rstrip()), None)
     if mark is None and "," in line:
         words = line.split()
@@ -174,7 +200,7 @@ def _heading(
         others = () if separator and separator in line else ("\t", ";", ",", None)
         for mark in dict.fromkeys((separator, *others)):
             cells = split_cells(_without_sign(line, mark), mark)
-            for names in (cells, _without_trailing(cells), cells[1:] if _says_units(cells) else []):
+            for names in (cells, _without_trailing(cells), _shortened(cells)):
                 if len(names) not in widths:
                     continue
                 if not units and all(is_unit(name) for name in names if name) and any(names):
@@ -183,14 +209,65 @@ def _heading(
                 return number, tuple(names), units
     if units:
         return lines[-1][0], units, ()
-    if not lines:
-        return 0, (), ()
-    names = split_cells(_without_sign(lines[-1][1], separator), separator)
-    return lines[-1][0], tuple(names), ()
+    return _last_names(lines[-1:], separator, min(widths))
 
 
-def _says_units(cells: Sequence[str]) -> bool:
-    return cells[0].rstrip(":").lower() in ("unit", "units")
+def _last_names(
+    lines: Sequence[tuple[int, str]], separator: str | None, width: int
+) -> tuple[int, tuple[str, ...], tuple[str, ...]]:
+    """Return the names in the last line; a cell without a name in it is a sentence, such as "sensor found"."""
+    for number, line in lines:
+        names = split_cells(_without_sign(line, separator), separator)
+        if len(names) > 1 or width < 3 or any(map(role_of, re.split(r"[\s,;|]+", line))):
+            return number, tuple(names), ()
+    return 0, (), ()
+
+
+def _typical(lines: Sequence[str], stated: str | None) -> list[str]:
+    """Return the cells of a late line, with as many as most lines there have; none where they are few, or tagged."""
+    late = [split_cells(line, _separator(line, stated)[0]) for line in lines[len(lines) // 2 :]]
+    widths = [len(row) for row in late]
+    usual = max(set(widths), key=widths.count)
+    return next(row for row in late if len(row) == usual) if len(late) >= _FEW and not _tags(late) else []
+
+
+def _above(cells: Sequence[str], typical: Sequence[str]) -> bool:
+    """Tell whether a line stands above the table: fewer cells than its lines have, or text where they have none."""
+    kinds = [(kind_of([cell]), kind_of([below])) for cell, below in zip(cells, typical, strict=False)]
+    return len(cells) < len(typical) or any(own is CellKind.TEXT is not below for own, below in kinds)
+
+
+def _between(line: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in _NUMBER.split(line.strip()))
+
+
+def _labelled(encoding: str, lines: Sequence[tuple[int, str]]) -> TextLayout | None:
+    """Return the layout of lines that name each number, or each first of several, always in the same words."""
+    found = [_between(line) for _, line in lines[len(lines) // 2 :]]
+    usual = max(set(found), key=found.count)
+    words = [" ".join(re.findall(r"[^\W\d_][\w.]*", part)) for part in usual[:-1]]
+    named = [word for word in words if word]
+    always = found.count(usual) >= _LABELLED * len(found) and len(words) > 3 and len(set(named)) == len(named) > 1
+    if not always or not words[0] or not any(role_of(f"{word}[0]") or role_of(word) for word in named):
+        return None
+    first = next(number for number, line in lines if _between(line) == usual)
+    kinds = (CellKind.NUMBER,) * len(words)
+    return TextLayout(encoding, None, False, first, first, tuple(_numbered(words)), (), kinds, {}, "", usual)
+
+
+def _numbered(words: Sequence[str]) -> Iterator[str]:
+    """Yield a name for each number: a word of its own, or the word before several with their index."""
+    for place, word in enumerate(words):
+        first = place - next(back for back in range(place + 1) if words[place - back])
+        several = not word or words[place + 1 : place + 2] == [""]
+        yield f"{words[first]}[{place - first}]" if several else word
+
+
+def _shortened(cells: Sequence[str]) -> Sequence[str]:
+    """Return units without the word that says so, or names without that of remarks, which no line has."""
+    if cells[0].rstrip(":").lower() in ("unit", "units"):
+        return cells[1:]
+    return cells[:-1] if cells[-1].lower() in _REMARKS else ()
 
 
 def _without_sign(line: str, separator: str | None) -> str:
