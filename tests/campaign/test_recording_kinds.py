@@ -196,6 +196,15 @@ def test_fields_of_several_elements(tmp_path: Path) -> None:
     np.testing.assert_array_equal(channels(read_recordings([file])), ROWS[:, 1:])
 
 
+def test_unit_with_one_axis(tmp_path: Path) -> None:
+    (file := tmp_path / "log.csv").write_text(text(ROWS[:, [0, 6]], "time,gz_rad_s"))
+    with pytest.raises(InputError, match="--column gz='gz_rad_s'"):
+        read_recordings([file])
+    assert [
+        each["name"] for each in read_recordings([file], columns={"gz": "gz_rad_s"}).campaign.document["channel"]
+    ] == ["gz"]
+
+
 def test_times_in_words() -> None:
     day = seconds_of_stamp("2026-03-01T00:00:00")
     assert seconds_of_stamp("01.03.2026 10:00:00,250") == day + 36000.25

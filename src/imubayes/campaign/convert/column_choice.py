@@ -341,7 +341,8 @@ def _incomplete(topic: Topic, found: _Sensor, wanted: Sequence[str]) -> InputErr
         f"the columns are named {named}: there is no {missing}",
         topic.where,
         f"columns named {' '.join(SIX)} or alike, as many names as data fields",
-        "state the column of each channel, such as --column ax=NAME or --column ax=NUMBER",
+        "state the column of each channel, such as --column ax=NAME or --column ax=NUMBER"
+        f"; or the only ones of the unit: {' '.join(f'--column {n}={topic.names[found[n][0]]!r}' for n in found)}",
     )
 
 
