@@ -76,7 +76,9 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     document: dict[str, Any] = {"format": 1, "name": options.name or name, "notes": notes, "site": site}
     document |= {"unit": {"serial": options.serial}, "channel": channels}
     labels = _labels(len(runs))
-    document |= _equipment(procedure)
+    equipment, face = _equipment(procedure, longest)
+    notes += [face] if face else []
+    document |= equipment
     document["run"] = [_run(label, procedure, options) for label in labels]
     tables = {_file(label): _table(run.columns) for label, run in zip(labels, runs, strict=True)}
     _add_turns(document, tables, list(zip(labels, turns, strict=False)), options)
@@ -137,14 +139,28 @@ def _add_turns(
     document["run"] = kept
 
 
-def _equipment(procedure: str) -> dict[str, Any]:
-    """Return a table and a mounting where the procedure needs them."""
+def _equipment(procedure: str, run: RecordedRun) -> tuple[dict[str, Any], str]:
+    """Return a table and a mounting where the procedure needs them, and the note on a face that is not the base."""
     if not procedure_named(procedure).needs_table:
-        return {}
-    return {
-        "table": [{"name": "bench", "elevation_deg": 90.0}],
-        "mounting": [{"name": "aligned", "preset": "aligned"}],
-    }
+        return {}, ""
+    up, mounting = _face_up(run), {"name": "aligned", "preset": "aligned"}
+    if up != (2, 1):
+        axis, sense = up
+        rows = np.roll(np.eye(3), axis + 1, axis=1)  # the third row is the axis that points up
+        turned = rows if sense > 0 else np.diag([1.0, -1.0, -1.0]) @ rows
+        mounting = {"name": "aligned", "body_to_table": turned.tolist()}
+    said = f"the unit rests with its {'xyz'[up[0]]} axis {'up' if up[1] > 0 else 'down'}, by its accelerometers"
+    table = {"name": "bench", "elevation_deg": 90.0}
+    return {"table": [table], "mounting": [mounting]}, "" if up == (2, 1) else said
+
+
+def _face_up(run: RecordedRun) -> tuple[int, int]:
+    """Return the body axis nearest to the mean specific force, and its sense; z up without three accelerometers."""
+    if not all(name in run.columns for name in ACCELEROMETERS):
+        return 2, 1
+    force = np.array([np.nanmedian(run.columns[name]) for name in ACCELEROMETERS])
+    axis = int(np.argmax(np.abs(force)))
+    return axis, 1 if force[axis] > 0 else -1
 
 
 def _labels(count: int) -> list[str]:
