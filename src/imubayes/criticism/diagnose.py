@@ -25,6 +25,7 @@ from imubayes.criticism.diagnosis_record import (
     ScreenedEffect,
     UndetectableEffect,
     UntypicalSize,
+    UnweighedTurns,
     ranking,
 )
 from imubayes.criticism.evidence.effect_variants import SHOWN
@@ -51,6 +52,7 @@ from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import Linearised
+from imubayes.noise.components import RotationClosure
 from imubayes.responses.candidate_effects import Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate, covariates
 from imubayes.responses.wrong_inputs import WrongInput
@@ -170,6 +172,18 @@ def explained_fit(fit: Fit, result: str = "RESULT", progress: Tell = silent) -> 
     return ExplainedFit(fit, responses, known, posterior, result)
 
 
+def unweighed_turns(fit: Fit) -> tuple[UnweighedTurns, ...]:
+    """Return the turns of each free tumble, with the closing rotation that the fit leaves of one."""
+    model, found = fit.model, []
+    values = np.asarray(model.problem.hyper_priors.values(jnp.asarray(fit.h)))
+    turns = {run.name: run.tumble.turns for run in model.campaign.runs if run.tumble is not None and run.tumble.turns}
+    for place, parameter in enumerate(model.hyper_layout.parameters):
+        if parameter.effect == RotationClosure.name and parameter.label[0] in turns:
+            run = parameter.label[0]
+            found.append(UnweighedTurns(run=run, turns=turns[run], closing_deg=float(np.degrees(values[place]))))
+    return tuple(found)
+
+
 def _refuse_unknown(effect: str, fit: Fit) -> None:
     where = f"effect '{effect}'"
     member = fit.model.registry.find(effect, where)
@@ -237,6 +251,7 @@ class ExplainedFit:
             recorded_noise=noise.of_rows,
             contradicted=noise.contradicted,
             neglected=self.absorbed.neglected,
+            unweighed=unweighed_turns(fit),
         )
         return diagnosis.with_evidence(shown[0] if shown else None, noise)
 
@@ -263,6 +278,7 @@ class ExplainedFit:
         return Diagnosis(
             verdict=verdict, message="" if self.fit.optimised else self.fit.message, result=self.result,
             explanations=self.posterior.evidence, ranking=lines, undetectable=undetectable, asked=asked,
+            unweighed=unweighed_turns(self.fit),
         )  # fmt: skip
 
     def _verdict(self) -> Verdict:
