@@ -166,3 +166,17 @@ def test_a_unit_of_an_option_is_spelled_as_in_a_header():
     assert (given.accel_unit, given.gyro_unit, given.time_unit) == ("m/s^2", "deg/s", "ms")
     with pytest.raises(InputError, match="'furlong' is not known"):
         read_options({"accel_unit": "furlong"})
+
+
+@pytest.mark.parametrize(("axis", "sense"), [(0, 1), (1, -1), (2, -1), (2, 1)])
+def test_a_ramp_rests_on_the_face_that_its_accelerometers_show(tmp_path: Path, axis: int, sense: int) -> None:
+    rng, count = np.random.default_rng(3), 3000
+    force = rng.normal(0, 0.01, (count, 3))
+    force[:, axis] += 9.81 * sense
+    rows = np.column_stack([np.arange(count) / 2, force, np.linspace(-10, 50, count)])
+    names = "time_s,ax (m/s^2),ay (m/s^2),az (m/s^2),temperature_degC"
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=names, comments="", fmt="%.6g")
+    campaign = load_campaign(convert([tmp_path / "log.csv"], tmp_path / "c", gravity_m_s2=9.81))
+    [mounting] = campaign.mountings.values()
+    np.testing.assert_allclose(mounting.body_to_table @ np.eye(3)[axis] * sense, [0, 0, 1], atol=1e-12)
+    assert (axis == 2 and sense == 1) != any("the unit rests with its" in note for note in campaign.notes)

@@ -155,8 +155,8 @@ def _equipment(procedure: str, run: RecordedRun) -> tuple[dict[str, Any], str]:
 
 
 def _face_up(run: RecordedRun) -> tuple[int, int]:
-    """Return the body axis nearest to the mean specific force, and its sense; z up without three accelerometers."""
-    if not all(name in run.columns for name in ACCELEROMETERS):
+    """Return the body axis nearest to the mean specific force, and its sense; z up where it moves or is not known."""
+    if not all(name in run.columns for name in ACCELEROMETERS) or not still_seconds(run):
         return 2, 1
     force = np.array([np.nanmedian(run.columns[name]) for name in ACCELEROMETERS])
     axis = int(np.argmax(np.abs(force)))
