@@ -152,3 +152,15 @@ def test_more_parameters_than_values_are_told_with_what_to_leave_out(tmp_path, c
     assert "of accel_misalignment these runs tell less than 10 %" in said
     assert run(["check", str(campaign), "--model", str(model), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["model"]["untold"] == ["accel_misalignment"]
+
+
+def test_a_warm_up_gets_the_terms_of_an_autopilot_s_temperature_calibration(tmp_path, capsys):
+    rng, count = np.random.default_rng(5), 3000
+    temperature = 50 - 60 * np.exp(-np.arange(count) / 600)
+    columns = [np.arange(count), temperature, *rng.normal(0, 0.01, (2, count)), rng.normal(9.81, 0.01, count)]
+    header = "time_s,temperature_degC,ax,ay,az"
+    np.savetxt(tmp_path / "log.csv", np.stack(columns, axis=1), delimiter=",", header=header, comments="")
+    stated = ["--latitude-deg", "48", "--accel-unit", "m/s^2"]
+    assert run(["new", str(tmp_path / "unit"), str(tmp_path / "log.csv"), *stated]) == 0
+    ends = ("", "_quadratic", "_cubic")
+    assert {f"accel_bias_temperature{end}" for end in ends} < set(effects_of(tmp_path / "unit"))

@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from imubayes.display.classical_comparison import (
     undetermined_sheet,
 )
 from imubayes.display.layout import terminal
-from imubayes.procedures import classical
+from imubayes.procedures import PROCEDURES, classical
 from imubayes.procedures.textbook import Estimate, Undetermined
 
 ROOT = Path(__file__).parents[2]
@@ -82,12 +83,15 @@ def test_without_a_fit_there_is_no_comparison():
     assert len(undetermined_sheet(comparison).rows) == 1
 
 
-def test_on_the_command_line(capsys):
+def test_on_the_command_line(capsys, monkeypatch):
     assert run(["classical", str(ROOT / "data" / "polar-tumble"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert any(one["name"] == "gyro_g_sensitivity.d_i[g]" for one in facts["estimates"])
     assert run(["classical", str(ROOT / "data" / "polar-tumble")]) == 0
     assert "Classical estimates" in capsys.readouterr().out
+    assert run(["classical", str(ROOT / "data" / "desk-imu")]) == 0
+    assert "scale_factor[az]" in capsys.readouterr().out
+    monkeypatch.setitem(PROCEDURES, "free_tumble", replace(PROCEDURES["free_tumble"], evaluate=None))
     assert run(["classical", str(ROOT / "data" / "desk-imu")]) == 1
     assert "No classical evaluation" in capsys.readouterr().out
     assert run(["classical", str(ROOT / "data" / "none")]) == 2

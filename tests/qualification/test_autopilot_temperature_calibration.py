@@ -12,6 +12,8 @@ from test_onboard_formats import ardupilot_corrected, px4_corrected, qgc
 import imubayes
 from imubayes.cli.main import run
 
+# A fit of 36 parameters; what new proposes of such a recording is in tests/campaign.
+pytestmark = pytest.mark.slow
 GRAVITY = 9.80875
 # Coefficients of 1, d, d² and d³, d = T − 25 °C; m/s² and deg/s.
 TRUE = {
@@ -63,7 +65,6 @@ def test_every_term_is_found(unit: Path) -> None:
     assert np.sqrt(np.mean(np.square(pulls))) < 1.6
 
 
-@pytest.mark.slow  # predicts with the whole catalogue; the search itself is in tests/criticism
 def test_nothing_else_is_missing(unit: Path) -> None:
     assert imubayes.diagnose(unit / "fit").verdict == "adequate"
 
