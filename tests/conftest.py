@@ -72,6 +72,7 @@ COMPILED = (
     "qualification/test_correct_recording.py",
     "qualification/test_inputs_along_axes.py",
     "qualification/test_known_answers.py",
+    "qualification/test_effects_not_shown.py",
     "qualification/test_left_in_law.py",
     "qualification/test_uncorrected_effects.py",
     "qualification/test_until_digits.py",
