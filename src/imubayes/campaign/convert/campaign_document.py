@@ -112,7 +112,7 @@ def _add_turns(
     if not found:
         return
     gyros = [channel["name"] for channel in document["channel"] if channel["kind"] == "gyro"]
-    kept, turned = [], dict[str, int]()
+    kept, turned = [], dict[str, None]()
     for run, (label, turns) in zip(document["run"], found, strict=True):
         document["notes"] += turns.notes
         rest = tables.pop(_file(label))
@@ -120,10 +120,10 @@ def _add_turns(
             tables[_file(label)] = {name: values[~turns.turning] for name, values in rest.items()}
             kept.append(run)
         for axis, rows in turns.rows.items():
-            own = label.replace("recording", f"turns-{gyros[axis][1]}")
-            tables[_file(own)] = rows
-            turned[gyros[axis][1]] = "xyz".index(gyros[axis][1])
-            here = {"table": TURN_TABLE, "mounting": f"about-{gyros[axis][1]}"}
+            letter = gyros[axis][1]
+            own = label.replace("recording", f"turns-{letter}")
+            tables[_file(own)], turned[letter] = rows, None
+            here = {"table": TURN_TABLE, "mounting": f"about-{letter}"}
             kept.append(
                 _run(own, "rate_table", options) | here | {"turn_uncertainty_deg": options.turn_uncertainty_deg}
             )
@@ -133,8 +133,8 @@ def _add_turns(
     bench = {"name": TURN_TABLE, "azimuth_deg": 0.0, "elevation_deg": 90.0, "axis_uncertainty_arcsec": 3600.0}
     document.setdefault("table", []).append(bench)
     document.setdefault("mounting", []).extend(
-        {"name": f"about-{axis}", "body_to_table": BODY_TO_TABLE[place], "uncertainty_arcmin": 60.0}
-        for axis, place in turned.items()
+        {"name": f"about-{axis}", "body_to_table": BODY_TO_TABLE["xyz".index(axis)], "uncertainty_arcmin": 60.0}
+        for axis in turned
     )
     document["run"] = kept
 
@@ -143,15 +143,13 @@ def _equipment(procedure: str, run: RecordedRun) -> tuple[dict[str, Any], str]:
     """Return a table and a mounting where the procedure needs them, and the note on a face that is not the base."""
     if not procedure_named(procedure).needs_table:
         return {}, ""
-    up, mounting = _face_up(run), {"name": "aligned", "preset": "aligned"}
-    if up != (2, 1):
-        axis, sense = up
-        rows = np.roll(np.eye(3), axis + 1, axis=1)  # the third row is the axis that points up
-        turned = rows if sense > 0 else np.diag([1.0, -1.0, -1.0]) @ rows
-        mounting = {"name": "aligned", "body_to_table": turned.tolist()}
-    said = f"the unit rests with its {'xyz'[up[0]]} axis {'up' if up[1] > 0 else 'down'}, by its accelerometers"
-    table = {"name": "bench", "elevation_deg": 90.0}
-    return {"table": [table], "mounting": [mounting]}, "" if up == (2, 1) else said
+    table, (axis, sense) = {"name": "bench", "elevation_deg": 90.0}, _face_up(run)
+    if (axis, sense) == (2, 1):
+        return {"table": [table], "mounting": [{"name": "aligned", "preset": "aligned"}]}, ""
+    turned = np.diag([1.0, sense, sense]) @ BODY_TO_TABLE[axis]
+    mounting = {"name": "aligned", "body_to_table": turned.tolist()}
+    said = f"the unit rests with its {'xyz'[axis]} axis {'up' if sense > 0 else 'down'}, by its accelerometers"
+    return {"table": [table], "mounting": [mounting]}, said
 
 
 def _face_up(run: RecordedRun) -> tuple[int, int]:
