@@ -10,13 +10,8 @@ from scipy import stats
 import imubayes
 from imubayes.adequacy.noise_tests import _skew_tail, grid_step, judged_noise
 from imubayes.cli.main import run
-from imubayes.criticism.diagnose import unweighed_turns
-from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.display.loop.diagnosis_report import diagnosis_lines
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
-from imubayes.model.bind import bind
-from small_campaign import spec, tumble_campaign
 
 
 @pytest.fixture(scope="module")
@@ -131,18 +126,3 @@ def test_nothing_is_said_of_noise_that_no_reading_is_left_to_tell(tmp_path, seed
     judgement = judged_noise(fit)
     assert not judgement.violations
     assert not judgement.suspected
-
-
-def test_turns_that_no_explanation_is_weighed_against_are_told():
-    model = bind(spec("gyro_bias"), tumble_campaign())
-    sigma = [each.effect for each in model.hyper_layout.parameters].index("rotation_closure")
-    h = np.zeros(len(model.hyper_layout))
-    quiet = unweighed_turns(Fit(model, np.zeros(len(model.layout)), h, True))
-    loud = unweighed_turns(Fit(model, np.zeros(len(model.layout)), h + 2 * (np.arange(len(h)) == sigma), True))
-    [before], [after] = quiet, loud
-    # The prior is lognormal(0.05 deg, 1.5).
-    assert before.closing_deg == pytest.approx(0.05)
-    assert after.closing_deg == pytest.approx(0.05 * np.exp(3.0))
-    assert before.turns == tumble_campaign().runs[0].tumble.turns
-    said = diagnosis_lines(Diagnosis(verdict="not_converged", message="The fit did not converge.", unweighed=loud))
-    assert any("are not weighed here: the model leaves a closing rotation of 1.00 deg of each" in line for line in said)

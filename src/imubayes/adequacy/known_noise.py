@@ -220,7 +220,7 @@ def known_scales(fitted: Fit, *, correlated: bool = False) -> np.ndarray:
     """
     records, h = sample_noise(fitted.model), np.array(fitted.h, dtype=float)
     for k, (parameter, member, place) in enumerate(noise_scales(fitted.model)):
-        if member.nuisance or not issubclass(member, Noise):
+        if not issubclass(member, Noise):
             continue
         record = records.get(place) if issubclass(member, WhiteNoise) and place is not None else None
         if issubclass(member, SeriesNoise):

@@ -25,7 +25,6 @@ from imubayes.criticism.diagnosis_record import (
     ScreenedEffect,
     UndetectableEffect,
     UntypicalSize,
-    UnweighedTurns,
     ranking,
 )
 from imubayes.criticism.evidence.effect_variants import SHOWN
@@ -52,7 +51,6 @@ from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import Linearised
-from imubayes.noise.components import RotationClosure
 from imubayes.responses.candidate_effects import Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate, covariates
 from imubayes.responses.wrong_inputs import WrongInput
@@ -172,18 +170,6 @@ def explained_fit(fit: Fit, result: str = "RESULT", progress: Tell = silent) -> 
     return ExplainedFit(fit, responses, known, posterior, result)
 
 
-def unweighed_turns(fit: Fit) -> tuple[UnweighedTurns, ...]:
-    """Return the turns of each free tumble, with the closing rotation that the fit leaves of one."""
-    model, found = fit.model, []
-    values = np.asarray(model.problem.hyper_priors.values(jnp.asarray(fit.h)))
-    turns = {run.name: run.tumble.turns for run in model.campaign.runs if run.tumble is not None and run.tumble.turns}
-    for place, parameter in enumerate(model.hyper_layout.parameters):
-        if parameter.effect == RotationClosure.name and parameter.label[0] in turns:
-            run = parameter.label[0]
-            found.append(UnweighedTurns(run=run, turns=turns[run], closing_deg=float(np.degrees(values[place]))))
-    return tuple(found)
-
-
 def _refuse_unknown(effect: str, fit: Fit) -> None:
     where = f"effect '{effect}'"
     member = fit.model.registry.find(effect, where)
@@ -251,7 +237,6 @@ class ExplainedFit:
             recorded_noise=noise.of_rows,
             contradicted=noise.contradicted,
             neglected=self.absorbed.neglected,
-            unweighed=unweighed_turns(fit),
         )
         return diagnosis.with_evidence(shown[0] if shown else None, noise)
 
@@ -278,7 +263,6 @@ class ExplainedFit:
         return Diagnosis(
             verdict=verdict, message="" if self.fit.optimised else self.fit.message, result=self.result,
             explanations=self.posterior.evidence, ranking=lines, undetectable=undetectable, asked=asked,
-            unweighed=unweighed_turns(self.fit),
         )  # fmt: skip
 
     def _verdict(self) -> Verdict:
@@ -333,11 +317,17 @@ class ExplainedFit:
         return self.at_known_noise.record().chi2 - self._with(*(each.members[0] for each in slots)).record().chi2
 
     def _rms(self, member: SlotMember, channel: str) -> RmsChange:
-        """Return what an effect does to the residual of a channel, at the noise known beforehand."""
-        records = self.at_known_noise.record(), self._with(member).record()
-        one, other = (next(each for each in both.channels if each.channel == channel) for both in records)
-        factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(one.unit, (1e6, "ug"))
-        return RmsChange(channel=channel, before=factor * one.rms, after=factor * other.rms, unit=unit)
+        """Return what an effect does to the residual of a channel, or of turns, at the noise known beforehand."""
+        points = self.at_known_noise, self._with(member)
+        rows = next(each for each in self.of.problem.rows if each.name == channel)
+        if rows.kind == "closure":
+            rms = [float(np.sqrt(np.mean(each.misfit[rows.entry] ** 2))) for each in points]
+            factor, unit = 1 / to_si("arcsec"), "arcsec"
+        else:
+            records = [next(k for k in each.record().channels if k.channel == channel) for each in points]
+            rms = [each.rms for each in records]
+            factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(records[0].unit, (1e6, "ug"))
+        return RmsChange(channel=channel, before=factor * rms[0], after=factor * rms[1], unit=unit)
 
     def _beyond_typical(
         self, member: SlotMember, estimates: Sequence[CoefficientEstimate]

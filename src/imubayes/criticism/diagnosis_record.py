@@ -179,20 +179,6 @@ class AskedEffect(Record):
     unit: str
 
 
-class UnweighedTurns(Record):
-    """Turns between the poses of a free tumble, which no explanation is weighed against.
-
-    Attributes
-    ----------
-    turns : their number in the run.
-    closing_deg : standard deviation of the closing rotation of each, as fitted: what the model leaves of them.
-    """
-
-    run: str
-    turns: int
-    closing_deg: float
-
-
 class Diagnosis(Presented, Record):
     """What is missing in a model, found without a refit.
 
@@ -215,7 +201,6 @@ class Diagnosis(Presented, Record):
     recorded_noise : white noise of each channel, as fitted and as known beforehand.
     contradicted : noise scales of the fit that contradict what is known of them, the least probable first.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
-    unweighed : turns between poses, where there are any: only the outputs at rest are explained.
     asked : the effect that was asked about, where one was.
 
     Examples
@@ -245,7 +230,6 @@ class Diagnosis(Presented, Record):
     recorded_noise: tuple[NoiseComparison, ...] = ()
     contradicted: tuple[NoiseComparison, ...] = ()
     neglected: tuple[NeglectedUncertainty, ...] = ()
-    unweighed: tuple[UnweighedTurns, ...] = ()
     asked: AskedEffect | None = None
     _evidence: ResidualEvidence | None = PrivateAttr(None)
     _scatter: KnownNoise | None = PrivateAttr(None)

@@ -166,7 +166,7 @@ class LinearAnswers:
 
         None where no term is worth its odds; a drawing is its own term where no other is like it.
         """
-        names = [each.name for each in self.explained.of.problem.channels]
+        names = [each.name for each in self.explained.of.problem.of_channels]
         if channel not in names:
             raise input_error(
                 f"no channel '{channel}'", "formula", closest_first(channel, names), "choose one of these"

@@ -11,6 +11,7 @@ import numpy as np
 
 from imubayes.criticism.detectability import AbsorbedResponses
 from imubayes.criticism.evidence.free_forms import HIGHEST_POWER
+from imubayes.criticism.evidence.linear_problem import ChannelRows
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, SlotMember
 from imubayes.criticism.evidence.proposals import base_columns
 from imubayes.foundations.campaign_data import INPUT_UNIT, Kind
@@ -94,7 +95,10 @@ def residual_evidence(
     columns = response @ sizes
     # The other parameters would change when the effect is added: what they absorb is subtracted.
     parts = columns - responses.jacobian @ absorbed.explained(member.found, of.variants[member.variant].places)
-    place = _dominant_channel(posterior, parts, of.variants[member.variant].owners)
+    rows = _dominant_rows(posterior, parts, of.variants[member.variant].owners)
+    if rows.kind == "closure":
+        return _of_turns(rows, member.effect, model, responses.misfit, parts)
+    place = [each.name for each in model.campaign.channels].index(rows.name)
     constants = model.campaign.channels[place]
     unit = INPUT_UNIT[constants.kind]
     here = np.flatnonzero((model.entries.channel == place) & ~model.entries.closing)
@@ -107,7 +111,7 @@ def residual_evidence(
     runs = np.array([run.name for run in model.campaign.runs])[model.entries.run[here]]
     residual, explained = factor * responses.misfit[here], factor * parts[here]
     # What runs differ by is no residual of a model in which every run has an offset.
-    within = bool(of.problem.rows[place].run_scatter) and _lies_within(explained, runs)
+    within = bool(rows.run_scatter) and _lies_within(explained, runs)
     offsets = of_runs(residual - explained, runs) if within else np.zeros(len(here))
     return ResidualEvidence(
         channel=constants.name,
@@ -123,12 +127,28 @@ def residual_evidence(
     )
 
 
-def _dominant_channel(posterior: ExplanationPosterior, explained: np.ndarray, owners: Sequence[str]) -> int:
-    """Return the channel in which a response, (E,), stands out of the noise most: one that the effect acts on."""
+def _dominant_rows(posterior: ExplanationPosterior, explained: np.ndarray, owners: Sequence[str]) -> ChannelRows:
+    """Return where a response, (E,), stands out of the noise most: in a channel that the effect acts on, or in turns.
+
+    An effect on gyros acts in turns.
+    """
     problem = posterior.of.problem
-    squares = np.array([np.sum((problem.root[rows.entry] * explained[rows.entry]) ** 2) for rows in problem.rows])
-    own = np.array([channel.name in owners for channel in problem.channels])
-    return int(np.argmax(np.where(own | ~own.any(), squares, -1.0)))
+    own = {rows.name: rows.kind for rows in problem.of_channels if rows.name in owners}
+    turns = not own or "gyro" in own.values()
+    allowed = [rows for rows in problem.rows if (turns if rows.kind == "closure" else not own or rows.name in own)]
+    return max(allowed, key=lambda rows: float(np.sum((problem.root[rows.entry] * explained[rows.entry]) ** 2)))
+
+
+def _of_turns(
+    rows: ChannelRows, effect: str, model: Model, misfit: np.ndarray, explained: np.ndarray
+) -> ResidualEvidence:
+    """Return the closing rotations of a run with the part that an effect explains."""
+    entry, factor = rows.entry, 1 / to_si("deg")
+    return ResidualEvidence(
+        channel=rows.name, effect=effect, covariate=None, at=np.arange(len(entry), dtype=float),
+        run=np.full(len(entry), model.campaign.runs[model.entries.run[entry[0]]].name),
+        residual=factor * misfit[entry], explained=factor * explained[entry], unit="deg",
+    )  # fmt: skip
 
 
 def _lies_within(explained: np.ndarray, runs: np.ndarray) -> bool:
@@ -180,10 +200,11 @@ _CHANCE = 0.01
 
 
 class Outlier(Record):
-    """An outlying sample.
+    """An outlying sample, or turn of a free tumble.
 
     Attributes
     ----------
+    channel : of a turn, the component of its closing rotation, such as `closure_x`.
     row : counts from 1; of a raw log, the rows are its means.
     distance : deletion residual in standard deviations.
     time_s, table_angle_deg : of the row, as recorded; None where it has none.
@@ -233,7 +254,7 @@ def _outlier(model: Model, entry: int, distance: float) -> Outlier:
     entries = model.entries
     return Outlier(
         run=model.campaign.runs[entries.run[entry]].name,
-        channel=model.campaign.channels[entries.channel[entry]].name,
+        channel=str(model.output_names[entry]),
         row=int(entries.row[entry]) + 1,
         distance=distance,
         time_s=_read(model, "time", entry),

@@ -408,8 +408,7 @@ def _at_entries(model: Model, values: np.ndarray, meaning: str = "") -> Group:
 def _entry_coordinates(model: Model) -> dict[str, Labelled]:
     entries = model.entries
     run = np.array([run.name for run in model.campaign.runs])[entries.run]
-    names = [*(channel.name for channel in model.campaign.channels), "closure_x", "closure_y", "closure_z"]
-    labels = {"run": run, "channel": np.array(names)[entries.channel], "row": entries.row}
+    labels = {"run": run, "channel": model.output_names, "row": entries.row}
     return {name: Labelled((ENTRY,), values) for name, values in (labels | {ENTRY: np.arange(len(entries))}).items()}
 
 

@@ -278,6 +278,12 @@ class Model:
         return self.layout.names + self.hyper_layout.names
 
     @property
+    def output_names(self) -> np.ndarray:
+        """Name of the output of each entry, (E,): a channel, or a component of a closing rotation."""
+        names = [*(channel.name for channel in self.campaign.channels), "closure_x", "closure_y", "closure_z"]
+        return np.array(names)[self.entries.channel]
+
+    @property
     def parameter_units(self) -> tuple[str, ...]:
         """Units of the components of z, in the order of `parameter_names`."""
         return tuple(p.unit for p in (*self.layout.parameters, *self.hyper_layout.parameters))

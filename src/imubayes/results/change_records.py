@@ -338,14 +338,13 @@ def _drop(refit: Refit, before: Summary, after: Summary) -> float | None:
 def added_variable(change: ChangedModel) -> pl.DataFrame:
     """Return the added-variable plot as a table: run, channel, added, residual; entries that the effect reaches."""
     model, entries = change.model, change.model.entries
-    names = [*(channel.name for channel in model.campaign.channels), "closure_x", "closure_y", "closure_z"]
     runs = [run.name for run in model.campaign.runs]
     # Every entry changes slightly through what the old model absorbs; those are omitted.
     reached = np.abs(change.explained) > 1e-3 * np.max(np.abs(change.explained), initial=0.0)
     return pl.DataFrame(
         {
             "run": np.array(runs)[entries.run[reached]],
-            "channel": np.array(names)[entries.channel[reached]],
+            "channel": model.output_names[reached],
             "added": change.explained[reached],
             "residual": change.residual[reached],
         }

@@ -87,7 +87,6 @@ def residual_table(model: Model, predicted: Predicted) -> Residuals:
     channels = campaign.channels
     closing = np.asarray(entries.closing)
     place = np.where(closing, 0, entries.channel)
-    names = np.array([*(c.name for c in channels), "closure_x", "closure_y", "closure_z"])[entries.channel]
     kind = np.where(closing, "closure", np.array([c.kind for c in channels])[place])
     output_unit = np.where(closing, "deg", np.array([c.output_unit for c in channels])[place])
     input_unit = np.where(closing, "deg", np.array([INPUT_UNIT[c.kind] for c in channels])[place])
@@ -102,7 +101,7 @@ def residual_table(model: Model, predicted: Predicted) -> Residuals:
         "procedure": np.array([run.procedure for run in campaign.runs])[entries.run],
         "mounting": pl.Series([run.mounting for run in campaign.runs], dtype=pl.String).gather(entries.run),
         "row": entries.row,
-        "channel": names,
+        "channel": model.output_names,
         "kind": kind,
         **_covariates(model),
         "samples": entries.samples,

@@ -57,7 +57,7 @@ class EffectVariant:
 def effect_variants(problem: LinearProblem) -> tuple[EffectVariant, ...]:
     """Return all variants of the effects that the rows respond to."""
     owned: dict[tuple[int, str], list[int]] = {}
-    kind, first = {each.name: each.kind for each in problem.channels}, 0
+    kind, first = {each.name: each.kind for each in problem.of_channels}, 0
     for place, response in enumerate(problem.candidates):
         for k, coefficient in enumerate(response.coefficients, first):
             if problem.shown[k]:

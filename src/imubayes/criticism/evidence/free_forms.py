@@ -137,8 +137,9 @@ class ChosenForm:
 def free_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tuple[FormHypothesis, ...]:
     """Return all forms outside the catalogue, with their prior probabilities."""
     forms: list[FormHypothesis] = []
-    for kind in dict.fromkeys(problem.kinds):
-        forms += _of_kind(problem, known, [k for k, each in enumerate(problem.kinds) if each == kind])
+    kinds = [rows.kind for rows in problem.of_channels]
+    for kind in dict.fromkeys(kinds):
+        forms += _of_kind(problem, known, [k for k, each in enumerate(kinds) if each == kind])
     return with_prior(forms, UNEXPECTED / 2)
 
 

@@ -4,13 +4,16 @@
 
 t are the model's own parameters with their priors, b the coefficients of missing effects, c a free form, e the noise.
 Rows are divided by the independent noise that was known before the fit, as raw samples, priors or the campaign tell it,
-so that a scale of 1 is the noise as known; what correlates rows is a matter of the hypothesis.  Nothing is projected
-out: parameters are coefficients with priors like all others, and noise may change between hypotheses.  Coefficients of
-effects count in their largest typical sizes.
+so that a scale of 1 is the noise as known; what correlates rows is a matter of the hypothesis.  The closing rotations
+of a free tumble are rows as well: turns show what poses at rest do not, such as the misalignment of a gyro.  Nothing is
+projected out: parameters are coefficients with priors like all others, and noise may change between hypotheses.
+Coefficients of effects count in their largest typical sizes.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -20,13 +23,13 @@ from imubayes.adequacy.known_noise import known_scales, noise_scales, sample_noi
 from imubayes.compiled.kept_programs import kept
 from imubayes.criticism.evidence.row_correlation import RowCorrelation, correlations_of
 from imubayes.foundations.arrays import Array, Float
-from imubayes.foundations.campaign_data import Channel
+from imubayes.foundations.campaign_data import Kind
 from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.noise.components import SeriesNoise, SharedNoise, TailNoise, WhiteNoise
+from imubayes.noise.components import RotationClosure, SeriesNoise, SharedNoise, TailNoise, WhiteNoise
 from imubayes.responses.candidate_effects import Coefficient, Response, Responses
 
 BELIEVED = 0.03
@@ -47,14 +50,18 @@ NEGLIGIBLE = float(np.sqrt(np.finfo(float).eps))
 
 Grid = tuple[tuple[float, float], ...]
 """Sizes that a prior allows, with the logarithm of the probability of each."""
+RowKind = Kind | Literal["closure"]
 
 
 @dataclass(frozen=True)
 class ChannelRows:
     """The rows of a channel in order of run and time, divided by the noise known beforehand.
 
+    The closing rotations of a run are such rows, its components one after the other; they have no input.
+
     Attributes
     ----------
+    name, kind : of the channel.
     live : shape (L,), which columns of [J X] this channel responds to.
     columns : shape (n, L + 1), those columns, the residual last.
     entry : shape (n,), entry of each row.
@@ -69,6 +76,8 @@ class ChannelRows:
     correlations : correlation in time that the model states, at each size that its prior allows.
     """
 
+    name: str
+    kind: RowKind
     live: np.ndarray
     columns: np.ndarray
     entry: np.ndarray
@@ -94,15 +103,14 @@ class LinearProblem:
     Attributes
     ----------
     candidates : one response per effect and shape; their coefficients are the columns X in this order.
-    channels, runs : of the campaign, in its order.
+    runs : of the campaign, in its order.
     run : shape (E,), run of each entry.
     precision, pull : shape (P,), of the priors of the model's own parameters about the fit, and precision × mean.
     root : shape (E,), one over the noise of each entry as known, output units.
-    rows : one of each channel.
+    rows : one of each channel in the order of the campaign, then one of the closing rotations of each run with turns.
     """
 
     candidates: tuple[Response, ...]
-    channels: tuple[Channel, ...]
     runs: tuple[str, ...]
     run: np.ndarray
     precision: np.ndarray
@@ -126,9 +134,9 @@ class LinearProblem:
         return np.array([typical_sizes(each)[1] for each in self.coefficients])
 
     @cached_property
-    def kinds(self) -> tuple[str, ...]:
-        """The kind of sensor of each channel."""
-        return tuple(channel.kind for channel in self.channels)
+    def of_channels(self) -> tuple[ChannelRows, ...]:
+        """The rows of the channels, without closing rotations."""
+        return tuple(each for each in self.rows if each.kind != "closure")
 
     @cached_property
     def sign(self) -> np.ndarray:
@@ -173,10 +181,10 @@ def linear_problem(fitted: Fit, responses: Responses) -> LinearProblem:
     parts = [_in_order(model, k) for k in range(len(model.campaign.channels))]
     entries = [np.concatenate([*each, np.zeros(0, dtype=int)]).astype(int) for each in parts]
     correlations = correlations_of(fitted, h, dict(enumerate(entries)), own)
-    rows = tuple(_rows_of(at, k, parts[k], entry, correlations.get(k, ())) for k, entry in enumerate(entries))
+    rows = [_rows_of(at, k, parts[k], entry, correlations.get(k, ())) for k, entry in enumerate(entries)]
     return LinearProblem(
-        responses.candidates, model.campaign.channels, tuple(run.name for run in model.campaign.runs),
-        model.entries.run, width**-2.0, -fitted.z * width**-2.0, root, rows,
+        responses.candidates, tuple(run.name for run in model.campaign.runs), model.entries.run, width**-2.0,
+        -fitted.z * width**-2.0, root, (*rows, *_closing_rows(at)),
     )  # fmt: skip
 
 
@@ -208,17 +216,18 @@ def _in_order(model: Model, channel: int) -> list[np.ndarray]:
 def _rows_of(
     at: _At, channel: int, parts: list[np.ndarray], entry: np.ndarray, correlations: tuple[RowCorrelation, ...]
 ) -> ChannelRows:
-    model, root = at.model, at.root[entry]
+    model, root, own = at.model, at.root[entry], at.model.campaign.channels[channel]
     ends = np.cumsum([0, *map(len, parts)]).tolist()
     misfit = at.columns[entry, -1]
-    own = root[:, None] * at.columns[entry]
-    live = np.flatnonzero(np.linalg.norm(own[:, :-1], axis=0) > NEGLIGIBLE)
+    live, columns = _responding(at, entry)
     noise = 1 / float(np.median(root)) if len(entry) else 1.0
-    value = model.entries.value[entry] - misfit - model.campaign.channels[channel].offset
+    value = model.entries.value[entry] - misfit - own.offset
     scatter = [(tau / noise, log_p) for tau, log_p in _prior_grid(at, channel, SharedNoise)]
     return ChannelRows(
+        name=own.name,
+        kind=own.kind,
         live=live,
-        columns=own[:, [*live, own.shape[1] - 1]],
+        columns=columns,
         entry=entry,
         series=tuple(zip(ends[:-1], np.diff(ends).tolist(), strict=True)),
         root=root * noise,
@@ -228,6 +237,34 @@ def _rows_of(
         tails=_prior_grid(at, channel, TailNoise),
         correlations=correlations,
     )
+
+
+def _closing_rows(at: _At) -> Iterator[ChannelRows]:
+    """Yield the closing rotations of each run, rad, whose model has their noise."""
+    entries, parameters = at.model.entries, noise_scales(at.model)
+    used = (np.asarray(at.model.problem.observations.weight) > 0) & entries.closing & np.isfinite(at.root)
+    for k, run in enumerate(at.model.campaign.runs):
+        entry = np.flatnonzero(used & (entries.run == k))
+        own = (p for p, (each, kind, _) in enumerate(parameters)
+               if issubclass(kind, RotationClosure) and run.name in each.label)  # fmt: skip
+        place = next(own, None)
+        if not len(entry) or place is None:
+            continue
+        entry = entry[np.lexsort((entries.channel[entry], entries.row[entry]))]
+        live, columns = _responding(at, entry)
+        low, high = at.sizes[[1, 3], place].tolist()
+        yield ChannelRows(
+            name=f"closing rotations of {run.name}", kind="closure", live=live, columns=columns, entry=entry,
+            series=((0, len(entry)),), root=np.ones(len(entry)), input=np.zeros(len(entry)),
+            scale_sd=0.5 * float(np.log(high / low)), run_scatter=(),
+        )  # fmt: skip
+
+
+def _responding(at: _At, entry: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which columns entries respond to, (L,), and these over the noise of each, the residual last."""
+    own = at.root[entry][:, None] * at.columns[entry]
+    live = np.flatnonzero(np.linalg.norm(own[:, :-1], axis=0) > NEGLIGIBLE)
+    return live, own[:, [*live, own.shape[1] - 1]]
 
 
 def _scale_sd(model: Model, channel: int, sizes: np.ndarray) -> float:

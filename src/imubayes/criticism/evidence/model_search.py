@@ -21,7 +21,7 @@ from imubayes.criticism.evidence.effect_variants import visible
 from imubayes.criticism.evidence.free_forms import ChosenForm, FormColumns, FormHypothesis
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis, Solved
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, LinearProblem
-from imubayes.criticism.evidence.noise_structures import SCALED, TAILED, NoiseOfUnit, NoiseStructure
+from imubayes.criticism.evidence.noise_structures import SCALED, TAILED, NoiseOfUnit, NoiseStructure, NoiseUnit
 from imubayes.criticism.evidence.proposals import Screen, base_columns, conditional, log_likelihood, residuals
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 from imubayes.criticism.explanations import NEAR
@@ -138,7 +138,7 @@ class FormScan:
         count, gain = len(wrong.run), {k: self._gain(k) for k in self.of.unit_of}
         for name, columns in wrong.columns.items():
             own, right, through = np.zeros(count), np.zeros(count), np.zeros((count, self._root.shape[1]))
-            for k in self.of.unit_of:
+            for k in columns:
                 row, white = wrong.row[k], columns[k] * gain[k] / self.scale[k]
                 np.add.at(own, row, white**2)
                 np.add.at(right, row, white * self._residual[k])
@@ -224,7 +224,7 @@ class ModelSearch:
         self.forms, self.wrong_rows = forms, wrong_rows
         empty = self._as_fitted
         # Outliers distort parameters, and are seen only where all channels bound them at once.
-        others = [tuple(_first(unit.choices, each) for unit in self.of.units) for each in (SCALED, TAILED)]
+        others = [tuple(_first(unit, each) for unit in self.of.units) for each in (SCALED, TAILED)]
         starts = [one for noise in others if (one := self._get(Hypothesis((), noise))) is not None]
         start = max((empty, *starts), key=lambda each: each.log_posterior)
         large, none = self._vary_noise(self.large_effects), self._vary_noise(start)
@@ -402,8 +402,9 @@ class ModelSearch:
             self._get(Hypothesis(hypothesis.variants, hypothesis.noise, form.at(other)), first or at)
 
 
-def _first(choices: Sequence[NoiseOfUnit], structure: NoiseStructure) -> NoiseOfUnit:
-    return next(each for each in choices if each.rows == structure)
+def _first(unit: NoiseUnit, structure: NoiseStructure) -> NoiseOfUnit:
+    """Return the noise of a structure; of a unit that has none of it, as stated."""
+    return next((each for each in unit.choices if each.rows == structure), unit.as_fitted)
 
 
 def _pure(each: Evaluated) -> bool:

@@ -200,7 +200,7 @@ class NoiseOfUnit:
 
     def scale_sd(self, rows: ChannelRows) -> float:
         """Return the standard deviation of the logarithm of the scale of a channel."""
-        return UNKNOWN if self.rows.free else rows.scale_sd
+        return max(UNKNOWN, rows.scale_sd) if self.rows.free else rows.scale_sd
 
 
 @dataclass(frozen=True)
@@ -244,13 +244,14 @@ class NoiseUnit:
 
 
 def noise_units(problem: LinearProblem) -> tuple[NoiseUnit, ...]:
-    """Return who shares noise: each channel by itself where the model leaves a size of its noise open, else a kind."""
-    channels = [k for k, rows in enumerate(problem.rows) if len(rows.entry)]
-    if any(rows.run_scatter or rows.tails or rows.correlations for rows in problem.rows):
-        groups = [(k,) for k in channels]
-    else:
-        kinds = dict.fromkeys(problem.kinds[k] for k in channels)
-        groups = [tuple(k for k in channels if problem.kinds[k] == kind) for kind in kinds]
+    """Return who shares noise: each channel by itself where the model leaves a size of its noise open, else a kind.
+
+    The closing rotations of each run are by themselves.
+    """
+    kinds = {k: rows.kind for k, rows in enumerate(problem.rows) if len(rows.entry)}
+    opened = any(rows.run_scatter or rows.tails or rows.correlations for rows in problem.rows)
+    shared = {k: k if opened or kind == "closure" else kind for k, kind in kinds.items()}
+    groups = [tuple(k for k in shared if shared[k] == owner) for owner in dict.fromkeys(shared.values())]
     return tuple(_unit(problem, each) for each in groups)
 
 
@@ -282,8 +283,8 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
 
 
 def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
-    own, kind = problem.rows[channels[0]], problem.kinds[channels[0]]
-    others = _others(kind == "gyro" and own.input_varies)
+    own = problem.rows[channels[0]]
+    others = _others(own)
     # What the model leaves open is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
     sizes = tuple((k, each.log_prior) for k, each in enumerate(own.correlations)) or ((0, 0.0),)
@@ -298,7 +299,7 @@ def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     ]
     whole = len(sizes) - 1 if any(each.whole for each in own.correlations) else None
     other = _other_noise(others, scatters, opened, whole, beside, len(scattered))
-    return NoiseUnit(channels, kind, (*as_stated, *other), tuple(each.factor for each in own.correlations))
+    return NoiseUnit(channels, own.kind, (*as_stated, *other), tuple(each.factor for each in own.correlations))
 
 
 def _stated(rows: ChannelRows) -> Sequence[tuple[NoiseStructure, float]]:
@@ -306,8 +307,15 @@ def _stated(rows: ChannelRows) -> Sequence[tuple[NoiseStructure, float]]:
     return [(HeavyTails("known", False, degrees), p) for degrees, p in rows.tails] or [(KNOWN, 0.0)]
 
 
-def _others(grows: bool) -> list[NoiseStructure]:
-    """Return the structures other than stated; noise may grow with an input that varies."""
+def _others(rows: ChannelRows) -> list[NoiseStructure]:
+    """Return the structures other than stated.
+
+    That of a gyro may grow with an input that varies.  Turns follow one another as the hand makes them, and their
+    noise is known to a factor at best: of it heavy tails alone are other than stated.
+    """
+    if rows.kind == "closure":
+        return [each for each in _STRUCTURES if each.family == "tails"]
+    grows = rows.kind == "gyro" and rows.input_varies
     return [each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or grows)]
 
 

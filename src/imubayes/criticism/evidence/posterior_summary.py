@@ -106,7 +106,7 @@ class ExplanationPosterior:
             inclusion=self._inclusion[:_TABLED],
             form=self._form_record(),
             noise=tuple(self._noise_records()),
-            noise_known=max(self.of.problem.rows[k].scale_sd for k in self.of.unit_of),
+            noise_known=max(rows.scale_sd for rows in self.of.problem.of_channels if len(rows.entry)),
             hypotheses=len(self.search.known),
         )
 
@@ -235,7 +235,7 @@ class ExplanationPosterior:
         form = chosen.form
         return FoundForm(
             name=form.name,
-            channels=tuple(problem.channels[k].name for k in chosen.channels),
+            channels=tuple(problem.rows[k].name for k in chosen.channels),
             covariates=form.covariates,
             run=problem.runs[form.run] if form.run is not None else "",
             row=form.row + 1 if form.row is not None else None,
@@ -244,7 +244,7 @@ class ExplanationPosterior:
         )
 
     def _noise_records(self) -> Iterable[FoundNoise]:
-        names = [each.name for each in self.of.problem.channels]
+        names = [each.name for each in self.of.problem.rows]
         for unit, noise in zip(self.of.units, self.top.hypothesis.noise, strict=True):
             if not noise.stated:
                 scale = float(np.exp(np.mean(np.log(self.top.scale[list(unit.channels)]))))

@@ -138,13 +138,14 @@ def _wrong_rows(problem: LinearProblem, fitted: Fit, columns: Mapping[str, np.nd
     """Return what may be wrong in single rows; None where there are none."""
     runs, entries = fitted.model.campaign.runs, fitted.model.entries
     first = np.cumsum([0, *(run.rows for run in runs)])
-    row = {k: first[entries.run[rows.entry]] + entries.row[rows.entry] for k, rows in enumerate(problem.rows)}
+    readings = {k: rows.entry for k, rows in enumerate(problem.of_channels) if len(rows.entry)}
+    row = {k: first[entries.run[entry]] + entries.row[entry] for k, entry in readings.items()}
     found: dict[str, dict[int, np.ndarray]] = {}
     units: dict[str, np.ndarray] = {}
-    outputs = {channel.name: k for k, channel in enumerate(problem.channels) if len(problem.rows[k].entry)}
+    outputs = {problem.rows[k].name: k for k in readings}
     of_outputs = {name: np.where(entries.channel == k, -1.0, 0.0) for name, k in outputs.items()}
     for name, response in {**columns, **of_outputs}.items():
-        white = {k: problem.root[rows.entry] * response[rows.entry] for k, rows in enumerate(problem.rows)}
+        white = {k: problem.root[entry] * response[entry] for k, entry in readings.items()}
         largest = np.zeros(first[-1])
         for k, x in white.items():
             np.maximum.at(largest, row[k], np.abs(x))

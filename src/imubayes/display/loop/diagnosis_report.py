@@ -11,7 +11,7 @@ from typing import Any
 
 from imubayes.adequacy.adequacy_record import NOISE_AGREES
 from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, ResidualFormula, ScreenedEffect, UnweighedTurns
+from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, ResidualFormula, ScreenedEffect
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.fit_cautions import noise_ratio
@@ -263,7 +263,7 @@ def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
 
 def diagnosis_lines(found: Diagnosis) -> list[str]:
     """Return the verdict, the probability of each explanation, and the prediction for what leads."""
-    lines = [sentences.sentence(found), *map(_unweighed, found.unweighed)]
+    lines = [sentences.sentence(found)]
     if found.explanations is not None:
         lines.append(sentences.evidence_text(found.explanations))
     if found.groups:
@@ -274,14 +274,6 @@ def diagnosis_lines(found: Diagnosis) -> list[str]:
     elif found.message and found.verdict != "not_converged":
         lines.append("The sampling of this fit did not converge; what is said here refers to its mode.")
     return lines
-
-
-def _unweighed(turns: UnweighedTurns) -> str:
-    return (
-        f"The {turns.turns} turns of run '{turns.run}' are not weighed here: the model leaves a closing rotation of "
-        f"{numbers.significant(turns.closing_deg)} deg of each. What acts in turns alone, such as misalignment or "
-        "nonlinearity of a gyro, is added on trial with `imubayes add EFFECT`, and makes it fall."
-    )
 
 
 def next_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
