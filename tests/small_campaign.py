@@ -240,6 +240,13 @@ def directed_campaign() -> Campaign:
     return replace(plain, name="directed", channels=(gyro,), runs=(run, beside))
 
 
+def anyhow_campaign() -> Campaign:
+    """Return the campaign with a dividing head of which nobody states azimuth and level."""
+    known = campaign()
+    tables = {**known.tables, "head": replace(known.tables["head"], azimuth_known=False, axis_uncertainty=None)}
+    return replace(known, name="anyhow", tables=tables)
+
+
 def _injection(name: str, multiple: float) -> Run:
     run = _run(
         name, "current_injection", None, None, 4,

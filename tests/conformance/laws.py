@@ -31,7 +31,7 @@ OWN = {"noise": 0.5, "scale": 1000.0}
 # What "nothing" is for a covariate: the effect's own reference for temperatures, long ago for power-on, 0 for all else.
 TEMPERATURES = ("temperature", "converter_temperature")
 LONG_AGO = 1e12
-GATES = ("injection", "reference", "driven", "directions")
+GATES = ("injection", "reference", "driven", "directions", "unknown_heading", "unknown_level")
 INSTANTS = 24  # of a record, two runs
 
 
@@ -237,12 +237,12 @@ def silent_without_its_covariate(member: type) -> None:
         return
     reference = next((v for name, v in declared_options(member).items() if name.startswith("reference")), 0.0)
     for need in member.needs:
-        if need in ("injection", "reference", "driven", "directions", "table_angle", "outer_angle", "middle_angle"):
+        if need in (*GATES, "table_angle", "outer_angle", "middle_angle"):
             continue  # known or not, without a value that is none: `test_registry` shows that nothing gets by
         nothing = {"power_on": LONG_AGO} | dict.fromkeys(TEMPERATURES, reference)
-        fixed = {} if need in GATES else {need: nothing.get(need, 0.0)}
+        fixed = {need: nothing.get(need, 0.0)}
         for seed in range(1, 4):
-            state = states(member, seed, still=need in GATES, **fixed)
+            state = states(member, seed, **fixed)
             assert_unchanged(member, drawn_values(member, seed), state)
 
 

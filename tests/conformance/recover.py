@@ -16,6 +16,7 @@ from imubayes.model.effect_registry import Registry
 from imubayes.model.nodes_and_entries import join_nodes
 from imubayes.model.problem import predict
 from small_campaign import (
+    anyhow_campaign,
     campaign,
     directed_campaign,
     driven_campaign,
@@ -61,7 +62,8 @@ def declared_alone(member: type, registry: Registry | None = None) -> Model:
 
 def shown_by(member: type) -> Campaign:
     """Return the small campaign whose runs supply what a member needs."""
-    special = {"reference": referenced_campaign, "driven": driven_campaign, "directions": directed_campaign}
+    special = {"reference": referenced_campaign, "driven": driven_campaign, "directions": directed_campaign,
+               "unknown_heading": anyhow_campaign, "unknown_level": anyhow_campaign}  # fmt: skip
     special |= {"outer_angle": serial_campaign, "middle_angle": serial_campaign}
     for need, among in special.items():
         if need in member.needs:

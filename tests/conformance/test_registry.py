@@ -85,9 +85,7 @@ def test_the_recovered_exist():
     assert set(EFFECTS) >= set(RECOVERED)
 
 
-GATED = [
-    n for n, m in EFFECTS.items() if {*ambient_names(), "injection", "reference", "driven", "directions"} & set(m.needs)
-]
+GATED = [n for n, m in EFFECTS.items() if {*ambient_names(), *laws.GATES} & set(m.needs)]
 
 
 @cache
@@ -117,7 +115,7 @@ def test_nothing_reaches_a_run_that_lacks_what_is_needed(name):
     others = 0.3 * issubclass(EFFECTS[name], AmbientEffect) * ~own
     here, there = (np.asarray(predict(model.problem, jnp.asarray(z * own + others))) for z in (0.3, -0.5))
     change = there - here
-    needed = set(EFFECTS[name].needs) & {*ambient_names(), "injection", "reference", "driven", "directions"}
+    needed = set(EFFECTS[name].needs) & {*ambient_names(), *laws.GATES}
     lacking = [i for i, supplied in enumerate(model.nodes.supplies) if not needed <= supplied]
     assert np.any(change != 0)
     assert not np.any(change[np.isin(model.entries.run, lacking)])

@@ -44,8 +44,9 @@ def test_only_what_was_not_recorded_or_is_not_felt_is_missing():
     whole = wide_campaign()
     missing = {name for name, needs in lacking(whole).items() if needs}
     assert missing <= {"reference_bias", "reference_scale_factor", "reference_alignment", "reference_noise",
-                       "servo_start", "station_heading", "station_level", "tumble_heading", "pose_attitude",
-                       "rotation_closure", "thermometer_error", "converter_thermometer_error", *SERIAL}  # fmt: skip
+                       "servo_start", "station_heading", "station_level", "tumble_heading", "unknown_heading",
+                       "unknown_level", "pose_attitude", "rotation_closure", "thermometer_error",
+                       "converter_thermometer_error", *SERIAL}  # fmt: skip
 
 
 SERIAL = {

@@ -69,7 +69,7 @@ def build_tables(entries: Mapping[int, TableEntry], ledger: Ledger) -> dict[str,
     return {
         entry.name: Table(
             entry.name,
-            entry.azimuth_deg * DEGREE,
+            0.0 if entry.azimuth_deg == "unknown" else entry.azimuth_deg * DEGREE,
             entry.elevation_deg * DEGREE,
             _times(entry.axis_uncertainty_arcsec, ARCSEC),
             _times(entry.rate_uncertainty_ppm, PPM),
@@ -84,6 +84,7 @@ def build_tables(entries: Mapping[int, TableEntry], ledger: Ledger) -> dict[str,
             _times(entry.azimuth_uncertainty_arcsec, ARCSEC),
             _times(entry.elevation_uncertainty_arcsec, ARCSEC),
             entry.zero_angle_deg * DEGREE,
+            entry.azimuth_deg != "unknown",
         )
         for entry in entries.values()
     }

@@ -136,8 +136,9 @@ class TableEntry(_Entry):
 
     name: Name
     """by which runs refer to the table"""
-    azimuth_deg: Degrees = 0.0
-    """of the rotation axis, clockwise from North"""
+    azimuth_deg: Degrees | Literal["unknown"] = 0.0
+    """of the rotation axis, clockwise from North; "unknown" where nobody knows where North is: without
+    axis_uncertainty_arcsec a bench that is level to 1 deg"""
     elevation_deg: float = Field(ge=-90, le=90)
     """of the rotation axis: 90 a rate table, 0 a dividing head, the latitude a polar axis"""
     zero_angle_deg: Degrees = Field(

@@ -30,7 +30,7 @@ _OF_CAMPAIGN = {
     },
     "table": {
         "elevation_deg": "90: a rate table, 0: a dividing head",
-        "azimuth_deg": "clockwise from North",
+        "azimuth_deg": "clockwise from North, or 'unknown'",
         "axis_uncertainty_arcsec": "one standard deviation; without this line the axis is exact",
     },
     "mounting": {

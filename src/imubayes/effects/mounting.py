@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from imubayes.effects.base import MotionEffect, Order, PlaceEffect, Stage
 from imubayes.effects.shared_formulas import BodyRotation
 from imubayes.foundations.arrays import Scalar, compose, cross, exponential, rotate, vector3
+from imubayes.foundations.earth import EARTH_RATE
 from imubayes.foundations.signal_path_state import Ambient, Experience, Motion
 from imubayes.parameters.declarations import parameter
 
@@ -29,6 +30,59 @@ class TumbleHeading(MotionEffect):
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
         zero = jnp.zeros_like(self.heading)
         return replace(motion, base=compose(exponential(vector3(zero, zero, self.heading)), motion.base))
+
+
+class UnknownHeading(MotionEffect):
+    """Direction of north where nobody stated it: level Earth rate Ω cos L · (e, 1 + n), of the nominal (0, 1).
+
+    The components have the mean and the covariance of a direction that may be any, ½ each: what is linear in them is
+    right to second moments whatever the direction is, and no angle of ±180° has to be found.
+    """
+
+    name = "unknown_heading"
+    stage = Stage.STAND
+    per = ("stand",)
+    kinds = ("gyro",)
+    needs = ("unknown_heading",)
+    nuisance = True
+    confused_with = "gyro biases, unless the gyros resolve the Earth rate"
+    reference = "moments of the uniform distribution on a circle (Mardia and Jupp, Directional Statistics, § 3.5)"
+    east: Scalar = parameter("1", "normal(0, 0.70711)", (0.1, 1), "the share of the level Earth rate along east")
+    north: Scalar = parameter("1", "normal(-1, 0.70711)", (0.1, 1), "the share along north, less the nominal 1")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        level = motion.earth_rate[1]
+        added = vector3(self.east * level, self.north * level, jnp.zeros_like(self.east))
+        return replace(motion, earth_rate=motion.earth_rate + added)
+
+
+class UnknownLevel(MotionEffect):
+    """Level of a bench that nobody stated: gravity g · (e, n, 1 + d), and the Earth rate with it, of (0, 0, 1).
+
+    d and m have the moments of what tilts of e and n and any heading make of second order: −(e² + n²)/2, which is σ² in
+    mean and standard deviation, and the share σ of the level Earth rate along the vertical.  Everything is linear: the
+    accelerometer along the vertical tells the tilt only by its square, which no normal distribution follows.
+    """
+
+    name = "unknown_level"
+    stage = Stage.STAND
+    per = ("stand",)
+    needs = ("unknown_level",)
+    nuisance = True
+    confused_with = "accelerometer biases, in one attitude"
+    reference = "moments of a quadratic form of normal variables; σ = 1° by convention"
+    east: Scalar = parameter("deg", "normal(0, 1 deg)", (0.05, 3), "the tilt of the vertical toward east")
+    north: Scalar = parameter("deg", "normal(0, 1 deg)", (0.05, 3), "the tilt of the vertical toward north")
+    drop: Scalar = parameter("ppm", "normal(-305 ppm, 305 ppm)", (1, 3000), "the change of the vertical by tilt")
+    mixed: Scalar = parameter("1", "normal(0, 0.01745)", (0.001, 0.05), "the share of the level Earth rate upwards")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        tilt = vector3(self.east, self.north, self.drop)
+        upward = motion.earth_rate[2]
+        level = jnp.sqrt(EARTH_RATE**2 - upward**2)  # its direction is not known, its size is
+        mixed = vector3(jnp.zeros_like(self.mixed), jnp.zeros_like(self.mixed), self.mixed * level)
+        rate = motion.earth_rate + upward * tilt + mixed
+        return replace(motion, gravity=motion.gravity + motion.gravity[2] * tilt, earth_rate=rate)
 
 
 class StationHeading(MotionEffect):

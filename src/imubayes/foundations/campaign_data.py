@@ -117,6 +117,7 @@ class Table:
     intersection_uncertainty, arm_uncertainty : of the distance between successive axes and of the arm, m.
     azimuth_uncertainty, elevation_uncertainty : rad; None where they are that of the axis.
     zero_angle : reading of the angle of the inner axis at its zero, rad; angles of runs are counted from that zero.
+    azimuth_known : whether the azimuth was stated; if not, it is 0.
 
     All uncertainties are one sigma; 0 is exact.
     """
@@ -137,6 +138,7 @@ class Table:
     azimuth_uncertainty: float | None = None
     elevation_uncertainty: float | None = None
     zero_angle: float = 0.0
+    azimuth_known: bool = True
 
     @property
     def tilt_uncertainty(self) -> tuple[float | None, float | None]:
@@ -304,6 +306,16 @@ class Campaign:
     def of_kind(self, kind: str) -> list[Channel]:
         """Return the channels of a kind, in order."""
         return [channel for channel in self.channels if channel.kind == kind]
+
+    def north_is_stated(self, run: Run) -> bool:
+        """Whether the azimuth of the table of a run is known; a unit that was put anywhere points anywhere."""
+        return run.table is not None and self.tables[run.table].azimuth_known
+
+    def level_is_stated(self, run: Run) -> bool:
+        """Whether more is known of the table of a run than that it is a bench: its azimuth, or how level it is."""
+        return run.table is not None and (
+            self.tables[run.table].azimuth_known or self.tables[run.table].axis_uncertainty is not None
+        )
 
     def as_read(self, run: Run, covariate: str) -> np.ndarray:
         """Return a covariate of a run as it was read, (R,) in SI: the angle of a table on its scale."""

@@ -233,6 +233,7 @@ def _short(error: BaseException) -> str:
 # Unknowns of the procedures themselves, added whether or not the model file lists them.
 _IMPLIED_BY_POSES, _IMPLIED_BY_TURNS = ("pose_attitude",), ("tumble_heading", "rotation_closure")
 _IMPLIED_BY_SERVO = ("servo_start",)
+_IMPLIED_BY_BENCHES = ("unknown_heading", "unknown_level")
 
 
 @dataclass(frozen=True)
@@ -443,10 +444,13 @@ def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> Mo
     names = list(_IMPLIED_BY_POSES) if tumbles else []
     names += _IMPLIED_BY_TURNS if any(tumble.turns for tumble in tumbles) else ()
     names += _IMPLIED_BY_SERVO if servo_runs(campaign) else ()
+    names += _IMPLIED_BY_BENCHES if campaign.of_kind("gyro") else _IMPLIED_BY_BENCHES[1:]
     listed = {effect.name for effect in spec.effects}
     names += _temperature_errors(listed, campaign, registry)
     where = f"{spec.where}: implied by the campaign"
-    implied = tuple(EffectSpec(name, where=where) for name in names if name not in listed)
+    implied = tuple(
+        EffectSpec(name, where=where, optional=name in _IMPLIED_BY_BENCHES) for name in names if name not in listed
+    )
     return replace(spec, effects=spec.effects + implied)
 
 

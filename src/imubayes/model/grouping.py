@@ -17,7 +17,7 @@ from imubayes.model.nodes_and_entries import Entries, NodeTable
 from imubayes.model.nominal_response import NominalSamples, Probe, nominal_samples, responding_runs
 
 Label = tuple[str, ...]
-RUN_AXES = ("run", "mounting", "table")
+RUN_AXES = ("run", "mounting", "table", "stand")
 
 
 def _natural(label: Label) -> Label:
@@ -55,9 +55,13 @@ class Grouping:
         return len(set(self.entries.run[(self.entries.channel == place) & ~self.entries.closing].tolist()))
 
     def label_of_run(self, axis: str, run: int) -> str | None:
-        """Return the run's own name, or its mounting or table; None where it has none."""
+        """Return the run's own name, or its mounting or table; None where it has none.
+
+        It stands on its table; without one, where it was put for itself.
+        """
         recorded = self.campaign.runs[run]
-        return {"run": recorded.name, "mounting": recorded.mounting, "table": recorded.table}[axis]
+        names = {"run": recorded.name, "mounting": recorded.mounting, "table": recorded.table}
+        return (recorded.table or recorded.name) if axis == "stand" else names[axis]
 
     def labels(self, per: Sequence[str], channels: Sequence[str], runs: Iterable[int]) -> list[Label]:
         """Return the labels of an effect that acts on some channels in some runs, by channel, then by the other names.

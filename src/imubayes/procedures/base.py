@@ -231,4 +231,9 @@ class Procedure:
     def stimulus(self, run: Run, campaign: Campaign) -> Stimulus:
         """Return the nominal stimulus of a run, at the nodes of its rows."""
         found = self.kinematics(run, campaign)
-        return replace(found, injected=self.injected, driven=self.driven, directed=self.by_direction)
+        put = not (self.by_direction or self.injected or run.tumble is not None)
+        north, level = (put and not stated(run) for stated in (campaign.north_is_stated, campaign.level_is_stated))
+        return replace(
+            found, injected=self.injected, driven=self.driven, directed=self.by_direction, north_unknown=north,
+            level_unknown=level,
+        )  # fmt: skip

@@ -67,6 +67,7 @@ class Stimulus:
     injected : whether a current replaces the sensor at the converter input.
     driven : whether a gyro drives the table.
     directed : whether the attitude is set by directions of the site, north and the vertical.
+    north_unknown, level_unknown : whether nobody stated where north is, and what is level.
     outer : the axes that carry the table's inner one, whose frame at angle 0 is then no longer `base`; None where
         there are none.
     """
@@ -85,6 +86,8 @@ class Stimulus:
     injected: bool = False
     driven: bool = False
     directed: bool = False
+    north_unknown: bool = False
+    level_unknown: bool = False
     outer: OuterMotion | None = None
 
     @property
@@ -95,24 +98,21 @@ class Stimulus:
     @property
     def supplies(self) -> frozenset[str]:
         """Names of what this run recorded, and of what happens in it."""
-        seen = set(self.ambient)
         # Between the poses of a free tumble the unit is turned by hand.
-        carried = self.outer is not None and np.any(self.outer.rate != 0)
-        if np.any(self.table_rate != 0) or np.any(self.pose >= 0) or self.referenced or carried:
-            seen.add("turning")
-        if self.referenced:
-            seen.add("reference")
+        carried = self.outer is not None and bool(np.any(self.outer.rate != 0))
         accelerations = [self.table_acceleration, self.reference_acceleration]
         accelerations += [self.outer.acceleration] if self.outer is not None else []
-        if any(np.any(values != 0) for values in accelerations):
-            seen.add("acceleration")
-        if self.injected:
-            seen.add("injection")
-        if self.driven:
-            seen.add("driven")
-        if self.directed:
-            seen.add("directions")
-        return frozenset(seen)
+        told = {
+            "turning": bool(np.any(self.table_rate != 0) or np.any(self.pose >= 0)) or self.referenced or carried,
+            "acceleration": any(np.any(values != 0) for values in accelerations),
+            "reference": self.referenced,
+            "injection": self.injected,
+            "driven": self.driven,
+            "directions": self.directed,
+            "unknown_heading": self.north_unknown and not self.referenced,
+            "unknown_level": self.level_unknown and not self.referenced,
+        }
+        return frozenset({*self.ambient, *(name for name, there in told.items() if there)})
 
 
 # The mean over a turn is taken at equally spaced angles, exact for harmonics below their number.  About a vertical

@@ -3,7 +3,7 @@
 The noise itself is evaluated from the raw samples (`imubayes noise`).  Here the record is a run of block means: the
 input is constant, and what is left is bias.  The Earth rate along and across the vertical checks the gyros
 (gyrocompassing): its length and both parts are known, its direction about the vertical is not.  Without a table and a
-mounting the body axes are nominally east, north and up.
+mounting the body axis z is up, and north is not known.
 """
 
 from collections.abc import Sequence
@@ -71,6 +71,10 @@ def _biases(campaign: Campaign, run: Run, attitude: np.ndarray) -> list[Textbook
         "accelerometer": ("accel_bias.bias", np.array([0.0, 0.0, gravity]), 1e-6 * gravity, "ug"),
     }
     for kind, (name, vector, factor, unit) in fixed.items():
+        if kind == "gyro" and not campaign.north_is_stated(run):
+            sentence = "gyro biases: nobody stated where north is; gyrocompassing tells what the runs can tell of them"
+            found.append(Undetermined(run.name, sentence))
+            continue
         for channel, output in measured(run, campaign, kind):
             mean, sd = _mean(run, output / channel.scale_si)
             value = mean - float(attitude @ channel.axes[0] @ vector)

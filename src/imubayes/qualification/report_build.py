@@ -80,7 +80,7 @@ def subject_of(campaign: Campaign, result: Result) -> subject.Subject:
         tables=tuple(
             subject.ReportedTable(
                 name=table.name,
-                azimuth_deg=math.degrees(table.azimuth),
+                azimuth_deg=math.degrees(table.azimuth) if table.azimuth_known else None,
                 elevation_deg=math.degrees(table.elevation),
                 axis_uncertainty_arcsec=_in(table.axis_uncertainty, math.radians(1 / 3600)),
                 rate_uncertainty_ppm=_in(table.rate_uncertainty, 1e-6),

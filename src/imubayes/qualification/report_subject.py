@@ -18,10 +18,10 @@ class ReportedChannel(Record):
 
 
 class ReportedTable(Record):
-    """A table with its stated standard uncertainties; None where the campaign states none."""
+    """A table with its stated standard uncertainties; None where the campaign states none, or no azimuth."""
 
     name: str
-    azimuth_deg: float
+    azimuth_deg: float | None
     elevation_deg: float
     axis_uncertainty_arcsec: float | None
     rate_uncertainty_ppm: float | None

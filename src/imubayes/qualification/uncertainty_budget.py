@@ -40,8 +40,10 @@ from imubayes.results.result import Result
 SOURCES: dict[str, parts.Source] = {
     "mounting_error": "fixture", "pose_attitude": "fixture", "lever_arm": "fixture", "servo_start": "fixture",
     "table_axis_tilt": "table", "table_rate_error": "table", "table_wobble": "table", "encoder_harmonic": "table",
-    "time_skew": "table", "tumble_heading": "site", "station_heading": "site", "station_level": "site",
-    "gravity_anomaly": "site", "reference_bias": "reference", "reference_scale_factor": "reference",
+    "time_skew": "table", "tumble_heading": "site", "unknown_heading": "site", "unknown_level": "site",
+    "station_heading": "site",
+    "station_level": "site", "gravity_anomaly": "site",
+    "reference_bias": "reference", "reference_scale_factor": "reference",
     "reference_alignment": "reference", "injection_error": "reference",
     "thermometer_error": "reference", "converter_thermometer_error": "reference",
 }  # fmt: skip

@@ -30,6 +30,9 @@ DEFAULT_LATITUDE = 45.0
 # Without a site: the rounded value assumed by bench calibration tools and their published results.
 DEFAULT_GRAVITY = 9.81  # m/s²
 _WARMED = 10.0  # degC over which a rest is a temperature test
+_AT_REST = ("static_record", "thermal_ramp")
+_PUT_ANYHOW = {"azimuth_deg": "unknown", "elevation_deg": 90.0}
+_LEVEL = 60.0  # arcmin to which a bench is level, and a unit lies on it, where nobody states it
 
 
 @dataclass(frozen=True)
@@ -123,33 +126,42 @@ def _add_turns(
             letter = gyros[axis][1]
             own = label.replace("recording", f"turns-{letter}")
             tables[_file(own)], turned[letter] = rows, None
-            here = {"table": TURN_TABLE, "mounting": f"about-{letter}"}
+            here = {"table": f"{TURN_TABLE}-{letter}", "mounting": f"about-{letter}"}
             kept.append(
                 _run(own, "rate_table", options) | here | {"turn_uncertainty_deg": options.turn_uncertainty_deg}
             )
             count = int(np.count_nonzero(rows["table_rate_deg_s"]))
             angle = f"{options.turn_deg:g} deg ± {options.turn_uncertainty_deg:g} deg"
             document["notes"].append(f"{own}: {count} turns, each through a multiple of {angle}")
-    bench = {"name": TURN_TABLE, "azimuth_deg": 0.0, "elevation_deg": 90.0, "axis_uncertainty_arcsec": 3600.0}
-    document.setdefault("table", []).append(bench)
+    # One table for each axis: the hand that laid the unit on another side turned it anyhow.
+    document.setdefault("table", []).extend(
+        _PUT_ANYHOW | {"name": f"{TURN_TABLE}-{axis}", "axis_uncertainty_arcsec": 60 * _LEVEL} for axis in turned
+    )
     document.setdefault("mounting", []).extend(
-        {"name": f"about-{axis}", "body_to_table": BODY_TO_TABLE["xyz".index(axis)], "uncertainty_arcmin": 60.0}
+        {"name": f"about-{axis}", "body_to_table": BODY_TO_TABLE["xyz".index(axis)], "uncertainty_arcmin": _LEVEL}
         for axis in turned
     )
     document["run"] = kept
 
 
 def _equipment(procedure: str, run: RecordedRun) -> tuple[dict[str, Any], str]:
-    """Return a table and a mounting where the procedure needs them, and the note on a face that is not the base."""
-    if not procedure_named(procedure).needs_table:
+    """Return a table and a mounting where the procedure has them, and the note on what is assumed of them."""
+    if not _stands(procedure):
         return {}, ""
-    table, (axis, sense) = {"name": "bench", "elevation_deg": 90.0}, _face_up(run)
-    if (axis, sense) == (2, 1):
-        return {"table": [table], "mounting": [{"name": "aligned", "preset": "aligned"}]}, ""
+    table, (axis, sense) = _PUT_ANYHOW | {"name": "bench"}, _face_up(run)
     turned = np.diag([1.0, sense, sense]) @ BODY_TO_TABLE[axis]
-    mounting = {"name": "aligned", "body_to_table": turned.tolist()}
-    said = f"the unit rests with its {'xyz'[axis]} axis {'up' if sense > 0 else 'down'}, by its accelerometers"
-    return {"table": [table], "mounting": [mounting]}, said
+    up = (axis, sense) == (2, 1)
+    mounting: dict[str, Any] = {"name": "aligned"} | (
+        {"preset": "aligned"} if up else {"body_to_table": turned.tolist()}
+    )
+    notes = []
+    if procedure in _AT_REST:
+        mounting["uncertainty_arcmin"] = 0.0  # it is in the level of the bench
+        notes = ["nobody stated where north is, nor how level the bench is: any heading, and 1 deg, are assumed"]
+    if not up:
+        side = f"{'xyz'[axis]} axis {'up' if sense > 0 else 'down'}"
+        notes.append(f"the unit rests with its {side}, by its accelerometers")
+    return {"table": [table], "mounting": [mounting]}, "; ".join(notes)
 
 
 def _face_up(run: RecordedRun) -> tuple[int, int]:
@@ -187,7 +199,12 @@ def _run(label: str, procedure: str, options: ConvertOptions) -> dict[str, Any]:
     for key in ("temperature_degC", "initial_rest_s"):
         if getattr(options, key) is not None:
             run[key] = float(getattr(options, key))
-    return run | ({"table": "bench", "mounting": "aligned"} if procedure_named(procedure).needs_table else {})
+    return run | ({"table": "bench", "mounting": "aligned"} if _stands(procedure) else {})
+
+
+def _stands(procedure: str) -> bool:
+    """Whether a recording of a procedure has a table and a mounting."""
+    return procedure_named(procedure).needs_table or procedure in _AT_REST
 
 
 def _procedure(run: RecordedRun, options: ConvertOptions, where: str) -> tuple[str, str]:
@@ -207,8 +224,8 @@ def _procedure(run: RecordedRun, options: ConvertOptions, where: str) -> tuple[s
     warmth = warmth[np.isfinite(warmth)]
     warmed = float(np.ptp(warmth)) if len(warmth) else 0.0
     if warmed > _WARMED:
-        return "thermal_ramp", f"{seconds:.4g} s in one attitude, over {warmed:.3g} degC"
-    return "static_record", f"{seconds:.4g} s in one attitude"
+        return _AT_REST[1], f"{seconds:.4g} s in one attitude, over {warmed:.3g} degC"
+    return _AT_REST[0], f"{seconds:.4g} s in one attitude"
 
 
 def _site(options: ConvertOptions, notes: list[str]) -> dict[str, float]:

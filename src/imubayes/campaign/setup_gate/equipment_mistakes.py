@@ -344,8 +344,9 @@ class TableAzimuth(Mistake):
 
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
-        """Return every table, where there are gyros."""
-        return tables_of(views) if campaign.of_kind("gyro") else ()
+        """Return every table of a stated azimuth, where there are gyros."""
+        known = (each for each in tables_of(views) if campaign.tables[each.name].azimuth_known)
+        return tuple(known) if campaign.of_kind("gyro") else ()
 
     def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
         """Return the sizes to North, East, South and West."""

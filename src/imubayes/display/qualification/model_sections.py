@@ -31,7 +31,8 @@ def equipment_section(subject: record.Subject) -> Iterator[Block]:
     ]  # fmt: skip
     tables = [
         cells(
-            table.name, f"{table.azimuth_deg:g}", f"{table.elevation_deg:g}",
+            table.name, "unknown" if table.azimuth_deg is None else f"{table.azimuth_deg:g}",
+            f"{table.elevation_deg:g}",
             _axis_known(table), _known(table.rate_uncertainty_ppm),
             _known(table.angle_uncertainty_arcsec)
         )
