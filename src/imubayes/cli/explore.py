@@ -4,7 +4,6 @@ from contextlib import suppress
 from pathlib import Path
 
 from imubayes.cli.session import Flag, Trust, progress, start_jax, trusting
-from imubayes.foundations.errors import input_error
 
 
 def explore(
@@ -41,15 +40,8 @@ def explore(
     with progress():
         trusting(model or place, trust)
         start_jax("explore")
-        try:
-            from imubayes.explorer.start import explore as begin
-        except ModuleNotFoundError as error:
-            if (error.name or "").partition(".")[0] not in ("starlette", "uvicorn"):
-                raise
-            raise input_error(
-                f"{error.name} is not installed", "imubayes explore", "the packages of imubayes[explore]",
-                "install them: pip install 'imubayes[explore]'",
-            ) from error  # fmt: skip
+        from imubayes.explorer.start import explore as begin
+
         begun = begin(place, model, out, port=port, browser=not no_browser)
     print(f"{begun.address}\nStop with Ctrl-C; what was accepted is kept.", flush=True)
     try:

@@ -27,7 +27,8 @@ from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.problem import prior_widths
-from imubayes.responses.candidate_effects import candidate_responses, stated_size
+from imubayes.responses.candidate_effects import candidate_responses
+from imubayes.responses.uncertain_equipment import stated_size
 
 RUN_OFFSETS = "run offsets"
 DETECTION_POWER = 0.8

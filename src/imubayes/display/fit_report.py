@@ -35,9 +35,10 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     sheets += [cautions.conflict_sheet(summary.prior_conflicts)]
     weak = () if verbose else weak_lines(summary)
     meaning = f"intervals are {summary.interval}; " if verbose else ""
+    drawing = "sampling" if summary.sampled else "draws"
     closing = (
         f"{_outcome(summary)} {cautions.chi2_text(summary)}; "
-        f"fit {summary.seconds.fit:.1f} s, sampling {summary.seconds.sample:.1f} s; "
+        f"fit {summary.seconds.fit:.1f} s, {drawing} {summary.seconds.sample:.1f} s; "
         f"{meaning}uncertainty is the {summary.uncertainty if verbose else 'posterior standard deviation'}"
     )
     # A warning stands on the first line, above the first table; nothing comes before it.

@@ -7,18 +7,27 @@ import webbrowser
 from html import escape
 from pathlib import Path
 
-import uvicorn
-
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.compiled.jax_settings import prepare_jax
-from imubayes.explorer.guard import HOST, new_token
-from imubayes.explorer.server import application
 from imubayes.explorer.session import Session
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.shipped import example, shipped
 from imubayes.model.model_file import read_model
 from imubayes.results.folder_files import MANIFEST, checked
 from imubayes.results.result import Result
+
+try:
+    import uvicorn
+
+    from imubayes.explorer.guard import HOST, new_token
+    from imubayes.explorer.server import application
+except ModuleNotFoundError as error:
+    if (error.name or "").partition(".")[0] not in ("starlette", "uvicorn"):
+        raise
+    raise input_error(
+        f"{error.name} is not installed", "imubayes explore", "the packages of imubayes[explore]",
+        "install them: pip install 'imubayes[explore]'",
+    ) from error  # fmt: skip
 
 _PATIENCE = 10.0
 SHIPPED = "hidden-gyro"

@@ -27,8 +27,8 @@ from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.problem import prior_widths
 from imubayes.qualification.budget_parts import Source, posterior_covariance
 from imubayes.qualification.uncertainty_budget import SOURCES
-from imubayes.responses.candidate_effects import Coefficient, Response, candidate_responses, stated_size
-from imubayes.responses.uncertain_equipment import uncertain_equipment
+from imubayes.responses.candidate_effects import Coefficient, Response, candidate_responses
+from imubayes.responses.uncertain_equipment import stated_size, uncertain_equipment
 
 LEAST_SHIFT = 0.015
 """Share of a standard uncertainty below which a shift is not kept: it would widen it by a hundredth of a per cent."""

@@ -30,7 +30,6 @@ from imubayes.model.bound_effects import (
 )
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_file import EffectSpec
-from imubayes.model.parameter_priors import stated_uncertainty
 from imubayes.model.problem import Problem, predict_from
 from imubayes.parameters.declarations import Parameter, Priors, declared_parameters, prior_slopes, prior_values
 
@@ -143,16 +142,6 @@ class _Extended:
         grids = {name: declared.shape for name, declared in effect.declared.items() if declared.shape}
         longest = max((len(grid) for grid in grids.values()), default=0)
         return [{name: grid[min(place, len(grid) - 1)] for name, grid in grids.items()} for place in range(longest)]
-
-
-def stated_size(model: Model, effect: str, coefficient: Coefficient) -> float | None:
-    """Return the standard uncertainty that the campaign states of a coefficient, in its unit; None without one."""
-    campaign, parameter = model.campaign, coefficient.parameter
-    equipment = {"table": campaign.tables, "mounting": campaign.mountings}
-    labels = {axis: coefficient.owner for axis, known in equipment.items() if coefficient.owner in known}
-    declared = declared_parameters(model.registry.effects[effect])[parameter.field]
-    stated = stated_uncertainty(declared.equipment, labels, campaign)
-    return None if stated is None else stated / parameter.factor
 
 
 def candidate_responses(fitted: Fit, only: Sequence[str] = (), about: LinearisationPoint = _AT_NULLS) -> Responses:

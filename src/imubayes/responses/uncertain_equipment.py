@@ -7,8 +7,11 @@ measured at the site.  No uncertainty of the fit contains it.  Report, export an
 from imubayes.foundations.campaign_data import Site
 from imubayes.foundations.earth import normal_gravity
 from imubayes.inference.fitted_model import Fit
+from imubayes.model.bind import Model
 from imubayes.model.model_file import GRAVITY, UncertainEquipment
-from imubayes.responses.candidate_effects import coefficients_of, lacking_effects, stated_size
+from imubayes.model.parameter_priors import stated_uncertainty
+from imubayes.parameters.declarations import declared_parameters
+from imubayes.responses.candidate_effects import Coefficient, coefficients_of, lacking_effects
 
 
 def is_normal_gravity(site: Site) -> bool:
@@ -32,3 +35,13 @@ def uncertain_equipment(fit: Fit) -> tuple[UncertainEquipment, ...]:
                     )
                 )  # fmt: skip
     return tuple(found)
+
+
+def stated_size(model: Model, effect: str, coefficient: Coefficient) -> float | None:
+    """Return the standard uncertainty that the campaign states of a coefficient, in its unit; None without one."""
+    campaign, parameter = model.campaign, coefficient.parameter
+    equipment = {"table": campaign.tables, "mounting": campaign.mountings}
+    labels = {axis: coefficient.owner for axis, known in equipment.items() if coefficient.owner in known}
+    declared = declared_parameters(model.registry.effects[effect])[parameter.field]
+    stated = stated_uncertainty(declared.equipment, labels, campaign)
+    return None if stated is None else stated / parameter.factor
