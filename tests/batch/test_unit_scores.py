@@ -10,7 +10,6 @@ from imubayes.batch.pooled_discovery import pooled_discovery
 from imubayes.batch.pooled_evidence import PooledScores, pooled_scores
 from imubayes.batch.unit_scores import CandidateKey, scores_of
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
-from imubayes.foundations.campaign_data import Channel
 from imubayes.parameters.declarations import Parameter
 from imubayes.parameters.priors import Normal
 from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
@@ -41,12 +40,12 @@ def linear(
     )
     columns = np.column_stack([np.ones(ROWS), RATE, *(LARGEST * shape for shape in EFFECTS.values()), residual])
     rows = ChannelRows(
-        np.arange(OWN + len(EFFECTS)), columns, np.arange(ROWS),
+        "g", "gyro", np.arange(OWN + len(EFFECTS)), columns, np.arange(ROWS),
         tuple((n * ROWS // RUNS, ROWS // RUNS) for n in range(RUNS)), np.ones(ROWS), RATE, 0.03, scatter,
     )  # fmt: skip
-    channel, run = Channel("g", "gyro", np.eye(3), "V", 1.0, "deg/s", 1.0), np.repeat(np.arange(RUNS), ROWS // RUNS)
+    run = np.repeat(np.arange(RUNS), ROWS // RUNS)
     names, width = tuple(f"run{n}" for n in range(RUNS)), np.full(OWN, precision)
-    return LinearProblem(candidates, (channel,), names, run, width, 0 * width, np.ones(ROWS), (rows,))
+    return LinearProblem(candidates, names, run, width, 0 * width, np.ones(ROWS), (rows,))
 
 
 def noise(seed: int, size: float = 1.0) -> np.ndarray:

@@ -18,7 +18,6 @@ from imubayes.criticism.evidence.noise_structures import KNOWN, StateNoise, corr
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.row_correlation import RowCorrelation
 from imubayes.criticism.explanations import Evidence
-from imubayes.foundations.campaign_data import Channel
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.noise_covariance import Series
 from imubayes.parameters.declarations import Parameter
@@ -61,14 +60,13 @@ def problem(residual: np.ndarray, scatter: tuple[tuple[float, float], ...] = ())
         live = [2 * k, 2 * k + 1, *(own + n for n, (_, c) in enumerate(names) if c == channel)]
         rows.append(
             ChannelRows(
-                np.array(live), np.column_stack([*columns, residual[k]]), np.arange(count) + k * count,
+                channel, "gyro", np.array(live), np.column_stack([*columns, residual[k]]), np.arange(count) + k * count,
                 tuple((n * ROWS, ROWS) for n in range(RUNS)), np.ones(count), RATE, SCALE_SD, scatter,
             )
         )  # fmt: skip
-    made = tuple(Channel(c, "gyro", np.eye(3), "V", 1.0, "deg/s", 1.0) for c in CHANNELS)
     run = np.tile(np.repeat(np.arange(RUNS), ROWS), 2)
     runs = tuple(f"run{n}" for n in range(RUNS))
-    return LinearProblem(candidates, made, runs, run, np.ones(own), np.zeros(own), np.ones(2 * count), tuple(rows))
+    return LinearProblem(candidates, runs, run, np.ones(own), np.zeros(own), np.ones(2 * count), tuple(rows))
 
 
 def covariates() -> list[ResidualCovariate]:

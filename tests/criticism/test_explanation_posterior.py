@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_evidence import RATE, ROWS, RUNS, TEMPERATURE, covariates, drawn, posterior_of, problem, searched
+from test_evidence import CHANNELS, RATE, ROWS, RUNS, TEMPERATURE, covariates, drawn, posterior_of, searched
 from test_one_number import made
 
 from imubayes.criticism.diagnosis_record import ranking
@@ -17,6 +17,7 @@ from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.formula_search import ResidualFormula, coefficient_unit, find_formula
 from imubayes.criticism.residual_evidence import outliers
+from imubayes.foundations.campaign_data import Channel
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.responses.residual_covariates import ResidualCovariate
@@ -33,9 +34,8 @@ PLANTED: list[dict[tuple[str, int], float]] = [
 def the_fit() -> Any:
     """Return the fit of the residuals, as far as what is told asks of it."""
     runs = [SimpleNamespace(name=f"run{n}", covariates={}) for n in range(RUNS)]
-    campaign = SimpleNamespace(
-        site=SimpleNamespace(gravity=9.8), runs=runs, channels=problem(np.zeros((2, COUNT))).channels
-    )
+    sensors = tuple(Channel(c, "gyro", np.eye(3), "V", 1.0, "deg/s", 1.0) for c in CHANNELS)
+    campaign = SimpleNamespace(site=SimpleNamespace(gravity=9.8), runs=runs, channels=sensors)
     entries = SimpleNamespace(
         run=np.tile(np.repeat(np.arange(RUNS), ROWS), 2), row=np.tile(np.arange(ROWS), 2 * RUNS),
         channel=np.repeat([0, 1], COUNT), closing=np.zeros(2 * COUNT, dtype=bool),

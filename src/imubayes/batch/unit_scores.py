@@ -175,7 +175,7 @@ def _shape(response: Response) -> str:
 def _candidates(of: EvidenceOf, left: np.ndarray) -> Iterator[tuple[CandidateKey, EffectVariant]]:
     """Yield the variants of which something is left, left (C,) bool, with what they are called in every unit."""
     problem = of.problem
-    kinds = {channel.name: channel.kind for channel in problem.channels}
+    kinds = {rows.name: rows.kind for rows in problem.of_channels}
     owners, fields = defaultdict[tuple[int, str], set[str]](set), defaultdict[tuple[int, str], set[str]](set)
 
     def about(each: EffectVariant) -> tuple[tuple[int, str], set[str]]:
