@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_evidence import CHANNELS, RATE, ROWS, RUNS, TEMPERATURE, covariates, drawn, posterior_of, searched
+from test_evidence import CHANNELS, RATE, ROWS, RUNS, TEMPERATURE, covariates, drawn, posterior_of, problem, searched
 from test_one_number import made
 
 from imubayes.criticism.diagnosis_record import ranking
