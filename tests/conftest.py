@@ -2,33 +2,18 @@
 
 import gc
 import os
+import sys
 from importlib import import_module
 from pathlib import Path
 
-import jax
 import pytest
-from beartype.claw import beartype_packages
-from hypothesis import settings
-from jaxtyping import install_import_hook
 from xdist.scheduler import LoadScopeScheduling
 
-from strict_types import CONFIGURATION, modules
-
-jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_numpy_rank_promotion", "raise")
-jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Tests replace functions, which the identity of a kept program cannot see.
 os.environ["IMUBAYES_KEEP_PROGRAMS"] = "0"
 # Everything compiled is kept, for tests and for the commands they run alike, so that it is paid for once.
 os.environ["XDG_CACHE_HOME"] = str(Path(__file__).parents[1] / ".cache" / "commands")
 os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parents[1] / ".cache" / "configuration")
-jax.config.update("jax_compilation_cache_dir", str(Path(os.environ["XDG_CACHE_HOME"]) / "imubayes" / "compiled"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-
-# The same examples every time, and no clock: a first call compiles.
-settings.register_profile("tests", derandomize=True, deadline=None, max_examples=50)
-settings.load_profile("tests")
 
 # Folders and files whose tests compile models of their own, or search as long, heaviest first; `make test-fast` leaves
 # them out.
@@ -161,31 +146,12 @@ GROUPS = {
 # Imports and tracing create millions of objects that stay, and looking for garbage among them takes time.
 gc.set_threshold(300_000)
 
-# What is imported from within a module under the hook is looked for as if it, too, had been compiled under it, and is
-# compiled anew: some 1400 modules, so they come first.
-for package in (
-    "arviz_base",
-    "arviz_stats",
-    "cyclopts",
-    "diffrax",
-    "emcee",
-    "h5netcdf",
-    "matplotlib.backends.backend_agg",
-    "optimistix",
-    "polars",
-    "pyarrow.parquet",
-    "pydantic",
-    "rich.table",
-    "scipy.interpolate",
-    "scipy.ndimage",
-    "tomlkit",
-):
-    import_module(package)
-# The hooks must stand before the first import of the package, which test modules make after this file.  Beartype alone
-# is a tenth of the cost where no shapes are declared.
-SOURCE = Path(__file__).parents[1] / "src"
-install_import_hook(modules(SOURCE, shaped=True), "strict_types.checked")
-beartype_packages(modules(SOURCE, shaped=False), conf=CONFIGURATION)
+
+def pytest_addoption(pluginmanager):
+    """Be strict before the conftests of folders import the package; what only hands out tests imports none."""
+    options = pluginmanager.get_plugin("pytestconfig").known_args_namespace
+    if not options.numprocesses or "PYTEST_XDIST_WORKER" in os.environ:
+        import_module("strict_types").be_strict()
 
 
 def _compiled_plainly(config) -> bool:
@@ -195,7 +161,8 @@ def _compiled_plainly(config) -> bool:
 def pytest_configure(config):
     # Most of what is tested runs once, so that compiling is what takes time.  The long studies are compiled as a user
     # has them.
-    jax.config.update("jax_disable_most_optimizations", _compiled_plainly(config))
+    if "jax" in sys.modules:
+        import_module("jax").config.update("jax_disable_most_optimizations", _compiled_plainly(config))
     # Two test processes share the cache: an entry that is still being written is compiled again.
     config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache:UserWarning")
     # Aliases of other packages, such as rich's, are still written in the old way.
@@ -217,18 +184,23 @@ def pytest_xdist_make_scheduler(config, log):
     return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
+def pytest_ignore_collect(collection_path, config):
+    """Do not even read what is left out as a whole."""
+    return True if "not compiled" in config.option.markexpr and _weight(collection_path) < len(COMPILED) else None
+
+
 def pytest_collection_modifyitems(items):
     """Heavy tests first, so that none is left over at the end."""
     for item in items:
-        if _weight(item) < len(COMPILED):
+        if _weight(item.path) < len(COMPILED):
             item.add_marker("compiled")
-    items.sort(key=_weight)
+    items.sort(key=lambda item: _weight(item.path))
     gc.freeze()
 
 
-def _weight(item) -> int:
-    """Return the place of a test among those that compile, by its longest entry; their number where it does not."""
-    path = item.path.relative_to(Path(__file__).parent).as_posix()
+def _weight(file: Path) -> int:
+    """Return the place of a file among those that compile, by its longest entry; their number where it does not."""
+    path = Path(os.path.relpath(file, Path(__file__).parent)).as_posix()
     entries = [(len(part), place) for place, part in enumerate(COMPILED) if path.startswith(part)]
     return max(entries)[1] if entries else len(COMPILED)
 
