@@ -4,7 +4,7 @@ import ast
 import re
 from pathlib import Path
 
-from test_layering import FLOORS
+from test_layering import FLOORS, statements
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "imubayes"
@@ -26,7 +26,7 @@ def imports() -> dict[str, set[str]]:
         here = file.relative_to(SOURCE).parts[0].removesuffix(".py")
         if here == "__init__":
             continue
-        for node in ast.walk(ast.parse(file.read_text())):
+        for node, _ in statements(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("imubayes."):
                 found.setdefault(here, set()).add(room(str(node.module)))
     return {here: others - {here, *FOUNDATION} for here, others in found.items() if here not in FOUNDATION}

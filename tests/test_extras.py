@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 # The packages of the page are asked for by tests/explore.
 EXTRAS = (
     "asammdf",
@@ -38,6 +40,7 @@ for file in sys.argv[1:]:
 """
 
 
+@pytest.mark.compiled  # processes
 def test_all_public_names_are_there_without_extras_and_a_recording_that_needs_one_names_it(
     tmp_path, command_environment
 ):

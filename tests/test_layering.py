@@ -1,6 +1,7 @@
 """The house rules, read from the sources: imports go down, none hides in a function, no file grows beyond 500 lines."""
 
 import ast
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,14 @@ def floor(module: str) -> int:
     return next((height for height, names in enumerate(FLOORS) if part in names), -1)
 
 
+def statements(node: ast.AST, inside: bool = False) -> Iterator[tuple[ast.AST, bool]]:
+    """Yield the statements below a node, each with whether a function has it; expressions are not looked into."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.stmt | ast.ExceptHandler | ast.match_case):
+            yield child, inside
+            yield from statements(child, inside or isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef))
+
+
 def imported(node: ast.AST, modules: set[str]) -> list[str]:
     """Return the package's modules that one statement imports; `from package import module` names the module."""
     if isinstance(node, ast.Import):
@@ -64,17 +73,15 @@ def violations(sources: dict[str, str]) -> list[str]:
             found.append(f"{module} has more than {MOST_LINES} lines")
         if floor(module) < 0:
             found.append(f"{module} stands on no floor")
-        statements = list(ast.walk(tree))
-        edges[module] = [name for node in statements for name in imported(node, modules)]
+        imports = [(node, inside) for node, inside in statements(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+        edges[module] = [name for node, _ in imports for name in imported(node, modules)]
         for name in edges[module]:
             if floor(name) > floor(module):
                 found.append(f"{module} imports {name}, which is above it")
             if is_member(module) and is_member(name):
                 found.append(f"{module} imports {name}: members do not know each other")
-        for function in (n for n in statements if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)):
-            inside = [n for n in ast.walk(function) if isinstance(n, ast.Import | ast.ImportFrom)]
-            if inside and module.split(".")[1:2] != ["cli"]:
-                found.append(f"{module} imports inside a function")
+        if any(inside for _, inside in imports) and module.split(".")[1:2] != ["cli"]:
+            found.append(f"{module} imports inside a function")
     return found + [f"{' → '.join(cycle)} is a cycle" for cycle in cycles(edges)]
 
 

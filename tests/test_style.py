@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from test_layering import statements
+
 SOURCE = Path(__file__).parents[1] / "src" / "imubayes"
 FILE_LINES = {50: 300, 90: 420, 100: 500}
 FUNCTION_LINES = {90: 25, 100: 60}
@@ -25,14 +27,15 @@ def trees() -> dict[str, ast.Module]:
 
 def functions() -> Iterator[tuple[str, Function]]:
     for file, tree in trees().items():
-        yield from ((f"{file}: {node.name}", node) for node in ast.walk(tree) if isinstance(node, Function))
+        yield from ((f"{file}: {node.name}", node) for node, _ in statements(tree) if isinstance(node, Function))
 
 
 def complexity(function: ast.AST) -> int:
     """Cyclomatic complexity after McCabe, with Boolean operators and comprehensions counted as branches."""
-    branches = sum(isinstance(node, _BRANCHES) for node in ast.walk(function))
-    conditions = sum(len(node.ifs) for node in ast.walk(function) if isinstance(node, ast.comprehension))
-    operators = sum(len(node.values) - 1 for node in ast.walk(function) if isinstance(node, ast.BoolOp))
+    nodes = [*ast.walk(function)]
+    branches = sum(isinstance(node, _BRANCHES) for node in nodes)
+    conditions = sum(len(node.ifs) for node in nodes if isinstance(node, ast.comprehension))
+    operators = sum(len(node.values) - 1 for node in nodes if isinstance(node, ast.BoolOp))
     return 1 + branches + conditions + operators
 
 
@@ -70,7 +73,7 @@ def interface_methods() -> frozenset[str]:
     return frozenset(
         part.name
         for tree in trees().values()
-        for node in ast.walk(tree)
+        for node, _ in statements(tree)
         if isinstance(node, ast.ClassDef)
         for part in node.body
         if isinstance(part, Function) and ast.get_docstring(part)
@@ -100,7 +103,9 @@ def test_complexity_counts_branches() -> None:
 
 
 def test_no_class_name_stands_twice() -> None:
-    names = Counter(node.name for tree in trees().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    names = Counter(
+        node.name for tree in trees().values() for node, _ in statements(tree) if isinstance(node, ast.ClassDef)
+    )
     assert [name for name, count in names.items() if count > 1] == []
 
 

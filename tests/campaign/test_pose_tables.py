@@ -22,8 +22,7 @@ def poses(count: int, seed: int = 1) -> np.ndarray:
     return GRAVITY * directions / np.linalg.norm(directions, axis=1, keepdims=True) * SCALE + BIAS
 
 
-@pytest.mark.parametrize("count", [6, 24, 1000])
-@pytest.mark.parametrize("header", ["", "ax,ay,az"])
+@pytest.mark.parametrize(("count", "header"), [(6, ""), (24, "ax,ay,az"), (24, ""), (300, "ax,ay,az")])
 def test_a_table_of_means(tmp_path: Path, count: int, header: str) -> None:
     means = poses(count) + np.random.default_rng(2).normal(0, 1e-4, (count, 3))
     np.savetxt(tmp_path / "means.csv", means, delimiter=",", header=header, comments="", fmt="%.6f")

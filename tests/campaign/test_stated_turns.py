@@ -51,6 +51,7 @@ def test_each_turn_is_a_row_of_the_stated_angle(tmp_path: Path) -> None:
     assert sum("turn left out: 273.7 deg about gx" in note for note in made.document["notes"]) == 1
 
 
+@pytest.mark.compiled
 def test_the_angles_are_no_better_than_they_are_stated(tmp_path: Path) -> None:
     file = write(tmp_path / "turns.csv", turned(FULL))
     campaign = imubayes.load_campaign(convert([file], tmp_path / "unit", turn_deg=360.0))

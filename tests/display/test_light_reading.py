@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 HEAVY = {"jax", "equinox", "optimistix", "emcee", "arviz_stats", "arviz_base"}
 
 
@@ -12,6 +14,7 @@ def loaded(*modules: str) -> set[str]:
     return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
 
 
+@pytest.mark.compiled  # processes
 def test_reading_a_result_needs_no_jax():
     found = loaded("imubayes.display.model_against_measurement", "imubayes.display.loop.history")
     assert "polars" in found

@@ -248,6 +248,7 @@ def test_names_with_brackets_are_not_taken_for_markup(summary):
     assert "[red]flat[/red]" in text_of(run_sheet(changed(summary, runs={"name": "[red]flat[/red]"})))
 
 
+@pytest.mark.compiled  # processes
 def test_tables_do_without_matplotlib():
     code = "import sys, imubayes.display.layout, imubayes.display.fit_report; print('matplotlib' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -74,6 +74,7 @@ def which(folder: Path, place: Path) -> str:
     return found
 
 
+@pytest.mark.compiled  # processes
 def test_a_kill_at_any_instant_leaves_the_old_result_or_the_new(place, tmp_path, command_environment):
     count = killed(command_environment, place / "old", place / "new", tmp_path)
     begun = [number for number in range(count + 1) if (tmp_path / str(number) / ".committed").is_dir()]
@@ -95,6 +96,7 @@ def test_a_kill_at_any_instant_leaves_the_old_result_or_the_new(place, tmp_path,
     assert not [file.name for file in middle.iterdir() if file.name.startswith(".") or file.name == DIAGNOSIS]
 
 
+@pytest.mark.compiled  # processes
 def test_a_first_result_that_was_committed_is_one(place, tmp_path, command_environment):
     (tmp_path / "none").mkdir()
     count = killed(command_environment, tmp_path / "none", place / "new", tmp_path / "copies")
@@ -106,6 +108,7 @@ def test_a_first_result_that_was_committed_is_one(place, tmp_path, command_envir
     assert seen == {False, True}
 
 
+@pytest.mark.compiled  # processes
 def test_a_kill_while_a_file_is_added_leaves_the_fit_with_or_without_it(place, tmp_path, command_environment):
     (tmp_path / "text").write_text("{}\n")
     count = killed(command_environment, place / "old", tmp_path / "text", tmp_path)

@@ -47,6 +47,7 @@ def drift_of(force, coefficients):
     return drift + d_io * i * o + d_os * o * s + d_si * s * i
 
 
+@pytest.mark.compiled  # algebra of three seconds
 def test_polar_sweeps_north_and_south_have_the_harmonics_of_the_docstring():
     coefficients = sp.symbols("D_F D_I D_O D_S D_II D_OO D_SS D_IO D_OS D_SI")
     d_f, d_i, d_o, d_s, d_ii, d_oo, d_ss, d_io, d_os, d_si = coefficients
