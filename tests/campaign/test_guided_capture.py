@@ -19,6 +19,7 @@ from imubayes.cli.main import run
 from imubayes.display.capture_lines import now_line, rest_line
 
 OPTIONS: dict[str, Any] = {"gravity_m_s2": GRAVITY}
+RESTS = 20
 
 
 def text_of(made: Recording, pause: float = 0.0) -> str:
@@ -33,7 +34,7 @@ def text_of(made: Recording, pause: float = 0.0) -> str:
 def log(tmp_path_factory) -> Path:
     """A recording of 20 rests, with a pause of the port and a last line that is torn."""
     file = tmp_path_factory.mktemp("capture") / "port.csv"
-    file.write_text(text_of(random_attitudes(3, 20), pause=7.0)[:-30])
+    file.write_text(text_of(random_attitudes(3, RESTS), pause=7.0)[:-30])
     return file
 
 
@@ -51,14 +52,14 @@ def test_a_replayed_file_is_guided_to_what_was_asked_for(log, tmp_path, capsys):
     assert "next: imubayes new" in said
     campaign = imubayes.load_campaign(folder)
     assert campaign.runs[0].tumble is not None
-    assert campaign.runs[0].rows == 20  # with all that came after it was reached
+    assert campaign.runs[0].rows == RESTS  # with all that came after it was reached
 
 
 @pytest.mark.slow
 def test_what_is_shown_as_reached_is_what_the_poses_determine(log):
     steps = steps_of(log)
     assert steps[-1].state == "done"
-    assert 12 <= steps[-1].poses < 20
+    assert 12 <= steps[-1].poses < RESTS
     wanted = {each.effect: each.value for each in GuidedCapture(log, UNTIL, OPTIONS).wanted}
     largest = steps[-1].largest or {}
     assert all(largest[effect] <= value for effect, value in wanted.items())
@@ -68,7 +69,7 @@ def test_what_is_shown_as_reached_is_what_the_poses_determine(log):
     more = steps_of(log, ("accel_bias=1ug", "gyro_scale_factor=5%"))
     assert more[-1].state == "ended"
     assert more[-1].open == ("accel_bias",)
-    assert more[-1].poses == 20
+    assert more[-1].poses == RESTS
 
 
 def test_the_design_has_the_scatter_of_calibrations(tmp_path):
@@ -82,21 +83,27 @@ def test_the_design_has_the_scatter_of_calibrations(tmp_path):
     assert run(["convert", str(log), "--out", str(imubayes_campaign), "--gravity-m-s2", str(GRAVITY)]) == 0
     design = design_of(imubayes.load_campaign(imubayes_campaign), 0.01)
     rng, ups = np.random.default_rng(1), Rotation.random(20, rng=np.random.default_rng(5)).inv().apply([0, 0, GRAVITY])
-    draws = [fit_magnitude(ups + rng.normal(0, design.force_sd, ups.shape), GRAVITY).offset for _ in range(200)]
+    draws = [fit_magnitude(ups + rng.normal(0, design.force_sd, ups.shape), GRAVITY).offset for _ in range(60)]
     stated = design.deviations("accel_bias")
     assert np.std(draws, axis=0) == pytest.approx(stated, rel=0.5)
     assert (design.deviations("gyro_scale_factor") < 1e-3).all()
 
 
-def test_what_is_not_turned_stays_open(tmp_path):
-    """Turns about one axis leave the gyros across it undetermined, and the next attitude is off that axis."""
+@pytest.fixture(scope="module")
+def one_axis(tmp_path_factory) -> Path:
+    """Rests at attitudes that differ by turns about x alone."""
     made = Recording(2, Rotation.identity())
-    for _ in range(14):
+    for _ in range(12):
         made.turn(np.array([0.7, 0.0, 0.0]))
         made.rest()
-    file = tmp_path / "one-axis.csv"
+    file = tmp_path_factory.mktemp("capture") / "one-axis.csv"
     file.write_text(text_of(made))
-    last = steps_of(file)[-1]
+    return file
+
+
+def test_what_is_not_turned_stays_open(one_axis):
+    """Turns about one axis leave the gyros across it undetermined, and the next attitude is off that axis."""
+    last = steps_of(one_axis)[-1]
     assert last.state == "ended"
     assert {"accel_bias", "gyro_scale_factor"} <= set(last.open)
     assert last.up is not None
@@ -164,16 +171,9 @@ def test_every_direction_has_words():
     assert "no campaign yet: too little" in rest_line(Guidance("enough", trouble="too little"), ())
 
 
-def test_turns_about_one_axis_are_told_with_what_they_leave_open(tmp_path):
+def test_turns_about_one_axis_are_told_with_what_they_leave_open(one_axis, tmp_path):
     """The fit of |f| = g does not run away along what the poses do not tell."""
-    made = Recording(2, Rotation.identity())
-    for _ in range(14):
-        made.turn(np.array([0.7, 0.0, 0.0]))
-        made.rest()
-    (tmp_path / "log.csv").write_text(text_of(made))
-    assert (
-        run(["convert", str(tmp_path / "log.csv"), "--out", str(tmp_path / "c"), "--gravity-m-s2", str(GRAVITY)]) == 0
-    )
+    assert run(["convert", str(one_axis), "--out", str(tmp_path / "c"), "--gravity-m-s2", str(GRAVITY)]) == 0
     notes = imubayes.load_campaign(tmp_path / "c").runs[0].notes
     assert any("about one axis of the body, (1.00, 0.00, " in note for note in notes), notes
     scatter = next(float(note.split()[-2]) for note in notes if "scatter" in note)
