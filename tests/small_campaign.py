@@ -326,12 +326,17 @@ def simulated(model: Model, z: np.ndarray, seed: int) -> Campaign:
     return replace(model.campaign, runs=tuple(runs))
 
 
-@cache
-def whole_catalogue() -> Model:
-    """Return all effects that the wide campaign can show in one model, compiled once for the tests of each of them."""
+def in_wide_campaign() -> list[type[Effect]]:
+    """Return the effects that the wide campaign can show."""
     elsewhere = {"reference", "driven", "directions", "outer_angle", "middle_angle"}
     effects = [one for one in Registry().effects.values() if issubclass(one, Effect) and not one.nuisance]
-    return bind(spec(*(one.name for one in effects if not elsewhere & set(one.needs))), wide_campaign())
+    return [one for one in effects if not elsewhere & set(one.needs)]
+
+
+@cache
+def whole_catalogue() -> Model:
+    """Return all of these in one model, compiled once for the tests of each of them."""
+    return bind(spec(*(one.name for one in in_wide_campaign())), wide_campaign())
 
 
 @cache

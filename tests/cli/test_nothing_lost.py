@@ -50,8 +50,8 @@ def begun(folder: Path, steps: int) -> Path:
     return folder
 
 
-def with_own_effect(folder: Path, returned: str) -> Path:
-    """The model with an effect of the user's own beside it."""
+def with_own_effect(folder: Path, returned: str, beside: tuple[str, ...] = ()) -> Path:
+    """The model, or some of its effects, with an effect of the user's own beside it."""
     (folder / "mine.py").write_text(
         "import jax.numpy as jnp\n"
         "from imubayes import Order, Scalar, SignalEffect, Stage, parameter\n\n\n"
@@ -63,8 +63,9 @@ def with_own_effect(folder: Path, returned: str) -> Path:
         "    def apply(self, signal, sample):\n"
         f"        return {returned}\n"
     )
-    first, effects = MODEL.read_text().split("[[effect]]", 1)
-    own = f'{first}files = ["mine.py"]\n[[effect]]{effects}\n[[effect]]\nname = "mine"\n'
+    first, *effects = MODEL.read_text().split("[[effect]]")
+    kept = [each for each in effects if not beside or any(f'"{name}"' in each for name in beside)]
+    own = "[[effect]]".join([f'{first}files = ["mine.py"]\n', *kept, '\nname = "mine"\n'])
     (folder / "model.toml").write_text(own)
     return folder / "model.toml"
 
@@ -277,7 +278,7 @@ def test_what_is_planted_has_a_size(result, refused, words):
 
 
 def test_a_fit_without_numbers_is_told_and_not_drawn(tmp_path, refused, capsys):
-    model = with_own_effect(tmp_path, "signal + self.k * jnp.nan")
+    model = with_own_effect(tmp_path, "signal + self.k * jnp.nan", ("accel_bias", "white_noise"))
     out = tmp_path / "out"
     assert run(["fit", str(CAMPAIGN), "--model", str(model), "--out", str(out), "--no-sample"]) == 1
     assert "NOT CONVERGED" in capsys.readouterr().out

@@ -5,6 +5,8 @@ import math
 import re
 import shutil
 import subprocess
+import tempfile
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -492,7 +494,14 @@ def width_on_phone(folder: Path, page: str) -> int:
 def browser_log(folder: Path, page: str) -> list[str]:
     """Return console messages and requests beyond those of an empty page, from Chromium's log of the network."""
     console, asked = browsed(folder, page)
-    return console + sorted(asked - browsed(folder, "<!doctype html>")[1])
+    return console + sorted(asked - browsers_own())
+
+
+@cache
+def browsers_own() -> set[str]:
+    """Return the hosts that Chromium asks with an empty page."""
+    with tempfile.TemporaryDirectory() as folder:
+        return browsed(Path(folder), "<!doctype html>")[1]
 
 
 def browsed(folder: Path, page: str) -> tuple[list[str], set[str]]:

@@ -23,20 +23,22 @@ from imubayes.qualification.onboard.unexpressed_effects import acts_linearly
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import Residuals
 from imubayes.results.summary import Summary
-from small_campaign import whole_catalogue
+from small_campaign import in_wide_campaign, whole_catalogue
+
+
+# The effects of sensors and converters, and of where they sit, that the wide campaign shows.
+NAMES = [
+    one.name
+    for one in in_wide_campaign()
+    if issubclass(one, PlaceEffect | SignalEffect | RecordEffect)
+    and not issubclass(one, RunBias)
+    and "injection" not in one.needs
+]
 
 
 @cache
 def of_the_unit() -> dict[str, BoundEffect]:
-    """The effects of sensors and converters, and of where they sit, that the wide campaign shows."""
-    own = PlaceEffect | SignalEffect | RecordEffect
-    return {
-        each.name: each
-        for each in whole_catalogue().assembly.effects
-        if issubclass(each.effect_class, own)
-        and not issubclass(each.effect_class, RunBias)
-        and "injection" not in each.effect_class.needs
-    }
+    return {each.name: each for each in whole_catalogue().assembly.effects if each.name in NAMES}
 
 
 def alone(effect: BoundEffect) -> Result:
@@ -64,7 +66,7 @@ def test_there_are_effects_of_both_kinds():
     assert {"gyro_thermal_lag", "accel_vibration_rectification", "gyro_warm_up"} <= set(effects) - linear
 
 
-@pytest.mark.parametrize("name", of_the_unit())
+@pytest.mark.parametrize("name", NAMES)
 def test_a_covariate_that_is_missing_is_refused_or_left_in(name):
     effect = of_the_unit()[name]
     for covariate in effect.effect_class.needs:

@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.campaign import load_campaign
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model, bind
@@ -20,13 +22,27 @@ from imubayes.noise.components import EntryNoise
 ROOT = Path(__file__).parents[2]
 
 
-@cache
 def fitted_to(campaign: str, model: str = "hidden-effects") -> Fit:
     """Return the fit of a shipped campaign, without what else is reported of one."""
+    return _fitted(campaign, model)
+
+
+def judged(campaign: str, model: str = "hidden-effects") -> Diagnosis:
+    """Return the diagnosis of that fit."""
+    return _judged(campaign, model)
+
+
+@cache
+def _fitted(campaign: str, model: str) -> Fit:
     declared = bind(read_model(ROOT / "models" / f"{model}.toml"), load_campaign(ROOT / "data" / campaign))
     found = refitted(declared, *(np.zeros(size) for size in declared.problem.size))
     assert found.converged
     return found
+
+
+@cache
+def _judged(campaign: str, model: str) -> Diagnosis:
+    return judge(_fitted(campaign, model))
 
 
 def redrawn(fitted: Fit, seed: int, correlation: float = 0.0, change: np.ndarray | None = None) -> Fit:

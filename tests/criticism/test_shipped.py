@@ -4,9 +4,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from null_data import fitted_to
+from null_data import judged
 
-from imubayes.criticism.diagnose import judge
 from imubayes.display.loop.diagnosis_report import diagnosis_json
 
 ROOT = Path(__file__).parents[2]
@@ -15,7 +14,7 @@ CAMPAIGNS = sorted(folder.name for folder in (ROOT / "data").glob("hidden-*"))
 
 def _diagnosed(name: str) -> tuple[dict, dict]:
     truth = tomllib.loads((ROOT / "data" / name / "truth.toml").read_text())
-    return diagnosis_json(judge(fitted_to(name, Path(truth["hidden"]["model"]).stem))), truth["hidden"]
+    return diagnosis_json(judged(name, Path(truth["hidden"]["model"]).stem)), truth["hidden"]
 
 
 def _probability(document: dict, kind: str) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from null_data import ROOT, fitted_to, refitted
+from null_data import ROOT, fitted_to, judged, refitted
 from planted_data import fit_of, probability, told
 from random_plans import random_plan
 from simulate import write_simulated
@@ -58,11 +58,10 @@ def covers(found: AgreeingInput, truth: float, component: int = 0, most: float =
 
 
 def test_the_runs_of_a_sound_campaign_agree() -> None:
-    fitted = fitted_to("hidden-none")
-    found = judge(fitted)
+    found = judged("hidden-none")
     assert not found.disagreeing, told(found)
     assert probability(found, "input") < 0.1, told(found)
-    assert not doubted_runs(fitted)
+    assert not doubted_runs(fitted_to("hidden-none"))
 
 
 def test_a_rate_that_is_wrong_in_one_run_is_named_with_its_factor() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray
 
-from imubayes.api import Result, fit
+from imubayes.api import Result
 from imubayes.inference.posterior_groups import SAMPLE, Group, Groups, Labelled, in_units, rounded
 from imubayes.results.result import read_result
 from imubayes.results.result_folder import write_posterior
@@ -17,9 +17,8 @@ SCALE = "gyro_scale_factor.scale"
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory) -> Result:
-    folder = tmp_path_factory.mktemp("posterior") / "result"
-    return fit(ROOT / "data" / "hidden-gyro", ROOT / "models" / "hidden-effects.toml", folder, sample=False)
+def result(hidden_gyro) -> Result:
+    return hidden_gyro
 
 
 @pytest.fixture(scope="module")

@@ -438,7 +438,7 @@ def pictures_of(
         return pictures.PictureData(worst=worst)
     limits = assessment.limits if assessment is not None else ()
     known = [angle for angle in angles if angle.estimate is not None]
-    prior = draws_of(result.posterior.children["prior"], [angle.name for angle in known])
+    prior = draws_of(result.posterior_file or result.posterior, [angle.name for angle in known], "prior")
     posterior = unit.quantities.draws
     return pictures.PictureData(
         errors=pictures.error_pictures(unit, table, limits),

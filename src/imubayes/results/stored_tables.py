@@ -31,13 +31,16 @@ _SAMPLE = ("chain", "draw")
 Draws = dict[str, np.ndarray]
 
 
-def draws_of(posterior: "xarray.DataTree | xarray.Dataset | Draws | Path | str", names: Iterable[str]) -> Draws:
+def draws_of(
+    posterior: "xarray.DataTree | xarray.Dataset | Draws | Path | str", names: Iterable[str], group: str = "posterior"
+) -> Draws:
     """Return the draws of the named members, each (chain · draw,); what is not there is left out.
 
     Parameters
     ----------
-    posterior : tree with a group `posterior`, that group or its dataset, the path of such a file, or draws by name.
+    posterior : tree with the group, that group or its dataset, the path of such a file, or draws by name.
     names : as in the summary.
+    group : of a tree or of a file.
 
     Raises
     ------
@@ -45,12 +48,12 @@ def draws_of(posterior: "xarray.DataTree | xarray.Dataset | Draws | Path | str",
         if a file is not a readable posterior.
     """
     if isinstance(posterior, str | Path):
-        with xarray.open_dataset(posterior, group="posterior", engine="h5netcdf") as group:
-            return draws_of(group, names)
+        with xarray.open_dataset(posterior, group=group, engine="h5netcdf") as opened:
+            return draws_of(opened, names)
     if isinstance(posterior, dict):
         return {name: posterior[name].reshape(-1) for name in names if name in posterior}
-    group = posterior["posterior"] if "posterior" in getattr(posterior, "children", ()) else posterior
-    data = group.to_dataset() if isinstance(group, xarray.DataTree) else group
+    own = posterior[group] if group in getattr(posterior, "children", ()) else posterior
+    data = own.to_dataset() if isinstance(own, xarray.DataTree) else own
     wanted = list(dict.fromkeys(names))
     found: dict[str, np.ndarray] = {}
     for variable in dict.fromkeys(name.partition("[")[0] for name in wanted):
