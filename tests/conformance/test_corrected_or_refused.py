@@ -25,7 +25,6 @@ from imubayes.results.stored_tables import Residuals
 from imubayes.results.summary import Summary
 from small_campaign import in_wide_campaign, whole_catalogue
 
-
 # The effects of sensors and converters, and of where they sit, that the wide campaign shows.
 NAMES = [
     one.name

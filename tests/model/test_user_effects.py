@@ -1,11 +1,14 @@
 """User effects, from a file beside the model."""
 
+import sys
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from imubayes.foundations.errors import InputError
 from imubayes.model.bind import Model, bind
+from imubayes.model.effect_registry import names_in
 from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.model.noise_covariance import noise_deviation, whitener
 from imubayes.model.problem import predict
@@ -106,6 +109,13 @@ def test_a_file_that_cannot_be_used_is_refused(tmp_path, text, what):
     assert what in problem.what
     assert str(file) in problem.where
     assert problem.remedy
+
+
+def test_nothing_is_left_beside_the_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    (tmp_path / "house.py").write_text(SOURCE)
+    assert names_in(tmp_path / "house.py") == ("house_asymmetry",)
+    assert [file.name for file in tmp_path.iterdir()] == ["house.py"]
 
 
 def test_a_name_without_its_file_is_unknown():

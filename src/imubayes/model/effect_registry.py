@@ -93,13 +93,14 @@ def _members_of(file: Path) -> list[EffectClass]:
         raise refuse("the file with the user's effects is missing")
     name = _USER + hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(name, file)
-    if spec is None or spec.loader is None:
+    if spec is None:
         raise refuse("the file is not Python")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     note_run(file)
     try:
-        spec.loader.exec_module(module)
+        # Not by the loader, which leaves bytecode beside the file.
+        exec(compile(file.read_bytes(), str(file), "exec", dont_inherit=True), vars(module))
     except (Exception, SystemExit) as error:
         raise refuse(f"the file cannot be read: {type(error).__name__}: {error}") from error
     found = [
