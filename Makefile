@@ -52,8 +52,9 @@ types: $(READY)
 tests: $(READY)
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
+# Bytecode of the tests is kept, whatever the user's settings: compiling it takes longer than most tests.
 test-fast: $(READY)
-	$(BIN)/pytest -n 2 -m "not slow and not compiled"
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not compiled"
 
 laws: $(READY)
 	$(BIN)/pytest -n 2 -m "slow or not slow" $(if $(EFFECT),-k "$(EFFECT)") tests/conformance
