@@ -82,6 +82,14 @@ def test_the_file_holds_the_same(result, tree):
         xarray.testing.assert_equal(stored.posterior[group].to_dataset(), tree[group].to_dataset())
 
 
+def test_draws_of_the_prior_are_those_of_its_group(result, tree):
+    """From the file as from the tree, and far wider than those of the posterior."""
+    name = "mounting_angle[gz,pyramid]"
+    before, after = (draws_of(result.posterior_file, [name], group)[name] for group in ("prior", "posterior"))
+    np.testing.assert_allclose(before, draws_of(tree, [name], "prior")[name], rtol=1e-6)
+    assert before.std() > 10 * after.std()
+
+
 def test_summary_and_residuals_as_data_frames(result):
     frame = result.to_dataframe()
     assert frame.height == len(result.summary.parameters) + len(result.summary.derived)
