@@ -5,10 +5,13 @@ import io
 import os
 import shlex
 import sys
+import tomllib
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import rich.console
+from myst_nb import glue
 
 from imubayes.cli.main import run
 from imubayes.display import progress
@@ -17,6 +20,16 @@ os.chdir(os.environ["IMUBAYES_DOCS"])
 os.environ["COLUMNS"] = "100"
 rich.console._is_jupyter = lambda: False  # commands print text, as in a terminal
 progress._display = lambda: None  # what is cleared in the end would leave an empty box
+
+
+def say(name: str, text: str) -> None:
+    """Keep a text for a sentence of the page."""
+    glue(name, text, display=False)
+
+
+def truth_of(campaign: str) -> dict[str, Any]:
+    """Return the true values of a shipped campaign."""
+    return tomllib.loads(Path("data", campaign, "truth.toml").read_text(encoding="utf-8"))
 
 
 def _command(line: str) -> None:

@@ -81,12 +81,14 @@ def effect_pages(found: Sequence[Left]) -> Pages:
 
 def _page(member: EffectClass, lefts: Sequence[Left]) -> str:
     formula, _, further = (inspect.getdoc(member) or "").partition("\n\n")
-    bias = BIAS_CONVENTION if issubclass(member, Sensor) and member.order == Order.BIAS else ""
+    acts_on_input = issubclass(member, Sensor)
+    bias = BIAS_CONVENTION if acts_on_input and member.order == Order.BIAS else ""
     facts = [
         ("acts on", _acts_on(member)),
         ("needs of a run", "; ".join(dict.fromkeys(map(remedy, member.needs))) or "nothing special"),
         ("one value per", ", ".join(member.per)),
         ("not together with", _links(member.excludes)),
+        ("axes", f"I, O, {'S' if 'gyro' in member.kinds else 'P'} = I × O: {_FRAMES}" if acts_on_input else ""),
         ("confused with", member.confused_with),
         ("settings", ", ".join(f"`{name}` = {value:g}" for name, value in declared_options(member).items())),
         ("source", member.reference),
@@ -105,6 +107,9 @@ def _page(member: EffectClass, lefts: Sequence[Left]) -> str:
     if issubclass(member, Effect):
         parts += _left_behind(lefts)
     return "\n".join(part for part in parts if part.strip())
+
+
+_FRAMES = "[frames and signs](../explanation/signal-path.md#frames-and-signs)"
 
 
 def _plain(text: str) -> str:
@@ -164,6 +169,9 @@ def _said(left: Left) -> str:
 
 _LEAST = 0.9
 """Share of the square sum that a curve has to describe to be named."""
+
+_PLAIN = 0.1
+"""Share of its response that the model has to leave for the pattern to be one by which to look for the effect."""
 
 
 def pattern(left: Left) -> str:
@@ -270,5 +278,16 @@ def _index(members: dict[str, EffectClass], found: dict[str, list[Left]]) -> str
     return _filled(
         (Path(__file__).parent / "effects" / "index.md").read_text(encoding="utf-8"),
         members=str(len(members)), thumbnails="\n".join(parts), drawn=f"{DRAWN:g}", tree="\n".join(members),
-        campaigns=", ".join(f"`{name}`" for name in CAMPAIGNS),
+        campaigns=", ".join(f"`{name}`" for name in CAMPAIGNS), patterns=_by_pattern(found.values()),
     )  # fmt: skip
+
+
+def _by_pattern(found: Iterable[Sequence[Left]]) -> str:
+    """Return a table of the patterns that have a name, with the effects that leave them."""
+    seen: dict[str, dict[str, None]] = {}
+    for left in (left for lefts in found for left in lefts if left.standing >= SHOWN and left.retained >= _PLAIN):
+        said, share, _ = pattern(left).partition(" (")
+        if share:
+            seen.setdefault(said, {})[left.effect] = None
+    ordered = sorted(seen, key=lambda said: said.rpartition(" in ")[2])
+    return table(("what is left", "effects that leave it"), [(said, _links(seen[said])) for said in ordered])

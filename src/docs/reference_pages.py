@@ -3,7 +3,9 @@
 Every function returns pages, file below the sources → text in MyST Markdown.
 """
 
+import inspect
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +17,7 @@ from imubayes.campaign.stream_checks import FINDINGS
 from imubayes.cli.campaign import _RECORDS
 from imubayes.cli.main import app
 from imubayes.foundations.covariates import COVARIATES
+from imubayes.procedures import PROCEDURES
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES
 
 ROOT = Path(__file__).parents[2]
@@ -23,7 +26,9 @@ Pages = dict[str, str]
 
 def reference_pages() -> Pages:
     """Return all of them."""
-    return {**api_pages(), **command_pages(), **schema_pages(), **symbol_pages(), **adopted_pages()}
+    return {
+        **api_pages(), **command_pages(), **schema_pages(), **symbol_pages(), **procedure_pages(), **adopted_pages()
+    }  # fmt: skip
 
 
 def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
@@ -64,7 +69,7 @@ def api_pages() -> Pages:
 def _documented(name: str) -> str:
     member = getattr(imubayes, name)
     if isinstance(member, type):
-        kind, options = "autoclass", "   :members:\n"
+        kind, options = "autoclass", "   :members:\n   :exclude-members: model_config, model_post_init\n"
     elif callable(member):
         kind, options = "autofunction", ""
     else:
@@ -126,9 +131,10 @@ def _keys(schema: Mapping[str, Any]) -> str:
     required = schema.get("required", ())
     rows = []
     for key, value in schema.get("properties", {}).items():
-        known_default = value.get("default")
-        stated = "–" if isinstance(known_default, dict | list | None) else f"`{known_default}`"
-        default = "required" if key in required else stated
+        stated = value.get("default")
+        if isinstance(stated, dict):
+            stated = ", ".join(f"{name} = {each}" for name, each in stated.items() if each is not None)
+        default = "required" if key in required else f"`{stated}`" if stated not in (None, "", []) else "–"
         rows.append((f"`{key}`", value.get("description") or known.get(key, ""), _type(value), default))
     if rows:
         return table(("key", "meaning", "type", "default"), rows)
@@ -192,6 +198,30 @@ def symbol_pages() -> Pages:
         "reference/findings.md": findings,
         "reference/glossary.md": glossary,
     }
+
+
+def procedure_pages() -> Pages:
+    """Return the test procedures, with required columns, campaigns that have them, and the text of their modules."""
+    examples: dict[str, list[str]] = {}
+    for file in sorted((ROOT / "data").glob("[!h]*/campaign.toml")):
+        for name in dict.fromkeys(run["procedure"] for run in tomllib.loads(file.read_text(encoding="utf-8"))["run"]):
+            examples.setdefault(name, []).append(f"`{file.parent.name}`")
+    sections: dict[str, str] = {}
+    rows = []
+    for name, procedure in PROCEDURES.items():
+        text = re.sub(r" \(P\d[^)]*\)", "", inspect.getdoc(inspect.getmodule(procedure.evaluate)) or "")
+        title, _, text = text.partition(": ")
+        columns = ", ".join(" or ".join(f"`{each}`" for each in group) for group in procedure.columns)
+        link = f"[`{name}`](#{title.lower().replace(' ', '-')})"
+        rows.append((link, columns, ", ".join(examples.get(name, [])), procedure.reference))
+        sections[title] = f"## {title}\n\n{text[:1].upper()}{text[1:]}\n"
+    intro = (
+        "# Test procedures\n\nEach run of a campaign names its `procedure`. Runs of several procedures are fitted "
+        "together; *the textbook* below is what `imubayes classical` evaluates run by run. The first shipped campaign "
+        "is an example of its files: `imubayes example NAME --out .`\n\n"
+    )
+    header = ("procedure", "required columns, beside outputs", "shipped campaigns", "source")
+    return {"reference/procedures.md": intro + table(header, rows) + "\n" + "\n".join(sections.values())}
 
 
 def effect_link(name: str) -> str:

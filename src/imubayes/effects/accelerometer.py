@@ -11,10 +11,10 @@ from imubayes.parameters.declarations import parameter, thermal_play, time_const
 
 
 class AccelMisalignment(Accelerometer, formulas.Misalignment):
-    """The true input axis is the unit vector along I + a·O + b·P: a is the angle toward O, b toward P."""
+    """The true input axis is the unit vector along I + a·O + b·P, P = I × O: a is the angle toward O, b toward P."""
 
     name = "accel_misalignment"
-    reference = "IEEE Std 1293, δ_o and δ_p"
+    reference = "IEEE Std 1293; its δ_o, about O, is toward_p, and its δ_p is −toward_o"
     toward_p: Scalar = formulas.input_axis_angle("P")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:

@@ -161,7 +161,7 @@ def _drift_per_gauss(meaning: str) -> Any:
 
 
 class GyroMisalignment(Gyro, formulas.Misalignment):
-    """The true input axis is the unit vector along I + a·O + b·S: a is the angle toward O, b toward S."""
+    """The true input axis is the unit vector along I + a·O + b·S, S = I × O: a is the angle toward O, b toward S."""
 
     name = "gyro_misalignment"
     reference = "IEEE Std 952, input axis misalignment"
