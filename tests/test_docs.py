@@ -2,6 +2,7 @@
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -98,16 +99,35 @@ def test_the_pattern_of_a_residual_is_named_by_its_simplest_curve():
     x, z, run = rng.uniform(-1, 1, 200), rng.uniform(-1, 1, 200), np.repeat(np.arange(4), 50)
     rate, force = ResidualCovariate("rate_i", "deg/s", x, "rate"), ResidualCovariate("force_i", "g", z, "force")
 
-    def said(y: np.ndarray) -> str:
+    def left(y: np.ndarray) -> responses.Left:
         column = responses.Column("effect", 0, "effect.a", "gx", "deg/h", 1.0, 0.1)
-        left = responses.Left(
+        return responses.Left(
             "effect", "rate_table", "campaign", column, 9.0, 0.5, (), (), None, None, "gx", "deg/h", rate,
             (rate, force), run, y, y + 0.01 * rng.standard_normal(200), np.ones(200),
         )  # fmt: skip
-        return gallery.pattern(left)
+
+    def said(y: np.ndarray) -> str:
+        return gallery.pattern(left(y))
 
     assert said(x**2 - 0.3).startswith("a parabola in rate (> 99 %")
     assert said(np.abs(x)).startswith("two straight lines that meet at zero in rate")
     assert said(x * z).startswith("the product of rate and force")
     assert said(np.where(run % 2, x, -x)).startswith("in each run a straight line in rate")
     assert said(np.sin(40 * x)).startswith("no simple curve in rate")
+    found = {"parabola": x**2 - 0.3, "product": x * z, "none": np.sin(40 * x)}
+    index = gallery._by_pattern([[replace(left(y), effect=name)] for name, y in found.items()])
+    assert "| a parabola in rate | [`parabola`](parabola.md) |" in index
+    assert "[`product`](product.md)" in index
+    assert "none.md" not in index
+
+
+def test_every_procedure_is_listed_with_its_columns_and_a_shipped_campaign():
+    page = reference_pages.procedure_pages()["reference/procedures.md"]
+    rows = {name: line for name in PROCEDURES for line in page.splitlines() if line.startswith(f"| [`{name}`](#")}
+    headings = {title.lower().replace(" ", "-") for title in re.findall(r"^## (.*)$", page, re.MULTILINE)}
+    assert set(rows) == set(PROCEDURES)
+    for name, line in rows.items():
+        _, _, columns, campaigns, *_ = line.split("|")
+        assert all(f"`{column}`" in columns for group in PROCEDURES[name].columns for column in group)
+        assert campaigns.strip()
+    assert set(re.findall(r"\]\(#([^)]*)\)", page)) == headings

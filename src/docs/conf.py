@@ -78,6 +78,16 @@ def _mathml(block: bool) -> tuple[Any, Any]:
     return visit, None
 
 
+def _as_shell(app: Any, document: Any) -> None:
+    """Show cells that are commands as a terminal has them: a shell does not know the `!` of a notebook."""
+    nodes = import_module("docutils.nodes")
+    for block in document.findall(nodes.literal_block):
+        if block.astext().startswith("!"):
+            block.rawsource = re.sub(r"^!", "$ ", block.astext(), flags=re.MULTILINE)
+            block["language"] = "console"
+            block[:] = [nodes.Text(block.rawsource)]
+
+
 def _spread(app: Any, env: Any, documents: list[str]) -> None:
     """Spread executed pages among the others: processes take the pages in blocks of neighbours."""
     first = {name: Path(env.doc2path(name)).read_text(encoding="utf-8")[:30] for name in documents}
@@ -93,4 +103,5 @@ def setup(app: Any) -> None:
     """Register what Sphinx lacks: formulae as MathML, which browsers draw themselves, and the docstrings' own form."""
     app.add_html_math_renderer("mathml", inline_renderers=_mathml(False), block_renderers=_mathml(True))
     app.connect("env-before-read-docs", _spread)
+    app.connect("doctree-read", _as_shell)
     app.connect("autodoc-process-docstring", _as_numpydoc, priority=100)

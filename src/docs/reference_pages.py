@@ -77,15 +77,10 @@ def _documented(name: str) -> str:
     return f"## {name}\n\n```{{eval-rst}}\n.. {kind}:: imubayes.{name}\n{options}```\n\n"
 
 
-def commands() -> list[str]:
-    """Return the names of all commands, in the order of `imubayes --help`."""
-    return [name for name in app if not name.startswith("-")]
-
-
 def command_pages() -> Pages:
     """Return a page for each command: usage, example and options, from the command itself."""
     pages, rows = {}, {}
-    for name in commands():
+    for name in (name for name in app if not name.startswith("-")):
         text = app[name].generate_docs(output_format="markdown", heading_level=1, usage_name=f"imubayes {name}")
         text = re.sub(r"## Table of Contents\n.*?(?=^\*\*|^## )", "", text, flags=re.DOTALL | re.MULTILINE)
         text = re.sub(r"\[(`[^`]+`)\]\(#[^)]*\)", r"\1", text)
@@ -162,9 +157,10 @@ def _type(value: Mapping[str, Any]) -> str:
 def symbol_pages() -> Pages:
     """Return the quantities of the standards, the covariates, the findings, and the glossary."""
     quantities = [
-        (each.symbol, each.name, each.standard, each.term, f"`{each.key}`", ", ".join(map(effect_link, each.effects)))
+        (each.symbol, each.name, each.standard, each.term, f"`{each.key}`",
+         ", ".join(f"[`{name}`](../effects/{name}.md)" for name in each.effects))
         for each in STANDARD_QUANTITIES
-    ]
+    ]  # fmt: skip
     standards = (
         "# Symbols of the standards\n\nNames and symbols under which the uncertainty report lists its quantities: IEEE "
         "Std 952 (fibre-optic gyros), IEEE Std 517 (rate-integrating gyros, terms of force) and IEEE Std 1293 "
@@ -222,11 +218,6 @@ def procedure_pages() -> Pages:
     )
     header = ("procedure", "required columns, beside outputs", "shipped campaigns", "source")
     return {"reference/procedures.md": intro + table(header, rows) + "\n" + "\n".join(sections.values())}
-
-
-def effect_link(name: str) -> str:
-    """Return a link to the page of an effect, from a page one folder below the sources."""
-    return f"[`{name}`](../effects/{name}.md)"
 
 
 def _section(file: Path, heading: str) -> str:
