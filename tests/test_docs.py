@@ -110,8 +110,11 @@ def test_the_pattern_of_a_residual_is_named_by_its_simplest_curve():
         return gallery.pattern(left(y))
 
     assert said(x**2 - 0.3).startswith("a parabola in rate (> 99 %")
+    assert said(np.sign(x) - x).startswith("a step at zero in rate")
     assert said(np.abs(x)).startswith("two straight lines that meet at zero in rate")
     assert said(x * z).startswith("the product of rate and force")
+    assert said(x + np.where(run % 2, 1.0, -1.0)).startswith("a straight line in rate, beside an offset of each run")
+    assert said(x + z).startswith("straight lines in rate and in force")
     assert said(np.where(run % 2, x, -x)).startswith("in each run a straight line in rate")
     assert said(np.sin(40 * x)).startswith("no simple curve in rate")
     found = {"parabola": x**2 - 0.3, "product": x * z, "none": np.sin(40 * x)}

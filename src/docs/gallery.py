@@ -182,19 +182,26 @@ def pattern(left: Left) -> str:
     curves = _curves(x)
     others = [z for z in left.others if z.name != x.name and not (z.periodic or x.periodic)]
     runs = (left.run[:, None] == np.unique(left.run)).astype(float)
+    each_run = [
+        {
+            f"in each run {name} in {of}": (runs[:, :, None] * design[:, None, :]).reshape(len(runs), -1)
+            for name, design in group.items()
+        }
+        for group in curves
+    ]
     groups = [
-        *({f"{name} in {of}": design for name, design in group.items()} for group in curves),
+        *(
+            {f"{name} in {of}{beside}": np.hstack([design, columns]) for name, design in group.items()}
+            for group in curves
+            for beside, columns in (("", runs[:, :0]), (", beside an offset of each run", runs))
+        ),
+        {f"straight lines in {of} and in {z.phrase}": np.stack([x.values, z.values], axis=1) for z in others},
+        each_run[0],
         {
             f"the product of {of} and {z.phrase}": np.stack([x.values * z.values, x.values, z.values], axis=1)
             for z in others
         },
-        *(
-            {
-                f"in each run {name} in {of}": (runs[:, :, None] * design[:, None, :]).reshape(len(runs), -1)
-                for name, design in group.items()
-            }
-            for group in curves
-        ),
+        *each_run[1:],
     ]
     for group in groups:
         shares = {name: _described(y, design) for name, design in group.items()}
@@ -225,16 +232,17 @@ def _curves(covariate: ResidualCovariate) -> list[dict[str, np.ndarray]]:
     x = covariate.values
     if covariate.periodic:
         angle = np.deg2rad(x) if covariate.unit == "deg" else x
-        once, twice = ([np.cos(k * angle), np.sin(k * angle)] for k in (1, 2))
+        once, twice, thrice = ([np.cos(k * angle), np.sin(k * angle)] for k in (1, 2, 3))
         named = [
-            {"one period a turn": once, "two periods a turn": twice},
-            {"periods once and twice a turn": once + twice},
+            {"one period a turn": once, "two periods a turn": twice, "three periods a turn": thrice},
+            {"periods once and twice a turn": once + twice, "periods once and three times a turn": once + thrice},
         ]
     else:
         x = x / (np.nanmax(np.abs(x)) or 1.0)
         bent = {"a parabola": [x, x**2]}
         if np.nanmin(x) < 0 < np.nanmax(x):
             bent["two straight lines that meet at zero"] = [x, np.abs(x)]
+            bent["a step at zero"] = [x, np.sign(x)]
             bent["a parabola of opposite sign below zero"] = [x, x * np.abs(x)]
         named = [{"a straight line": [x]}, bent, {"a cubic": [x, x**2, x**3]}]
     return [{name: np.stack(columns, axis=1) for name, columns in group.items()} for group in named]
@@ -288,6 +296,6 @@ def _by_pattern(found: Iterable[Sequence[Left]]) -> str:
     for left in (left for lefts in found for left in lefts if left.standing >= SHOWN and left.retained >= _PLAIN):
         said, share, _ = pattern(left).partition(" (")
         if share:
-            seen.setdefault(said, {})[left.effect] = None
+            seen.setdefault(said.partition(",")[0], {})[left.effect] = None
     ordered = sorted(seen, key=lambda said: said.rpartition(" in ")[2])
     return table(("what is left", "effects that leave it"), [(said, _links(seen[said])) for said in ordered])
