@@ -164,7 +164,7 @@ def _left_behind(lefts: Sequence[Left]) -> list[str]:
 def _said(left: Left) -> str:
     drawn = f"`{left.coefficient.name}` = {left.coefficient.size:.3g} {left.coefficient.unit}"
     seen = pattern(left)
-    return f"`{left.procedure}` (campaign `{left.campaign}`): {drawn}. The residual of {left.channel} is {seen}."
+    return f"`{left.procedure}` (campaign `{left.campaign}`): {drawn}. Residual of {left.channel}: {seen}."
 
 
 _LEAST = 0.9
