@@ -84,6 +84,7 @@ def command_pages() -> Pages:
         text = app[name].generate_docs(output_format="markdown", heading_level=1, usage_name=f"imubayes {name}")
         text = re.sub(r"## Table of Contents\n.*?(?=^\*\*|^## )", "", text, flags=re.DOTALL | re.MULTILINE)
         text = re.sub(r"\[(`[^`]+`)\]\(#[^)]*\)", r"\1", text)
+        text = re.sub(r' \*\[default: (""|\(\))\]\*', "", text)
         text = re.sub(r"^Example: (.*)$", r"```console\n$ \1\n```", text, flags=re.MULTILINE)
         pages[f"reference/commands/{name}.md"] = text.replace(f"# {name}", f"# imubayes {name}", 1)
         rows[f"commands/{name}"] = (app[name].help or "").strip().partition("\n")[0]
