@@ -14,8 +14,8 @@ from common import Report, in_words, once, seconds
 from imubayes.noise_analysis.allan_deviation import allan_variance
 from imubayes.noise_analysis.cosine_spectra import cosine_statistics
 from imubayes.noise_analysis.likelihood import NoiseLikelihood
-from imubayes.noise_analysis.noise_terms import estimate_terms
 from imubayes.noise_analysis.running_sum import from_samples
+from imubayes.noise_analysis.term_estimates import estimate_terms
 
 RATE = 100.0
 AGREEMENT, RATIO_BAR, MEMORY_BAR = 1e-10, 1.0, 300.0

@@ -12,7 +12,7 @@ import imubayes
 from imubayes.campaign.file_schemas import CampaignFile
 from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS
 from imubayes.cli.main import app
-from imubayes.criticism.explanations import Verdict
+from imubayes.criticism.explanation_records import Verdict
 from imubayes.effects.base import Effect
 from imubayes.model.effect_registry import Registry
 from imubayes.procedures import PROCEDURES

@@ -37,7 +37,7 @@ from .api import (
 )
 from .campaign import check_campaign, load_campaign
 from .criticism.diagnosis_record import Diagnosis
-from .display.model_against_measurement import compare
+from .display.compare_report import compare
 from .effects.base import (
     Decay,
     Effect,

@@ -8,7 +8,7 @@ import pytest
 from imubayes.cli.main import run
 from imubayes.explorer.start import SHIPPED
 from imubayes.foundations.errors import InputError
-from imubayes.foundations.shipped import copy_examples, example, examples, model_names, shipped
+from imubayes.foundations.shipped_examples import copy_examples, example, examples, model_names, shipped
 from imubayes.model.model_file import read_model
 
 ROOT = Path(__file__).parents[2]

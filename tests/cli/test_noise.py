@@ -11,8 +11,8 @@ from imubayes.display.figures.allan import allan_figure
 from imubayes.display.noise_report import priors_text
 from imubayes.model.bind import bind
 from imubayes.model.model_file import ModelSpec, read_model
-from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.noise_record import StaticNoise, fitted_deviations
+from imubayes.noise_analysis.noise_terms import NoiseTerm
 from imubayes.results.result_folder import model_text
 
 SHIPPED = Path(__file__).parents[2] / "data" / "static-record"

@@ -11,9 +11,9 @@ from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
 from imubayes.display.layout import report_text
 from imubayes.display.noise_report import noise_report, priors_text
-from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.described_band import Cause
 from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, static_noise
+from imubayes.noise_analysis.noise_terms import NoiseTerm
 
 WHITE = 0.05  # deg/√h
 IN_OUTPUT = WHITE / 60  # deg/s over √Hz

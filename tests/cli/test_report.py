@@ -15,7 +15,7 @@ import imubayes
 from display.made_diagnoses import ASYMMETRY, QUADRATIC, diagnosis
 from imubayes.cli.main import run
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.criticism.explanations import Verdict
+from imubayes.criticism.explanation_records import Verdict
 from imubayes.display.qualification.report_files import html_page, report_document
 from imubayes.foundations.errors import InputError
 from imubayes.model import derived_quantities

@@ -15,10 +15,9 @@ from imubayes.campaign import load_campaign
 from imubayes.criticism import diagnose
 from imubayes.criticism.detectability import AbsorbedResponses
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
-from imubayes.criticism.evidence import explain
-from imubayes.criticism.evidence.hypothesis import EvidenceOf
+from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf
 from imubayes.criticism.evidence.linear_problem import linear_problem
-from imubayes.criticism.explanations import NAMED, Explanation
+from imubayes.criticism.explanation_records import NAMED, Explanation
 from imubayes.display.loop.diagnosis_report import diagnosis_lines
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind

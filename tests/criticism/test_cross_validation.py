@@ -15,7 +15,7 @@ from scipy import stats
 import imubayes.loop.refit as refit_module
 from imubayes.api import ModelChange, Result, add, export, fit
 from imubayes.criticism.diagnosis_record import CoefficientEstimate
-from imubayes.criticism.explanations import EffectChoice
+from imubayes.criticism.explanation_records import EffectChoice
 from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision

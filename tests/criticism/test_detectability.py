@@ -15,8 +15,8 @@ from test_one_number import made
 
 from imubayes.criticism import detectability
 from imubayes.criticism.detectability import RUN_OFFSETS, AbsorbedResponses
-from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
-from imubayes.criticism.explanations import NAMED
+from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf, Hypothesis
+from imubayes.criticism.explanation_records import NAMED
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 

@@ -11,13 +11,13 @@ from scipy import linalg, stats
 
 from imubayes.criticism.evidence.effect_variants import effect_variants, gain_of_coefficients, summed_over_widths
 from imubayes.criticism.evidence.free_forms import FormHypothesis, free_forms
-from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
+from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
 from imubayes.criticism.evidence.model_search import ModelSearch
 from imubayes.criticism.evidence.noise_structures import KNOWN, StateNoise, correlated, random_walk
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.row_correlation import RowCorrelation
-from imubayes.criticism.explanations import Evidence
+from imubayes.criticism.explanation_records import Evidence
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.noise_covariance import Series
 from imubayes.parameters.declarations import Parameter

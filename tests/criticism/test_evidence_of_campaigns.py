@@ -7,8 +7,8 @@ import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
-from imubayes.criticism.evidence.explain import explain
-from imubayes.criticism.explanations import Evidence
+from imubayes.criticism.evidence.relinearised_search import explain
+from imubayes.criticism.explanation_records import Evidence
 from imubayes.display.loop.diagnosis_report import diagnosis_lines
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode

@@ -13,7 +13,7 @@ from test_evidence import CHANNELS, RATE, ROWS, RUNS, TEMPERATURE, covariates, d
 from test_one_number import made
 
 from imubayes.criticism.diagnosis_record import ranking
-from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis
+from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.formula_search import ResidualFormula, coefficient_unit, find_formula
 from imubayes.criticism.residual_evidence import outliers

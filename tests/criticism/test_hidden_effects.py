@@ -23,7 +23,6 @@ from planted_data import (
 )  # fmt: skip
 
 from imubayes.criticism.diagnose import judge
-from imubayes.criticism.evidence import explain
 from imubayes.criticism.evidence.linear_problem import linear_problem
 from imubayes.display.loop.diagnosis_report import diagnosis_json, diagnosis_lines, next_command
 from imubayes.inference.fitted_model import Fit

@@ -8,7 +8,7 @@ from loop_results import CAMPAIGN, lacking_model
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, ScreenedEffect
-from imubayes.criticism.explanations import RmsChange, Verdict
+from imubayes.criticism.explanation_records import RmsChange, Verdict
 from imubayes.display.loop.change_report import injection_json
 from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit

@@ -11,7 +11,7 @@ from loop_results import LACKING
 import imubayes.loop.refit as refit_module
 from imubayes.api import ModelChange, Result, remove
 from imubayes.cli.main import run
-from imubayes.criticism.explanations import EffectSlot, Evidence, ProbableEffect
+from imubayes.criticism.explanation_records import EffectSlot, Evidence, ProbableEffect
 from imubayes.display.loop.change_report import change_lines
 from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit

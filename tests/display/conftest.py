@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import synthetic_results as made
 
-from imubayes.display.model_against_measurement import Comparison, compare
+from imubayes.display.compare_report import Comparison, compare
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ from imubayes.criticism.diagnosis_record import (
     ScreenedEffect,
     UndetectableEffect,
 )
-from imubayes.criticism.explanations import (
+from imubayes.criticism.explanation_records import (
     CoefficientEstimate,
     EffectSlot,
     Evidence,

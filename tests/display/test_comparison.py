@@ -14,9 +14,9 @@ import synthetic_results as made
 import xarray as xr
 from PIL import Image
 
+from imubayes.display.compare_report import Comparison, print_comparison
+from imubayes.display.compare_report import compare as compare_first
 from imubayes.display.figure_selection import corner_choice, most_telling_first, pattern
-from imubayes.display.model_against_measurement import Comparison, print_comparison
-from imubayes.display.model_against_measurement import compare as compare_first
 from imubayes.display.numbers_and_labels import covariate
 from imubayes.foundations.errors import InputError, NotKept
 from imubayes.results.stored_tables import draws_of

@@ -22,7 +22,7 @@ from imubayes.criticism.diagnosis_record import (
     UndetectableEffect,
     UntypicalSize,
 )
-from imubayes.criticism.explanations import EffectChoice, FoundForm, FoundNoise, Suggestion, Verdict
+from imubayes.criticism.explanation_records import EffectChoice, FoundForm, FoundNoise, Suggestion, Verdict
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
 from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_figure

@@ -3,7 +3,7 @@
 import pytest
 
 from display.made_diagnoses import evidence, slot
-from imubayes.criticism.explanations import FoundForm, FoundNoise
+from imubayes.criticism.explanation_records import FoundForm, FoundNoise
 from imubayes.display.loop.diagnosis_sentences import evidence_text, likely, noise_text, probability
 
 

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from display.made_diagnoses import diagnosis
 from imubayes.campaign import Inspection, inspect_campaign
-from imubayes.criticism.explanations import CoefficientEstimate, EffectChoice, RmsChange
+from imubayes.criticism.explanation_records import CoefficientEstimate, EffectChoice, RmsChange
 from imubayes.display.check_report import check_report, grouped
 from imubayes.display.layout import Report, print_report
 from imubayes.display.loop.change_report import change_lines, change_report, next_command

@@ -16,7 +16,7 @@ def loaded(*modules: str) -> set[str]:
 
 @pytest.mark.compiled  # processes
 def test_reading_a_result_needs_no_jax():
-    found = loaded("imubayes.display.model_against_measurement", "imubayes.display.loop.history")
+    found = loaded("imubayes.display.compare_report", "imubayes.display.loop.history")
     assert "polars" in found
     assert not found & HEAVY
     # It would be seen.

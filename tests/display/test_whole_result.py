@@ -12,7 +12,7 @@ import pytest
 import synthetic_results as made
 
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.display.model_against_measurement import compare
+from imubayes.display.compare_report import compare
 from imubayes.foundations.errors import InputError
 from imubayes.results import folder_files
 from imubayes.results.change_records import read_diagnosis, write_diagnosis

@@ -8,18 +8,12 @@ import static_record as generator
 from scipy.fft import dct
 
 from imubayes.noise_analysis.allan_deviation import allan_variance
-from imubayes.noise_analysis.cosine_spectra import (
-    Averages,
-    NoiseTerm,
-    allan_shape,
-    coefficient_variance,
-    cosine_statistics,
-    removed_shares,
-)
+from imubayes.noise_analysis.cosine_spectra import cosine_statistics, removed_shares
 from imubayes.noise_analysis.described_band import Octave, octave_fits
 from imubayes.noise_analysis.likelihood import NoiseLikelihood
-from imubayes.noise_analysis.noise_terms import NoiseEstimate, estimate_terms
+from imubayes.noise_analysis.noise_terms import Averages, NoiseTerm, allan_shape, coefficient_variance
 from imubayes.noise_analysis.running_sum import from_samples
+from imubayes.noise_analysis.term_estimates import NoiseEstimate, estimate_terms
 
 TERMS = (NoiseTerm.WHITE, NoiseTerm.QUANTISATION, NoiseTerm.RANDOM_WALK, NoiseTerm.FLICKER, NoiseTerm.MARKOV)
 STEP, TIME = 0.5, 7.0

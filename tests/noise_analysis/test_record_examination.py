@@ -6,9 +6,8 @@ import static_record as generator
 from scipy.signal import butter, lfilter
 
 from imubayes.noise_analysis.allan_deviation import allan_variance
-from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.described_band import Cause, DescribedBand
-from imubayes.noise_analysis.noise_terms import NoiseEstimate, TermEstimate, estimate_terms
+from imubayes.noise_analysis.noise_terms import NoiseTerm
 from imubayes.noise_analysis.record_examination import (
     Examination,
     at_own_rate,
@@ -20,6 +19,7 @@ from imubayes.noise_analysis.record_examination import (
 )
 from imubayes.noise_analysis.running_sum import from_samples
 from imubayes.noise_analysis.spectral_lines import without_lines
+from imubayes.noise_analysis.term_estimates import NoiseEstimate, TermEstimate, estimate_terms
 
 STEP, SAMPLES = 0.01, 60_000
 TIME = STEP * np.arange(SAMPLES)

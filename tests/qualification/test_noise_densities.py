@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from imubayes.foundations.errors import InputError
-from imubayes.noise_analysis.cosine_spectra import NoiseTerm
-from imubayes.noise_analysis.noise_densities import of_record
-from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, TermRecord
+from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, TermRecord, of_record
+from imubayes.noise_analysis.noise_terms import NoiseTerm
 from imubayes.qualification.onboard.losses import of_triad, read_noise, refuse_other_unit
 from imubayes.qualification.onboard.record import ThermalPolynomial, TriadConstants
 from small_campaign import ACCEL_SCALE, GRAVITY, GYRO_SCALE, campaign

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imubayes.criticism.diagnosis_record import Diagnosis, RankedEffect
-from imubayes.criticism.explanations import CoefficientEstimate
+from imubayes.criticism.explanation_records import CoefficientEstimate
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
 from imubayes.qualification.report_estimates import _not_measured, _screened, standard_estimates
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES

@@ -44,7 +44,7 @@ form outside the catalogue; equal, of the same shape as the cause; open, no name
 
 def examine(bench: Bench, case: Case, place: Path, keep: Path | None = None) -> Line:
     """Fit a campaign and weigh the explanations of what is left."""
-    from imubayes.criticism.evidence.explain import explain
+    from imubayes.criticism.evidence.relinearised_search import explain
     from imubayes.responses.candidate_effects import candidate_responses
     from imubayes.responses.residual_covariates import covariates
 

@@ -40,7 +40,7 @@ def plants(fitted: Any, seed: int) -> Iterator[tuple[str, str, np.ndarray, float
     """Yield effect, owner, shift of the readings (E,) and size over the largest typical one."""
     from imubayes.criticism.detectability import AbsorbedResponses, deviations_needed
     from imubayes.criticism.evidence.effect_variants import effect_variants
-    from imubayes.criticism.evidence.hypothesis import EvidenceOf
+    from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf
     from imubayes.criticism.evidence.linear_problem import linear_problem
     from imubayes.responses.candidate_effects import candidate_responses
 

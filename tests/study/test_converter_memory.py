@@ -11,7 +11,7 @@ from binomial_share import told
 from hidden import random_campaign
 
 from imubayes.criticism.diagnose import judge
-from imubayes.criticism.explanations import NAMED
+from imubayes.criticism.explanation_records import NAMED
 
 MEMORIES = [
     f"converter_{part}_{memory}" for part in ("offset", "gain") for memory in ("temperature_rate", "lag", "hysteresis")

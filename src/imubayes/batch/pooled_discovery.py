@@ -17,7 +17,7 @@ from scipy import special
 
 from imubayes.batch import pooled_evidence as pooled
 from imubayes.criticism.evidence.effect_variants import EXPECTED
-from imubayes.criticism.explanations import NAMED
+from imubayes.criticism.explanation_records import NAMED
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Record, finite
 

@@ -31,7 +31,7 @@ from imubayes.batch.batch_folder import UnitSource
 from imubayes.batch.fit_unit import bound_to
 from imubayes.batch.posterior_table import MODEL_FILE, chosen_model, model_folder, packed, read_units
 from imubayes.criticism.evidence.effect_variants import EffectVariant
-from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis, scale_mode
+from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf, Hypothesis, scale_mode
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, Issue, input_error, kept_if_possible

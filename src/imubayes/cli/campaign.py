@@ -184,7 +184,7 @@ def noise(
         found = static_noise(read, split(runs) or (), shortest_tau, tell, robust)
         if out is not None:
             from imubayes.display.noise_report import write_noise
-            from imubayes.noise_analysis.noise_densities import of_record
+            from imubayes.noise_analysis.noise_record import of_record
 
             tell("drawing")
             out.mkdir(parents=True, exist_ok=True)

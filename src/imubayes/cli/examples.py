@@ -7,8 +7,8 @@ from imubayes.cli.fit import compare, fit
 from imubayes.cli.loop import diagnose
 from imubayes.cli.session import Flag
 from imubayes.foundations.errors import input_error
-from imubayes.foundations.shipped import copy_examples, examples
-from imubayes.foundations.shipped import example as named
+from imubayes.foundations.shipped_examples import copy_examples, examples
+from imubayes.foundations.shipped_examples import example as named
 
 _FOLDER = Path("imubayes-demo")
 

@@ -127,8 +127,8 @@ def compare(
         return _compare_two(result, other, given, as_json, verbose, trust)
     with progress() as tell:
         trusting(result, trust)
-        from imubayes.display.model_against_measurement import compare as compare_result
-        from imubayes.display.model_against_measurement import print_comparison
+        from imubayes.display.compare_report import compare as compare_result
+        from imubayes.display.compare_report import print_comparison
 
         comparison = compare_result(result, parameters=parameters, runs=runs, every=every, progress=tell)
     print_comparison(comparison)

@@ -19,9 +19,9 @@ import numpy as np
 from imubayes.adequacy.known_noise import known_scales
 from imubayes.adequacy.known_noise_fit import whitened_rows
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
-from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis, inverse
+from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis, inverse
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect
-from imubayes.criticism.explanations import NAMED_ODDS
+from imubayes.criticism.explanation_records import NAMED_ODDS
 from imubayes.foundations.records import Record
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned

@@ -28,11 +28,11 @@ from imubayes.criticism.diagnosis_record import (
     ranking,
 )
 from imubayes.criticism.evidence.effect_variants import SHOWN
-from imubayes.criticism.evidence.explain import explain
-from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
+from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.noise_structures import Family
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
-from imubayes.criticism.explanations import (
+from imubayes.criticism.evidence.relinearised_search import explain
+from imubayes.criticism.explanation_records import (
     NAMED,
     CoefficientEstimate,
     Explanation,

@@ -13,11 +13,11 @@ from pydantic import PrivateAttr
 from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.criticism.detectability import NEGLECTED_SHIFT, Absorber, NeglectedUncertainty, ParameterBias
-from imubayes.criticism.evidence.hypothesis import Evaluated, inverse
+from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, inverse
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, estimates
 from imubayes.criticism.evidence.proposals import Conditional, Screen, conditional
-from imubayes.criticism.explanations import CoefficientEstimate, Evidence, RmsChange, Suggestion, Verdict
+from imubayes.criticism.explanation_records import CoefficientEstimate, Evidence, RmsChange, Suggestion, Verdict
 from imubayes.criticism.formula_search import ResidualFormula
 from imubayes.criticism.residual_evidence import Outlier, ResidualEvidence
 from imubayes.foundations.records import Presented, Record

@@ -18,10 +18,10 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.criticism.evidence.free_forms import HARMONICS, HIGHEST_POWER, PLACES
-from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
+from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, SAME_LEVEL
 from imubayes.criticism.evidence.proposals import base_columns
-from imubayes.criticism.explanations import NAMED_ODDS, NEAR
+from imubayes.criticism.explanation_records import NAMED_ODDS, NEAR
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.covariates import Covariate, regressors
 from imubayes.foundations.records import Record, finite

@@ -20,7 +20,7 @@ from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
 from imubayes.criticism.diagnose import ExplainedFit
 from imubayes.criticism.drawn_shape import DrawnCurve, drawn_shape, likest
 from imubayes.criticism.evidence.free_forms import AMPLITUDES
-from imubayes.criticism.evidence.hypothesis import Solved
+from imubayes.criticism.evidence.hypothesis_evidence import Solved
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED
 from imubayes.criticism.evidence.model_search import FormScan, states_noise
 from imubayes.criticism.evidence.proposals import Screen, conditional

@@ -19,10 +19,9 @@ from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, rounded, significant
 from imubayes.display.onboard.noise_yaml import noise_yaml
 from imubayes.foundations.files import write_text
-from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.described_band import Cause, Gap
-from imubayes.noise_analysis.noise_densities import NoiseDensity
-from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, TermRecord
+from imubayes.noise_analysis.noise_record import ChannelNoise, NoiseDensity, StaticNoise, TermRecord
+from imubayes.noise_analysis.noise_terms import NoiseTerm
 
 # Effect, parameter and factor from output units and seconds of each coefficient; white noise is scaled by the sampling
 # rate besides.

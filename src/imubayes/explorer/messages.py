@@ -10,7 +10,7 @@ from pydantic import Field
 
 from imubayes.criticism.diagnosis_record import CovariateLabel
 from imubayes.criticism.drawn_shape import DrawnCurve
-from imubayes.criticism.explanations import ProbableExplanation, Verdict
+from imubayes.criticism.explanation_records import ProbableExplanation, Verdict
 from imubayes.criticism.linear_answers import RankedCause
 from imubayes.display.layout import Sheet
 from imubayes.explorer.kept_session import Lock, ModelNote

@@ -11,7 +11,7 @@ from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.compiled.jax_settings import prepare_jax
 from imubayes.explorer.session import Session
 from imubayes.foundations.errors import input_error
-from imubayes.foundations.shipped import example, shipped
+from imubayes.foundations.shipped_examples import example, shipped
 from imubayes.model.model_file import read_model
 from imubayes.results.folder_files import MANIFEST, checked
 from imubayes.results.result import Result

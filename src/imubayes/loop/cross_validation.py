@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.criticism.explanations import RmsChange
+from imubayes.criticism.explanation_records import RmsChange
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.progress import counted
 from imubayes.foundations.records import finite

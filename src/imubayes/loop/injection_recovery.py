@@ -14,7 +14,7 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.criticism.explanations import Verdict
+from imubayes.criticism.explanation_records import Verdict
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, input_error
 from imubayes.foundations.progress import counted

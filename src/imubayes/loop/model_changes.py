@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
-from imubayes.criticism.explanations import CoefficientEstimate
+from imubayes.criticism.explanation_records import CoefficientEstimate
 from imubayes.effects.thermometer import TemperatureOffset
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.inference.fitted_model import Fit

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from imubayes.adequacy.adequacy_record import ChannelRms
-from imubayes.criticism.explanations import EffectChoice, EffectSlot, Evidence, RmsChange, Verdict
+from imubayes.criticism.explanation_records import EffectChoice, EffectSlot, Evidence, RmsChange, Verdict
 from imubayes.foundations.records import Presented, Record
 
 HeldOutVerdict = Literal["helps", "unclear", "not", "costs", "spares"]

@@ -16,7 +16,7 @@ import numpy as np
 
 from imubayes.adequacy.known_noise import known_scales
 from imubayes.adequacy.known_noise_fit import known_noise_point
-from imubayes.criticism.explanations import CoefficientEstimate
+from imubayes.criticism.explanation_records import CoefficientEstimate
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Record, finite
 from imubayes.inference.fitted_model import Fit, Posterior

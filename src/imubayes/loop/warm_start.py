@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from imubayes.criticism.explanations import CoefficientEstimate, EffectChoice
+from imubayes.criticism.explanation_records import CoefficientEstimate, EffectChoice
 from imubayes.effects.base import MotionEffect
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import finite

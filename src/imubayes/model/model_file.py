@@ -21,7 +21,7 @@ from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.files import only_writer, write_text
 from imubayes.foundations.records import Record
-from imubayes.foundations.shipped import model_file
+from imubayes.foundations.shipped_examples import model_file
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """The noise: the covariance and the distribution of what the model does not predict.
 
-A new component is one class with a `name` in `imubayes.noise.components` or `imubayes.noise.components`.
+A new component is one class with a `name` in `imubayes.noise.components`.
 """
 
 from imubayes.noise import components

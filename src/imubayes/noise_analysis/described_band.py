@@ -15,9 +15,10 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 
 from imubayes.foundations.tail_probabilities import normal_survival
-from imubayes.noise_analysis.cosine_spectra import CosineStatistics, NoiseTerm, removed_shares
+from imubayes.noise_analysis.cosine_spectra import CosineStatistics, removed_shares
 from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
-from imubayes.noise_analysis.noise_terms import BASIC, highest, within_record
+from imubayes.noise_analysis.noise_terms import NoiseTerm
+from imubayes.noise_analysis.term_estimates import BASIC, highest, within_record
 
 MISFIT = 0.003  # chance, over all octaves, at which the fit of one is called bad
 LEAST_OCTAVES = 4

@@ -13,7 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from imubayes.noise_analysis.cosine_spectra import CosineStatistics, NoiseTerm, level_variances
+from imubayes.noise_analysis.cosine_spectra import CosineStatistics, level_variances
+from imubayes.noise_analysis.noise_terms import NoiseTerm
 
 _STEPS = 200
 _LARGEST_STEP = 2.0  # in log θ

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from imubayes.foundations.progress import counted, silent
 from imubayes.foundations.records import Record, finite
 from imubayes.noise_analysis.allan_deviation import AllanVariance, allan_variance
 from imubayes.noise_analysis.contamination import Contamination
-from imubayes.noise_analysis.cosine_spectra import NoiseTerm, allan_shape, cosine_statistics
+from imubayes.noise_analysis.cosine_spectra import cosine_statistics
 from imubayes.noise_analysis.described_band import (
     LEAST_OCTAVES,
     Cause,
@@ -24,7 +25,7 @@ from imubayes.noise_analysis.described_band import (
     octave_fits,
 )  # fmt: skip
 from imubayes.noise_analysis.likelihood import NoiseLikelihood
-from imubayes.noise_analysis.noise_terms import PROBABILITY, NoiseEstimate, TermEstimate, estimate_terms
+from imubayes.noise_analysis.noise_terms import NoiseTerm, allan_shape, coefficient_unit
 from imubayes.noise_analysis.record_examination import (
     Repetition,
     TemperatureDrift,
@@ -35,6 +36,7 @@ from imubayes.noise_analysis.record_examination import (
 )
 from imubayes.noise_analysis.running_sum import OutlyingSamples, RunningSum, SuddenChange, running_sums
 from imubayes.noise_analysis.spectral_lines import SpectralLine
+from imubayes.noise_analysis.term_estimates import PROBABILITY, NoiseEstimate, TermEstimate, estimate_terms
 
 PROCEDURE = "static_record"
 _TEMPERATURE = "temperature_degC"
@@ -42,25 +44,6 @@ LEAST_SAMPLES = 256
 _CORRELATION_TIME = "correlation_time"
 _LEAST_CONSECUTIVE = 2  # samples between gaps, on average; with half of the samples missing at random they are two
 _EXPONENTS = {NoiseTerm.QUANTISATION: 2, NoiseTerm.WHITE: 0, NoiseTerm.FLICKER: -1, NoiseTerm.RANDOM_WALK: -2}
-_HOUR = 3600.0
-_DEGREE = math.pi / 180
-# Units of the coefficients, and what one of them is in SI, for gyros and accelerometers; µg is of the site's gravity.
-_GYRO = {
-    NoiseTerm.QUANTISATION: ("arcsec", _DEGREE / _HOUR),
-    NoiseTerm.WHITE: ("deg/sqrt(h)", _DEGREE / math.sqrt(_HOUR)),
-    NoiseTerm.FLICKER: ("deg/h", _DEGREE / _HOUR),
-    NoiseTerm.RANDOM_WALK: ("deg/h/sqrt(h)", _DEGREE / _HOUR / math.sqrt(_HOUR)),
-    NoiseTerm.MARKOV: ("deg/h", _DEGREE / _HOUR),
-    NoiseTerm.RAMP: ("deg/h/h", _DEGREE / _HOUR**2),
-}
-_ACCELEROMETER = {
-    NoiseTerm.QUANTISATION: ("m/s", 0.0),
-    NoiseTerm.WHITE: ("ug/sqrt(Hz)", 1.0),
-    NoiseTerm.FLICKER: ("ug", 1.0),
-    NoiseTerm.RANDOM_WALK: ("ug/sqrt(h)", 1 / math.sqrt(_HOUR)),
-    NoiseTerm.MARKOV: ("ug", 1.0),
-    NoiseTerm.RAMP: ("ug/h", 1 / _HOUR),
-}
 
 
 class TermRecord(Record):
@@ -166,14 +149,6 @@ class StaticNoise(Record):
     probability: float = PROBABILITY
     channels: list[ChannelNoise]
     left_out: list[SilentChannel] = []
-
-
-def coefficient_unit(channel: Channel, term: NoiseTerm, gravity: float) -> tuple[str, float]:
-    """Return the unit of a coefficient and its size in SI (rad/s or m/s², and seconds)."""
-    if channel.kind == "gyro":
-        return _GYRO[term]
-    unit, factor = _ACCELEROMETER[term]
-    return unit, 1.0 if term is NoiseTerm.QUANTISATION else factor * 1e-6 * gravity
 
 
 def static_noise(
@@ -403,3 +378,40 @@ def _exponent(term: NoiseTerm, tau: float, estimate: NoiseEstimate) -> int:
     if term is NoiseTerm.MARKOV:
         return -2 if tau < 1.9 * estimate.correlation_time else 0
     return _EXPONENTS.get(term, -2)
+
+
+@dataclass(frozen=True)
+class NoiseDensity:
+    """The noise of the gyros or the accelerometers.
+
+    Attributes
+    ----------
+    white : rad/s/√Hz or m/s²/√Hz; None where unknown.
+    walk : rad/s²/√Hz or m/s³/√Hz; None where unknown.
+    walk_is_limit : whether the walk is an upper limit of 95 %.
+    """
+
+    white: float | None
+    walk: float | None
+    walk_is_limit: bool = False
+
+
+def of_record(noise: StaticNoise, campaign: Campaign) -> dict[str, NoiseDensity]:
+    """Return the noise of a static record, kind → density."""
+    found = {}
+    for kind in ("gyro", "accelerometer"):
+        white, walk = [], []
+        for record in noise.channels:
+            channel = next((c for c in campaign.of_kind(kind) if c.name == record.channel), None)
+            if channel is None:
+                continue
+            for term, into in ((NoiseTerm.WHITE, white), (NoiseTerm.RANDOM_WALK, walk)):
+                si = coefficient_unit(channel, term, campaign.site.gravity)[1]
+                own = record.of(term)
+                value = own.value if own.determined else own.upper_limit
+                if value is not None:
+                    into.append((value * si, not own.determined))
+        if white:
+            largest, limit = max(walk) if walk else (None, False)
+            found[kind] = NoiseDensity(max(white)[0], largest, limit)
+    return found

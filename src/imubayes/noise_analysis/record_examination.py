@@ -25,10 +25,10 @@ from scipy.fft import dct
 
 from imubayes.foundations.tail_probabilities import binomial_survival, chi2_survival
 from imubayes.noise_analysis.contamination import Contamination, without_contamination
-from imubayes.noise_analysis.cosine_spectra import NoiseTerm, cosine_statistics
+from imubayes.noise_analysis.cosine_spectra import cosine_statistics
 from imubayes.noise_analysis.described_band import SLOW, Cause, DescribedBand, described_band, withheld_terms
 from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
-from imubayes.noise_analysis.noise_terms import BASIC, NoiseEstimate, TermEstimate, highest
+from imubayes.noise_analysis.noise_terms import NoiseTerm
 from imubayes.noise_analysis.running_sum import (
     CHUNK,
     OutlyingSamples,
@@ -39,6 +39,7 @@ from imubayes.noise_analysis.running_sum import (
     without_outliers,
 )
 from imubayes.noise_analysis.spectral_lines import SpectralLine, without_lines
+from imubayes.noise_analysis.term_estimates import BASIC, NoiseEstimate, TermEstimate, highest
 
 _LEAST_EVIDENCE = 15.0  # −2 Δ log L; chance 1e-4 of χ²₁, as few coefficients tell the noise beside which it is tested
 _MEANS = 4096  # of the temperature over the record

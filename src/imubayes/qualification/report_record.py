@@ -9,7 +9,7 @@ from typing import Literal
 
 from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.explanations import Evidence, Verdict
+from imubayes.criticism.explanation_records import Evidence, Verdict
 from imubayes.foundations.records import Record
 from imubayes.inference.identifiability import PriorConflict, ProcedureShare, WeakDirection
 from imubayes.qualification.budget_parts import UncertaintyBudgets

@@ -17,7 +17,7 @@ from pydantic import PrivateAttr
 
 from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup
-from imubayes.criticism.explanations import CoefficientEstimate, EffectChoice, RmsChange
+from imubayes.criticism.explanation_records import CoefficientEstimate, EffectChoice, RmsChange
 from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.records import Presented, Record, finite

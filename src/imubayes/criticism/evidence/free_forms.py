@@ -1,4 +1,4 @@
-"""Explanations outside the catalogue: free functions of covariates, steps, harmonics, and wrong inputs of runs or rows.
+"""Explanations outside the catalogue: free functions of covariates, steps and harmonics.
 
 What is not among the hypotheses gives its probability to the nearest that is: without free forms an effect that the
 catalogue lacks gets a wrong name with confidence.  A form is a few columns with one amplitude in units of noise; its

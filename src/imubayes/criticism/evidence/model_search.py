@@ -19,12 +19,12 @@ import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import visible
 from imubayes.criticism.evidence.free_forms import ChosenForm, FormColumns, FormHypothesis
-from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis, Solved
+from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis, Solved
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, LinearProblem
 from imubayes.criticism.evidence.noise_structures import SCALED, TAILED, NoiseOfUnit, NoiseStructure, NoiseUnit
 from imubayes.criticism.evidence.proposals import Screen, base_columns, conditional, log_likelihood, residuals
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
-from imubayes.criticism.explanations import NEAR
+from imubayes.criticism.explanation_records import NEAR
 
 _AT_ONCE = 160
 """Forms that are decomposed together, and the likeliest ones whose gain is exact."""

@@ -12,10 +12,10 @@ from functools import cached_property
 
 import numpy as np
 
-from imubayes.criticism.evidence.hypothesis import Evaluated, Hypothesis
+from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, Hypothesis
 from imubayes.criticism.evidence.linear_problem import LinearProblem
 from imubayes.criticism.evidence.model_search import ModelSearch
-from imubayes.criticism.explanations import (
+from imubayes.criticism.explanation_records import (
     NEAR,
     CoefficientEstimate,
     EffectSlot,

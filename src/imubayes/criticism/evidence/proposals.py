@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import gain_of_coefficients
-from imubayes.criticism.evidence.hypothesis import (
+from imubayes.criticism.evidence.hypothesis_evidence import (
     ROUNDS,
     SETTLED_WEIGHT,
     Evaluated,

@@ -7,8 +7,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from imubayes.display import figure_style as style
 from imubayes.display.numbers_and_labels import pretty
-from imubayes.noise_analysis.cosine_spectra import NoiseTerm
 from imubayes.noise_analysis.noise_record import ChannelNoise, fitted_deviations, undetermined_deviations
+from imubayes.noise_analysis.noise_terms import NoiseTerm
 
 STYLES = {
     NoiseTerm.QUANTISATION: ("Q, slope −1", style.PURPLE),

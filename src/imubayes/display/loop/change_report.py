@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from imubayes.criticism.explanations import RmsChange
+from imubayes.criticism.explanation_records import RmsChange
 from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.fit_cautions import conflict_line, set_aside_text
 from imubayes.display.layout import Cell, Report, Sheet, cells

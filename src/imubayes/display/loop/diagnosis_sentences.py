@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.criticism import diagnosis_record as diagnosis
 from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.explanations import NAMED, EffectSlot, Evidence, Explanation, FoundForm, FoundNoise
+from imubayes.criticism.explanation_records import NAMED, EffectSlot, Evidence, Explanation, FoundForm, FoundNoise
 from imubayes.display.fit_cautions import contradiction_text, noise_ratio
 from imubayes.display.numbers_and_labels import listed, percent, pretty, significant, value_and_sd
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from imubayes.display.compare_report import comparison_page, draw_figures
 from imubayes.display.figure_selection import most_telling_first, plan, runs_shown
 from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
 from imubayes.display.layout import Cell, Report, Sheet, cells, report_html
-from imubayes.display.model_against_measurement import comparison_page, draw_figures
 from imubayes.display.numbers_and_labels import (
     counted,
     listed,

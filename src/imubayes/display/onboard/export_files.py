@@ -8,7 +8,7 @@ from typing import Literal
 from imubayes.display.onboard import formats
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import write_text
-from imubayes.noise_analysis.noise_densities import NoiseDensity
+from imubayes.noise_analysis.noise_record import NoiseDensity
 from imubayes.qualification.onboard.losses import Loss, losses
 from imubayes.qualification.onboard.record import OnboardConstants
 

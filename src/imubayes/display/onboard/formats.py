@@ -23,7 +23,7 @@ from imubayes.display.fit_cautions import exact_text
 from imubayes.display.onboard.noise_yaml import KALIBR_NAMES, density_lines, yaml_number
 from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.units import BIAS_CONVENTION
-from imubayes.noise_analysis.noise_densities import NoiseDensity
+from imubayes.noise_analysis.noise_record import NoiseDensity
 from imubayes.qualification.onboard.losses import Loss, along_axes, kalibr_matrices
 from imubayes.qualification.onboard.record import (
     OnboardConstants,

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from imubayes.noise_analysis.noise_densities import NoiseDensity
+from imubayes.noise_analysis.noise_record import NoiseDensity
 
 KALIBR_NAMES = {"accelerometer": "accelerometer", "gyro": "gyroscope"}
 """Kind of channel → as kalibr names it."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from imubayes.criticism.explanations import Verdict
+from imubayes.criticism.explanation_records import Verdict
 from imubayes.display.layout import Cell
 from imubayes.display.numbers_and_labels import NO_NUMBER, counted, listed, pretty, rounded, significant
 from imubayes.display.qualification.document import Mood

@@ -23,8 +23,7 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
-from imubayes.noise_analysis.noise_densities import NoiseDensity
-from imubayes.noise_analysis.noise_record import StaticNoise
+from imubayes.noise_analysis.noise_record import NoiseDensity, StaticNoise
 from imubayes.qualification.onboard.record import OnboardConstants, ThermalPolynomial, TriadConstants
 from imubayes.qualification.onboard.response import NEGLIGIBLE
 from imubayes.results.result import Result

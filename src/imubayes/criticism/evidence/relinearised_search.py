@@ -2,8 +2,8 @@
 
 A large effect acts by its curvature and by its products with other parameters as well, which the linear model leaves
 over and which look like further effects and forms; so does a gross error of the record.  The campaign is linearised
-anew where the leader puts parameters, coefficients and record, at the price of one evaluation, and searched again (one
-Gauss–Newton step).
+anew where the leader puts parameters, coefficients and record, at the price of one evaluation, and searched again,
+three times at most (Gauss–Newton steps).
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imubayes.criticism.evidence.free_forms import free_forms
-from imubayes.criticism.evidence.hypothesis import Evaluated
+from imubayes.criticism.evidence.hypothesis_evidence import Evaluated
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.criticism.evidence.model_search import ModelSearch, states_noise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior

@@ -121,14 +121,14 @@ class EvidenceOf:
         self.known: dict[Hypothesis, Evaluated] = {}
 
     @cached_property
-    def as_fitted(self) -> tuple[NoiseOfUnit, ...]:
-        """The same with correlations in time as fitted."""
-        return tuple(unit.as_fitted for unit in self.units)
-
-    @cached_property
     def stated(self) -> tuple[NoiseOfUnit, ...]:
         """The noise as stated, of each unit; the likeliest before the data."""
         return tuple(max(unit.stated, key=lambda each: each.log_prior) for unit in self.units)
+
+    @cached_property
+    def as_fitted(self) -> tuple[NoiseOfUnit, ...]:
+        """The same with correlations in time as fitted."""
+        return tuple(unit.as_fitted for unit in self.units)
 
     def log_prior(self, hypothesis: Hypothesis) -> float:
         """Return the logarithm of the prior probability."""
