@@ -15,6 +15,7 @@ from imubayes.campaign import load_campaign
 from imubayes.criticism import diagnose
 from imubayes.criticism.detectability import AbsorbedResponses
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
+from imubayes.criticism.evidence import relinearised_search
 from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf
 from imubayes.criticism.evidence.linear_problem import linear_problem
 from imubayes.criticism.explanation_records import NAMED, Explanation
@@ -88,7 +89,7 @@ def without(monkeypatch: pytest.MonkeyPatch, *effects: str) -> None:
         return replace(found, candidates=tuple(each for each in found.candidates if each.scan.effect not in effects))
 
     monkeypatch.setattr(diagnose, "candidate_responses", lacking)
-    monkeypatch.setattr(explain, "candidate_responses", lacking)
+    monkeypatch.setattr(relinearised_search, "candidate_responses", lacking)
 
 
 def told(found: Diagnosis) -> str:

@@ -23,6 +23,7 @@ from planted_data import (
 )  # fmt: skip
 
 from imubayes.criticism.diagnose import judge
+from imubayes.criticism.evidence import relinearised_search
 from imubayes.criticism.evidence.linear_problem import linear_problem
 from imubayes.display.loop.diagnosis_report import diagnosis_json, diagnosis_lines, next_command
 from imubayes.inference.fitted_model import Fit
@@ -212,7 +213,9 @@ def test_a_linearisation_about_an_effect_with_a_shape_restores_what_the_fit_leav
     shapes = {lag.scan.effect: {name: 1.3 * value for name, value in lag.scan.shape.items()}}
     sizes = {each.parameter.name: size for each, size in zip(problem.coefficients, problem.sizes, strict=True)}
     values = {each.parameter.name: 0.3 * sizes[each.parameter.name] for each in lag.coefficients}
-    moved = explain._linearised(problem, explain._About(fitted, LinearisationPoint(values, shapes)))
+    moved = relinearised_search._linearised(
+        problem, relinearised_search._About(fitted, LinearisationPoint(values, shapes))
+    )
     assert moved is not None
     for before, after in zip(problem.rows, moved.rows, strict=True):
         np.testing.assert_allclose(after.columns[:, -1], before.columns[:, -1], atol=1e-6)
