@@ -57,11 +57,11 @@ class UnknownHeading(MotionEffect):
 
 
 class UnknownLevel(MotionEffect):
-    """Level of a bench that nobody stated: gravity g · (e, n, 1 + d), and the Earth rate with it, of (0, 0, 1).
+    """Level of a bench that nobody stated: gravity g · (e, n, 1 + d); Earth rate Ω sin L · (e, n, d) + m Ω cos L up.
 
-    d and m have the moments of what tilts of e and n and any heading make of second order: −(e² + n²)/2, which is σ² in
-    mean and standard deviation, and the share σ of the level Earth rate along the vertical.  Everything is linear: the
-    accelerometer along the vertical tells the tilt only by its square, which no normal distribution follows.
+    d and m stand for what tilts e, n of standard deviation σ make of second order: −(e² + n²)/2, of mean −σ² and
+    standard deviation σ², and the part of the level Earth rate of any heading along the tilted vertical, of standard
+    deviation σ.  All of it is linear: a rotation would show along the vertical by its square alone.
     """
 
     name = "unknown_level"

@@ -209,7 +209,7 @@ CONDITIONS: dict[str, str] = {
     "converter_temperature uncertainty": "a run that states converter_temperature_uncertainty_degC",
     "driven": "a table that the gyro drives",
     "unknown_heading": 'a table with azimuth_deg = "unknown", or a record at rest without a table',
-    "unknown_level": "the same, and no uncertainty of its axis",
+    "unknown_level": "such a table without axis_uncertainty_arcsec, or a record at rest without a table",
     "directions": "positions named by directions of the site (i_axis, o_axis)",
     "stand": "a run",
     "table": "a run on a table",
