@@ -116,6 +116,9 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "unknown kind": (toml('kind = "gyro"', 'kind = "giro"'), "'giro'", r":14, channel\[0\]\.kind", "gyro"),
     "unknown per": (toml('per = "deg/s"', 'per = "deg/sec"'), "deg/sec", r":18, channel\[0\]\.per", "deg/s"),
     "per of the wrong kind": (toml('per = "deg/s"', 'per = "g"'), "per 'g'", r":18, channel\[0\]\.per", "deg/s"),
+    "azimuth is a word": (
+        toml("azimuth_deg = 90.0", 'azimuth_deg = "north"'), "'north'", r"table\[1\]\.azimuth_deg", '360, or "unknown"'
+    ),
     "zero scale": (toml("scale = 1000.0", "scale = 0.0"), "scale", r":17, channel\[0\]\.scale", "output units"),
     "input axis without length": (toml("input_axis = [1, 0, 0]", "input_axis = [0, 0, 0]"), "zero vector", r":15, channel\[0\]", "direction"),
     "input axis of two numbers": (toml("input_axis = [1, 0, 0]", "input_axis = [1, 0]"), "at least 3", r":15, channel\[0\]", "three numbers"),
@@ -271,6 +274,13 @@ def test_model_file(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         read_model_file(tmp_path / "m.toml")
     expect(caught.value.issues, what, where, allowed)
+
+
+def test_a_value_of_one_of_two_types_is_reported_once(small: Path) -> None:
+    toml("azimuth_deg = 90.0", 'azimuth_deg = "north"')(small)
+    with pytest.raises(InputError) as caught:
+        load_campaign(small)
+    assert len(caught.value.issues) == 1
 
 
 def test_no_such_campaign(small: Path) -> None:

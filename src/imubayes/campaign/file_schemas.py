@@ -377,6 +377,7 @@ PATTERNS = {
 
 FORMS = {
     "start": "a date, or a date and time, without quotes: 2026-03-10T08:00:00Z",
+    "azimuth_deg": 'a number from -360 to 360, or "unknown"',
     "input_axis": "three numbers: [1, 0, 0]",
     "inner_axis": "three numbers: [0, 0, 1]",
     "middle_axis": "three numbers: [1, 0, 0]",

@@ -175,13 +175,15 @@ def _syntax_error(file: Path, message: str) -> InputError:
 
 def _add_fault(ledger: Ledger, record: type[BaseModel], content: dict[str, Any], fault: Any) -> None:
     path = _existing_part(content, tuple(part for part in fault["loc"] if part != "[key]"))
+    # A value that may have one of two types is reported once for each.
+    if any(issue.where == ledger.where(*path) for issue in ledger.issues):
+        return
     owner = _section_record(record, path)
     message = _message(fault, path, _label(content, path[:-1]), owner)
     if message is not None:
         what, allowed, remedy = message
         ledger.add(what, path, allowed, remedy)
-    # A value that may have one of two types is reported once for each.
-    elif not any(issue.where == ledger.where(*path) for issue in ledger.issues):
+    else:
         ledger.add(_wrong_value(fault, path), path, _form(path) or _range(owner, path), "correct the value")
 
 
