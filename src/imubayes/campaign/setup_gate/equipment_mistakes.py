@@ -1,9 +1,10 @@
-"""The registry of set-up mistakes: what each changes in the nominal set-up of which runs.
+"""Set-up mistakes of the equipment: what each changes in the nominal set-up of which runs.
 
-A mistake is one small class.  `suspected` lists where in a campaign it may have been made; `corrected` returns the view
-of a run as it would be without the mistake.  A mistake with a size, an angle or a shift, has a grid of sizes, between
-which the best is found.  Mistakes are listed from the most to the least usual; of those that explain the outputs
-equally well, the first is named.
+Those of units, scale factors and temperatures are in `reading_mistakes`; `search` tries both.  A mistake is one small
+class.  `suspected` lists where in a campaign it may have been made; `corrected` returns the view of a run as it would
+be without the mistake.  A mistake with a size, an angle or a shift, has a grid of sizes, between which the best is
+found.  Mistakes are listed from the most to the least usual; of those that explain the outputs equally well, the first
+is named.
 """
 
 import itertools
