@@ -211,8 +211,8 @@ def _rows_of(projection: Projection) -> _FittedRows:
 def known_scales(fitted: Fit, *, correlated: bool = False) -> np.ndarray:
     """Return the noise scales that were known beforehand, in z, shape (H,).
 
-    White noise as the raw samples tell; where they do not, and of every other scale of a channel, what the prior
-    states.  Of what is no noise of a channel nothing is known, and the fit stands.
+    White noise as the raw samples tell; where they do not, and of every other noise, that of turns included, what the
+    prior states.  Of what is no noise nothing is known, and the fit stands.
 
     Parameters
     ----------

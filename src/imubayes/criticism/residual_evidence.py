@@ -254,7 +254,7 @@ def _outlier(model: Model, entry: int, distance: float) -> Outlier:
     entries = model.entries
     return Outlier(
         run=model.campaign.runs[entries.run[entry]].name,
-        channel=str(model.output_names[entry]),
+        channel=str(model.output_names[entries.channel[entry]]),
         row=int(entries.row[entry]) + 1,
         distance=distance,
         time_s=_read(model, "time", entry),

@@ -311,11 +311,12 @@ class Campaign:
         """Whether the azimuth of the table of a run is known; a unit that was put anywhere points anywhere."""
         return run.table is not None and self.tables[run.table].azimuth_known
 
-    def level_is_stated(self, run: Run) -> bool:
-        """Whether more is known of the table of a run than that it is a bench: its azimuth, or how level it is."""
-        return run.table is not None and (
-            self.tables[run.table].azimuth_known or self.tables[run.table].axis_uncertainty is not None
-        )
+    def unstated(self, run: Run) -> frozenset[str]:
+        """Return what nobody stated of the table of a run, as effects need it: north, and how level its axis is."""
+        if self.north_is_stated(run):
+            return frozenset()
+        level = run.table is not None and self.tables[run.table].axis_uncertainty is not None
+        return frozenset({"unknown_heading"} if level else {"unknown_heading", "unknown_level"})
 
     def as_read(self, run: Run, covariate: str) -> np.ndarray:
         """Return a covariate of a run as it was read, (R,) in SI: the angle of a table on its scale."""

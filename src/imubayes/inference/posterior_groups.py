@@ -408,7 +408,7 @@ def _at_entries(model: Model, values: np.ndarray, meaning: str = "") -> Group:
 def _entry_coordinates(model: Model) -> dict[str, Labelled]:
     entries = model.entries
     run = np.array([run.name for run in model.campaign.runs])[entries.run]
-    labels = {"run": run, "channel": model.output_names, "row": entries.row}
+    labels = {"run": run, "channel": model.output_names[entries.channel], "row": entries.row}
     return {name: Labelled((ENTRY,), values) for name, values in (labels | {ENTRY: np.arange(len(entries))}).items()}
 
 

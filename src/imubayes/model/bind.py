@@ -280,9 +280,8 @@ class Model:
 
     @property
     def output_names(self) -> np.ndarray:
-        """Name of the output of each entry, (E,): a channel, or a component of a closing rotation."""
-        names = [*(channel.name for channel in self.campaign.channels), "closure_x", "closure_y", "closure_z"]
-        return np.array(names)[self.entries.channel]
+        """Names of what `entries.channel` counts, (K + 3,): channels, then components of a closing rotation."""
+        return np.array([*(each.name for each in self.campaign.channels), "closure_x", "closure_y", "closure_z"])
 
     @property
     def parameter_units(self) -> tuple[str, ...]:
@@ -444,7 +443,8 @@ def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> Mo
     names = list(_IMPLIED_BY_POSES) if tumbles else []
     names += _IMPLIED_BY_TURNS if any(tumble.turns for tumble in tumbles) else ()
     names += _IMPLIED_BY_SERVO if servo_runs(campaign) else ()
-    names += _IMPLIED_BY_BENCHES if campaign.of_kind("gyro") else _IMPLIED_BY_BENCHES[1:]
+    present = {channel.kind for channel in campaign.channels}
+    names += [name for name in _IMPLIED_BY_BENCHES if present & set(registry.effects[name].kinds)]
     listed = {effect.name for effect in spec.effects}
     names += _temperature_errors(listed, campaign, registry)
     where = f"{spec.where}: implied by the campaign"

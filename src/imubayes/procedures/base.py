@@ -232,8 +232,7 @@ class Procedure:
         """Return the nominal stimulus of a run, at the nodes of its rows."""
         found = self.kinematics(run, campaign)
         put = not (self.by_direction or self.injected or run.tumble is not None)
-        north, level = (put and not stated(run) for stated in (campaign.north_is_stated, campaign.level_is_stated))
         return replace(
-            found, injected=self.injected, driven=self.driven, directed=self.by_direction, north_unknown=north,
-            level_unknown=level,
+            found, injected=self.injected, driven=self.driven, directed=self.by_direction,
+            unstated=campaign.unstated(run) if put else frozenset(),
         )  # fmt: skip

@@ -67,7 +67,7 @@ class Stimulus:
     injected : whether a current replaces the sensor at the converter input.
     driven : whether a gyro drives the table.
     directed : whether the attitude is set by directions of the site, north and the vertical.
-    north_unknown, level_unknown : whether nobody stated where north is, and what is level.
+    unstated : what nobody stated of where the unit was put (`Campaign.unstated`).
     outer : the axes that carry the table's inner one, whose frame at angle 0 is then no longer `base`; None where
         there are none.
     """
@@ -86,8 +86,7 @@ class Stimulus:
     injected: bool = False
     driven: bool = False
     directed: bool = False
-    north_unknown: bool = False
-    level_unknown: bool = False
+    unstated: frozenset[str] = frozenset()
     outer: OuterMotion | None = None
 
     @property
@@ -109,10 +108,9 @@ class Stimulus:
             "injection": self.injected,
             "driven": self.driven,
             "directions": self.directed,
-            "unknown_heading": self.north_unknown and not self.referenced,
-            "unknown_level": self.level_unknown and not self.referenced,
         }
-        return frozenset({*self.ambient, *(name for name, there in told.items() if there)})
+        unstated = frozenset() if self.referenced else self.unstated
+        return frozenset({*self.ambient, *(name for name, there in told.items() if there)}) | unstated
 
 
 # The mean over a turn is taken at equally spaced angles, exact for harmonics below their number.  About a vertical

@@ -344,7 +344,7 @@ def added_variable(change: ChangedModel) -> pl.DataFrame:
     return pl.DataFrame(
         {
             "run": np.array(runs)[entries.run[reached]],
-            "channel": model.output_names[reached],
+            "channel": model.output_names[entries.channel[reached]],
             "added": change.explained[reached],
             "residual": change.residual[reached],
         }

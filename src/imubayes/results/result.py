@@ -101,7 +101,7 @@ def residual_table(model: Model, predicted: Predicted) -> Residuals:
         "procedure": np.array([run.procedure for run in campaign.runs])[entries.run],
         "mounting": pl.Series([run.mounting for run in campaign.runs], dtype=pl.String).gather(entries.run),
         "row": entries.row,
-        "channel": model.output_names,
+        "channel": model.output_names[entries.channel],
         "kind": kind,
         **_covariates(model),
         "samples": entries.samples,

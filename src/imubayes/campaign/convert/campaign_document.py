@@ -30,7 +30,8 @@ DEFAULT_LATITUDE = 45.0
 # Without a site: the rounded value assumed by bench calibration tools and their published results.
 DEFAULT_GRAVITY = 9.81  # m/s²
 _WARMED = 10.0  # degC over which a rest is a temperature test
-_AT_REST = ("static_record", "thermal_ramp")
+_STATIC, _RAMP = "static_record", "thermal_ramp"
+_AT_REST = (_STATIC, _RAMP)
 _PUT_ANYHOW = {"azimuth_deg": "unknown", "elevation_deg": 90.0}
 _LEVEL = 60.0  # arcmin to which a bench is level, and a unit lies on it, where nobody states it
 
@@ -224,8 +225,8 @@ def _procedure(run: RecordedRun, options: ConvertOptions, where: str) -> tuple[s
     warmth = warmth[np.isfinite(warmth)]
     warmed = float(np.ptp(warmth)) if len(warmth) else 0.0
     if warmed > _WARMED:
-        return _AT_REST[1], f"{seconds:.4g} s in one attitude, over {warmed:.3g} degC"
-    return _AT_REST[0], f"{seconds:.4g} s in one attitude"
+        return _RAMP, f"{seconds:.4g} s in one attitude, over {warmed:.3g} degC"
+    return _STATIC, f"{seconds:.4g} s in one attitude"
 
 
 def _site(options: ConvertOptions, notes: list[str]) -> dict[str, float]:
