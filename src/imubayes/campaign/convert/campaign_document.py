@@ -155,10 +155,9 @@ def _equipment(procedure: str, run: RecordedRun) -> tuple[dict[str, Any], str]:
     mounting: dict[str, Any] = {"name": "aligned"} | (
         {"preset": "aligned"} if up else {"body_to_table": turned.tolist()}
     )
-    notes = []
+    notes = ["nobody stated where north is, nor how level the bench is: any heading, and 1 deg, are assumed"]
     if procedure in _AT_REST:
         mounting["uncertainty_arcmin"] = 0.0  # it is in the level of the bench
-        notes = ["nobody stated where north is, nor how level the bench is: any heading, and 1 deg, are assumed"]
     if not up:
         side = f"{'xyz'[axis]} axis {'up' if sense > 0 else 'down'}"
         notes.append(f"the unit rests with its {side}, by its accelerometers")
