@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import rich.console
-from myst_nb import glue
+from myst_nb import glue  # pyright: ignore[reportMissingImports]  (installed for `make docs` alone)
 
 from imubayes.cli.main import run
 from imubayes.display import progress
