@@ -9,16 +9,18 @@ scale of its innovations makes straight (`imubayes.inference.conditional_precisi
 leave to the prior are curved ridges: along them the strong directions are bent by half the second derivative,
 δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic acceleration, Transtrum & Sethna 2011).  The bend does
 not change w, so its determinant is 1 and it is inverted by subtraction: the density of the proposal is exact, whatever
-its quality.  Where the marginal of a weak direction is not normal it is tabulated, too
+its quality.  A wide angle beside a sensor that is accurate to its third power leaves that parabola: there the strong
+directions are solved for along the ridge.  Where the marginal of a weak direction is not normal it is tabulated, too
 (`imubayes.inference.tabulated_directions`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy  # loads its parts when they are first used
 from jax.scipy.linalg import solve_triangular
 
 from imubayes.compiled.kept_programs import kept
@@ -44,13 +46,16 @@ from imubayes.inference.tabulated_directions import (
 from imubayes.inference.tabulated_directions import to_normal as to_standard
 from imubayes.model.likelihood import log_normaliser, residuals_of
 from imubayes.model.noise_covariance import inverse_covariance, whitener
-from imubayes.model.problem import Problem, predict_many, prior_widths
+from imubayes.model.problem import Problem, predict, predict_many, prior_widths
 
 # A direction is weak where its posterior standard deviation exceeds this share of the prior's; below, a ridge is
 # straight.
 _WEAK_SD = 0.03
 # Second derivatives are taken over pairs of directions: 60 directions have 1830 pairs.
 _MOST_WEAK = 60
+# Points over which the distance from the ridge is judged, the largest that is left, in standard deviations, and the
+# most steps of the chord method that bring it there.
+_RIDGE_POINTS, _ON_RIDGE, _MOST_CHORDS = 32, 0.3, 4
 # Where the marginal of h is evaluated along each axis, in units of its width at the mode,
 _PROBES = np.array([-8.0, -6.0, -4.5, -3.5, -2.7, -2.0, -1.3, -0.6, 0.0, 0.6, 1.3, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0, 11.0])
 # and, for other maxima, over the whole prior, in z: a scatter at the lower end is zero for all that data can tell.
@@ -75,6 +80,7 @@ class NestedLaplace(eqx.Module):
     bend : shape (K, K, P), acceleration along pairs of weak directions.
     shape : marginals of weak directions that are not normal; None where all are.
     ridge : coordinates u in which the scales of correlated noise have no ridge; None where no rows are correlated.
+    along_ridge : what is left of the ridge beside the bend; None where that is far below the noise.
     """
 
     z: Float[Array, " P"]
@@ -86,10 +92,39 @@ class NestedLaplace(eqx.Module):
     bend: Float[Array, "K K P"]
     shape: TabulatedDirections | None = None
     ridge: InnovationScale | None = None
+    along_ridge: "ChordSteps | None" = None
 
     def scales(self, problem: Problem, straight: Float[Array, " H"]) -> Float[Array, " H"]:
         """Return the noise scales h of u."""
         return straight if self.ridge is None else self.ridge.scales(problem, straight)
+
+
+class ChordSteps(eqx.Module):
+    """Steps of the chord method from a bent point to the ridge: the highest point for its weak coordinates.
+
+    The Jacobian is that at the mode, so that a step costs one prediction and its error falls by the relative change of
+    the Jacobian.
+
+    Attributes
+    ----------
+    gain : shape (P, E), step in the strong directions for a change of the misfit.
+    restoring : shape (P, P), the same for a change of z, by the prior.
+    steps : their number.
+    """
+
+    gain: Float[Array, "P E"]
+    restoring: Float[Array, "P P"]
+    steps: int = eqx.field(static=True)
+
+    def solved(self, problem: Problem, z: Float[Array, " P"], bent: Float[Array, " P"]) -> Float[Array, " P"]:
+        """Return the strong part of the step from z to the ridge, from its first estimate `bent`."""
+        for _ in range(self.steps):
+            bent = bent + self.step(problem, z + bent)
+        return bent
+
+    def step(self, problem: Problem, z: Float[Array, " P"]) -> Float[Array, " P"]:
+        """Return one step from z."""
+        return self.gain @ (problem.observations.value - predict(problem, z)) - self.restoring @ z
 
 
 @kept
@@ -137,10 +172,14 @@ def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float
 
 def nested_laplace(problem: Problem, mode: Mode, marginal: "HyperMarginal | None" = None) -> NestedLaplace:
     """Return the proposal about a mode; `marginal` is that of its noise scales, where it is at hand."""
-    weak, bend, shape = weak_directions(problem, mode)
+    weak, reach, bend = curved_directions(problem, mode)
+    shape, chords = (
+        tabulated_directions(problem, mode, weak, reach, bend),
+        chord_steps(problem, mode, weak, reach, bend),
+    )
     own = marginal or hyper_marginal(problem, mode)
     blocks = precision_blocks(problem, mode)
-    return NestedLaplace(mode.z, mode.h, own.axes, own.along, blocks, weak, bend, shape, own.ridge)
+    return NestedLaplace(mode.z, mode.h, own.axes, own.along, blocks, weak, bend, shape, own.ridge, chords)
 
 
 def weak_directions(
@@ -167,6 +206,45 @@ def curved_directions(problem: Problem, mode: Mode) -> tuple[Float[Array, "P K"]
     reach, weak = variances[::-1][:count] ** 0.5, jnp.asarray(weak)
     none = jnp.zeros((0, 0, mode.z.shape[0]))
     return weak, reach, bends(problem, mode, weak, jnp.asarray(reach), inverse) if count else none
+
+
+def chord_steps(
+    problem: Problem, mode: Mode, weak: Float[Array, "P K"], reach: np.ndarray, bend: Float[Array, "K K P"]
+) -> ChordSteps | None:
+    """Return the steps that lead from bent points to the ridge; None where the bend does, or where they would not.
+
+    Parameters
+    ----------
+    weak, reach, bend : as of `curved_directions`.
+    """
+    if not reach.size:
+        return None
+    precision = np.asarray(posterior_precision(problem, mode))
+    chords = ChordSteps(
+        *_gains(problem, mode, jnp.asarray(inverse_within(precision, scipy.linalg.null_space(weak.T)))), 0
+    )
+    w = reach * np.random.default_rng(0).normal(size=(_RIDGE_POINTS, reach.size))
+    z = np.asarray(mode.z) + w @ np.asarray(weak).T + 0.5 * np.einsum("ni,nj,ijp->np", w, w, np.asarray(bend))
+    before = np.inf
+    for count in range(_MOST_CHORDS + 1):
+        misfit = np.asarray(problem.observations.value) - predict_many(problem, z)
+        step = misfit @ np.asarray(chords.gain).T - z @ np.asarray(chords.restoring).T
+        size = np.sqrt(np.einsum("np,pq,nq->n", step, precision, step).max())
+        if size < _ON_RIDGE:
+            return replace(chords, steps=count) if count else None
+        if not size < before:
+            return None
+        z, before = z + step, size
+    return replace(chords, steps=_MOST_CHORDS)
+
+
+@kept
+def _gains(
+    problem: Problem, mode: Mode, inverse: Float[Array, "P P"]
+) -> tuple[Float[Array, "P E"], Float[Array, "P P"]]:
+    by = whitener(problem, mode.h)
+    pulled = jax.vmap(lambda column: inverse_covariance(problem, by, column)[0])(mode.about.jacobian.T)
+    return inverse @ pulled, inverse * prior_widths(problem, mode.h)[None, :] ** -2
 
 
 @kept
@@ -267,9 +345,12 @@ def _conditional(approximation: NestedLaplace, problem: Problem, h: Float[Array,
     return factor, solve_triangular(factor.T, step, lower=False)
 
 
-def _bent(approximation: NestedLaplace, delta: Float[Array, " P"]) -> Float[Array, " P"]:
+def _bent(approximation: NestedLaplace, problem: Problem, delta: Float[Array, " P"]) -> Float[Array, " P"]:
     weak = delta @ approximation.weak
-    return 0.5 * jnp.einsum("i,j,ijp->p", weak, weak, approximation.bend)
+    bent = 0.5 * jnp.einsum("i,j,ijp->p", weak, weak, approximation.bend)
+    if approximation.along_ridge is None:
+        return bent
+    return approximation.along_ridge.solved(problem, approximation.z + approximation.weak @ weak, bent)
 
 
 def to_point(
@@ -307,7 +388,7 @@ def _to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Arra
     if approximation.shape is not None:
         whitened, excess = approximation.shape.shaped(factor, whitened)
     delta = mean + solve_triangular(factor.T, whitened, lower=False)
-    point = jnp.concatenate([approximation.z + delta + _bent(approximation, delta), h])
+    point = jnp.concatenate([approximation.z + delta + _bent(approximation, problem, delta), h])
     return point, _log_density(approximation, factor, whitened, along) + excess, (factor, mean)
 
 
@@ -321,7 +402,7 @@ def to_normal(
     factor, mean = _conditional(approximation, problem, h)
     bent = z - approximation.z
     # The bend does not change the weak coordinates, so it is computed from the bent step and subtracted.
-    whitened = factor.T @ (bent - _bent(approximation, bent) - mean)
+    whitened = factor.T @ (bent - _bent(approximation, problem, bent) - mean)
     density = _log_density(approximation, factor, whitened, along)
     if approximation.shape is not None:
         whitened, excess = approximation.shape.normalised(factor, whitened)
