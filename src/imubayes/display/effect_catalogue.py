@@ -1,6 +1,7 @@
 """The catalogue of effects, as tables."""
 
 import inspect
+import re
 
 from rich.console import Console
 from rich.table import Column
@@ -60,7 +61,9 @@ def print_effect(effect: str) -> None:
     member = Registry().find(effect, "NAME")
     console = Console()
     console.print(f"[bold]{member.name}[/bold]  ({_acts_on(member)})\n")
-    console.print(inspect.getdoc(member) or "", highlight=False, markup=False)
+    # Lines of a paragraph are as long as the terminal is wide, not as the source is.
+    text = re.sub(r"(?<=[^\s-])\n(?=[^\s>-])", " ", inspect.getdoc(member) or "")
+    console.print(text, highlight=False, markup=False)
     if issubclass(member, Sensor) and member.order == Order.BIAS:
         console.print(f"\n{BIAS_CONVENTION}", highlight=False, markup=False)
     grid = Grid("parameter", "unit", "default prior", "typical", "meaning", box=None)
