@@ -57,11 +57,13 @@ class Grouping:
     def label_of_run(self, axis: str, run: int) -> str | None:
         """Return the run's own name, or its mounting or table; None where it has none.
 
-        It stands on its table; without one, where it was put for itself.
+        It stands on its table in its mounting, which turns it about the vertical as well; without them, where it was
+        put for itself.
         """
         recorded = self.campaign.runs[run]
-        names = {"run": recorded.name, "mounting": recorded.mounting, "table": recorded.table}
-        return (recorded.table or recorded.name) if axis == "stand" else names[axis]
+        stand = "/".join(name for name in (recorded.table, recorded.mounting) if name) or recorded.name
+        names = {"run": recorded.name, "mounting": recorded.mounting, "table": recorded.table, "stand": stand}
+        return names[axis]
 
     def labels(self, per: Sequence[str], channels: Sequence[str], runs: Iterable[int]) -> list[Label]:
         """Return the labels of an effect that acts on some channels in some runs, by channel, then by the other names.

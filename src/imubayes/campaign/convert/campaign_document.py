@@ -13,12 +13,14 @@ from imubayes.campaign.convert.column_names import (
     GYRO_UNITS,
     GYROS,
     SIX,
+    TABLE_RATE,
     TEMPERATURE,
     TIME,
 )
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.convert.raw_counts import nominal_of_counts
 from imubayes.campaign.convert.recorded_runs import Columns, RecordedRun, still_seconds
+from imubayes.campaign.convert.stand import LEVEL, PUT_ANYHOW, Stand, lying, on_table
 from imubayes.campaign.convert.stated_turns import BODY_TO_TABLE, TURN_TABLE, StatedTurns, find_stated_turns
 from imubayes.campaign.convert.unit_evidence import Units, find_units
 from imubayes.foundations.earth import normal_gravity
@@ -32,8 +34,7 @@ DEFAULT_GRAVITY = 9.81  # m/s²
 _WARMED = 10.0  # degC over which a rest is a temperature test
 _STATIC, _RAMP = "static_record", "thermal_ramp"
 _AT_REST = (_STATIC, _RAMP)
-_PUT_ANYHOW = {"azimuth_deg": "unknown", "elevation_deg": 90.0}
-_LEVEL = 60.0  # arcmin to which a bench is level, and a unit lies on it, where nobody states it
+_ON_TABLE = "rate_table"
 
 
 @dataclass(frozen=True)
@@ -80,10 +81,10 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     document: dict[str, Any] = {"format": 1, "name": options.name or name, "notes": notes, "site": site}
     document |= {"unit": {"serial": options.serial}, "channel": channels}
     labels = _labels(len(runs))
-    equipment, face = _equipment(procedure, longest)
-    notes += [face] if face else []
-    document |= equipment
-    document["run"] = [_run(label, procedure, options) for label in labels]
+    stand = _stand(procedure, runs, channels)
+    notes += stand.notes
+    document |= {"table": stand.table, "mounting": stand.mounting} if stand.table else {}
+    document["run"] = [_run(label, procedure, options) | seat for label, seat in zip(labels, stand.seats, strict=True)]
     tables = {_file(label): _table(run.columns) for label, run in zip(labels, runs, strict=True)}
     _add_turns(document, tables, list(zip(labels, turns, strict=False)), options)
     return ConvertedCampaign(document, tables, stated, guesses)
@@ -100,9 +101,8 @@ def _turns(
         if run.means or TIME not in run.columns or not gyros:
             fault = "--turn-deg needs gyros, sample by sample, with their times"
             raise input_error(fault, source, "a raw log with gx, gy or gz", "leave out --turn-deg, or give the log")
-        rate = [(run.columns[c["name"]] - c["offset"]) / c["scale"] * to_si(c["per"]) for c in gyros]
         names, angle = [each["name"] for each in gyros], math.radians(options.turn_deg)
-        found.append(find_stated_turns(run.columns, np.stack(rate, axis=1), names, angle, source))
+        found.append(find_stated_turns(run.columns, _rates(run, channels), names, angle, source))
     return found
 
 
@@ -128,49 +128,35 @@ def _add_turns(
             own = label.replace("recording", f"turns-{letter}")
             tables[_file(own)], turned[letter] = rows, None
             here = {"table": f"{TURN_TABLE}-{letter}", "mounting": f"about-{letter}"}
-            kept.append(
-                _run(own, "rate_table", options) | here | {"turn_uncertainty_deg": options.turn_uncertainty_deg}
-            )
-            count = int(np.count_nonzero(rows["table_rate_deg_s"]))
+            kept.append(_run(own, _ON_TABLE, options) | here | {"turn_uncertainty_deg": options.turn_uncertainty_deg})
+            count = int(np.count_nonzero(rows[TABLE_RATE]))
             angle = f"{options.turn_deg:g} deg ± {options.turn_uncertainty_deg:g} deg"
             document["notes"].append(f"{own}: {count} turns, each through a multiple of {angle}")
     # One table for each axis: the hand that laid the unit on another side turned it anyhow.
     document.setdefault("table", []).extend(
-        _PUT_ANYHOW | {"name": f"{TURN_TABLE}-{axis}", "axis_uncertainty_arcsec": 60 * _LEVEL} for axis in turned
+        PUT_ANYHOW | {"name": f"{TURN_TABLE}-{axis}", "axis_uncertainty_arcsec": 60 * LEVEL} for axis in turned
     )
     document.setdefault("mounting", []).extend(
-        {"name": f"about-{axis}", "body_to_table": BODY_TO_TABLE["xyz".index(axis)], "uncertainty_arcmin": _LEVEL}
+        {"name": f"about-{axis}", "body_to_table": BODY_TO_TABLE["xyz".index(axis)], "uncertainty_arcmin": LEVEL}
         for axis in turned
     )
     document["run"] = kept
 
 
-def _equipment(procedure: str, run: RecordedRun) -> tuple[dict[str, Any], str]:
-    """Return a table and a mounting where the procedure has them, and the note on what is assumed of them."""
-    if not _stands(procedure):
-        return {}, ""
-    table, (axis, sense) = _PUT_ANYHOW | {"name": "bench"}, _face_up(run)
-    turned = np.diag([1.0, sense, sense]) @ BODY_TO_TABLE[axis]
-    up = (axis, sense) == (2, 1)
-    mounting: dict[str, Any] = {"name": "aligned"} | (
-        {"preset": "aligned"} if up else {"body_to_table": turned.tolist()}
-    )
-    notes = ["nobody stated where north is, nor how level the bench is: any heading, and 1 deg, are assumed"]
-    if procedure in _AT_REST:
-        mounting["uncertainty_arcmin"] = 0.0  # it is in the level of the bench
-    if not up:
-        side = f"{'xyz'[axis]} axis {'up' if sense > 0 else 'down'}"
-        notes.append(f"the unit rests with its {side}, by its accelerometers")
-    return {"table": [table], "mounting": [mounting]}, "; ".join(notes)
+def _stand(procedure: str, runs: Sequence[RecordedRun], channels: Sequence[Mapping[str, Any]]) -> Stand:
+    """Return table and mountings where a procedure has them, and what is assumed of them."""
+    if procedure == _ON_TABLE:
+        return on_table(runs, [np.degrees(_rates(run, channels)) for run in runs])
+    if procedure_named(procedure).needs_table or procedure in _AT_REST:
+        return lying(max(runs, key=_rows), len(runs), seated=procedure not in _AT_REST)
+    return Stand([], [], [{}] * len(runs), [])
 
 
-def _face_up(run: RecordedRun) -> tuple[int, int]:
-    """Return the body axis nearest to the mean specific force, and its sense; z up where it moves or is not known."""
-    if not all(name in run.columns for name in ACCELEROMETERS) or not still_seconds(run):
-        return 2, 1
-    force = np.array([np.nanmedian(run.columns[name]) for name in ACCELEROMETERS])
-    axis = int(np.argmax(np.abs(force)))
-    return axis, 1 if force[axis] > 0 else -1
+def _rates(run: RecordedRun, channels: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    """Return what the gyros of a run measure at their nominal scale, rad/s, shape (N, G)."""
+    gyros = [each for each in channels if each["kind"] == "gyro" and each["name"] in run.columns]
+    rates = [(run.columns[each["name"]] - each["offset"]) / each["scale"] * to_si(each["per"]) for each in gyros]
+    return np.stack(rates, axis=1) if rates else np.zeros((_rows(run), 0))
 
 
 def _labels(count: int) -> list[str]:
@@ -199,24 +185,23 @@ def _run(label: str, procedure: str, options: ConvertOptions) -> dict[str, Any]:
     for key in ("temperature_degC", "initial_rest_s"):
         if getattr(options, key) is not None:
             run[key] = float(getattr(options, key))
-    return run | ({"table": "bench", "mounting": "aligned"} if _stands(procedure) else {})
-
-
-def _stands(procedure: str) -> bool:
-    """Whether a recording of a procedure has a table and a mounting."""
-    return procedure_named(procedure).needs_table or procedure in _AT_REST
+    return run
 
 
 def _procedure(run: RecordedRun, options: ConvertOptions, where: str) -> tuple[str, str]:
     """Return the procedure, and why it was taken where it was not stated."""
     if options.procedure:
         return options.procedure, ""
+    table_rate = run.columns.get(TABLE_RATE, np.zeros(1))
+    if np.nanmax(table_rate) > np.nanmin(table_rate):
+        return _ON_TABLE, "it has the rate of the table"
     seconds = still_seconds(run)
     if not seconds and options.turn_deg is None and not any(name in run.columns for name in ACCELEROMETERS):
         raise input_error(
             "the unit turns, and there are no accelerometers to tell how far", where,
-            "turns through an angle that is known, from rest to rest: --turn-deg 360; or --procedure of a table",
-            "state the angle, add the accelerometers, or give a record at rest",
+            "turns through an angle that is known, from rest to rest: --turn-deg 360; or the rate of the table: "
+            f"--column {TABLE_RATE}=NAME",
+            "state the angle or the column, add the accelerometers, or give a record at rest",
         )  # fmt: skip
     if not seconds:
         return "free_tumble", ""

@@ -14,7 +14,7 @@ from imubayes.foundations.covariates import recorded_columns
 ACCELEROMETERS, GYROS = ("ax", "ay", "az"), ("gx", "gy", "gz")
 SIX = (*ACCELEROMETERS, *GYROS)
 TIME, TEMPERATURE, SAMPLES, COUNTER = "time_s", "temperature_degC", "samples", "counter"
-DATE, CLOCK = "date", "clock"
+DATE, CLOCK, TABLE_RATE = "date", "clock", "table_rate_deg_s"
 UNKNOWN_AXES = ("?x", "?y", "?z")
 """Axes of a quantity that neither the name nor the unit of the column says."""
 

@@ -8,7 +8,17 @@ import numpy as np
 
 from imubayes.campaign.convert.clock import Clock, read_clock
 from imubayes.campaign.convert.column_choice import ChosenTable, values_of
-from imubayes.campaign.convert.column_names import ACCELEROMETERS, CLOCK, COUNTER, DATE, GYROS, SAMPLES, SIX, TIME
+from imubayes.campaign.convert.column_names import (
+    ACCELEROMETERS,
+    CLOCK,
+    COUNTER,
+    DATE,
+    GYROS,
+    SAMPLES,
+    SIX,
+    TABLE_RATE,
+    TIME,
+)
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.convert.recording import described
 from imubayes.foundations.errors import input_error
@@ -220,7 +230,8 @@ def _joined(parts: Sequence[RecordedRun]) -> RecordedRun | None:
         TIME in first.columns and TIME in second.columns and second.columns[TIME][0] > first.columns[TIME][-1]
         for first, second in pairwise(ordered)
     )
-    if not follow or any(set(part.columns) != set(ordered[0].columns) for part in ordered):
+    seated_anew = any(TABLE_RATE in part.columns for part in parts)  # perhaps
+    if not follow or seated_anew or any(set(part.columns) != set(ordered[0].columns) for part in ordered):
         return None
     columns = {name: np.concatenate([part.columns[name] for part in ordered]) for name in ordered[0].columns}
     notes = [*(note for part in ordered for note in part.notes), f"{len(parts)} files, one after the other"]

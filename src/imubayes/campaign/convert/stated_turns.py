@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign.convert.column_names import GYROS, SAMPLES, TEMPERATURE, TIME
+from imubayes.campaign.convert.column_names import GYROS, SAMPLES, TABLE_RATE, TEMPERATURE, TIME
 from imubayes.foundations.errors import input_error
 
 TURN_TABLE = "turns"
@@ -148,4 +148,4 @@ def _reduced(columns: Mapping[str, np.ndarray], spans: Sequence[tuple[int, int, 
     }
     rates = np.array([rate for *_, rate in spans])
     counts = np.array([float(last - first) for first, last, _ in spans])
-    return {TIME: means.pop(TIME), "table_rate_deg_s": rates, SAMPLES: counts, **means, **scatter}
+    return {TIME: means.pop(TIME), TABLE_RATE: rates, SAMPLES: counts, **means, **scatter}

@@ -170,7 +170,7 @@ class ErrorModel:
 
         The outputs may drift; of a loose run bias and scale factor are its own.
         """
-        variance = self.white(seen) + self.left_out(seen) + seen.arm
+        variance = self.white(seen) + self.left_out(seen) + seen.unknown
         weight = np.where(seen.there, 1 / variance, 0.0)
         own, spread = self._of_run(seen.along, loose)
         if drift is not None:
@@ -219,13 +219,14 @@ class ErrorModel:
         if self.centre is not None:
             at_zero = at_zero - (design[..., self.own :] @ self.centre[shared][:, None, :, None])[..., 0]
         error = np.where(there, (output - self.offset) / self.scale - at_zero, 0.0)
-        arm = np.where(self.gyro[:, None], 0.0, view.largest_rate()[..., None, :] ** 4 * LEVER_ARM**2)
-        there, samples, square, arm = (
+        level = np.asarray(view.unknown_level_rate)[..., None, None]
+        unknown = np.where(self.gyro[:, None], level**2, view.largest_rate()[..., None, :] ** 4 * LEVER_ARM**2)
+        there, samples, square, unknown = (
             np.broadcast_to(each, along.shape[:-1])
-            for each in (there, view.samples[..., None, :], np.sum(nominal**2, axis=-1), arm)
+            for each in (there, view.samples[..., None, :], np.sum(nominal**2, axis=-1), unknown)
         )
         turned = np.sum(self.sd[shared[:, ::3]] ** 2, axis=1) if self.centre is None else np.zeros(len(shared))
-        return Seen(design, error, there, samples, square, turned, arm, along[..., :1], shared)
+        return Seen(design, error, there, samples, square, turned, unknown, along[..., :1], shared)
 
     def white(self, seen: "Seen") -> np.ndarray:
         """Return the variance of the noise of outputs, SI, shape (..., K, R)."""
@@ -392,7 +393,7 @@ class Seen:
     there : whether there is an output, shape (..., K, R).
     samples, square : that a row is the mean of, and squared nominal input, SI, shape (..., K, R).
     turned : plausible square of the rotations of mounting and table about which the model is not linear, (...).
-    arm : variance of what lever arms do, shape (..., K, R).
+    unknown : variance of what lever arms do, or an azimuth that nobody stated, shape (..., K, R).
     along : nominal input along each input axis, shape (..., K, R, 1).
     shared : places of the errors of mounting and table, shape (..., m).
     """
@@ -403,7 +404,7 @@ class Seen:
     samples: np.ndarray
     square: np.ndarray
     turned: Numbers
-    arm: np.ndarray
+    unknown: np.ndarray
     along: np.ndarray
     shared: np.ndarray
 

@@ -106,6 +106,8 @@ class RunView:
     name, procedure, table, mounting : as in the campaign; no table where rows give directions.
     latitude, gravity : of the site.
     azimuth, elevation : of the axis of the table.
+    unknown_level_rate : standard deviation of the level Earth rate about that of the azimuth, rad/s; 0 where it is
+        stated.
     body_to_table : shape (3, 3).
     attitude : shape (R, 3, 3), body → local level, where rows give directions; None on a table.
     angle : shape (R,), of the table; NaN for means over whole turns.
@@ -129,6 +131,7 @@ class RunView:
     gravity: float
     azimuth: float
     elevation: float
+    unknown_level_rate: float
     body_to_table: np.ndarray
     attitude: np.ndarray | None
     angle: np.ndarray
@@ -288,6 +291,7 @@ def _view(campaign: Campaign, run: Run) -> RunView:
         gravity=campaign.site.gravity,
         azimuth=table.azimuth if table else 0.0,
         elevation=table.elevation if table else math.pi / 2,
+        unknown_level_rate=_unknown_level_rate(campaign, table),
         body_to_table=np.eye(3) if run.mounting is None else campaign.mountings[run.mounting].body_to_table,
         attitude=run.attitude,
         angle=recorded["table_angle"] if serial is None else axis_angles(run)[:, -1],
@@ -302,6 +306,13 @@ def _view(campaign: Campaign, run: Run) -> RunView:
         outer=serial,
         zero=table.zero_angle if table and serial is None else 0.0,
     )
+
+
+def _unknown_level_rate(campaign: Campaign, table: Table | None) -> float:
+    """Return the largest root mean square component of Ω cos L · (sin ψ, cos ψ − 1), all headings ψ being alike."""
+    if table is None or table.azimuth_known:
+        return 0.0
+    return math.sqrt(1.5) * float(earth_rate(campaign.site.latitude)[1])
 
 
 def feels_the_earth_alone(campaign: Campaign, views: Sequence[RunView]) -> bool:

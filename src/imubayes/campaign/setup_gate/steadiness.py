@@ -101,7 +101,7 @@ def _evidence(model: ErrorModel, seen: Sequence[Seen], own: np.ndarray, steadine
     count = model.own
     moments, score = np.zeros((len(own), count + 1, count + 1)), np.zeros(len(own))
     for run in seen:
-        variance = noise**2 * model.white(run) + rows**2 * model.left_out(run) + run.arm
+        variance = noise**2 * model.white(run) + rows**2 * model.left_out(run) + run.unknown
         weight = np.where(run.there, 1 / variance, 0.0)
         found = weighted(run.design[:, :, :count], run.error, weight, np.ones_like(run.along), spread)
         moments += found.moments

@@ -1,0 +1,155 @@
+"""The table and the mountings of a recording that stood on something, as far as its numbers tell them.
+
+Nobody stated where north is, nor how level the bench is.  At rest, accelerometers tell which face is up.  On a rate
+table, the gyros tell where the table axis is in body axes: each responds by the cosine of its angle to it, so that a
+unit in a tilted fixture is read as such, and one that was seated anew for each recording has a mounting for each.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imubayes.campaign.convert.column_names import ACCELEROMETERS, TABLE_RATE
+from imubayes.campaign.convert.recorded_runs import RecordedRun, still_seconds
+from imubayes.campaign.convert.stated_turns import BODY_TO_TABLE
+from imubayes.campaign.equipment import PRESETS
+
+PUT_ANYHOW: dict[str, Any] = {"azimuth_deg": "unknown", "elevation_deg": 90.0}
+LEVEL = 60.0  # arcmin to which a bench is level, and a unit lies on it or in its seat, where nobody states it
+_NOMINAL = (0.8, 1.25)  # of the table rate, what gyros of sound scale and unit measure in all
+_SAME = np.cos(np.radians(3.0))  # between directions that are taken for one
+_UPRIGHT = 0.5  # share of g along the table axis from which on it is taken for vertical
+
+
+@dataclass(frozen=True)
+class Stand:
+    """What recordings stood on.
+
+    Attributes
+    ----------
+    table, mounting : entries of `campaign.toml`; empty where a procedure needs none.
+    seats : for each recording, what its run says of them.
+    notes : what is assumed.
+    """
+
+    table: list[dict[str, Any]]
+    mounting: list[dict[str, Any]]
+    seats: list[dict[str, str]]
+    notes: list[str]
+
+
+def lying(run: RecordedRun, count: int, *, seated: bool) -> Stand:
+    """Return the stand of recordings, `count` of them, by the face that is up in the longest.
+
+    Parameters
+    ----------
+    seated : whether there is a seat on a table; else the level of the bench is the uncertainty of the unit's own.
+    """
+    axis = _face_up(run)
+    mounting = _mounting("aligned", axis) | {"uncertainty_arcmin": LEVEL if seated else 0.0}
+    notes = [_NOBODY]
+    if axis[2] != 1:
+        notes.append(f"the unit rests with its {_face(axis)}, by its accelerometers")
+    return Stand([PUT_ANYHOW | {"name": "bench"}], [mounting], [_seat("aligned")] * count, ["; ".join(notes)])
+
+
+_NOBODY = "nobody stated where north is, nor how level the bench is: any heading, and 1 deg, are assumed"
+
+
+def on_table(runs: Sequence[RecordedRun], rates: Sequence[np.ndarray]) -> Stand:
+    """Return the stand of recordings on a rate table.
+
+    Parameters
+    ----------
+    rates : for each run, shape (N, G), of its gyros x, y, z at their nominal scale, deg/s.
+    """
+    axes: list[np.ndarray] = []
+    mountings, seats, notes, upright = [], [], [_NOBODY], []
+    for run, rate in zip(runs, rates, strict=True):
+        found = _table_axis(run, rate)
+        axis = np.array([0.0, 0.0, 1.0]) if found is None else found
+        place = next((place for place, other in enumerate(axes) if axis @ other > _SAME), len(axes))
+        if place == len(axes):
+            axes.append(axis)
+            name = "aligned" if found is None else f"mounting-{place + 1}"
+            mountings.append(_mounting(name, axis) | {"uncertainty_arcmin": LEVEL})
+            if found is not None:
+                direction = ", ".join(f"{each:.3f}" for each in axis)
+                notes.append(
+                    f"{name}: the table axis is ({direction}) in body axes, by the nominal scale "
+                    "factors of the gyros; 1 deg is assumed for it"
+                )
+        seats.append(_seat(mountings[place]["name"]))
+        upright.append(_upright(run, axis))
+    elevation = next((each for each in upright if each is not None), 90.0)
+    return Stand([PUT_ANYHOW | {"elevation_deg": elevation, "name": "bench"}], mountings, seats, notes)
+
+
+def _seat(mounting: str) -> dict[str, str]:
+    return {"table": "bench", "mounting": mounting}
+
+
+def _table_axis(run: RecordedRun, rate: np.ndarray) -> np.ndarray | None:
+    """Return the direction of the table axis in body axes, (3,); None where the gyros do not tell it."""
+    if TABLE_RATE not in run.columns or rate.shape[1] != 3:
+        return None
+    table = run.columns[TABLE_RATE]
+    kept = np.isfinite(table) & np.isfinite(rate).all(axis=1)
+    centred = table[kept] - table[kept].mean()
+    if not centred.any():
+        return None
+    slope = centred @ rate[kept] / (centred @ centred)
+    size = float(np.linalg.norm(slope))
+    return slope / size if _NOMINAL[0] < size < _NOMINAL[1] else None
+
+
+def _upright(run: RecordedRun, axis: np.ndarray) -> float | None:
+    """Return the elevation of the table axis by the accelerometers, deg; None without them."""
+    if not all(name in run.columns for name in ACCELEROMETERS):
+        return None
+    force = np.array([np.nanmean(run.columns[name]) for name in ACCELEROMETERS])
+    size = np.nanmean(np.linalg.norm([run.columns[name] for name in ACCELEROMETERS], axis=0))
+    along = float(force @ axis / size)
+    return 90.0 if along > _UPRIGHT else -90.0 if along < -_UPRIGHT else 0.0
+
+
+def _face_up(run: RecordedRun) -> np.ndarray:
+    """Return the body axis nearest to the mean specific force, (3,); z up where it moves or is not known."""
+    axis = np.array([0.0, 0.0, 1.0])
+    if not all(name in run.columns for name in ACCELEROMETERS) or not still_seconds(run):
+        return axis
+    force = np.array([np.nanmedian(run.columns[name]) for name in ACCELEROMETERS])
+    return _nearest_face(force)
+
+
+def _nearest_face(direction: np.ndarray) -> np.ndarray:
+    place = int(np.argmax(np.abs(direction)))
+    return np.eye(3)[place] * np.sign(direction[place])
+
+
+def _face(axis: np.ndarray) -> str:
+    place = int(np.argmax(np.abs(axis)))
+    return f"{'xyz'[place]} axis {'up' if axis[place] > 0 else 'down'}"
+
+
+def _mounting(name: str, axis: np.ndarray) -> dict[str, Any]:
+    """Return a mounting that has a body axis along table z; what it has along table x is of no account."""
+    for preset, matrix in PRESETS.items():
+        if axis @ matrix[2] > _SAME:
+            return {"name": name, "preset": preset}
+    face = _nearest_face(axis)
+    place = int(np.argmax(np.abs(face)))
+    sense = face[place]
+    turned = np.diag([1.0, sense, sense]) @ np.array(BODY_TO_TABLE[place])
+    if axis @ face < _SAME:
+        turned = _onto_z(turned @ axis) @ turned
+    return {"name": name, "body_to_table": turned.round(9).tolist()}
+
+
+def _onto_z(direction: np.ndarray) -> np.ndarray:
+    """Return the smallest rotation, (3, 3), of a direction in the upper half onto z."""
+    x, y, z = direction
+    cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    return np.eye(3) + cross + cross @ cross / (1 + z)
