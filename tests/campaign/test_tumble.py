@@ -125,6 +125,16 @@ def test_wrong_units_are_named() -> None:
     assert names == ["rate_unit"]
 
 
+@pytest.mark.parametrize("factor", [0.5, 0.7, 2.0])
+def test_a_wrong_range_of_the_gyros_is_told_from_exchanged_axes(factor: float) -> None:
+    columns, _ = tumble_log()
+    scaled = columns | {name: factor * columns[name] for name in NAMES[3:]}
+    [finding] = reduce_tumble(scaled, channels(), GRAVITY, None, Path("log.csv")).findings
+    assert finding.name == "scale_far_from_nominal"
+    told = finding.what.partition("with the rates ")[2].split()[0]
+    assert float(told) == pytest.approx(1 / factor, rel=0.02)
+
+
 @pytest.fixture(scope="module")
 def desk() -> str:
     return (DESK / "campaign.toml").read_text()

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.campaign.convert.column_names import ACCELEROMETERS, GYROS, SIX
+from imubayes.campaign.convert.column_names import ACCELEROMETERS, GYROS, SIX, TIME
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.reduction.static_poses import (
     Rest,
@@ -22,15 +22,19 @@ from imubayes.campaign.reduction.static_poses import (
     initial_rest,
     variance_ratio,
 )
-from imubayes.foundations.errors import input_error
+from imubayes.foundations.errors import InputError, input_error
 
 QUIET = 6.0  # multiple of the variance at rest
-LEAST_POSES = 9
+LEAST_POSES = 6  # of as many unknowns: the faces of a six-position test
+LEAST_SPREAD = 0.02  # least singular value over the largest; six faces have 0.5, poses in a plane about 0
 LEAST_TURNS = 4
 LEAST_ANGLE = 0.3  # rad between the directions of gravity in two poses, for a transition that determines the scale
 MOST_MISSED = 0.2  # rad; biases and scale factors of 10 % miss less
 SEARCH = np.geomspace(0.2, 2.0, 60)
 REFINEMENTS = 12
+_WIDTHS = (16, 24, 32)  # bits of a number
+_PROBED = 1000  # rows
+_SEVERAL = 3  # jumps
 
 
 @dataclass(frozen=True)
@@ -47,19 +51,46 @@ def find_poses(force: np.ndarray, interval: float, seconds: float | None) -> tup
     return find_rests(variance_ratio(force, interval, initial) < QUIET, interval), initial
 
 
-def estimate_accelerometers(force: np.ndarray, rests: list[Rest], gravity: float, where: str) -> Nominal:
-    """Return scale (counts per m/s²) and offset by an ellipsoid fitted to the static means.
+def signed_counts(columns: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Return the columns with negative counts that were written as unsigned turned back, and a note where there are.
+
+    A number in two's complement that is read as unsigned jumps by nearly the whole range where it changes its sign.
+    A converter with an offset passes through the values between.
+    """
+    found = [column[np.isfinite(column)] for name, column in columns.items() if name in SIX]
+    if not all(len(column) and (column[:_PROBED] % 1 == 0).all() and column.min() >= 0 for column in found):
+        return dict(columns), ()
+    most = max((float(column.max()) for column in found), default=0.0)
+    width = next((2.0**bits for bits in _WIDTHS if 0.9 * 2.0**bits < most < 2.0**bits), 0.0)
+    if not width or not any(_jumps(column, width) for column in found):
+        return dict(columns), ()
+    signed = {
+        name: np.where(column >= width / 2, column - width, column) for name, column in columns.items() if name in SIX
+    }
+    return {**columns, **signed}, (
+        f"negative counts were written as unsigned: those of {width / 2:.0f} and more are lessened by {width:.0f}",
+    )
+
+
+def _jumps(column: np.ndarray, width: float) -> bool:
+    """Tell whether steps over half the range are gone once the upper half is taken as negative."""
+    far = np.count_nonzero(np.abs(np.diff(column)) > width / 2)
+    near = np.count_nonzero(np.abs(np.diff(np.where(column >= width / 2, column - width, column))) > width / 2)
+    return bool(far > _SEVERAL and near < far / 10)
+
+
+def estimate_accelerometers(means: np.ndarray, gravity: float, where: str) -> Nominal:
+    """Return scale (counts per m/s²) and offset by an ellipsoid fitted to the means of static poses, shape (n, 3).
 
     Raises
     ------
     InputError
         if there are too few poses, or they do not determine an ellipsoid.
     """
-    means = np.array([force[rest.start : rest.stop].mean(0) for rest in rests]).reshape(-1, 3)
     if len(means) >= LEAST_POSES:
         centre, size = means.mean(0), np.ptp(means, axis=0).max()
         scaled = (means - centre) / size
-        solution, _, rank, _ = np.linalg.lstsq(np.hstack([scaled**2, scaled]), np.ones(len(scaled)), rcond=1e-6)
+        solution, _, rank, _ = np.linalg.lstsq(np.hstack([scaled**2, scaled]), np.ones(len(scaled)), rcond=LEAST_SPREAD)
         square, linear = solution[:3], solution[3:]
         if rank == 6 and (square > 0).all():
             middle = -linear / (2 * square)
@@ -68,8 +99,8 @@ def estimate_accelerometers(force: np.ndarray, rests: list[Rest], gravity: float
     raise input_error(
         f"the accelerometer scale cannot be estimated from {len(means)} static poses",
         where,
-        f"{LEAST_POSES} or more poses in all directions, or accel_scale and accel_offset",
-        "give the nominal scale and offset of the datasheet",
+        f"{LEAST_POSES} or more poses, each axis up and down, or accel_scale and accel_offset",
+        "give those of the datasheet: --accel-scale and --accel-offset",
     )
 
 
@@ -97,12 +128,7 @@ def estimate_gyros(
         if angle_between(down[index], down[index + 1]) > LEAST_ANGLE
     ]
     if len(pairs) < LEAST_TURNS:
-        raise input_error(
-            f"the gyro scale cannot be estimated from {len(pairs)} rotations between poses",
-            where,
-            f"{LEAST_TURNS} or more rotations about all axes, or gyro_scale and gyro_offset",
-            "give the nominal scale and offset of the datasheet",
-        )
+        raise _too_few_turns(len(pairs), where)
     before = down[[index for index, _, _ in pairs]]
     after = down[[index + 1 for index, _, _ in pairs]]
     turns = _increments(rate - offset, time, pairs)
@@ -118,9 +144,18 @@ def estimate_gyros(
             f"no scale of the gyros carries gravity from pose to pose: {np.rad2deg(missed):.3g} deg are missed",
             where,
             "gyros and accelerometers of one right-handed system, with the turns between the poses; or gyro_scale",
-            "check the columns, or give the nominal scale and offset of the datasheet",
+            "check the columns, or give those of the datasheet: --gyro-scale and --gyro-offset",
         )
     return Nominal(1 / inverse, offset)
+
+
+def _too_few_turns(turns: int, where: str) -> InputError:
+    return input_error(
+        f"the gyro scale cannot be estimated from {turns} rotations between poses",
+        where,
+        f"{LEAST_TURNS} or more rotations about all axes, or gyro_scale and gyro_offset",
+        "give those of the datasheet: --gyro-scale and --gyro-offset",
+    )
 
 
 def _increments(rate: np.ndarray, time: np.ndarray, pairs: list[tuple[int, int, int]]) -> np.ndarray:
@@ -203,31 +238,35 @@ def _estimated(
     notes: list[str],
     source: str,
 ) -> tuple[Nominal, Nominal]:
-    missing = [name for name in SIX if name not in columns]
-    if missing:
+    force, rate = (_three(columns, names) for names in (ACCELEROMETERS, GYROS))
+    if force is None or (gyro is None and rate is None):
+        absent = ", ".join(name for name in SIX if name not in columns)
         raise input_error(
-            f"the scale of counts cannot be estimated without {', '.join(missing)}",
+            f"the scale of counts cannot be estimated without {absent}",
             source,
-            "all six columns, or accel_scale, accel_offset, gyro_scale, gyro_offset",
-            "give the nominal scales and offsets",
+            "three accelerometers, and three gyros where these are in counts; or scale and offset of the datasheet",
+            "state the columns, or give --accel-scale, --accel-offset, --gyro-scale and --gyro-offset",
         )
-    force, rate = (np.stack([columns[name] for name in names], axis=1) for names in (ACCELEROMETERS, GYROS))
-    time = columns["time_s"]
-    rests, initial = find_poses(force, float(np.median(np.diff(time))), options.initial_rest_s)
+    time = columns.get(TIME)
+    poses = None if time is None else find_poses(force, float(np.median(np.diff(time))), options.initial_rest_s)
+    means = force if poses is None else np.array([force[rest.start : rest.stop].mean(0) for rest in poses[0]])
     if accel is None:
-        accel = _combine(
-            estimate_accelerometers(force, rests, gravity, source), options.accel_scale, options.accel_offset
-        )
+        found = estimate_accelerometers(means.reshape(-1, 3), gravity, source)
+        accel = _combine(found, options.accel_scale, options.accel_offset)
         notes.append(_note("accelerometers", "the static poses, |f| = g", accel, "m/s^2"))
     if gyro is None:
-        means = np.array([force[rest.start : rest.stop].mean(0) for rest in rests])
+        if rate is None or time is None or poses is None:
+            raise _too_few_turns(0, source)
         level = (means - accel.offset) / accel.scale
         down = level / np.linalg.norm(level, axis=1, keepdims=True)
-        gyro = _combine(
-            estimate_gyros(rate, down, time, rests, initial, source), options.gyro_scale, options.gyro_offset
-        )
+        gyro = _combine(estimate_gyros(rate, down, time, *poses, source), options.gyro_scale, options.gyro_offset)
         notes.append(_note("gyros", "the initial rest and the rotations between poses", gyro, "rad/s"))
     return accel, gyro
+
+
+def _three(columns: Mapping[str, np.ndarray], names: Sequence[str]) -> np.ndarray | None:
+    """Return the three columns of a kind, shape (N, 3); None where one is missing."""
+    return np.stack([columns[name] for name in names], axis=1) if all(name in columns for name in names) else None
 
 
 def _combine(found: Nominal, scale: Sequence[float] | None, offset: Sequence[float] | None) -> Nominal:

@@ -20,6 +20,7 @@ from imubayes.campaign.convert.column_names import (
     TIME,
 )
 from imubayes.campaign.convert.options import ConvertOptions
+from imubayes.campaign.convert.raw_counts import signed_counts
 from imubayes.campaign.convert.recording import described
 from imubayes.foundations.errors import input_error
 
@@ -33,6 +34,7 @@ _LEAST_FACES = 4
 _ALTERNATE = 0.1  # share of rows with forces and rates, below which they stand in rows of their own
 _WARM = (-100.0, 200.0)  # degC of an inertial unit; kelvins and counts are beyond
 _MOST_VOID = 0.1  # share of rows in which all six channels read the same
+_LEAST_COUNTED, _COUNTED = 5, 0.9  # steps of a running number, and the share of them that are one
 _MEAN_AND_SCATTER = (np.nanmean, np.nanstd)
 
 
@@ -120,23 +122,33 @@ def _beside(others: Columns, keep: np.ndarray, units: dict[str, str]) -> tuple[C
 
 
 def _part(table: ChosenTable, options: ConvertOptions, values: Columns) -> RecordedRun:
-    values = {name: values[name] for name in table.columns}
+    recorded = {name: values[name] for name in table.columns}
+    values, signed = signed_counts(_numbered(recorded))
     filled, void = _filled(values)
     if not filled.any():
         remedy = "state the column of each channel, such as --column ax=NAME"
         raise input_error("no row has a reading", table.topic.where, "numbers in the columns of the channels", remedy)
     clock = read_clock(table, values, filled, options)
     units = {name: column.unit for name, column in table.columns.items() if column.unit}
-    note = _understood(table, values)
+    note = _understood(table, recorded)
     others = {name: column for name, column in values.items() if name not in (TIME, DATE, CLOCK, COUNTER)}
     guesses = {"columns": table.evidence} if table.evidence else {}
     kept, beside = _beside(others, filled if clock is None else clock.keep, units)
-    left = (*table.left, *table.recording.notes(), *void, *beside)
+    left = (*table.left, *table.recording.notes(), *signed, *void, *beside)
     if clock is None:
         return RecordedRun(kept, units, (note, *left), guesses)
     return RecordedRun(
         {TIME: clock.time, **kept}, units, (note, *left, *clock.notes), guesses | _time_guess(clock), clock.unit
     )
+
+
+def _numbered(values: Columns) -> Columns:
+    """Return the columns with a number of samples that grows by one from row to row taken as a counter."""
+    number = values.get(SAMPLES, np.zeros(0))
+    step = np.diff(number[np.isfinite(number)])
+    if len(step) < _LEAST_COUNTED or np.mean(step == 1) < _COUNTED:
+        return values
+    return {COUNTER if name == SAMPLES else name: column for name, column in values.items()}
 
 
 def _time_guess(clock: Clock) -> dict[str, str]:

@@ -192,8 +192,21 @@ def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, where: str) -> tupl
     told = "the accelerometers do not tell" if accel else "there are no accelerometers and no turns to tell it by"
     raise input_error(
         f"the unit of the gyros is not known{turned}: {told}", where, ", ".join(GYRO_UNITS),
-        "state it, such as --gyro-unit deg/s",
+        "state it, such as --gyro-unit deg/s" + _other_rate(columns.get(TIME), per_radian),
     )  # fmt: skip
+
+
+def _other_rate(time: np.ndarray | None, per_radian: float) -> str:
+    """Return at which sampling rate the turns would be right in a usual unit; empty where at none."""
+    if time is None or not per_radian:
+        return ""
+    rate = 1 / float(np.median(np.diff(time)))
+    shares = {unit: per_radian / _PER_RADIAN[unit] for unit in ("deg/s", "rad/s")}
+    return "".join(
+        f"; the turns are right in {unit} at a sampling rate of {rate * share:.4g} Hz (--sample-rate-hz)"
+        for unit, share in shares.items()
+        if 1 / _FAR < share < _FAR
+    )
 
 
 def _per_radian(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:

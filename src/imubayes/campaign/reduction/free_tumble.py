@@ -48,6 +48,8 @@ from imubayes.foundations.errors import input_error
 _INCONSISTENT = np.deg2rad(20.0)
 # A reversed axis is named if reversing it reduces the angle to this fraction.
 _BETTER = 0.3
+# Of the rates: ranges of gyros differ by factors of 2, and findings of a wrong unit come before.
+_FACTORS = np.geomspace(0.25, 4.0, 15)
 
 
 def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[Channel], file: Path) -> list[Finding]:
@@ -75,8 +77,25 @@ def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[C
         what += f"; with {names} reversed it is {np.rad2deg(angles[best]):.2g} deg"
         remedy = f"check the sign of input_axis of {names}"
         return [Finding("sign_reversed", "warning", "", what, str(file), allowed, remedy)]
+    factor, rest = _common_factor(recording, poses)
+    if rest < _BETTER * angle:
+        what += f"; with the rates {factor:.3g} times as large it is {np.rad2deg(rest):.2g} deg"
+        allowed = "gyros that read the turns by their nominal scale, within some percent"
+        remedy = f"correct unit, range or scale of the gyros; or the times, which may be {factor:.3g} times as long"
+        return [Finding("scale_far_from_nominal", "warning", "", what, str(file), allowed, remedy)]
     remedy = "check input_axis of all channels: axes may be exchanged, or more than one reversed"
     return [Finding("axes_do_not_fit", "warning", "", what, str(file), allowed, remedy)]
+
+
+def _common_factor(recording: Recording, poses: Sequence[Pose]) -> tuple[float, float]:
+    """Return the factor to all rates with which they propagate gravity best, and the angle that is left, rad."""
+
+    def left(factor: float) -> float:
+        return propagation_error(replace(recording, rate=factor * recording.rate), poses)
+
+    best = min(_FACTORS, key=left)
+    found = scipy.optimize.minimize_scalar(left, bounds=(0.9 * best, 1.1 * best), method="bounded")
+    return float(found.x), float(found.fun)
 
 
 def propagation_error(recording: Recording, poses: Sequence[Pose]) -> float:
