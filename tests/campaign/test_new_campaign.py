@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from test_convert import write_log
 from tumble_files import tumble_log
+from tumble_recordings import random_attitudes
 
 import imubayes
 from imubayes.campaign.convert import convert
@@ -164,3 +165,34 @@ def test_a_warm_up_gets_the_terms_of_an_autopilot_s_temperature_calibration(tmp_
     assert run(["new", str(tmp_path / "unit"), str(tmp_path / "log.csv"), *stated]) == 0
     ends = ("", "_quadratic", "_cubic")
     assert {f"accel_bias_temperature{end}" for end in ends} < set(effects_of(tmp_path / "unit"))
+
+
+MEMS, TACTICAL = (0.02, 0.03), (0.0005, 0.003)  # scale factor errors, and biases in g
+
+
+def _six_faces(errors: tuple[float, float]) -> np.ndarray:
+    """Return means of six faces in g, without their scatter."""
+    scale, bias = errors
+    force = np.vstack([np.eye(3), -np.eye(3)]) * (1 + scale * np.array([1.0, -0.7, 0.4]))
+    return force + bias * np.array([0.8, -1.0, 0.3])
+
+
+@pytest.mark.parametrize(("errors", "grade"), [(MEMS, "consumer"), (TACTICAL, None)])
+def test_errors_of_a_unit_tell_its_grade_where_no_noise_does(tmp_path: Path, errors, grade):
+    file = tmp_path / "faces.csv"
+    np.savetxt(file, np.c_[_six_faces(errors), np.full(6, 500)], header="ax,ay,az,samples", delimiter=",", comments="")
+    made = imubayes.new(tmp_path / "faces", [file], accel_unit="g", gravity_m_s2=9.81)
+    assert imubayes.load_campaign(made.folder).grade == grade
+    assert any("grade = consumer" in note for note in made.notes) == (grade is not None)
+
+
+@pytest.mark.parametrize(("errors", "grade"), [(MEMS, "consumer"), (TACTICAL, None)])
+def test_errors_of_a_unit_tell_its_grade_where_a_filter_hides_its_noise(tmp_path: Path, errors, grade):
+    made = random_attitudes(11, 14)
+    columns, (scale, bias) = made.columns(noise=(1e-3, 1e-4), errors=False), errors
+    for name, part in zip(("ax", "ay", "az"), (1.0, -0.7, 0.4), strict=True):
+        columns[name] = (1 + scale * part) * columns[name] + 9.81 * bias * part
+    campaign = imubayes.new(
+        tmp_path / "log", [write_log(tmp_path / "unit.log", columns)], sample_rate_hz=100.0, gravity_m_s2=9.80875
+    )
+    assert imubayes.load_campaign(campaign.folder).grade == grade

@@ -1,9 +1,11 @@
 """A campaign and a model to begin with, from a recording or from nothing."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
+
+import tomlkit
 
 from imubayes.campaign import load_campaign
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
@@ -12,9 +14,11 @@ from imubayes.campaign.convert.options import read_options
 from imubayes.campaign.file_schemas import ChannelEntry
 from imubayes.display.model_writer import OPEN, commented_campaign, commented_model, start_proposal, template
 from imubayes.display.progress import progress_of
+from imubayes.foundations.campaign_data import Grade
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import new_folder, refuse_existing, refuse_occupied, write_text
 from imubayes.inference.proposed_effects import EffectProposal, propose_effects
+from imubayes.model.shown_grade import shown_grade
 from imubayes.procedures import PROCEDURES, procedure_named
 
 MODEL_FILE = "model.toml"
@@ -93,11 +97,28 @@ def new(
         refuse_existing(model)
         tell("reading the campaign")
         campaign = load_campaign(folder)
+        grade, said = shown_grade(campaign), ()
+        if grade is not None:
+            campaign, said = replace(campaign, grade=grade[0]), _graded(folder, *grade, written=bool(recordings))
         tell("what the runs determine")
         proposal = propose_effects(campaign)
         write_text(model, commented_model(campaign.name, proposal, len(campaign.runs)))
-    notes = (*campaign.notes, *(f"{run.name}: {note}" for run in campaign.runs for note in run.notes))
+    notes = (*campaign.notes, *said, *(f"{run.name}: {note}" for run in campaign.runs for note in run.notes))
     return NewCampaign(folder, model, proposal, notes)
+
+
+def _graded(folder: Path, grade: Grade, told: Grade, written: bool) -> tuple[str, ...]:
+    """State the grade in a campaign that was written, and return the note on it; of a campaign at hand, advice."""
+    why = f"|f| of the poses differs from g by more than the default priors of a {told} unit have room for"
+    if not written:
+        return (f'{why}: state grade = "{grade}" in [unit] of {CAMPAIGN_FILE}',)
+    file = folder / CAMPAIGN_FILE
+    document = tomlkit.parse(file.read_text(encoding="utf-8"))
+    unit: Any = document["unit"]
+    unit["grade"] = grade
+    unit["grade"].comment(f"of default priors; {why}")
+    write_text(file, tomlkit.dumps(document))
+    return (f"guessed, grade = {grade}: {why}",)
 
 
 def _from_nothing(folder: Path, options: Mapping[str, Any]) -> NewCampaign:
