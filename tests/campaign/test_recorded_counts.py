@@ -107,3 +107,38 @@ def test_rate_of_the_samples_that_turns_contradict(tmp_path: Path, factor: float
         read_recordings([file], sample_rate_hz=factor * HZ)
     near = refused.value.issues[0].remedy.partition("sampling rate of ")[2].split()[0]
     assert float(near) == pytest.approx(HZ, rel=0.02)
+    with pytest.raises(InputError, match="the gyros are in deg/s, and turns between poses integrate to") as stated:
+        read_recordings([file], sample_rate_hz=factor * HZ, gyro_unit="deg/s")
+    scale = float(stated.value.issues[0].remedy.partition("--gyro-scale ")[2].split()[0])
+    made = read_recordings(
+        [file], sample_rate_hz=factor * HZ, gyro_unit="count", gyro_scale=[scale] * 3, gyro_offset=[0.0] * 3
+    )
+    assert scales(made)[3:] == pytest.approx(np.degrees(1) / factor, rel=0.02)
+
+
+@pytest.mark.parametrize("hold", [2, 5])
+def test_samples_that_a_fast_logger_repeats_are_counted_once(tmp_path: Path, hold: int) -> None:
+    columns = random_attitudes(5, 14).columns()
+    rows = np.repeat(np.stack([columns[name] for name in NAMES], axis=1), hold, axis=0)
+    time = np.arange(len(rows)) / (hold * HZ)
+    held = read_recordings([table(tmp_path / "held.csv", np.c_[time, rows], ",".join(("time_s", *NAMES)))])
+    assert len(next(iter(held.campaign.tables.values()))["ax"]) == len(columns["ax"])
+    assert "the logger repeats each sample" in notes(held)
+    unnamed = read_recordings([table(tmp_path / "rate.csv", rows, ",".join(NAMES))], sample_rate_hz=hold * HZ)
+    recorded = next(iter(unnamed.campaign.tables.values()))
+    np.testing.assert_allclose(np.diff(recorded["time_s"]), 1 / HZ, rtol=1e-9)
+
+
+def test_a_quiet_unit_that_reads_the_same_again_keeps_its_samples(tmp_path: Path) -> None:
+    """Rounding to a step above the noise repeats most samples at rest, and none in motion."""
+    columns = random_attitudes(5, 14).columns(noise=(1e-3, 1e-4))
+    step = np.repeat([0.02, 0.002], 3)
+    rows = np.round(np.stack([columns[name] for name in NAMES], axis=1) / step) * step
+    time = np.arange(len(rows)) / HZ
+    file = table(tmp_path / "quiet.csv", np.c_[time, rows], ",".join(("time_s", *NAMES)))
+    made = read_recordings([file])
+    assert np.mean((np.diff(rows, axis=0) == 0).all(axis=1)) > 0.4
+    assert len(next(iter(made.campaign.tables.values()))["ax"]) == len(rows)
+    still = np.c_[time[:1000], rows[:1000]]
+    at_rest = read_recordings([table(tmp_path / "still.csv", still, ",".join(("time_s", *NAMES)))], gyro_unit="rad/s")
+    assert len(next(iter(at_rest.campaign.tables.values()))["ax"]) == 1000

@@ -130,7 +130,7 @@ def test_a_wrong_range_of_the_gyros_is_told_from_exchanged_axes(factor: float) -
     columns, _ = tumble_log()
     scaled = columns | {name: factor * columns[name] for name in NAMES[3:]}
     [finding] = reduce_tumble(scaled, channels(), GRAVITY, None, Path("log.csv")).findings
-    assert finding.name == "scale_far_from_nominal"
+    assert (finding.name, finding.severity) == ("scale_far_from_nominal", "error")
     told = finding.what.partition("with the rates ")[2].split()[0]
     assert float(told) == pytest.approx(1 / factor, rel=0.02)
 

@@ -5,8 +5,8 @@ arrived, not that of its samples.  What can be mended without doubt is mended an
 that are repeated or out of order, packets.  Gaps and jitter are said, with the option that takes samples as even.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -29,6 +29,9 @@ _JITTER = 0.1  # of the sampling interval
 _PACKED = 0.3  # of the mean step, below which a step is within a packet
 _WITHIN = 2e-3  # s, of steps within a packet; longer ones are a sampling interval, between pauses of the record
 _DAY = 86400.0
+_LEAST_HELD = 1.5  # rows a sample, from which it is repeated
+_SEVERAL_STEPS, _LEAST_CHANGES = 4.0, 20  # of a converter, and changes so large
+_PROBED = 300_000  # rows
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class Clock:
 def read_clock(
     table: ChosenTable, values: Mapping[str, np.ndarray], filled: np.ndarray, options: ConvertOptions
 ) -> Clock | None:
-    """Return the clock of a table; None where it has none.
+    """Return the clock of a table without the rows in which a logger repeats a sample; None where it has none.
 
     Parameters
     ----------
@@ -65,6 +68,43 @@ def read_clock(
     InputError
         where the unit of the time is not known, or the time goes back.
     """
+    clock = _clock(table, values, filled, options)
+    if clock is None:
+        return None
+    again, times = _held([values[name][clock.keep] for name in SIX if name in values])
+    if times < _LEAST_HELD:
+        return clock
+    keep = clock.keep.copy()
+    keep[np.flatnonzero(keep)[again]] = False
+    time = clock.time[~again]
+    note = (
+        f"the logger repeats each sample {times:.3g} times on average: {int(again.sum())} repeated rows are left out, "
+        f"{len(time)} samples at {(len(time) - 1) / float(np.ptp(time)):.4g} Hz remain"
+    )
+    return replace(clock, time=time, keep=keep, notes=(*clock.notes, note))
+
+
+def _held(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
+    """Return which rows repeat the one before, (N,), and how many rows a sample has; 1 where each row is a sample.
+
+    A quiet sensor of coarse steps reads the same again at rest, and not in motion or noise: what counts is how long the
+    rows before the largest changes were the same, where these changes are of several steps.
+    """
+    again = _repeated(np.zeros(len(columns[0])), columns)
+    if np.mean(again) < 1 - 1 / _LEAST_HELD:
+        return again, 1.0
+    change = np.stack([np.abs(np.diff(column[:_PROBED])) for column in columns], axis=1)
+    steps = np.array([np.min(column[column > 0], initial=np.inf) for column in change.T])
+    places = np.flatnonzero(~again[:_PROBED])
+    size = (change[places[1:] - 1] / steps).max(axis=1)
+    large = size >= max(_SEVERAL_STEPS, float(np.quantile(size, 0.75, method="lower")) if len(size) else np.inf)
+    lasted = np.diff(places)[large]
+    return again, float(np.mean(lasted)) if len(lasted) >= _LEAST_CHANGES else 1.0
+
+
+def _clock(
+    table: ChosenTable, values: Mapping[str, np.ndarray], filled: np.ndarray, options: ConvertOptions
+) -> Clock | None:
     rows = len(next(iter(values.values())))
     rate = options.sample_rate_hz or (table.topic.rate_hz if TIME not in values else None)
     channels = [values[name] for name in SIX if name in values]
@@ -156,7 +196,7 @@ def _unwrapped(time: np.ndarray, factor: float) -> tuple[np.ndarray, tuple[str, 
     return time * factor, ()
 
 
-def _repeated(time: np.ndarray, channels: list[np.ndarray]) -> np.ndarray:
+def _repeated(time: np.ndarray, channels: Sequence[np.ndarray]) -> np.ndarray:
     """Return which rows repeat the one before, time and values."""
     same = np.diff(time, prepend=np.nan) == 0
     for column in channels:

@@ -22,7 +22,8 @@ _MOST_SAMPLES = 300_000
 _FEW_COUNTS = 20
 # The largest zero-rate output of MEMS gyros: 20 deg/s, MPU-6050 product specification.
 _LARGEST_BIAS = {"rad/s": 0.35, "deg/s": 20.0}
-_FAR = 3.0  # times the unit that is stated; others are a factor of 17 and more away
+_FAR = 1.5  # times the unit that is stated: ranges of a gyro differ by factors of 2, scale factors by some percent
+_OTHER_RATE = 4.0  # times the sampling rate, within which another is offered
 
 
 @dataclass(frozen=True)
@@ -107,13 +108,14 @@ def _of_stated_gyros(
     if wanted in _PER_RADIAN and all(name in columns for name in (*SIX, TIME)):
         size, _ = _per_radian({name: columns[name] for name in (*SIX, TIME)}, where)
         if size and not 1 / _FAR < size / _PER_RADIAN[wanted] < _FAR:
-            raise _other_turns(wanted, size, where)
+            raise _other_turns(wanted, size, columns[TIME], where)
     return given if given and size else _stated("gyro_unit", given, GYROS, columns, stated, where)
 
 
-def _other_turns(unit: str, size: float, where: str) -> InputError:
+def _other_turns(unit: str, size: float, time: np.ndarray, where: str) -> InputError:
     near = [other for other, per in _PER_RADIAN.items() if abs(size / per - 1) < _NEAR]
-    remedy = f"state the unit: --gyro-unit {near[0]}" if near else "correct --gyro-unit, or --time-unit"
+    scale = f"state the scale: --gyro-unit count --gyro-scale {size:.4g} --gyro-offset 0"
+    remedy = f"state the unit: --gyro-unit {near[0]}" if near else scale + _other_rate(time, size)
     what = f"the gyros are in {unit}, and turns between poses integrate to {size:.4g} {unit}·s per radian"
     return input_error(what, where, f"about {_PER_RADIAN[unit]:.4g}", remedy)
 
@@ -205,7 +207,7 @@ def _other_rate(time: np.ndarray | None, per_radian: float) -> str:
     return "".join(
         f"; the turns are right in {unit} at a sampling rate of {rate * share:.4g} Hz (--sample-rate-hz)"
         for unit, share in shares.items()
-        if 1 / _FAR < share < _FAR
+        if 1 / _OTHER_RATE < share < _OTHER_RATE
     )
 
 

@@ -82,7 +82,7 @@ def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[C
         what += f"; with the rates {factor:.3g} times as large it is {np.rad2deg(rest):.2g} deg"
         allowed = "gyros that read the turns by their nominal scale, within some percent"
         remedy = f"correct unit, range or scale of the gyros; or the times, which may be {factor:.3g} times as long"
-        return [Finding("scale_far_from_nominal", "warning", "", what, str(file), allowed, remedy)]
+        return [Finding("scale_far_from_nominal", "error", "", what, str(file), allowed, remedy)]
     remedy = "check input_axis of all channels: axes may be exchanged, or more than one reversed"
     return [Finding("axes_do_not_fit", "warning", "", what, str(file), allowed, remedy)]
 

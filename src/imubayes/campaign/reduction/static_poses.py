@@ -144,15 +144,22 @@ def variance_ratio(force: np.ndarray, interval: float, initial: Rest | None) -> 
     initial : an interval known to be at rest; None to take the quietest windows of the recording.
     """
     half = window_half(interval)
-    variance = windowed_variance(force, half)
+    variance, rounding = windowed_variance(force, half), _rounding_variance(force)
     if initial is not None:
         inner = variance[initial.start + half : initial.stop - half]
         floor = (inner if len(inner) else variance[initial.start : initial.stop]).mean(0)
     else:
-        order = np.argsort(np.max(variance / np.median(variance, axis=0), axis=1))
+        usual = np.maximum(np.median(variance, axis=0), rounding)
+        order = np.argsort(np.max(variance / usual, axis=1))
         floor = np.median(variance[order[: max(1, int(QUIET_SHARE * len(order)))]], axis=0)
-    floor = np.maximum(floor, 1e-12 * np.var(force, axis=0) + 1e-300)
-    return np.max(variance / floor, axis=1)
+    return np.max(variance / np.maximum(floor, rounding), axis=1)
+
+
+def _rounding_variance(readings: np.ndarray) -> np.ndarray:
+    """Return the variance of rounding to the step of each channel, (C,): at rest a coarse unit reads one value."""
+    steps = [np.min(np.diff(np.unique(column)), initial=np.inf) for column in readings.T]
+    rounding = np.array([step**2 / 12 if np.isfinite(step) else 0.0 for step in steps])
+    return np.maximum(rounding, 1e-12 * np.var(readings, axis=0) + 1e-300)
 
 
 def windowed_variance(readings: np.ndarray, half: int) -> np.ndarray:
