@@ -142,3 +142,17 @@ def test_a_quiet_unit_that_reads_the_same_again_keeps_its_samples(tmp_path: Path
     still = np.c_[time[:1000], rows[:1000]]
     at_rest = read_recordings([table(tmp_path / "still.csv", still, ",".join(("time_s", *NAMES)))], gyro_unit="rad/s")
     assert len(next(iter(at_rest.campaign.tables.values()))["ax"]) == 1000
+
+
+@pytest.mark.parametrize("value", [0.0, None])
+def test_rows_of_a_logger_that_lost_its_sensor_are_left_out(tmp_path: Path, value: float | None) -> None:
+    """Noughts, or the last reading, in all channels of a log of gyros alone."""
+    rng = np.random.default_rng(8)
+    rates = rng.normal([0.02, -0.01, 0.03], 2e-3, (4000, 3))
+    rates[1000:1240] = rates[999] if value is None else value
+    made = read_recordings([table(tmp_path / "gyro.csv", rates, "gx,gy,gz")], sample_rate_hz=HZ, gyro_unit="rad/s")
+    recorded = next(iter(made.campaign.tables.values()))
+    assert 3759 <= len(recorded["gx"]) <= 3760
+    assert recorded["time_s"][-1] == pytest.approx(39.99)
+    assert abs(np.mean(recorded["gx"]) - 0.02) < 2e-4
+    assert "lost its sensor" in notes(made)

@@ -139,3 +139,25 @@ def test_rows_without_time_and_reading_are_refused(tmp_path: Path, empty: str) -
     log.write_text("\n".join(rows) + "\n")
     with pytest.raises(InputError, match="no row has"):
         read_recordings([log], accel_unit="m/s^2", time_unit="s", rows="samples")
+
+
+@pytest.mark.parametrize("lost", [0, 300])
+def test_packets_that_come_late_are_no_gaps(tmp_path: Path, lost: int) -> None:
+    """A busy logger reads a buffer now and then: the rate is that of the sensor, and only lost samples are a gap."""
+    rng, count, rate = np.random.default_rng(4), 20_000, 100.0
+    taken = np.arange(count + lost) / rate
+    taken = np.delete(taken, np.arange(9000, 9000 + lost))
+    reads = np.cumsum(rng.choice([0.03, 0.04, 0.07, 0.1], size=8000, p=[0.5, 0.2, 0.2, 0.1]))
+    place = np.searchsorted(reads, taken)
+    within = np.arange(count) - np.searchsorted(place, place)
+    rows = np.c_[
+        reads[place] + 0.001 * within, rng.normal([0, 0, 9.81], 0.02, (count, 3)), rng.normal(0, 1e-3, (count, 3))
+    ]
+    file = tmp_path / "packets.csv"
+    np.savetxt(file, rows, header="time_s,ax,ay,az,gx,gy,gz", delimiter=",", comments="")
+    made = read_recordings([file]).campaign
+    time = next(iter(made.tables.values()))["time_s"]
+    steps = np.diff(time)
+    assert np.median(steps) == pytest.approx(1 / rate, rel=2e-3)
+    assert np.count_nonzero(steps > 0.5) == (1 if lost else 0)
+    assert np.mean(steps) == pytest.approx((count - 1 + lost) / (count - 1) / rate, rel=2e-3)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.convert.column_choice import ChosenTable
 from imubayes.campaign.convert.column_names import CLOCK, COUNTER, DATE, SIX, TIME, TIME_UNITS
@@ -28,10 +29,13 @@ _GAP = 1.6  # sampling intervals
 _JITTER = 0.1  # of the sampling interval
 _PACKED = 0.3  # of the mean step, below which a step is within a packet
 _WITHIN = 2e-3  # s, of steps within a packet; longer ones are a sampling interval, between pauses of the record
+_PACKETS, _REFINEMENTS = 50, 3  # packets of a window, and rounds
+_OWN = 0.7  # of the jump of the delay, that is the length of its pause
 _DAY = 86400.0
 _LEAST_HELD = 1.5  # rows a sample, from which it is repeated
 _SEVERAL_STEPS, _LEAST_CHANGES = 4.0, 20  # of a converter, and changes so large
 _PROBED = 300_000  # rows
+_FROZEN, _SELDOM = 10, 1e-3  # repeated rows of a stretch that is no chance, and the share of others that may repeat
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ class Clock:
 def read_clock(
     table: ChosenTable, values: Mapping[str, np.ndarray], filled: np.ndarray, options: ConvertOptions
 ) -> Clock | None:
-    """Return the clock of a table without the rows in which a logger repeats a sample; None where it has none.
+    """Return the clock of a table without the rows that repeat a sample; None where it has none.
 
     Parameters
     ----------
@@ -72,16 +76,34 @@ def read_clock(
     if clock is None:
         return None
     again, times = _held([values[name][clock.keep] for name in SIX if name in values])
-    if times < _LEAST_HELD:
-        return clock
+    if times >= _LEAST_HELD:
+        remain = len(clock.time) - int(again.sum())
+        rate = (remain - 1) / float(np.ptp(clock.time[~again]))
+        note = f"the logger repeats each sample {times:.3g} times on average: {int(again.sum())} rows are left out"
+        return _without(clock, again, f"{note}, {remain} samples at {rate:.4g} Hz remain")
+    if (frozen := _frozen(again)).any():
+        note = (
+            f"{int(frozen.sum())} rows in stretches of the same readings are left out: the logger had lost its sensor"
+        )
+        return _without(clock, frozen, note)
+    return clock
+
+
+def _without(clock: Clock, rows: np.ndarray, note: str) -> Clock:
+    """Return a clock without some of its rows, (rows kept,)."""
     keep = clock.keep.copy()
-    keep[np.flatnonzero(keep)[again]] = False
-    time = clock.time[~again]
-    note = (
-        f"the logger repeats each sample {times:.3g} times on average: {int(again.sum())} repeated rows are left out, "
-        f"{len(time)} samples at {(len(time) - 1) / float(np.ptp(time)):.4g} Hz remain"
-    )
-    return replace(clock, time=time, keep=keep, notes=(*clock.notes, note))
+    keep[np.flatnonzero(keep)[rows]] = False
+    return replace(clock, time=clock.time[~rows], keep=keep, notes=(*clock.notes, note))
+
+
+def _frozen(again: np.ndarray) -> np.ndarray:
+    """Return the rows, (N,), of long stretches that read the same, where others hardly ever read the same again."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
+    frozen = np.zeros(len(again), dtype=bool)
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if stop - start >= _FROZEN:
+            frozen[start - 1 : stop] = True  # with the first of them
+    return frozen if np.sum(again & ~frozen) < _SELDOM * len(again) and not frozen.all() else np.zeros_like(frozen)
 
 
 def _held(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
@@ -227,7 +249,7 @@ def _mended(time: np.ndarray, options: ConvertOptions) -> tuple[np.ndarray, list
     if packed.mean() > 0.4 and (~packed).any() and np.median(step[packed]) < _WITHIN:
         between = float(np.median(step[~packed]))
         size = round(1 + packed.sum() / max(1, (~packed).sum()))
-        even = _even(time, step > _GAP * between)
+        even = _even(time, _lost_packets(time, step > _GAP * between, between, _PACKETS * size))
         rate = 1 / float(np.median(np.diff(even)))
         note = (
             f"samples arrive in packets of {size} (steps of {1e3 * float(np.median(step[packed])):.3g} ms within and "
@@ -261,19 +283,42 @@ def _even(time: np.ndarray, gaps: np.ndarray) -> np.ndarray:
     time : shape (n,), s.
     gaps : which steps are gaps, shape (n − 1,).
     """
-    bounds = [0, *(np.flatnonzero(gaps) + 1), len(time)]
-    stretches = list(pairwise(bounds))
-    # A line through each stretch, of one slope: what arrives late or early averages out.
+    interval, even = _slope(time, gaps), np.empty(len(time))
+    index = np.arange(len(time), dtype=float)
+    for start, stop in _stretches(gaps):
+        even[start:stop] = time[start:stop].mean() + interval * (index[start:stop] - index[start:stop].mean())
+    return _increasing(even)
+
+
+def _stretches(gaps: np.ndarray) -> list[tuple[int, int]]:
+    return list(pairwise([0, *(np.flatnonzero(gaps) + 1).tolist(), len(gaps) + 1]))
+
+
+def _slope(time: np.ndarray, gaps: np.ndarray) -> float:
+    """Return the slope of lines of one slope through the stretches between gaps: what comes late averages out."""
     index = np.arange(len(time), dtype=float)
     covariance = variance = 0.0
-    for start, stop in stretches:
+    for start, stop in _stretches(gaps):
         own = index[start:stop] - index[start:stop].mean()
         covariance += float(own @ (time[start:stop] - time[start:stop].mean()))
         variance += float(own @ own)
-    interval, even = covariance / variance, np.empty(len(time))
-    for start, stop in stretches:
-        even[start:stop] = time[start:stop].mean() + interval * (index[start:stop] - index[start:stop].mean())
-    return _increasing(even)
+    return covariance / variance
+
+
+def _lost_packets(time: np.ndarray, paused: np.ndarray, between: float, window: int) -> np.ndarray:
+    """Return the pauses in which samples were lost, (n − 1,).
+
+    Samples that only come late, in a larger packet, leave the least delay of a window after the pause as before it.
+    """
+    step, gaps = np.diff(time), np.zeros(len(paused), dtype=bool)
+    for _ in range(_REFINEMENTS):
+        delay = time - _slope(time, gaps) * np.arange(len(time))
+        least = scipy.ndimage.minimum_filter1d(delay, window, mode="nearest")  # of the window about each sample
+        places = np.arange(len(step))
+        before, after = (least[np.clip(places + side, 0, len(step))] for side in (-(window // 2), 1 + window // 2))
+        jump = after - before
+        gaps = paused & (jump > (_GAP - 1) * between) & (step > _OWN * jump)
+    return gaps
 
 
 def _increasing(time: np.ndarray) -> np.ndarray:
