@@ -156,3 +156,21 @@ def test_rows_of_a_logger_that_lost_its_sensor_are_left_out(tmp_path: Path, valu
     assert recorded["time_s"][-1] == pytest.approx(39.99)
     assert abs(np.mean(recorded["gx"]) - 0.02) < 2e-4
     assert "lost its sensor" in notes(made)
+
+
+@pytest.mark.parametrize(("label", "numbers"), [("imu", True), ("device", False)])
+def test_rows_of_two_units_in_one_file_are_refused(tmp_path: Path, label: str, numbers: bool) -> None:
+    rng = np.random.default_rng(6)
+    levels = np.array([[0.1, 0.2, 9.7, 0.01, 0.0, 0.02], [-0.3, 0.6, 9.9, -0.02, 0.03, -0.01]])
+    place = np.arange(4000) % 2
+    rows = levels[place] + rng.normal(0, np.repeat([0.02, 1e-3], 3), (4000, 6))
+    words = [str(unit) if numbers else f"/{'ab'[unit]}/raw" for unit in place]
+    lines = [f"{0.005 * k},{words[k]}," + ",".join(f"{value:.5f}" for value in row) for k, row in enumerate(rows)]
+    file = tmp_path / "two.csv"
+    file.write_text("\n".join([f"time_s,{label},{','.join(NAMES)}", *lines]) + "\n")
+    with pytest.raises(InputError, match="the rows of several units stand in one file") as refused:
+        read_recordings([file], gyro_unit="rad/s")
+    assert f"column 2 {label}" in refused.value.issues[0].remedy
+    one = tmp_path / "one.csv"
+    one.write_text("\n".join([f"time_s,{label},{','.join(NAMES)}", *lines[::2]]) + "\n")
+    assert "several units" not in notes(read_recordings([one], gyro_unit="rad/s"))

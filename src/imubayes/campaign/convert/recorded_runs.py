@@ -21,7 +21,7 @@ from imubayes.campaign.convert.column_names import (
 )
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.convert.raw_counts import signed_counts
-from imubayes.campaign.convert.recording import described
+from imubayes.campaign.convert.recording import described, read_columns
 from imubayes.foundations.errors import input_error
 
 Columns = dict[str, np.ndarray]
@@ -35,6 +35,9 @@ _ALTERNATE = 0.1  # share of rows with forces and rates, below which they stand 
 _WARM = (-100.0, 200.0)  # degC of an inertial unit; kelvins and counts are beyond
 _MOST_VOID = 0.1  # share of rows in which all six channels read the same
 _LEAST_COUNTED, _COUNTED = 5, 0.9  # steps of a running number, and the share of them that are one
+_PROBED, _LEAST_PROBED = 20_000, 100  # rows
+_MOST_UNITS, _IDENTITIES = 6, range(2, 7)  # in one file
+_ALTERNATING = 0.4  # of the change from one row to the next, over several
 _MEAN_AND_SCATTER = (np.nanmean, np.nanstd)
 
 
@@ -124,6 +127,7 @@ def _beside(others: Columns, keep: np.ndarray, units: dict[str, str]) -> tuple[C
 def _part(table: ChosenTable, options: ConvertOptions, values: Columns) -> RecordedRun:
     recorded = {name: values[name] for name in table.columns}
     values, signed = signed_counts(_numbered(recorded))
+    mixed = _mixed_units(table, values)
     filled, void = _filled(values)
     if not filled.any():
         remedy = "state the column of each channel, such as --column ax=NAME"
@@ -134,12 +138,47 @@ def _part(table: ChosenTable, options: ConvertOptions, values: Columns) -> Recor
     others = {name: column for name, column in values.items() if name not in (TIME, DATE, CLOCK, COUNTER)}
     guesses = {"columns": table.evidence} if table.evidence else {}
     kept, beside = _beside(others, filled if clock is None else clock.keep, units)
-    left = (*table.left, *table.recording.notes(), *signed, *void, *beside)
+    left = (*table.left, *table.recording.notes(), *signed, *mixed, *void, *beside)
     if clock is None:
         return RecordedRun(kept, units, (note, *left), guesses)
     return RecordedRun(
         {TIME: clock.time, **kept}, units, (note, *left, *clock.notes), guesses | _time_guess(clock), clock.unit
     )
+
+
+def _mixed_units(table: ChosenTable, values: Columns) -> tuple[str, ...]:
+    """Return a note where the rows of several units seem to alternate.
+
+    Raises
+    ------
+    InputError
+        where, besides, a column that is not read may say which unit a row is of.
+    """
+    channels = np.stack([values[name][:_PROBED] for name in SIX if name in values], axis=1)
+    channels = channels[np.isfinite(channels).all(axis=1)]
+    if len(channels) < _LEAST_PROBED:
+        return ()
+    # Noise and motion change no less over two rows or more than over one.
+    size = np.array([np.median(np.abs(channels[lag:] - channels[:-lag]), axis=0) for lag in range(1, _MOST_UNITS + 1)])
+    if np.mean(size[1:].min(axis=0) < _ALTERNATING * size[0]) < 0.5:
+        return ()
+    what = "the readings alternate from row to row, as where the rows of several units stand in one file"
+    if not (saying := _identities(table)):
+        return (what,)
+    named = " or ".join(f"{place + 1} {table.topic.columns[place].name}".strip() for place in saying)
+    remedy = f"keep the rows of one unit, in a file of their own; column {named} may say which"
+    raise input_error(what, table.topic.where, "rows of one unit", remedy)
+
+
+def _identities(table: ChosenTable) -> list[int]:
+    """Return the columns besides channels and times that hold text, or few numbers: each row may say its unit so."""
+    columns = table.topic.columns
+    used = {column.position for name, column in table.columns.items() if name not in (COUNTER, SAMPLES)}
+    texts = [place for place, column in enumerate(columns) if column.unit == "text"]
+    unread = [place for place in range(len(columns)) if place not in {*used, *texts}]
+    others = read_columns(table.recording, table.topic, unread)[:_PROBED].T if unread else ()
+    few = [place for place, other in zip(unread, others, strict=True) if len(np.unique(other)) in _IDENTITIES]
+    return sorted({*few, *texts} - used)
 
 
 def _numbered(values: Columns) -> Columns:
