@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_files import GRAVITY
 from tumble_files import NAMES, channels, tumble_log
+from tumble_recordings import Recording
 
 from imubayes.campaign import check_campaign, load_campaign
 from imubayes.campaign.reduction.free_tumble import reduce_tumble
@@ -125,14 +126,25 @@ def test_wrong_units_are_named() -> None:
     assert names == ["rate_unit"]
 
 
-@pytest.mark.parametrize("factor", [0.5, 0.7, 2.0])
-def test_a_wrong_range_of_the_gyros_is_told_from_exchanged_axes(factor: float) -> None:
+@pytest.mark.parametrize(("factor", "severity"), [(0.5, "error"), (0.7, "warning"), (2.0, "error")])
+def test_a_wrong_range_of_the_gyros_is_told_from_exchanged_axes(factor: float, severity: str) -> None:
     columns, _ = tumble_log()
     scaled = columns | {name: factor * columns[name] for name in NAMES[3:]}
     [finding] = reduce_tumble(scaled, channels(), GRAVITY, None, Path("log.csv")).findings
-    assert (finding.name, finding.severity) == ("scale_far_from_nominal", "error")
+    assert (finding.name, finding.severity) == ("scale_far_from_nominal", severity)
     told = finding.what.partition("with the rates ")[2].split()[0]
     assert float(told) == pytest.approx(1 / factor, rel=0.02)
+
+
+def test_a_scale_factor_that_full_turns_add_up_is_no_finding() -> None:
+    made = Recording(4)
+    for number in range(10):
+        made.turn(6 * np.pi * np.eye(3)[number % 3], 12.0)
+        made.to(Rotation.random(rng=made.rng))
+        made.rest()
+    columns = made.columns(errors=False)
+    scaled = columns | {name: 1.06 * columns[name] for name in NAMES[3:]}
+    assert reduce_tumble(scaled, channels(), GRAVITY, None, Path("log.csv")).findings == ()
 
 
 @pytest.fixture(scope="module")

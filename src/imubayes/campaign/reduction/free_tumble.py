@@ -48,8 +48,10 @@ from imubayes.foundations.errors import input_error
 _INCONSISTENT = np.deg2rad(20.0)
 # A reversed axis is named if reversing it reduces the angle to this fraction.
 _BETTER = 0.3
-# Of the rates: ranges of gyros differ by factors of 2, and findings of a wrong unit come before.
-_FACTORS = np.geomspace(0.25, 4.0, 15)
+# Of the rates, as close as several full turns need; findings of a wrong unit come before.
+_FACTORS = np.geomspace(0.25, 4.0, 61)
+# What a gyro has of scale factor error, which full turns add up, and beyond what it is another range.
+_USUAL, _OTHER_RANGE = 1.1, 1.5
 
 
 def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[Channel], file: Path) -> list[Finding]:
@@ -82,7 +84,10 @@ def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[C
         what += f"; with the rates {factor:.3g} times as large it is {np.rad2deg(rest):.2g} deg"
         allowed = "gyros that read the turns by their nominal scale, within some percent"
         remedy = f"correct unit, range or scale of the gyros; or the times, which may be {factor:.3g} times as long"
-        return [Finding("scale_far_from_nominal", "error", "", what, str(file), allowed, remedy)]
+        far = max(factor, 1 / factor)
+        severity = "error" if far > _OTHER_RANGE else "warning"
+        named = Finding("scale_far_from_nominal", severity, "", what, str(file), allowed, remedy)
+        return [named] if far > _USUAL else []
     remedy = "check input_axis of all channels: axes may be exchanged, or more than one reversed"
     return [Finding("axes_do_not_fit", "warning", "", what, str(file), allowed, remedy)]
 
@@ -94,7 +99,7 @@ def _common_factor(recording: Recording, poses: Sequence[Pose]) -> tuple[float, 
         return propagation_error(replace(recording, rate=factor * recording.rate), poses)
 
     best = min(_FACTORS, key=left)
-    found = scipy.optimize.minimize_scalar(left, bounds=(0.9 * best, 1.1 * best), method="bounded")
+    found = scipy.optimize.minimize_scalar(left, bounds=(0.95 * best, 1.05 * best), method="bounded")
     return float(found.x), float(found.fun)
 
 
