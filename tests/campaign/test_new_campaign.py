@@ -67,10 +67,10 @@ def test_what_the_runs_do_not_determine_is_a_comment(tmp_path, capsys):
     assert run(["new", str(tmp_path / "still")]) == 0
     said = capsys.readouterr().out
     effects = effects_of(tmp_path / "still")
-    # At rest in one attitude: a bias, and nothing that a bias could not be.
-    assert {"gyro_bias", "accel_bias", "mounting_error", "white_noise"} <= set(effects)
-    assert not {"gyro_scale_factor", "gyro_g_sensitivity", "accel_quadratic"} & set(effects)
-    assert "gyro_scale_factor" in said
+    # At rest in one attitude: a bias, and a scale factor that is not determined, but on which the bias depends.
+    assert {"gyro_bias", "accel_bias", "accel_scale_factor", "mounting_error", "white_noise"} <= set(effects)
+    assert not {"gyro_misalignment", "gyro_g_sensitivity", "accel_quadratic"} & set(effects)
+    assert "gyro_misalignment" in said
     assert run(["new", str(tmp_path / "still")]) == 2  # there is a model already
 
 

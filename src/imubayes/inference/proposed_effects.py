@@ -3,7 +3,8 @@
 The model is linear about nominal equipment and sensors, with the noise that the campaign states: the share of the
 information on a coefficient that would come from the data follows from the rows alone, not from their readings.  What
 equipment and station are uncertain of is always part of the model.  Bias, scale factor and misalignment are, where
-these runs tell anything of them: to leave one out that they tell little of would make the others look too well known.
+these runs tell anything of them, or the others depend on them: to leave out a scale factor that one attitude does not
+tell would make the bias look too well known.
 Further effects are where the runs determine every coefficient, beside all others, and tell it from bias, scale factor
 and misalignment: of six faces K0 and K2 have hardly more than a sum.
 """
@@ -33,8 +34,9 @@ FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lev
 NOISE = ("white_noise", "encoder_noise", "run_scatter")
 # Of bias, scale factor and misalignment, and of further effects: the least share of the information from the data.
 _TOLD, _DETERMINED = 0.1, 0.5
-# Factor by which a further effect may widen the standard deviation of a bias, scale factor or misalignment.
-_WIDENED = 5.0
+# Factor by which a further effect may widen the standard deviation of a bias, scale factor or misalignment, and one of
+# these another while it counts as one on which nothing depends.
+_WIDENED, _INDEPENDENT = 5.0, 1.1
 _HELD, _HELD_RAD = "normal(0, 0.001 arcsec)", 1e-8
 
 
@@ -157,7 +159,11 @@ def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple
         told = 1 - variance / widths[inside] ** 2
         now = _shares(told, owner[inside], ~held[inside])
         shares |= now
-        below = _below(now, FURTHER, 0, _DETERMINED) or _below(now, SENSORS, 1, _TOLD)
+        below = _below(now, FURTHER, 0, _DETERMINED) or {
+            name: share
+            for name, share in _below(now, SENSORS, 1, _TOLD).items()
+            if _widening(precision, owner, inside, variance, name) < _INDEPENDENT
+        }
         if below:
             kept.remove(min(below, key=below.__getitem__))
             continue
@@ -168,15 +174,16 @@ def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple
 
 
 def _widening(precision: np.ndarray, owner: np.ndarray, inside: np.ndarray, variance: np.ndarray, effect: str) -> float:
-    """Return the largest factor by which an effect widens the standard deviation of a parameter of `SENSORS`.
+    """Return the largest factor by which an effect widens the standard deviation of a parameter of others of `SENSORS`.
 
     Parameters
     ----------
     inside, variance : places of all parameters of the model, and their variances beside one another.
     """
-    others = inside[owner[inside] != effect]
-    without = np.diag(inverse_of_precision(precision[np.ix_(others, others)]))
-    ratio = variance[np.isin(owner[inside], SENSORS)] / without[np.isin(owner[others], SENSORS)]
+    other = owner[inside] != effect
+    left = inside[other]
+    without = np.diag(inverse_of_precision(precision[np.ix_(left, left)]))
+    ratio = (variance[other] / without)[np.isin(owner[left], SENSORS)]
     return float(np.sqrt(np.max(ratio, initial=1.0)))
 
 
