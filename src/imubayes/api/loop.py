@@ -25,15 +25,8 @@ from imubayes.model.bind import bind
 from imubayes.model.effect_registry import names_in
 from imubayes.model.model_file import ModelSpec, read_model
 from imubayes.qualification.report_budgets import keep_budgets
-from imubayes.results.change_records import (
-    ModelChange,
-    added_variable,
-    change_of,
-    log_odds_of_removal,
-    next_node,
-    read_diagnosis,
-    write_diagnosis,
-)
+from imubayes.results import change_records as changes
+from imubayes.results.change_records import ModelChange
 from imubayes.results.folder_files import CHECKPOINT
 from imubayes.results.folder_state import claimed_new
 from imubayes.results.history_tree import campaign_of, next_selection, read_tree
@@ -75,7 +68,7 @@ def diagnose(
         found = judge(read.fit, str(read.folder or "RESULT"), effect, tell)
     if read.folder is not None and not effect:
         with kept_if_possible(read.folder):
-            write_diagnosis(read.folder, found, read.identity)
+            changes.write_diagnosis(read.folder, found, read.identity)
     return found
 
 
@@ -170,7 +163,7 @@ def add(
     """
     before = opened(result)
     if diagnosis is None and before.folder is not None:
-        diagnosis = read_diagnosis(before.folder)
+        diagnosis = changes.read_diagnosis(before.folder)
     files = tuple(word for word in effects if word.endswith(".py"))
     _refuse_two_files_of_a_name((*before.fit.model.spec.files, *files))
     named, channels = _named(_words(effects), channels, diagnosis)
@@ -220,8 +213,8 @@ def remove(
     if not words:
         raise input_error("no effect is named", "remove", "effects of the model", "name one")
     stay = [each.name for each in before.fit.model.spec.effects if each.name not in words]
-    log_odds = log_odds_of_removal(parent, words, stay) if parent is not None else None
-    diagnosis = read_diagnosis(parent) if parent is not None else None
+    log_odds = changes.log_odds_of_removal(parent, words, stay) if parent is not None else None
+    diagnosis = changes.read_diagnosis(parent) if parent is not None else None
 
     def refit(tell: Callable[[str], None]) -> Refit:
         return refit_without(before.fit, words, tell)
@@ -269,7 +262,7 @@ def refit(
     spec = model if isinstance(model, ModelSpec) else read_model(model)
     whole = campaign_of(before.folder) if old.campaign.set_aside and before.folder is not None else old.campaign
     edited = bind(spec, whole if whole is not None else old.campaign)
-    diagnosis = read_diagnosis(before.folder) if before.folder is not None else None
+    diagnosis = changes.read_diagnosis(before.folder) if before.folder is not None else None
 
     def make(tell: Callable[[str], None]) -> Refit:
         return refit_edited(before.fit, edited, tell)
@@ -302,14 +295,14 @@ def _changed(
         if sampling is not None and not refit.objection:
             refit = _sampled(refit, folder, sampling, tell)
         tell("summarising")
-        change = change_of(refit, before, result_of(refit.fit, folder, seed), log_odds)
+        change = changes.change_of(refit, before, result_of(refit.fit, folder, seed), log_odds)
         if folder is None:
             return change
         written = write_result(
             change.result,
-            next_node(parent, change, diagnosis, seed),
+            changes.next_node(parent, change, diagnosis, seed),
             change=change,
-            added_variable=added_variable(refit.change) if change.added else None,
+            added_variable=changes.added_variable(refit.change) if change.added else None,
             selection=next_selection(parent) if parent is not None and change.taken else 0,
         )
         _keep_budgets_of(written, refit)

@@ -13,14 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from imubayes.archive.campaign_file import (
-    ArchivedCampaign,
-    date_of,
-    read_campaign,
-    read_head,
-    unit_of,
-    write_campaign,
-)
+from imubayes.archive import campaign_file
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign, source_digest
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, Issue, input_error
@@ -52,7 +45,7 @@ class Packed:
     refused : the folders that cannot be used.
     """
 
-    added: tuple[ArchivedCampaign, ...]
+    added: tuple[campaign_file.ArchivedCampaign, ...]
     present: int
     refused: tuple[Refusal, ...]
 
@@ -67,21 +60,21 @@ class Archive:
         """Return the files of all campaigns, in the order of their paths."""
         return sorted(self.folder.glob(_PATTERN))
 
-    def heads(self) -> list[ArchivedCampaign | InputError]:
+    def heads(self) -> list[campaign_file.ArchivedCampaign | InputError]:
         """Return what the metadata of every file say, or why they cannot be read, in the order of `files`."""
         with ThreadPoolExecutor(_THREADS) as pool:
             return list(pool.map(_head_or_error, self.files()))
 
-    def campaigns(self) -> list[ArchivedCampaign]:
+    def campaigns(self) -> list[campaign_file.ArchivedCampaign]:
         """Return the campaigns, in the order of `files`; raises InputError for files that cannot be read."""
         heads = self.heads()
         if issues := [issue for head in heads if isinstance(head, InputError) for issue in head.issues]:
             raise InputError(issues)
         return [head for head in heads if not isinstance(head, InputError)]
 
-    def read(self, campaign: ArchivedCampaign) -> Campaign:
+    def read(self, campaign: campaign_file.ArchivedCampaign) -> Campaign:
         """Return a campaign; raises InputError for a damaged file."""
-        return read_campaign(campaign.file)
+        return campaign_file.read_campaign(campaign.file)
 
     def check(self, progress: Callable[[str], None] | None = None) -> tuple[Issue, ...]:
         """Return what is wrong with the files: content, checksum, name and place."""
@@ -89,8 +82,8 @@ class Archive:
         files = self.files()
         for file in counted(progress or silent, "checking", files):
             try:
-                head = read_head(file)
-                expected = file_of(self.folder, read_campaign(file))
+                head = campaign_file.read_head(file)
+                expected = file_of(self.folder, campaign_file.read_campaign(file))
                 if expected != file:
                     issues.append(_misplaced(head, expected))
             except InputError as error:
@@ -115,8 +108,8 @@ def open_archive(folder: str | Path) -> Archive:
 def file_of(folder: Path, campaign: Campaign) -> Path:
     """Return the file of a campaign in an archive."""
     name = re.sub(r"[^A-Za-z0-9._-]+", "_", campaign.name)
-    stem = "-".join(part for part in (date_of(campaign), name, campaign.digest[:_DIGITS]) if part)
-    return folder / f"unit={quote(unit_of(campaign), safe=' ')}" / f"{stem}.parquet"
+    stem = "-".join(part for part in (campaign_file.date_of(campaign), name, campaign.digest[:_DIGITS]) if part)
+    return folder / f"unit={quote(campaign_file.unit_of(campaign), safe=' ')}" / f"{stem}.parquet"
 
 
 def campaign_folders(places: Iterable[str | Path]) -> list[Path]:
@@ -157,9 +150,9 @@ def pack(folders: Sequence[Path], out: Path, progress: Callable[[str], None] | N
             continue
         file = file_of(out, inspection.campaign)
         with replacing(file, durable=True) as scratch:
-            write_campaign(inspection.campaign, scratch)
+            campaign_file.write_campaign(inspection.campaign, scratch)
         known.add(digest[:_DIGITS])
-        added.append(read_head(file))
+        added.append(campaign_file.read_head(file))
     return Packed(tuple(added), present, tuple(refused))
 
 
@@ -176,14 +169,14 @@ def folder_digest(folder: Path) -> str:
         return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _head_or_error(file: Path) -> ArchivedCampaign | InputError:
+def _head_or_error(file: Path) -> campaign_file.ArchivedCampaign | InputError:
     try:
-        return read_head(file)
+        return campaign_file.read_head(file)
     except InputError as error:
         return error
 
 
-def _misplaced(head: ArchivedCampaign, expected: Path) -> Issue:
+def _misplaced(head: campaign_file.ArchivedCampaign, expected: Path) -> Issue:
     return Issue(
         f"the file of campaign '{head.name}' of unit '{head.unit}' is not where it belongs",
         str(head.file),

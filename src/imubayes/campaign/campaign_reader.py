@@ -18,18 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.equipment import (
-    build_benches,
-    build_channels,
-    build_mountings,
-    build_site,
-    build_tables,
-    check_references,
-    refuse_repeats,
-    refuse_reserved_names,
-    require_current_scale,
-    with_angles,
-)
+from imubayes.campaign import equipment as stated
 from imubayes.campaign.file_schemas import CampaignFile, Draft, ModelFile, RunEntry, draft_of
 from imubayes.campaign.physical_checks import LEAST_SPREAD
 from imubayes.campaign.reduction import clipping_note
@@ -208,7 +197,7 @@ def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspectio
         return Inspection(None, error.issues, ())
     draft, ledger = draft_of(document.content), document.ledger
     equipment = _equipment(draft, ledger)
-    refuse_reserved_names(draft.channels, draft.names["channel"], ledger)
+    stated.refuse_reserved_names(draft.channels, draft.names["channel"], ledger)
     _check_accepted(document.entry, ledger)
     _check_runs(draft, ledger)
     judge = None if ledger.issues else equipment
@@ -315,13 +304,13 @@ def _no_campaign(file: Path) -> Issue:
 
 
 def _equipment(draft: Draft, ledger: Ledger) -> Equipment:
-    site = Site(0.0, 0.0, STANDARD_GRAVITY) if draft.site is None else build_site(draft.site)
+    site = Site(0.0, 0.0, STANDARD_GRAVITY) if draft.site is None else stated.build_site(draft.site)
     return Equipment(
         site,
-        build_channels(draft.channels, site.gravity, ledger),
-        build_tables(draft.tables, ledger),
-        build_mountings(draft.mountings, ledger),
-        build_benches(draft.tables),
+        stated.build_channels(draft.channels, site.gravity, ledger),
+        stated.build_tables(draft.tables, ledger),
+        stated.build_mountings(draft.mountings, ledger),
+        stated.build_benches(draft.tables),
     )
 
 
@@ -329,7 +318,7 @@ def _campaign(
     entry: CampaignFile, equipment: Equipment, loaded: Sequence[Loaded], findings: Sequence[Finding], file: Path
 ) -> Campaign:
     runs = tuple(result.run for result in loaded if result.run is not None)
-    channels, runs = with_angles(equipment.channels, runs, equipment.tables)
+    channels, runs = stated.with_angles(equipment.channels, runs, equipment.tables)
     channels, noise_notes = _fill_noise(channels, runs)
     return Campaign(
         entry.name,
@@ -353,7 +342,7 @@ def _load(file: Path, entry: RunEntry, names: Sequence[str], equipment: Equipmen
 
 
 def _check_runs(draft: Draft, ledger: Ledger) -> None:
-    refuse_repeats({index: run.name for index, run in draft.runs.items()}, "run", ledger)
+    stated.refuse_repeats({index: run.name for index, run in draft.runs.items()}, "run", ledger)
     for index, run in draft.runs.items():
         if run.procedure not in PROCEDURES:
             ledger.add(
@@ -362,14 +351,14 @@ def _check_runs(draft: Draft, ledger: Ledger) -> None:
                 closest_first(run.procedure, PROCEDURES, most=len(PROCEDURES)),
                 "use one of the allowed procedures",
             )
-        check_references(run, index, draft.names, ledger)
+        stated.check_references(run, index, draft.names, ledger)
         _check_file(run, index, ledger)
     _check_gyros(draft, ledger)
     injected = [index for index, run in draft.runs.items() if procedure_named(run.procedure).injected]
     # An invalid channel entry may be the one with the key.
     complete = len(draft.channels) == len(draft.names["channel"])
     if injected and complete:
-        require_current_scale(draft.channels.values(), injected[0], ledger)
+        stated.require_current_scale(draft.channels.values(), injected[0], ledger)
 
 
 def _check_accepted(entry: CampaignFile | None, ledger: Ledger) -> None:

@@ -10,19 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from imubayes.campaign import reduction as reduce
 from imubayes.campaign.equipment import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.physical_checks import check_log, check_rows
-from imubayes.campaign.reduction import (
-    BenchSettings,
-    BlockBuilder,
-    BlockSurvey,
-    Limits,
-    SegmentTracker,
-    Span,
-    UnsettledLevel,
-    reduce_log,
-)
 from imubayes.campaign.reduction.free_tumble import reduce_tumble
 from imubayes.campaign.reduction.pose_table import reduce_means
 from imubayes.campaign.run_tables import (
@@ -178,7 +169,7 @@ class Equipment:
     channels: tuple[Channel, ...]
     tables: dict[str, Table]
     mountings: dict[str, Mounting]
-    benches: dict[str, BenchSettings]
+    benches: dict[str, reduce.BenchSettings]
 
 
 @dataclass
@@ -204,10 +195,10 @@ class Loaded:
 @dataclass(frozen=True)
 class _Survey:
     rows: int
-    blocks: BlockSurvey | None
-    labelled: list[Span] | None
+    blocks: reduce.BlockSurvey | None
+    labelled: list[reduce.Span] | None
     findings: list[Finding]
-    limits: Limits
+    limits: reduce.Limits
 
 
 def load_run(file: Path, entry: RunEntry, channel_names: Sequence[str], equipment: Equipment | None) -> Loaded:
@@ -293,7 +284,7 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     if reduction is Reduction.POSES:
         return _load_tumble(source, entry, equipment, survey.limits)
     gravity = equipment.site.gravity
-    bench = equipment.benches.get(entry.table or "", BenchSettings())
+    bench = equipment.benches.get(entry.table or "", reduce.BenchSettings())
     if source.layout.reduced:
         numbers = _from_zero(source.whole(), source, bench)
         attitude = _attitude(source, entry, equipment, range(survey.rows))
@@ -302,7 +293,7 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     assert survey.blocks is not None
     where = str(source.file)
     found = check_log(survey.blocks, entry.name, where)
-    rows = reduce_log(
+    rows = reduce.reduce_log(
         source, reduction, survey.rows, survey.blocks, survey.labelled, survey.limits, bench, entry.transitions
     )
     numbers = _from_zero(rows.numbers, source, bench)
@@ -346,7 +337,7 @@ def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     if source.layout.reduced or poses:
         refuse_long(source.file, len(source.layout.numbers))
     else:
-        builder = BlockBuilder([name for name in source.layout.numbers if not name.endswith("_sd")])
+        builder = reduce.BlockBuilder([name for name in source.layout.numbers if not name.endswith("_sd")])
     consumers = [consumer for consumer in (monitor, builder, tracker) if consumer is not None]
     for batch in source:
         if batch.rows:
@@ -357,13 +348,13 @@ def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     return _Survey(monitor.rows, blocks, labelled, monitor.findings(), monitor.limits())
 
 
-def _segment_tracker(source: TableSource) -> SegmentTracker | None:
+def _segment_tracker(source: TableSource) -> reduce.SegmentTracker | None:
     labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in source.layout.texts]
-    return SegmentTracker(labels) if labels else None
+    return reduce.SegmentTracker(labels) if labels else None
 
 
 def _load_tumble(
-    source: TableSource, entry: RunEntry, equipment: Equipment, limits: Limits
+    source: TableSource, entry: RunEntry, equipment: Equipment, limits: reduce.Limits
 ) -> tuple[Run, list[Finding]]:
     where, gravity, channels = source.file, equipment.site.gravity, equipment.channels
     if source.layout.reduced:
@@ -399,14 +390,16 @@ def _empty(entry: RunEntry, where: str, what: str) -> Finding:
     return Finding("empty_run", "error", entry.name, what, where, allowed, "fill the table or remove the run")
 
 
-def _from_zero(numbers: dict[str, np.ndarray], source: TableSource, bench: BenchSettings) -> dict[str, np.ndarray]:
+def _from_zero(
+    numbers: dict[str, np.ndarray], source: TableSource, bench: reduce.BenchSettings
+) -> dict[str, np.ndarray]:
     """Return the columns with the angle of the table counted from its zero."""
     if not bench.zero_angle or not source.layout.has(ANGLE_COLUMN):
         return numbers
     return {**numbers, ANGLE_COLUMN: numbers[ANGLE_COLUMN] - bench.zero_angle}
 
 
-def _unsettled(entry: RunEntry, where: str, levels: Sequence[UnsettledLevel]) -> Finding:
+def _unsettled(entry: RunEntry, where: str, levels: Sequence[reduce.UnsettledLevel]) -> Finding:
     count, named = len(levels), [_level_text(level) for level in levels[:_MOST_LEVELS]]
     rest = f" and {count - len(named)} more" if count > len(named) else ""
     plural = "s" if count > 1 else ""
@@ -415,7 +408,7 @@ def _unsettled(entry: RunEntry, where: str, levels: Sequence[UnsettledLevel]) ->
     return Finding("not_settled", "warning", entry.name, what, where, "steady outputs at each level", remedy)
 
 
-def _level_text(level: UnsettledLevel) -> str:
+def _level_text(level: reduce.UnsettledLevel) -> str:
     at = f"raw row {level.row + 1}" + (f" ({level.time:g} s)" if level.time is not None else "")
     return f"{level.channel} from {at}" if level.channel else f"shorter than settling_s from {at}"
 

@@ -14,32 +14,14 @@ import numpy as np
 from imubayes.adequacy.known_noise import compare_with_known, known_scales
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, known_noise_point
 from imubayes.adequacy.projection import project
+from imubayes.criticism import diagnosis_record as record
+from imubayes.criticism import explanation_records as explanations
 from imubayes.criticism.detectability import AbsorbedResponses, Detectability, discriminating_run
-from imubayes.criticism.diagnosis_record import (
-    AgreeingInput,
-    AskedEffect,
-    CovariateLabel,
-    Diagnosis,
-    Disagreement,
-    EffectGroup,
-    ScreenedEffect,
-    UndetectableEffect,
-    UntypicalSize,
-    ranking,
-)
 from imubayes.criticism.evidence.effect_variants import SHOWN
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.noise_structures import Family
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
 from imubayes.criticism.evidence.relinearised_search import explain
-from imubayes.criticism.explanation_records import (
-    NAMED,
-    CoefficientEstimate,
-    Explanation,
-    RmsChange,
-    Suggestion,
-    Verdict,
-)
 from imubayes.criticism.formula_search import ResidualFormula, find_formula
 from imubayes.criticism.residual_evidence import ResidualEvidence, outliers, residual_evidence
 from imubayes.effects.base import Effect
@@ -56,7 +38,7 @@ from imubayes.responses.residual_covariates import ResidualCovariate, covariates
 from imubayes.responses.wrong_inputs import WrongInput
 
 
-def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[Disagreement, ...]:
+def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[record.Disagreement, ...]:
     """Return the run or row of a campaign as recorded that is wrong in the leading explanation; else none."""
     if posterior.leading != "input":
         return ()
@@ -70,7 +52,7 @@ def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[
     )
     without = max(each.log_posterior for each in posterior.distinct if each.hypothesis.form is None)
     return (
-        Disagreement(
+        record.Disagreement(
             run=campaign.runs[first.run].name,
             row=None if first.row is None else first.row + 1,
             log_odds=float(best.log_posterior - without),
@@ -92,7 +74,7 @@ def _place(campaign: Campaign, wrong: WrongInput) -> str:
     return name if wrong.row is None else f"row {wrong.row + 1} of run {name}"
 
 
-def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -> AgreeingInput:
+def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -> record.AgreeingInput:
     """Return a wrong input in the unit of the record."""
     wrong, form = _wrong(found), found.hypothesis.form
     assert form is not None
@@ -115,7 +97,7 @@ def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -
         channel = campaign.channels[wrong.channel or 0]
         quantity = "outputs" if wrong.channel is None else channel.name
         unit, recorded, factor = channel.output_unit, 0.0, 1.0
-    return AgreeingInput(
+    return record.AgreeingInput(
         form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
         agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
         probability=share,
@@ -126,13 +108,13 @@ _MISSING_NOISE: dict[Family, str] = {
     "tails": "outliers", "runs": "run_scatter", "correlated": "correlated_noise", "wander": "random_walk_noise",
     "rate": "rate_proportional_noise",
 }  # fmt: skip
-_VERDICTS: dict[Explanation, Verdict] = {
+_VERDICTS: dict[explanations.Explanation, explanations.Verdict] = {
     "nothing": "adequate", "noise": "noise_model", "effects": "missing_effect", "input": "run_disagrees",
     "outside": "unexplained_structure",
 }  # fmt: skip
 
 
-def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = silent) -> Diagnosis:
+def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = silent) -> record.Diagnosis:
     """Return the diagnosis of a fit.
 
     Parameters
@@ -153,7 +135,7 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
     judged = explained_fit(fit, result, progress)
     if judged is None:
         message = fit.message or "The fit did not converge."
-        return Diagnosis(verdict="not_converged", message=message, result=result)
+        return record.Diagnosis(verdict="not_converged", message=message, result=result)
     return judged.answer_about(effect) if effect else judged.diagnosis()
 
 
@@ -211,7 +193,7 @@ class ExplainedFit:
         about = Linearised(jnp.asarray(fit.z), jnp.asarray(responses.misfit), jnp.asarray(responses.jacobian))
         self.at_known_noise = known_noise_point(fit.model, about, known_scales(fit))
 
-    def diagnosis(self) -> Diagnosis:
+    def diagnosis(self) -> record.Diagnosis:
         """Return what is missing."""
         fit, posterior = self.fit, self.posterior
         shown = [
@@ -220,14 +202,14 @@ class ExplainedFit:
         ]
         noise = compare_with_known(project(fit, self.responses.misfit, self.responses.jacobian))
         simple, every = self._suggestions()
-        diagnosis = Diagnosis(
+        diagnosis = record.Diagnosis(
             verdict=self._verdict(),
             message=fit.message if not (fit.optimised and fit.sampled) else "",
             result=self.result,
             explanations=posterior.evidence,
             groups=tuple(map(self._group, posterior.slots, shown)),
             delta_chi2=self._delta_chi2(posterior.slots),
-            ranking=ranking(posterior),
+            ranking=record.ranking(posterior),
             formulas=tuple(self._formulas()),
             disagreeing=disagreements(posterior, fit.model.campaign),
             undetectable=self._undetectable(),
@@ -240,13 +222,13 @@ class ExplainedFit:
         )
         return diagnosis.with_evidence(shown[0] if shown else None, noise)
 
-    def answer_about(self, effect: str) -> Diagnosis:
+    def answer_about(self, effect: str) -> record.Diagnosis:
         """Return the answer for one effect: found, absent down to a size, or undetectable."""
-        lines = tuple(line for line in ranking(self.posterior) if line.effect == effect)
+        lines = tuple(line for line in record.ranking(self.posterior) if line.effect == effect)
         seen = next((each for each in self.absorbed.of_effects if each.effect == effect), None)
-        undetectable: tuple[UndetectableEffect, ...] = ()
+        undetectable: tuple[record.UndetectableEffect, ...] = ()
         if not self.fit.optimised:
-            verdict: Verdict = "not_converged"
+            verdict: explanations.Verdict = "not_converged"
         elif self.posterior.including([effect]) >= 0.5:
             verdict = "missing_effect"
         elif seen is not None and not seen.undetectable:
@@ -255,22 +237,22 @@ class ExplainedFit:
             verdict = "undetectable"
             needs = self.responses.unobservable.get(effect, ())
             undetectable = (_hidden(seen) if seen is not None else _not_supplied(effect, needs),)
-        asked = AskedEffect(
+        asked = record.AskedEffect(
             effect=effect,
             smallest_detectable=finite(seen.smallest_detectable) if seen is not None else None,
             unit=seen.unit if seen is not None else "",
         )
-        return Diagnosis(
+        return record.Diagnosis(
             verdict=verdict, message="" if self.fit.optimised else self.fit.message, result=self.result,
             explanations=self.posterior.evidence, ranking=lines, undetectable=undetectable, asked=asked,
         )  # fmt: skip
 
-    def _verdict(self) -> Verdict:
+    def _verdict(self) -> explanations.Verdict:
         if not self.fit.optimised:
             return "not_converged"
         found = _VERDICTS[self.posterior.leading]
-        certain = self.posterior.evidence.of("effects").probability >= NAMED
-        single = all(len(slot.members) == 1 and slot.probability >= NAMED for slot in self.posterior.slots)
+        certain = self.posterior.evidence.of("effects").probability >= explanations.NAMED
+        single = all(len(slot.members) == 1 and slot.probability >= explanations.NAMED for slot in self.posterior.slots)
         return "equivalent_effects" if found == "missing_effect" and not (certain and single) else found
 
     @cached_property
@@ -278,10 +260,10 @@ class ExplainedFit:
         """The strongest of the slots whose effects the runs do not distinguish."""
         return next((slot for slot in self.posterior.slots if len(slot.members) > 1), None)
 
-    def _group(self, slot: MissingEffect, shown: ResidualEvidence) -> EffectGroup:
+    def _group(self, slot: MissingEffect, shown: ResidualEvidence) -> record.EffectGroup:
         leader = slot.members[0]
         members, about = tuple(map(self._screened, slot.members)), shown.covariate
-        return EffectGroup(
+        return record.EffectGroup(
             channels=members[0].channels,
             probability=slot.probability,
             log_odds=slot.gain,
@@ -289,14 +271,14 @@ class ExplainedFit:
             candidates=members,
             residual=self._rms(leader, shown.channel),
             within=shown.within,
-            covariate=CovariateLabel.model_validate(about, from_attributes=True) if about is not None else None,
+            covariate=record.CovariateLabel.model_validate(about, from_attributes=True) if about is not None else None,
             discriminating_run=discriminating_run(self.fit, self.posterior, slot) if slot is self._doubtful else None,
             beyond_typical=self._beyond_typical(leader, members[0].coefficients),
         )
 
-    def _screened(self, member: SlotMember) -> ScreenedEffect:
+    def _screened(self, member: SlotMember) -> record.ScreenedEffect:
         variant = self.of.variants[member.variant]
-        return ScreenedEffect(
+        return record.ScreenedEffect(
             effect=member.effect,
             channels=variant.owners,
             probability=member.share,
@@ -316,7 +298,7 @@ class ExplainedFit:
             return None
         return self.at_known_noise.record().chi2 - self._with(*(each.members[0] for each in slots)).record().chi2
 
-    def _rms(self, member: SlotMember, channel: str) -> RmsChange:
+    def _rms(self, member: SlotMember, channel: str) -> explanations.RmsChange:
         """Return what an effect does to the residual of a channel, or of turns, at the noise known beforehand."""
         points = self.at_known_noise, self._with(member)
         rows = next(each for each in self.of.problem.rows if each.name == channel)
@@ -327,21 +309,21 @@ class ExplainedFit:
             records = [next(k for k in each.record().channels if k.channel == channel) for each in points]
             rms = [each.rms for each in records]
             factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(records[0].unit, (1e6, "ug"))
-        return RmsChange(channel=channel, before=factor * rms[0], after=factor * rms[1], unit=unit)
+        return explanations.RmsChange(channel=channel, before=factor * rms[0], after=factor * rms[1], unit=unit)
 
     def _beyond_typical(
-        self, member: SlotMember, estimates: Sequence[CoefficientEstimate]
-    ) -> tuple[UntypicalSize, ...]:
+        self, member: SlotMember, estimates: Sequence[explanations.CoefficientEstimate]
+    ) -> tuple[record.UntypicalSize, ...]:
         """Return the coefficients that are certainly larger than those met in practice."""
         places = self.of.variants[member.variant].places
         largest = [self.of.problem.coefficients[k].typical[1] for k in places]
         return tuple(
-            UntypicalSize(name=each.name, value=each.value, largest=most, unit=each.unit)
+            record.UntypicalSize(name=each.name, value=each.value, largest=most, unit=each.unit)
             for each, most in zip(estimates, largest, strict=True)
             if each.value is not None and abs(each.value) - SHOWN * (each.sd or 0.0) > most
         )
 
-    def _suggestions(self) -> tuple[Suggestion | None, Suggestion | None]:
+    def _suggestions(self) -> tuple[explanations.Suggestion | None, explanations.Suggestion | None]:
         """Return the simplest explanation, and with all that fits as well where that is more."""
         if self.posterior.leading == "noise":
             return self._missing_noise(), None
@@ -352,13 +334,13 @@ class ExplainedFit:
         every = self._suggestion([member for slot in told for member in slot.members])
         return simple, every if every.effects != simple.effects else None
 
-    def _missing_noise(self) -> Suggestion | None:
+    def _missing_noise(self) -> explanations.Suggestion | None:
         there = {effect.name for effect in self.fit.model.assembly.effects}
         named = [_MISSING_NOISE[each.family] for each in self.posterior.evidence.noise if each.family in _MISSING_NOISE]
         lacking = [name for name in dict.fromkeys(named) if name not in there]
-        return Suggestion(effects=(lacking[0],), channels=None) if lacking else None
+        return explanations.Suggestion(effects=(lacking[0],), channels=None) if lacking else None
 
-    def _suggestion(self, members: Sequence[SlotMember]) -> Suggestion:
+    def _suggestion(self, members: Sequence[SlotMember]) -> explanations.Suggestion:
         """Return effects to add, their channels named where they are not all on which these were screened."""
         names = [channel.name for channel in self.fit.model.campaign.channels]
         effects = tuple(dict.fromkeys(member.effect for member in members))
@@ -370,7 +352,7 @@ class ExplainedFit:
             for coefficient in response.coefficients
         }
         on = tuple(name for name in names if name in here)
-        return Suggestion(effects=effects, channels=None if here == screened or not on else on)
+        return explanations.Suggestion(effects=effects, channels=None if here == screened or not on else on)
 
     def _formulas(self) -> list[ResidualFormula]:
         """Return the formula of each channel of a form that leads; what happens in one run alone has none."""
@@ -384,14 +366,14 @@ class ExplainedFit:
         ]
         return [each for each in found if each is not None]
 
-    def _undetectable(self) -> tuple[UndetectableEffect, ...]:
+    def _undetectable(self) -> tuple[record.UndetectableEffect, ...]:
         hidden = [_hidden(each) for each in self.absorbed.of_effects if each.undetectable]
         absent = self.responses.unobservable.items()
         return (*hidden, *(_not_supplied(name, needs) for name, needs in absent))
 
 
-def _hidden(seen: Detectability) -> UndetectableEffect:
-    return UndetectableEffect(
+def _hidden(seen: Detectability) -> record.UndetectableEffect:
+    return record.UndetectableEffect(
         effect=seen.effect,
         absorbed_by=seen.absorbed_by,
         reason="absorbed" if seen.retained < 0.5 else "noise",
@@ -403,5 +385,5 @@ def _hidden(seen: Detectability) -> UndetectableEffect:
     )
 
 
-def _not_supplied(effect: str, needs: tuple[str, ...]) -> UndetectableEffect:
-    return UndetectableEffect(effect=effect, reason="not_supplied", needs=needs)
+def _not_supplied(effect: str, needs: tuple[str, ...]) -> record.UndetectableEffect:
+    return record.UndetectableEffect(effect=effect, reason="not_supplied", needs=needs)

@@ -25,16 +25,8 @@ from imubayes.display.loop.diagnosis_report import (
 )
 from imubayes.display.loop.diagnosis_sentences import evidence_text, form_text, sentence
 from imubayes.display.loop.selection_text import drawn_text, formula_text, preview_text, refitted_text, selection_text
+from imubayes.explorer import messages
 from imubayes.explorer.linear_view import LinearView
-from imubayes.explorer.messages import (
-    Brush,
-    CauseLine,
-    FormulaFacts,
-    ModelFacts,
-    PreviewFacts,
-    SelectionFacts,
-    shown_table,
-)
 from imubayes.explorer.point_table import PointTable
 from imubayes.foundations.errors import input_error, kept_if_possible
 from imubayes.foundations.progress import Tell
@@ -83,12 +75,12 @@ class OpenModel:
         """Tell whether a file of the campaign is another one than when the model was opened."""
         return campaign_stamp(self.result) != self.stamp
 
-    def facts(self) -> ModelFacts:
+    def facts(self) -> messages.ModelFacts:
         """Return what the page shows of the model."""
         found, model, table = self.diagnosis, self.view.fit.model, self.table
         record = self.view.point.record()
         said = found.model_copy(update={"result": self.place})
-        return ModelFacts(
+        return messages.ModelFacts(
             id=self.id,
             folder=shown_place(str(self.folder.resolve())),
             name=model.spec.name,
@@ -114,7 +106,7 @@ class OpenModel:
             command=next_command(said),
         )
 
-    def _causes(self) -> list[CauseLine]:
+    def _causes(self) -> list[messages.CauseLine]:
         registry, found = self.view.fit.model.registry, []
         groups = {
             member.effect: place
@@ -123,14 +115,14 @@ class OpenModel:
         }
         for line in self.diagnosis.ranking:
             shown = self.diagnosis.estimate(line.effect) or line
-            found.append(CauseLine(
+            found.append(messages.CauseLine(
                 effect=line.effect, probability=line.probability, log_odds=line.log_odds, delta_chi2=shown.delta_chi2,
                 coefficient=coefficient_text(shown), group=groups.get(line.effect),
                 words=(getdoc(registry.effects[line.effect]) or "").partition("\n")[0],
             ))  # fmt: skip
         return found
 
-    def select(self, brushes: Sequence[Brush], without: Sequence[str]) -> SelectionFacts:
+    def select(self, brushes: Sequence[messages.Brush], without: Sequence[str]) -> messages.SelectionFacts:
         """Return what selected rows say; some effects are not considered."""
         chosen, view = self.table.chosen(brushes), self.view
         n, chi2 = int(chosen.sum()), float(np.sum(view.whitened()[chosen] ** 2))
@@ -142,7 +134,7 @@ class OpenModel:
         words = form_text(told) if told is not None and found.form is not None else ""
         if found.form is not None and found.form > (best[1] if best is not None else 0.0):
             best = words, found.form
-        return SelectionFacts(
+        return messages.SelectionFacts(
             n=n, of=int(view.entries.sum()), chi2=chi2, nothing=found.nothing,
             offset=found.offset, form=found.form, form_words=words, causes=found.causes,
             sentence=selection_text(n, chi2, p, rms, best, found.nothing, found.offset),
@@ -166,7 +158,7 @@ class OpenModel:
 
     def preview(
         self, effects: Sequence[str], out: str, ahead: Ahead | None = None, what: str = "", by: PointTable | None = None
-    ) -> PreviewFacts:
+    ) -> messages.PreviewFacts:
         """Return what causes would do together, or what a change does.
 
         Parameters
@@ -179,7 +171,7 @@ class OpenModel:
         drop, moved = self._drop(shown.point), self.view.moved(shown.point)
         largest = (moved[0].name, moved[0].in_sd) if moved else None
         command = add_command(effects, self.channels_for(effects), self.place, out) if effects else ""
-        return PreviewFacts(
+        return messages.PreviewFacts(
             effects=tuple(effects) or ((what,) if ahead is not None else ()), refitted=ahead is not None,
             delta_chi2=drop, cells=(by or self.table).expected(shown, self.table), moved=moved, command=command,
             sentence=preview_text(effects, self._drop(predicted), largest) if ahead is None
@@ -190,13 +182,13 @@ class OpenModel:
         """Return the drop of χ² at the noise known beforehand."""
         return float(self.view.point.left @ self.view.point.left - point.left @ point.left)
 
-    def formula(self, channel: str, drawn: DrawnCurve | None = None) -> FormulaFacts:
+    def formula(self, channel: str, drawn: DrawnCurve | None = None) -> messages.FormulaFacts:
         """Return the formula of what the model leaves of a channel, or of a drawing, and the effect that it becomes."""
         found = self.view.formula(channel, drawn)
         sheet = formula_sheet(self.diagnosis.model_copy(update={"formulas": (found,) if found is not None else ()}))
-        return FormulaFacts(
+        return messages.FormulaFacts(
             sentence=drawn_text(found) if isinstance(found, DrawnFormula) else formula_text(found, channel),
-            table=shown_table(sheet) if found is not None else None,
+            table=messages.shown_table(sheet) if found is not None else None,
             source=formula_source(found) if found is not None else "",
         )
 

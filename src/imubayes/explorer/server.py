@@ -15,19 +15,9 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
+from imubayes.explorer import messages
 from imubayes.explorer.guard import Application, Guard
 from imubayes.explorer.knowledge import known_tables, quantity_facts
-from imubayes.explorer.messages import (
-    ChangeWanted,
-    FormulaWanted,
-    LockWanted,
-    ModelWanted,
-    NoteWanted,
-    PointsWanted,
-    PreviewWanted,
-    QuantityWanted,
-    SelectionWanted,
-)
 from imubayes.explorer.saved_page import saved_page
 from imubayes.explorer.session import Session
 from imubayes.foundations.errors import InputError, Issue
@@ -107,17 +97,17 @@ class _Answers:
     def routes(self) -> list[Route]:
         session, require = self.session, self.session.require
         asked: dict[str, tuple[type[Record], Callable[..., Said]]] = {
-            "model": (ModelWanted, self.model),
-            "points": (PointsWanted, session.frame),
-            "selection": (SelectionWanted, lambda w: require(w.model).select(w.brushes, session.left_out)),
-            "preview": (PreviewWanted, session.previewed),
-            "formula": (FormulaWanted, lambda w: require(w.model).formula(w.channel, w.drawn)),
-            "known": (ModelWanted, lambda w: known_tables(require(w.model).result)),
-            "quantity": (QuantityWanted, lambda w: quantity_facts(require(w.model).result, w.name)),
-            "change": (ChangeWanted, lambda w: Begun(task=session.change(w))),
-            "select": (ModelWanted, self._done(lambda w: session.select(w.model))),
-            "note": (NoteWanted, self._done(session.note)),
-            "lock": (LockWanted, self._done(session.lock)),
+            "model": (messages.ModelWanted, self.model),
+            "points": (messages.PointsWanted, session.frame),
+            "selection": (messages.SelectionWanted, lambda w: require(w.model).select(w.brushes, session.left_out)),
+            "preview": (messages.PreviewWanted, session.previewed),
+            "formula": (messages.FormulaWanted, lambda w: require(w.model).formula(w.channel, w.drawn)),
+            "known": (messages.ModelWanted, lambda w: known_tables(require(w.model).result)),
+            "quantity": (messages.QuantityWanted, lambda w: quantity_facts(require(w.model).result, w.name)),
+            "change": (messages.ChangeWanted, lambda w: Begun(task=session.change(w))),
+            "select": (messages.ModelWanted, self._done(lambda w: session.select(w.model))),
+            "note": (messages.NoteWanted, self._done(session.note)),
+            "lock": (messages.LockWanted, self._done(session.lock)),
             "cancel": (Begun, self._done(lambda w: session.worker.cancel(w.task))),
         }
         given: dict[str, Callable[[], Said]] = {
@@ -165,7 +155,7 @@ class _Answers:
 
     # ---- what is asked ----
 
-    def model(self, wanted: ModelWanted) -> Said:
+    def model(self, wanted: messages.ModelWanted) -> Said:
         found = self.session.get(wanted.model)
         return Response(status_code=202) if found is None else found.facts()
 

@@ -9,19 +9,10 @@ from imubayes.effects.base import AmbientEffect, Effect, MotionEffect, RecordEff
 from imubayes.foundations.arrays import Array
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.signal_path_state import Ambient, Nodes
+from imubayes.model import signal_path
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
 from imubayes.model.nodes_and_entries import KINDS, NodeTable, motion_at, outer_axes, records_of
-from imubayes.model.signal_path import (
-    AddOffset,
-    Broadcast,
-    Channels,
-    Convert,
-    EffectLayer,
-    Layer,
-    Project,
-    Resolve,
-)
 from imubayes.parameters.declarations import Layout
 
 
@@ -44,7 +35,7 @@ class Assembly:
     layout: Layout
     hyper_layout: Layout
     nulls: np.ndarray
-    channels: dict[str, Channels]
+    channels: dict[str, signal_path.Channels]
     nodes: Nodes
 
     def path(
@@ -53,7 +44,7 @@ class Assembly:
         stages: Collection[Stage],
         keep: Callable[[BoundEffect, type[Effect]], bool] = lambda effect, effect_class: True,
         injected: np.ndarray | None = None,
-    ) -> tuple[Layer, ...]:
+    ) -> tuple[signal_path.Layer, ...]:
         """Return the layers of some stages of the signal path: their effects, and the junctions that close them.
 
         Parameters
@@ -65,14 +56,16 @@ class Assembly:
         """
         if injected is None:
             injected = np.zeros(1 if chosen is None else len(chosen))
-        junctions: dict[Stage, Layer] = {
-            Stage.STAND: Broadcast(),
-            Stage.TABLE: Resolve(tuple((kind, len(channels.scale)) for kind, channels in self.channels.items())),
-            Stage.PLACE: Project(self.channels),
-            Stage.SENSOR: Convert(self.channels, injected),
-            Stage.CONVERTER: AddOffset(self.channels),
+        junctions: dict[Stage, signal_path.Layer] = {
+            Stage.STAND: signal_path.Broadcast(),
+            Stage.TABLE: signal_path.Resolve(
+                tuple((kind, len(channels.scale)) for kind, channels in self.channels.items())
+            ),
+            Stage.PLACE: signal_path.Project(self.channels),
+            Stage.SENSOR: signal_path.Convert(self.channels, injected),
+            Stage.CONVERTER: signal_path.AddOffset(self.channels),
         }
-        layers: list[Layer] = [junctions[stage] for stage in stages]
+        layers: list[signal_path.Layer] = [junctions[stage] for stage in stages]
         for effect in self.effects:
             effect_class = effect.effect_class
             if not issubclass(effect_class, Effect) or not keep(effect, effect_class):
@@ -81,7 +74,7 @@ class Assembly:
                 layers += self._effect_layers(effect, effect_class, chosen)
         return tuple(sorted(layers, key=lambda layer: layer.sort_key()))
 
-    def ambient_path(self, chosen: np.ndarray) -> tuple[Layer, ...]:
+    def ambient_path(self, chosen: np.ndarray) -> tuple[signal_path.Layer, ...]:
         """Return the effects on the circumstances at some nodes, (n,), alone: for a path that begins at the sensors."""
         of_ambient = [
             (effect, effect.effect_class) for effect in self.effects if issubclass(effect.effect_class, AmbientEffect)
@@ -91,7 +84,7 @@ class Assembly:
 
     def _effect_layers(
         self, effect: BoundEffect, effect_class: type[Effect], chosen: np.ndarray | None
-    ) -> list[EffectLayer]:
+    ) -> list[signal_path.EffectLayer]:
         """Return the layers of an effect, one per kind of channel.
 
         Effects at STAND are evaluated at all stands, effects with memory at all nodes, whatever the chosen nodes.
@@ -110,7 +103,7 @@ class Assembly:
             places: dict[str, Array] = {
                 field: self._places(effect, field, grouping, names) for field in effect.declared
             }
-            layers.append(EffectLayer(effect_class, options, places, kind))
+            layers.append(signal_path.EffectLayer(effect_class, options, places, kind))
         return layers
 
     def _places(self, effect: BoundEffect, field: str, grouping: Grouping, names: list[str]) -> np.ndarray:
@@ -143,9 +136,9 @@ def assemble(effects: tuple[BoundEffect, ...], grouping: Grouping) -> Assembly:
     )
 
 
-def _channels(campaign: Campaign, kind: str) -> Channels:
+def _channels(campaign: Campaign, kind: str) -> signal_path.Channels:
     chosen = campaign.of_kind(kind)
-    return Channels(
+    return signal_path.Channels(
         axes=np.stack([channel.axes for channel in chosen]),
         scale=np.array([channel.scale_si for channel in chosen]),
         offset=np.array([channel.offset for channel in chosen]),

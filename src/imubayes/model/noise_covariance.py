@@ -24,14 +24,7 @@ from jax.scipy.special import gammaln
 from imubayes.foundations.arrays import Array, Float, Int, Scalar, take
 from imubayes.model.nodes_and_entries import Timeline
 from imubayes.model.problem import Observations, Problem
-from imubayes.noise.components import (
-    EntryNoise,
-    SeriesNoise,
-    SharedNoise,
-    SlowNoise,
-    StateCovariance,
-    TailNoise,
-)
+from imubayes.noise import components
 
 
 class SlowSeries(eqx.Module):
@@ -111,7 +104,7 @@ class SlowSeries(eqx.Module):
         return take(found.reshape(-1, values.shape[1]), self.timeline.place).reshape(x.shape)
 
 
-def slow_series(timeline: Timeline, covariance: StateCovariance, root: Float[Array, " E"]) -> SlowSeries:
+def slow_series(timeline: Timeline, covariance: components.StateCovariance, root: Float[Array, " E"]) -> SlowSeries:
     """Return the root of the precision.
 
     Parameters
@@ -303,11 +296,11 @@ def noise_distribution(problem: Problem, h: Float[Array, " H"]) -> NoiseDistribu
     own, tail = jnp.zeros_like(observations.value), None
     shared = jnp.zeros(observations.members.shape[0])
     for layer in problem.noise:
-        if issubclass(layer.noise, EntryNoise):
+        if issubclass(layer.noise, components.EntryNoise):
             own = own + layer.entry_variances(values, observations.entry)
-        elif issubclass(layer.noise, SharedNoise):
+        elif issubclass(layer.noise, components.SharedNoise):
             shared = shared + layer.shared_variances(values)
-        elif issubclass(layer.noise, TailNoise):
+        elif issubclass(layer.noise, components.TailNoise):
             here = take(layer.tails(values), observations.group)
             tail = here if tail is None else tail + here
     return NoiseDistribution(own, shared, tail)
@@ -353,14 +346,14 @@ def whitener_of(
 
 def rows_correlate(problem: Problem) -> bool:
     """Whether a member of the noise correlates the rows of a run."""
-    return any(issubclass(layer.noise, SeriesNoise) for layer in problem.noise)
+    return any(issubclass(layer.noise, components.SeriesNoise) for layer in problem.noise)
 
 
 def row_correlations(problem: Problem, values: Float[Array, " H"]) -> Float[Array, " G"]:
     """Return the correlation of neighbouring rows of every run and channel, at values of the noise scales in SI."""
     one_row = jnp.zeros(problem.observations.in_time.shape[0])
     for layer in problem.noise:
-        if issubclass(layer.noise, SeriesNoise):
+        if issubclass(layer.noise, components.SeriesNoise):
             one_row = one_row + layer.correlations(values)
     return one_row
 
@@ -390,13 +383,15 @@ def _slow_series(problem: Problem, values: Float[Array, " H"], root: Float[Array
     """Return the root of R⁻¹ under the slow noise of all members."""
     timeline = problem.timeline
     assert timeline is not None
-    parts = [layer.states(values, timeline.row) for layer in problem.noise if issubclass(layer.noise, SlowNoise)]
+    parts = [
+        layer.states(values, timeline.row) for layer in problem.noise if issubclass(layer.noise, components.SlowNoise)
+    ]
     mean, end, over_gap, over_row = (
         jnp.concatenate([getattr(part, name) for part in parts], axis=1)
         for name in ("mean", "end", "over_gap", "over_row")
     )
     variance = jnp.sum(jnp.stack([part.variance for part in parts]), axis=0)
-    return slow_series(timeline, StateCovariance(variance, mean, end, over_gap, over_row), root)
+    return slow_series(timeline, components.StateCovariance(variance, mean, end, over_gap, over_row), root)
 
 
 def whiten(problem: Problem, by: Whitener, residual: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:

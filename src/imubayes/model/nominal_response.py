@@ -26,17 +26,8 @@ from imubayes.foundations.arrays import Array
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import ambient_names
 from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, Sample
+from imubayes.model import nodes_and_entries as listed
 from imubayes.model.effect_registry import EffectClass
-from imubayes.model.nodes_and_entries import (
-    Entries,
-    NodeTable,
-    encoder_slopes,
-    has_row_times,
-    motion_at,
-    nominal_rates,
-    reference_scales,
-    servo_runs,
-)
 from imubayes.model.parameter_priors import largest_typical, unit_factors
 from imubayes.model.signal_path import on_body, project
 from imubayes.noise.components import Entry, EntryNoise, Noise, SlowNoise
@@ -132,7 +123,7 @@ class NominalSamples:
         return NominalSamples(self.place, self.motion, changed)
 
 
-def nominal_samples(campaign: Campaign, nodes: NodeTable) -> tuple[NominalSamples, ...]:
+def nominal_samples(campaign: Campaign, nodes: listed.NodeTable) -> tuple[NominalSamples, ...]:
     """Return the nominal samples of a campaign in blocks of one size, the last filled by repetition."""
     sensors = [place for place, channel in enumerate(campaign.channels) if channel.kind != "angle"]
     instants = [_instants(nodes, run) for run in range(len(campaign.runs))]
@@ -144,11 +135,11 @@ def nominal_samples(campaign: Campaign, nodes: NodeTable) -> tuple[NominalSample
     return tuple(_block(campaign, nodes, node[block], channel[block]) for block in blocks)
 
 
-def _block(campaign: Campaign, nodes: NodeTable, node: np.ndarray, channel: np.ndarray) -> NominalSamples:
+def _block(campaign: Campaign, nodes: listed.NodeTable, node: np.ndarray, channel: np.ndarray) -> NominalSamples:
     known = [campaign.channels[place] for place in channel.tolist()]
     gyro = np.array([each.kind == "gyro" for each in known])
     stimulus, run = nodes.stimulus, nodes.run[node]
-    indirect = [i for i, each in enumerate(campaign.runs) if each.tumble is not None] + servo_runs(campaign)
+    indirect = [i for i, each in enumerate(campaign.runs) if each.tumble is not None] + listed.servo_runs(campaign)
     per_current = np.array([each.current_per_acceleration or np.inf for each in known])
     place = Place(
         run=run,
@@ -161,7 +152,9 @@ def _block(campaign: Campaign, nodes: NodeTable, node: np.ndarray, channel: np.n
         equivalent=stimulus.ambient["current"][node] / per_current,
     )
     return NominalSamples(
-        place, motion_at(campaign, nodes, node), Ambient(**{name: v[node] for name, v in stimulus.ambient.items()})
+        place,
+        listed.motion_at(campaign, nodes, node),
+        Ambient(**{name: v[node] for name, v in stimulus.ambient.items()}),
     )
 
 
@@ -173,7 +166,7 @@ def _felt(place: Place, motion: Motion, ambient: Ambient) -> Felt:
     return Felt(experience, sample, _signal(place, sample), size)
 
 
-def _instants(nodes: NodeTable, run: int) -> list[int]:
+def _instants(nodes: listed.NodeTable, run: int) -> list[int]:
     """Return nodes of a run at which its stimuli are extreme, then some spread evenly."""
     stimulus, own = nodes.stimulus, np.flatnonzero(nodes.run == run)
     if not len(own):
@@ -335,14 +328,17 @@ def missing_stimulus(probe: Probe, blocks: Sequence[NominalSamples]) -> tuple[st
     return next(((name,) for name, changed in stimuli.items() if responding_runs(probe, [changed()])), ())
 
 
-def noisy_runs(noise: type[Noise], campaign: Campaign, nodes: NodeTable, entries: Entries) -> set[int]:
+def noisy_runs(noise: type[Noise], campaign: Campaign, nodes: listed.NodeTable, entries: listed.Entries) -> set[int]:
     """Return the runs in which a noise component has a variance at its largest typical size."""
     runs = range(len(campaign.runs))
     if issubclass(noise, SlowNoise):
-        return set(runs) if has_row_times(campaign) else set()
+        return set(runs) if listed.has_row_times(campaign) else set()
     if not issubclass(noise, EntryNoise) or "closure" in noise.kinds:
         return set(runs)
-    known = [each(campaign, nodes, entries) for each in (nominal_rates, reference_scales, encoder_slopes)]
+    known = [
+        each(campaign, nodes, entries)
+        for each in (listed.nominal_rates, listed.reference_scales, listed.encoder_slopes)
+    ]
     values, found = _largest(noise, campaign), set()
     for run in runs:
         here = entries.run == run

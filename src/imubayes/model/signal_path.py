@@ -21,19 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, Stage
-from imubayes.foundations.arrays import (
-    Array,
-    Float,
-    Matrix3,
-    Vector3,
-    compose,
-    cross,
-    exponential,
-    rotate,
-    rotate_back,
-    take,
-    turn_back_about_z,
-)
+from imubayes.foundations import arrays
+from imubayes.foundations.arrays import Array, Float, Matrix3, Vector3
 from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, Nodes, Sample, SignalPath
 
 
@@ -58,22 +47,22 @@ def carried(motion: Motion) -> Carried:
     outer = motion.outer
     if outer is None:
         still = jnp.zeros(3)
-        return Carried(motion.base, still, still, rotate_back(motion.base, motion.gravity))
+        return Carried(motion.base, still, still, arrays.rotate_back(motion.base, motion.gravity))
     z, frame = jnp.array([0.0, 0.0, 1.0]), motion.base
     rate = acceleration = jnp.zeros(3)
-    force = rotate_back(frame, motion.gravity)
+    force = arrays.rotate_back(frame, motion.gravity)
     for place in range(2):
         speed = outer.rate[place] * z
-        acceleration = acceleration + outer.acceleration[place] * z + cross(rate, speed)
-        turn = exponential(outer.angle[place] * z)
-        rate, acceleration, force = (rotate_back(turn, v) for v in (rate + speed, acceleration, force))
-        frame = compose(frame, turn)
-        velocity = cross(rate, outer.arm[place])
-        coriolis = 2 * cross(rotate_back(frame, motion.earth_rate), velocity)
-        force = force + cross(rate, velocity) + cross(acceleration, outer.arm[place]) + coriolis
+        acceleration = acceleration + outer.acceleration[place] * z + arrays.cross(rate, speed)
+        turn = arrays.exponential(outer.angle[place] * z)
+        rate, acceleration, force = (arrays.rotate_back(turn, v) for v in (rate + speed, acceleration, force))
+        frame = arrays.compose(frame, turn)
+        velocity = arrays.cross(rate, outer.arm[place])
+        coriolis = 2 * arrays.cross(arrays.rotate_back(frame, motion.earth_rate), velocity)
+        force = force + arrays.cross(rate, velocity) + arrays.cross(acceleration, outer.arm[place]) + coriolis
         link = outer.link[place]
-        frame = compose(frame, link)
-        rate, acceleration, force = (rotate_back(link, v) for v in (rate, acceleration, force))
+        frame = arrays.compose(frame, link)
+        rate, acceleration, force = (arrays.rotate_back(link, v) for v in (rate, acceleration, force))
     return Carried(frame, rate, acceleration, force)
 
 
@@ -149,15 +138,15 @@ class Broadcast(Layer):
         at, stand = path.nodes, path.motion
         assert at is not None
         motion = Motion(
-            base=take(stand.base, at.stand),
-            mounting=take(stand.mounting, at.stand),
+            base=arrays.take(stand.base, at.stand),
+            mounting=arrays.take(stand.mounting, at.stand),
             table_angle=at.table_angle,
             table_rate=at.table_rate,
             table_acceleration=at.table_acceleration,
             reference_rate=at.reference_rate,
             reference_acceleration=at.reference_acceleration,
-            gravity=take(stand.gravity, at.stand),
-            earth_rate=take(stand.earth_rate, at.stand),
+            gravity=arrays.take(stand.gravity, at.stand),
+            earth_rate=arrays.take(stand.earth_rate, at.stand),
             outer=at.outer,
         )
         return eqx.tree_at(lambda p: (p.motion, p.ambient), path, (motion, at.ambient))
@@ -240,14 +229,14 @@ def on_body(motion: Motion) -> Experience:
     if motion.outer is not None:
         own = motion.table_rate * jnp.array([0.0, 0.0, 1.0])
         turning = turning + into_body(motion, frame.rate)
-        faster = faster + into_body(motion, frame.acceleration + cross(frame.rate, own))
+        faster = faster + into_body(motion, frame.acceleration + arrays.cross(frame.rate, own))
     return Experience(
-        rate=turning + into_body(motion, rotate_back(frame.to_local, motion.earth_rate)),
+        rate=turning + into_body(motion, arrays.rotate_back(frame.to_local, motion.earth_rate)),
         force=into_body(motion, frame.force),
         table_rate=turning,
         table_acceleration=faster,
-        north=into_body(motion, rotate_back(frame.to_local, jnp.array([0.0, 1.0, 0.0]))),
-        up=into_body(motion, rotate_back(frame.to_local, jnp.array([0.0, 0.0, 1.0]))),
+        north=into_body(motion, arrays.rotate_back(frame.to_local, jnp.array([0.0, 1.0, 0.0]))),
+        up=into_body(motion, arrays.rotate_back(frame.to_local, jnp.array([0.0, 0.0, 1.0]))),
     )
 
 
@@ -256,17 +245,17 @@ def into_body(motion: Motion, vector: Vector3) -> Vector3:
 
     Turns of a vector cost less than the product of matrices.
     """
-    return rotate_back(motion.mounting, turn_back_about_z(vector, motion.table_angle))
+    return arrays.rotate_back(motion.mounting, arrays.turn_back_about_z(vector, motion.table_angle))
 
 
 def project(axes: Matrix3, experience: Experience, ambient: Ambient) -> Sample:
     """Return what one channel experiences along its own axes."""
     return Sample(
-        rate=rotate(axes, experience.rate),
-        force=rotate(axes, experience.force),
-        acceleration=rotate(axes, experience.table_acceleration),
-        north=rotate(axes, experience.north),
-        up=rotate(axes, experience.up),
+        rate=arrays.rotate(axes, experience.rate),
+        force=arrays.rotate(axes, experience.force),
+        acceleration=arrays.rotate(axes, experience.table_acceleration),
+        north=arrays.rotate(axes, experience.north),
+        up=arrays.rotate(axes, experience.up),
         ambient=ambient,
         output_scale=jnp.zeros_like(ambient.time),
     )
@@ -290,5 +279,5 @@ def _chosen(layers: Sequence[Layer], values: Float[Array, " V"]) -> list[dict[st
     if not places:
         return [{} for _ in layers]
     ends = np.cumsum([math.prod(place.shape) for place in places])[:-1]
-    found = jnp.split(take(values, jnp.concatenate([jnp.ravel(place) for place in places])), ends)
+    found = jnp.split(arrays.take(values, jnp.concatenate([jnp.ravel(place) for place in places])), ends)
     return jax.tree.unflatten(tree, [part.reshape(place.shape) for part, place in zip(found, places, strict=True)])

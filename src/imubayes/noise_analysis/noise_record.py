@@ -12,18 +12,10 @@ from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import counted, silent
 from imubayes.foundations.records import Record, finite
+from imubayes.noise_analysis import described_band as described
 from imubayes.noise_analysis.allan_deviation import AllanVariance, allan_variance
 from imubayes.noise_analysis.contamination import Contamination
 from imubayes.noise_analysis.cosine_spectra import cosine_statistics
-from imubayes.noise_analysis.described_band import (
-    LEAST_OCTAVES,
-    Cause,
-    Gap,
-    Octave,
-    RollOff,
-    misfits,
-    octave_fits,
-)  # fmt: skip
 from imubayes.noise_analysis.likelihood import NoiseLikelihood
 from imubayes.noise_analysis.noise_terms import NoiseTerm, allan_shape, coefficient_unit
 from imubayes.noise_analysis.record_examination import (
@@ -65,7 +57,7 @@ class TermRecord(Record):
     in_output_units: float | None
     maximum_in_output_units: float
     output_per_unit: float
-    withheld: Cause | None = None
+    withheld: described.Cause | None = None
 
 
 class AllanPoint(Record):
@@ -115,14 +107,14 @@ class ChannelNoise(Record):
     correlation: list[list[float]]
     undecided: list[NoiseTerm] = []
     alternatives: list[tuple[NoiseTerm, NoiseTerm]]
-    misfit: list[Octave]
+    misfit: list[described.Octave]
     repetition: Repetition | None = None
     outliers: OutlyingSamples | None = None
     contamination: Contamination | None = None
     temperature: TemperatureDrift | None = None
     lines: list[SpectralLine] = []
-    gaps: list[Gap] = []
-    roll_off: RollOff | None = None
+    gaps: list[described.Gap] = []
+    roll_off: described.RollOff | None = None
     shortest_tau_s: float = 0.0
     unequal_levels: float = 1.0
     sudden_change: SuddenChange | None = None
@@ -255,7 +247,7 @@ def _of_channel(
         correlation=estimate.correlation[np.ix_(kept, kept)].tolist(),
         undecided=[term for term in estimate.undecided if term not in withheld],
         alternatives=[pair for pair in estimate.alternatives if not set(pair) & set(withheld)],
-        misfit=misfits(octave_fits(band.likelihood, estimate.full)),
+        misfit=described.misfits(described.octave_fits(band.likelihood, estimate.full)),
         repetition=seen.repetition,
         outliers=seen.outliers,
         contamination=seen.contamination,
@@ -291,12 +283,12 @@ def _refuse_short(record: RunningSum, shortest_tau: float, where: str) -> None:
             "most samples stand alone between empty cells", where, "consecutive samples",
             "give a channel of a lower rate in a run of its own, without the empty rows",
         )  # fmt: skip
-    if len(NoiseLikelihood(cosine_statistics(record), shortest_tau).octaves()) < LEAST_OCTAVES:
+    if len(NoiseLikelihood(cosine_statistics(record), shortest_tau).octaves()) < described.LEAST_OCTAVES:
         allowed = "an averaging time far below the length of the record"
         raise input_error("too few octaves of frequency are left", where, allowed, "choose a shorter --shortest-tau")
 
 
-def _term(found: TermEstimate, channel: Channel, gravity: float, withheld: Cause | None) -> TermRecord:
+def _term(found: TermEstimate, channel: Channel, gravity: float, withheld: described.Cause | None) -> TermRecord:
     unit, factor = coefficient_unit(channel, found.term, gravity)
     per = abs(channel.scale_si) * factor
     numbers = {

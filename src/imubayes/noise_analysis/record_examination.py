@@ -24,20 +24,12 @@ import numpy as np
 from scipy.fft import dct
 
 from imubayes.foundations.tail_probabilities import binomial_survival, chi2_survival
+from imubayes.noise_analysis import running_sum as sums
 from imubayes.noise_analysis.contamination import Contamination, without_contamination
 from imubayes.noise_analysis.cosine_spectra import cosine_statistics
 from imubayes.noise_analysis.described_band import SLOW, Cause, DescribedBand, described_band, withheld_terms
 from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
 from imubayes.noise_analysis.noise_terms import NoiseTerm
-from imubayes.noise_analysis.running_sum import (
-    CHUNK,
-    OutlyingSamples,
-    RunningSum,
-    SuddenChange,
-    from_parts,
-    sudden_change,
-    without_outliers,
-)
 from imubayes.noise_analysis.spectral_lines import SpectralLine, without_lines
 from imubayes.noise_analysis.term_estimates import BASIC, NoiseEstimate, TermEstimate, highest
 
@@ -55,7 +47,9 @@ class TemperatureDrift:
     evidence: float
 
 
-def without_temperature(record: RunningSum, temperature: RunningSum) -> tuple[RunningSum, TemperatureDrift | None]:
+def without_temperature(
+    record: sums.RunningSum, temperature: sums.RunningSum
+) -> tuple[sums.RunningSum, TemperatureDrift | None]:
     """Return a record without its drift with temperature, and the slope; None where there is none.
 
     Parameters
@@ -65,7 +59,7 @@ def without_temperature(record: RunningSum, temperature: RunningSum) -> tuple[Ru
     time, mean = _means(temperature)
     if not np.ptp(mean) > 0:
         return record, None
-    covariate = from_parts(_at_samples(record, time, mean), record.interval)
+    covariate = sums.from_parts(_at_samples(record, time, mean), record.interval)
     with_ramp = cosine_statistics(covariate)
     here = [level.coefficient + with_ramp.slope * level.ramp for level in with_ramp.coarse]
     slope, sd = 0.0, math.nan
@@ -80,14 +74,14 @@ def without_temperature(record: RunningSum, temperature: RunningSum) -> tuple[Ru
         if turn and abs(more) < 0.01 * sd:
             break
         slope += more
-        corrected = from_parts(_less(record, slope, time, mean), record.interval, record.resolution)
+        corrected = sums.from_parts(_less(record, slope, time, mean), record.interval, record.resolution)
     evidence = 2 * (best - first)
     if not evidence > _LEAST_EVIDENCE:
         return record, None
     return corrected, TemperatureDrift(slope, sd, evidence)
 
 
-def _means(temperature: RunningSum) -> tuple[np.ndarray, np.ndarray]:
+def _means(temperature: sums.RunningSum) -> tuple[np.ndarray, np.ndarray]:
     """Return times, s from the start, and means of the temperature over parts of the record."""
     edges = np.unique(np.linspace(0, temperature.samples, min(_MEANS, temperature.samples) + 1).astype(int))
     total = np.array([float(temperature.read(int(edge), 1)[0]) for edge in edges])
@@ -97,14 +91,14 @@ def _means(temperature: RunningSum) -> tuple[np.ndarray, np.ndarray]:
     return middle[known], np.diff(total)[known] / present[known]
 
 
-def _at_samples(record: RunningSum, time: np.ndarray, mean: np.ndarray) -> Iterator[np.ndarray]:
+def _at_samples(record: sums.RunningSum, time: np.ndarray, mean: np.ndarray) -> Iterator[np.ndarray]:
     """Yield the temperature at the samples that are present."""
     for first, values in record.chunks():
         at = (first + np.arange(len(values)) + 0.5) * record.interval
         yield np.where(np.isfinite(values), np.interp(at, time, mean), np.nan)
 
 
-def _less(record: RunningSum, slope: float, time: np.ndarray, mean: np.ndarray) -> Iterator[np.ndarray]:
+def _less(record: sums.RunningSum, slope: float, time: np.ndarray, mean: np.ndarray) -> Iterator[np.ndarray]:
     for (_, values), part in zip(record.chunks(), _at_samples(record, time, mean), strict=True):
         yield values + record.shift - slope * part
 
@@ -150,7 +144,7 @@ class _Runs:
     start: np.ndarray
 
 
-def at_own_rate(record: RunningSum) -> tuple[RunningSum, Repetition | None]:
+def at_own_rate(record: sums.RunningSum) -> tuple[sums.RunningSum, Repetition | None]:
     """Return a record with one sample for each value of the sensor, and how they were repeated; None where not."""
     if not record.resolution:
         return record, None
@@ -167,12 +161,12 @@ def at_own_rate(record: RunningSum) -> tuple[RunningSum, Repetition | None]:
     interval = record.samples * record.interval / int(number.sum())
     shortest, longest = (round(float(np.quantile(runs.length[present] / count, q))) for q in (0.05, 0.95))
     repetition = Repetition(mean, shortest, longest, interval, counted)
-    parts = np.array_split(np.arange(len(number)), max(1, len(number) // CHUNK))
+    parts = np.array_split(np.arange(len(number)), max(1, len(number) // sums.CHUNK))
     values = (np.repeat(runs.value[part] + record.shift, number[part]) for part in parts)
-    return from_parts(values, interval, record.resolution), repetition
+    return sums.from_parts(values, interval, record.resolution), repetition
 
 
-def _runs(record: RunningSum, samples: int) -> Iterator[_Runs]:
+def _runs(record: sums.RunningSum, samples: int) -> Iterator[_Runs]:
     """Yield the runs of equal values, part by part; a run that goes over a seam is joined to the next part."""
     kept = np.zeros(0)
     for first, values in record.chunks():
@@ -281,14 +275,14 @@ class Examination:
     cleaned : the record of noise.
     """
 
-    own_rate: RunningSum
-    cleaned: RunningSum
+    own_rate: sums.RunningSum
+    cleaned: sums.RunningSum
     repetition: Repetition | None
-    outliers: OutlyingSamples | None
+    outliers: sums.OutlyingSamples | None
     contamination: Contamination | None
     temperature: TemperatureDrift | None
     lines: tuple[SpectralLine, ...]
-    change: SuddenChange | None
+    change: sums.SuddenChange | None
 
     def band(self, shortest_tau: float) -> DescribedBand:
         """Return the band of frequency that the noise terms describe."""
@@ -328,7 +322,7 @@ class Examination:
         return SLOW if broad else ()
 
 
-def examined(record: RunningSum, temperature: RunningSum | None = None, robust: bool = False) -> Examination:
+def examined(record: sums.RunningSum, temperature: sums.RunningSum | None = None, robust: bool = False) -> Examination:
     """Return a record without what is no noise.
 
     Parameters
@@ -337,18 +331,18 @@ def examined(record: RunningSum, temperature: RunningSum | None = None, robust: 
     robust : whether stretches that are no rest are left out.
     """
     own_rate, repetition = at_own_rate(record)
-    cleaned, outliers = without_outliers(own_rate)
+    cleaned, outliers = sums.without_outliers(own_rate)
     drift = contamination = None
     if robust:
         cleaned, contamination = without_contamination(cleaned)
     if temperature is not None:
         cleaned, drift = without_temperature(cleaned, temperature)
     cleaned, lines = without_lines(cleaned)
-    change = sudden_change(cleaned)
+    change = sums.sudden_change(cleaned)
     return Examination(own_rate, cleaned, repetition, outliers, contamination, drift, lines, change)
 
 
-def unequal_levels(record: RunningSum, likelihood: NoiseLikelihood, best: Maximum) -> float:
+def unequal_levels(record: sums.RunningSum, likelihood: NoiseLikelihood, best: Maximum) -> float:
     """Return by how much the level of noise scatters between parts of a record, as a factor; 1 where as it should.
 
     Noise that is louder at times, or has heavy tails, scatters more than Gaussian noise of one level.
@@ -381,7 +375,9 @@ def widened(found: TermEstimate, growth: float) -> TermEstimate:
     return replace(found, low=low, high=high, sd=found.sd * growth)
 
 
-def without_rounding(found: TermEstimate, estimate: NoiseEstimate, record: RunningSum) -> tuple[TermEstimate, bool]:
+def without_rounding(
+    found: TermEstimate, estimate: NoiseEstimate, record: sums.RunningSum
+) -> tuple[TermEstimate, bool]:
     """Return white noise less that of rounding to the steps of the log, and whether it is taken out.
 
     Steps of a counted angle make quantisation noise instead.  Where that is not excluded, the interval holds both.

@@ -19,15 +19,9 @@ from imubayes.effects.base import Effect, MotionEffect
 from imubayes.foundations.arrays import Array, on_device
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
+from imubayes.model import bound_effects as bound
 from imubayes.model.assembly import assemble
 from imubayes.model.bind import Model, build_problem
-from imubayes.model.bound_effects import (
-    BoundEffect,
-    ExactEquipmentError,
-    NoChannelError,
-    NotObservableError,
-    bind_effect,
-)
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_file import EffectSpec
 from imubayes.model.problem import Problem, predict_from
@@ -129,12 +123,12 @@ _ABOUT_SHAPE = (1.0, 0.96, 1.04, 0.9, 1.11, 0.8, 1.25)
 class _Extended:
     problem: Problem
     own: int
-    effects: tuple[BoundEffect, ...]
+    effects: tuple[bound.BoundEffect, ...]
     parameters: tuple[Parameter, ...]
     places: dict[str, int]
     about: LinearisationPoint
 
-    def grid(self, effect: BoundEffect) -> list[dict[str, float]]:
+    def grid(self, effect: bound.BoundEffect) -> list[dict[str, float]]:
         """Return the shapes to scan; several shape parameters are scanned together, place by place."""
         if effect.name in self.about.shapes:
             about = self.about.shapes[effect.name]
@@ -156,7 +150,7 @@ def candidate_responses(fitted: Fit, only: Sequence[str] = (), about: Linearisat
 
 def _linearised_with(
     fitted: Fit,
-    acting: tuple[BoundEffect, ...],
+    acting: tuple[bound.BoundEffect, ...],
     unobservable: dict[str, tuple[str, ...]],
     about: LinearisationPoint = _AT_NULLS,
 ) -> Responses:
@@ -327,7 +321,7 @@ def fitting_channels(member: EffectClass, campaign: Campaign) -> list[str]:
 
 def lacking_effects(
     fitted: Fit, only: Sequence[str] = ()
-) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[str, ...]]]:
+) -> tuple[tuple[bound.BoundEffect, ...], dict[str, tuple[str, ...]]]:
     """Return every effect that the model lacks, on the channels that lack it, and the effects that no run can show.
 
     Parameters
@@ -335,17 +329,17 @@ def lacking_effects(
     only : names of the effects to look at; all where empty.
     """
     model = fitted.model
-    acting: list[BoundEffect] = []
+    acting: list[bound.BoundEffect] = []
     unobservable: dict[str, tuple[str, ...]] = {}
     for member in searchable(model.registry):
         spec = _spec(member, fitted) if not only or member.name in only else None
         if spec is None:
             continue
         try:
-            acting.append(bind_effect(spec, model.assembly.grouping, model.registry))
-        except (NoChannelError, ExactEquipmentError):
+            acting.append(bound.bind_effect(spec, model.assembly.grouping, model.registry))
+        except (bound.NoChannelError, bound.ExactEquipmentError):
             continue
-        except NotObservableError as error:
+        except bound.NotObservableError as error:
             unobservable[member.name] = error.missing
     return tuple(acting), unobservable
 
@@ -367,7 +361,7 @@ def _rival(member: EffectClass, other: EffectClass) -> bool:
     return member.name == other.name or member.name in other.excludes or other.name in member.excludes
 
 
-def _extend(fitted: Fit, acting: tuple[BoundEffect, ...], about: LinearisationPoint) -> _Extended:
+def _extend(fitted: Fit, acting: tuple[bound.BoundEffect, ...], about: LinearisationPoint) -> _Extended:
     assembly = fitted.model.assembly
     extended = assemble(assembly.effects + acting, assembly.grouping)
     parameters = extended.layout.parameters
@@ -438,12 +432,12 @@ def _push(problem: Problem, values, seeds):
     return predicted, jax.vmap(lambda seed: push(jnp.concatenate([seed, nulls])))(seeds)
 
 
-def _linear(effect: BoundEffect) -> list[Parameter]:
+def _linear(effect: bound.BoundEffect) -> list[Parameter]:
     """Return the parameters of an effect that are its coefficients, not its shape."""
     return [parameter for parameter in effect.parameters if not effect.declared[parameter.field].shape]
 
 
-def _response(effect: BoundEffect, extended: _Extended, at: _Linearised, scan_place: int) -> Response:
+def _response(effect: bound.BoundEffect, extended: _Extended, at: _Linearised, scan_place: int) -> Response:
     grid = extended.grid(effect)
     shape = grid[scan_place] if grid else {}
     coefficients = coefficients_of(effect)
@@ -452,7 +446,7 @@ def _response(effect: BoundEffect, extended: _Extended, at: _Linearised, scan_pl
     return Response(ShapeScan(effect.name, shape), coefficients, at.columns(places) * factors)
 
 
-def coefficients_of(effect: BoundEffect) -> tuple[Coefficient, ...]:
+def coefficients_of(effect: bound.BoundEffect) -> tuple[Coefficient, ...]:
     """Return the coefficients of an effect."""
     return tuple(
         Coefficient(parameter, ",".join(parameter.label), parameter.typical, effect.declared[parameter.field].null)

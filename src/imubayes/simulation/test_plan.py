@@ -30,37 +30,18 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from imubayes.campaign import equipment
-from imubayes.campaign.file_schemas import (
-    CampaignFile,
-    ChannelEntry,
-    MountingEntry,
-    Name,
-    RunEntry,
-    SiteEntry,
-    TableEntry,
-    TemperatureUncertainty,
-    UnitEntry,
-)
+from imubayes.campaign import file_schemas as schemas
 from imubayes.campaign.run_reader import build_run
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Site, Table
 from imubayes.foundations.errors import InputError, closest_first
-from imubayes.procedures import PROCEDURES, procedure_named
-from imubayes.procedures.base import (
-    OF_ANY_RUN,
-    STEP_KEYS,
-    PlannedRows,
-    PlannedSteps,
-    PlanRules,
-    Temperature,
-    columns_of,
-)
+from imubayes.procedures import PROCEDURES, base, procedure_named
 
 
-class PlannedRun(PlannedSteps):
+class PlannedRun(base.PlannedSteps):
     """One run of a plan; the steps that a procedure accepts are in its `PlanRules`."""
 
-    name: Name
+    name: schemas.Name
     """of the run, unique in the plan"""
     procedure: str
     """test procedure, as in campaign.toml"""
@@ -68,11 +49,11 @@ class PlannedRun(PlannedSteps):
     """name of a [[table]]"""
     mounting: str | None = None
     """name of a [[mounting]]"""
-    temperature_degC: Temperature | None = None
+    temperature_degC: base.Temperature | None = None
     """of all rows"""
-    temperature_uncertainty_degC: TemperatureUncertainty | None = None
+    temperature_uncertainty_degC: schemas.TemperatureUncertainty | None = None
     """as in campaign.toml; the truth has an error of this size"""
-    converter_temperature_uncertainty_degC: TemperatureUncertainty | None = None
+    converter_temperature_uncertainty_degC: schemas.TemperatureUncertainty | None = None
     """as in campaign.toml; the truth has an error of this size"""
     start: datetime | date | None = None
     """when the run begins"""
@@ -81,11 +62,11 @@ class PlannedRun(PlannedSteps):
 class PlanFile(BaseModel):
     """A plan file."""
 
-    model_config = CampaignFile.model_config
+    model_config = schemas.CampaignFile.model_config
 
     format: Literal[1]
     """of this file"""
-    name: Name
+    name: schemas.Name
     """of the campaign"""
     notes: list[str] = []
     """remarks, copied into the campaign"""
@@ -95,26 +76,26 @@ class PlanFile(BaseModel):
     """of truth and noise"""
     truth: dict[str, float] = {}
     """true values by parameter; others are drawn from the priors"""
-    site: SiteEntry
+    site: schemas.SiteEntry
     """where the runs are made"""
-    unit: UnitEntry = UnitEntry()
+    unit: schemas.UnitEntry = schemas.UnitEntry()
     """what is tested"""
-    channel: list[ChannelEntry] = Field(min_length=1)
+    channel: list[schemas.ChannelEntry] = Field(min_length=1)
     """one for each sensitive axis"""
-    table: list[TableEntry] = []
+    table: list[schemas.TableEntry] = []
     """as in campaign.toml"""
-    mounting: list[MountingEntry] = []
+    mounting: list[schemas.MountingEntry] = []
     """as in campaign.toml"""
     run: list[PlannedRun] = Field(min_length=1)
     """the steps of each run"""
 
 
-def judge_steps(run: PlannedRun, rules: PlanRules, place: int, ledger: Ledger) -> None:
+def judge_steps(run: PlannedRun, rules: base.PlanRules, place: int, ledger: Ledger) -> None:
     """Add an issue for every step key that is missing, redundant or not applicable to the procedure."""
     one_of, further = rules.one_of, rules.further
-    given = [key for key in STEP_KEYS if getattr(run, key) is not None]
+    given = [key for key in base.STEP_KEYS if getattr(run, key) is not None]
     for key in given:
-        if key not in (*one_of, *further, *OF_ANY_RUN):
+        if key not in (*one_of, *further, *base.OF_ANY_RUN):
             ledger.add(
                 f"'{key}' does not apply to procedure '{run.procedure}'",
                 ("run", place, key),
@@ -194,7 +175,7 @@ class Plan:
     path: Path
     model: Path
     campaign: Campaign
-    entries: tuple[RunEntry, ...]
+    entries: tuple[schemas.RunEntry, ...]
     columns: tuple[dict[str, np.ndarray], ...]
 
 
@@ -234,17 +215,17 @@ def read_plan(path: str | Path) -> Plan:
     return Plan(file, path, path.parent / file.model, campaign, entries, columns)
 
 
-def _rules(run: PlannedRun) -> PlanRules:
+def _rules(run: PlannedRun) -> base.PlanRules:
     rules = PROCEDURES[run.procedure].plan
     assert rules is not None
     return rules
 
 
 def _columns(
-    run: PlannedRun, rows: PlannedRows, site: Site, tables: Mapping[str, Table], mountings: Mapping[str, Mounting]
+    run: PlannedRun, rows: base.PlannedRows, site: Site, tables: Mapping[str, Table], mountings: Mapping[str, Mounting]
 ) -> dict[str, np.ndarray]:
     rules = _rules(run)
-    columns = columns_of(run, rules, rows)
+    columns = base.columns_of(run, rules, rows)
     if rules.nominal is None:
         return columns
     assert run.table is not None
@@ -252,7 +233,7 @@ def _columns(
     return columns | rules.nominal(columns, site, tables[run.table], mountings[run.mounting])
 
 
-def _attitude(run: PlannedRun, rows: PlannedRows, channels: Sequence[Channel]) -> np.ndarray | None:
+def _attitude(run: PlannedRun, rows: base.PlannedRows, channels: Sequence[Channel]) -> np.ndarray | None:
     if run.directions is None:
         return rows.attitude
     return np.stack([equipment.attitude_of(pair, channels) for pair in run.directions])
@@ -265,13 +246,13 @@ def recorded(run: PlannedRun, channels: tuple[Channel, ...]) -> list[str]:
     return [channel.name for channel in unit if channel.current_per_acceleration or not procedure.injected]
 
 
-def _entry(run: PlannedRun, place: int) -> RunEntry:
+def _entry(run: PlannedRun, place: int) -> schemas.RunEntry:
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in run.name)
     # Names that differ only in characters not allowed in file names would collide without the number.
     file = f"runs/{plain}.csv" if plain == run.name else f"runs/{place:03d}-{plain}.csv"
     # What a plan says of the converter's temperature is a ramp: it goes into the rows.
-    stated = {name: getattr(run, name) for name in RunEntry.model_fields if name in PlannedRun.model_fields}
-    return RunEntry.model_validate(stated | {"file": file, "converter_temperature_degC": None})
+    stated = {name: getattr(run, name) for name in schemas.RunEntry.model_fields if name in PlannedRun.model_fields}
+    return schemas.RunEntry.model_validate(stated | {"file": file, "converter_temperature_degC": None})
 
 
 def _check_channels(file: PlanFile, ledger: Ledger) -> None:

@@ -14,31 +14,8 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.reduction import Limits, clipping_note
+from imubayes.campaign.reduction import static_poses as static
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, MagnitudeFit, fit_magnitude
-from imubayes.campaign.reduction.static_poses import (
-    LEAST_G,
-    MOST_G,
-    MOST_ROTATION,
-    Pose,
-    Recording,
-    angle_between,
-    body_vectors,
-    broken_turn,
-    divide_rests,
-    find_rests,
-    initial_mean,
-    join_rests,
-    magnitude_scatter,
-    padded,
-    pose_means,
-    record,
-    rotation_between,
-    step_edges,
-    step_means,
-    trim_rests,
-    turning,
-    variance_ratio,
-)
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Tumble
 from imubayes.foundations.covariates import recorded_columns
@@ -54,7 +31,9 @@ _FACTORS = np.geomspace(0.25, 4.0, 61)
 _USUAL, _OTHER_RANGE = 1.1, 1.5
 
 
-def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[Channel], file: Path) -> list[Finding]:
+def check_axes(
+    recording: static.Recording, poses: Sequence[static.Pose], channels: Sequence[Channel], file: Path
+) -> list[Finding]:
     """Compare gravity propagated by the gyros from pose to pose with the accelerometer observations.
 
     A reversed accelerometer is invisible in |f| = g, and a fit would absorb it in other parameters.
@@ -92,7 +71,7 @@ def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[C
     return [Finding("axes_do_not_fit", "warning", "", what, str(file), allowed, remedy)]
 
 
-def _common_factor(recording: Recording, poses: Sequence[Pose]) -> tuple[float, float]:
+def _common_factor(recording: static.Recording, poses: Sequence[static.Pose]) -> tuple[float, float]:
     """Return the factor to all rates with which they propagate gravity best, and the angle that is left, rad."""
 
     def left(factor: float) -> float:
@@ -103,23 +82,25 @@ def _common_factor(recording: Recording, poses: Sequence[Pose]) -> tuple[float, 
     return float(found.x), float(found.fun)
 
 
-def propagation_error(recording: Recording, poses: Sequence[Pose]) -> float:
+def propagation_error(recording: static.Recording, poses: Sequence[static.Pose]) -> float:
     """Return the angle between propagated and observed gravity, rad, averaged over all transitions."""
-    means = pose_means(recording.force, poses)
+    means = static.pose_means(recording.force, poses)
     angles = []
     for (before, f), (after, h) in pairwise(zip(poses, means, strict=True)):
-        if broken_turn(recording, before.stop - 1, after.start):
+        if static.broken_turn(recording, before.stop - 1, after.start):
             continue
-        edges = step_edges(recording.time, recording.rate, before.stop - 1, after.start)
-        angles.append(angle_between(rotation_between(recording, edges)[0].T @ f, h))
+        edges = static.step_edges(recording.time, recording.rate, before.stop - 1, after.start)
+        angles.append(static.angle_between(static.rotation_between(recording, edges)[0].T @ f, h))
     return float(np.mean(angles)) if angles else 0.0
 
 
-def _with_reversed(recording: Recording, channels: Sequence[Channel], indices: Sequence[int], file: Path) -> Recording:
+def _with_reversed(
+    recording: static.Recording, channels: Sequence[Channel], indices: Sequence[int], file: Path
+) -> static.Recording:
     sign = np.ones(len(channels))
     sign[list(indices)] = -1.0
-    force, rate = body_vectors(recording.readings, channels, file, sign)
-    return replace(recording, force=force, rate=rate - initial_mean(rate, recording.initial))
+    force, rate = static.body_vectors(recording.readings, channels, file, sign)
+    return replace(recording, force=force, rate=rate - static.initial_mean(rate, recording.initial))
 
 
 MULTIPLES = (2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0)  # candidate thresholds, in variances at rest
@@ -144,7 +125,7 @@ class ReducedTumble:
 class Detection:
     """Detected poses, the threshold as a multiple of the variance at rest, and the fit of |f| = g to them."""
 
-    poses: tuple[Pose, ...]
+    poses: tuple[static.Pose, ...]
     multiple: float
     fit: MagnitudeFit
 
@@ -173,7 +154,7 @@ def reduce_tumble(
     InputError
         if channels are missing, fewer than four static poses are found, or a gyro is clipped in every transition.
     """
-    recording = record(numbers, channels, initial_seconds, file)
+    recording = static.record(numbers, channels, initial_seconds, file)
     detection = detect_poses(recording, gravity)
     if len(detection.poses) < LEAST_POSES:
         raise input_error(
@@ -183,7 +164,7 @@ def reduce_tumble(
             "record more poses, or state the length of the initial rest as initial_rest_s",
         )
     rotated = np.array([rotation_within(recording, pose) for pose in detection.poses])
-    flagged = (rotated > MOST_ROTATION) | detection.fit.outliers
+    flagged = (rotated > static.MOST_ROTATION) | detection.fit.outliers
     good = [pose for pose, bad in zip(detection.poses, flagged, strict=True) if not bad]
     clipped = _clipped(recording, channels, limits or {})
     whole, untold = _tumble(recording, detection, flagged)
@@ -203,7 +184,7 @@ def reduce_tumble(
     return ReducedTumble(rows, tumble, notes, tuple(findings))
 
 
-def _clipped(recording: Recording, channels: Sequence[Channel], limits: Limits) -> np.ndarray:
+def _clipped(recording: static.Recording, channels: Sequence[Channel], limits: Limits) -> np.ndarray:
     """Return which samples are at the limit of their channel, shape (N, C)."""
     return np.stack(
         [np.isin(recording.readings[:, i], limits.get(channel.name, ())) for i, channel in enumerate(channels)], axis=1
@@ -212,8 +193,8 @@ def _clipped(recording: Recording, channels: Sequence[Channel], limits: Limits) 
 
 def _without_clipped(
     tumble: Tumble,
-    recording: Recording,
-    poses: Sequence[Pose],
+    recording: static.Recording,
+    poses: Sequence[static.Pose],
     channels: Sequence[Channel],
     clipped: np.ndarray,
     limits: Limits,
@@ -244,23 +225,23 @@ def _without_clipped(
     return replace(tumble, **left), notes
 
 
-def detect_poses(recording: Recording, gravity: float) -> Detection:
+def detect_poses(recording: static.Recording, gravity: float) -> Detection:
     """Return the detection, over all candidate thresholds, whose poses satisfy |f| = g best."""
-    ratio = variance_ratio(recording.force, recording.interval, recording.initial)
-    turns = turning(recording.rate, recording.interval)
+    ratio = static.variance_ratio(recording.force, recording.interval, recording.initial)
+    turns = static.turning(recording.rate, recording.interval)
     candidates = []
     for multiple in MULTIPLES:
-        rests = divide_rests(find_rests(ratio < multiple, recording.interval), turns, recording.interval)
-        rests = trim_rests(rests, recording.rate, recording.interval)
-        poses = tuple(join_rests(rests, recording.force, recording.interval, turns))
-        scatter = magnitude_scatter(recording.force, poses)
-        fit = fit_magnitude(pose_means(recording.force, poses), gravity, scatter)
+        rests = static.divide_rests(static.find_rests(ratio < multiple, recording.interval), turns, recording.interval)
+        rests = static.trim_rests(rests, recording.rate, recording.interval)
+        poses = tuple(static.join_rests(rests, recording.force, recording.interval, turns))
+        scatter = static.magnitude_scatter(recording.force, poses)
+        fit = fit_magnitude(static.pose_means(recording.force, poses), gravity, scatter)
         candidates.append(Detection(poses, multiple, fit))
     # Enough poses for the full fit come first, then the smallest scatter of |f|.
     return max(candidates, key=lambda detection: (detection.fit.parameters, -detection.fit.spread))
 
 
-def rotation_within(recording: Recording, pose: Pose) -> float:
+def rotation_within(recording: static.Recording, pose: static.Pose) -> float:
     """Return the largest rotation by the gyros in `ROTATION_SECONDS` of a pose, rad, their median rate removed."""
     worst, span = 0.0, round(ROTATION_SECONDS / recording.interval)
     for rest in pose.rests:
@@ -271,10 +252,10 @@ def rotation_within(recording: Recording, pose: Pose) -> float:
     return worst
 
 
-def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> tuple[Tumble, tuple[str, ...]]:
+def _tumble(recording: static.Recording, detection: Detection, flagged: np.ndarray) -> tuple[Tumble, tuple[str, ...]]:
     """Return the poses and the turns between them, and notes on turns that are left out."""
     good = np.flatnonzero(~flagged)
-    level = detection.fit.apply(pose_means(recording.force, detection.poses))
+    level = detection.fit.apply(static.pose_means(recording.force, detection.poses))
     tumble = unturned(good, level, flagged, recording.readings.shape[1])
     if not recording.turns:
         return tumble, ("no gyros about three axes: the poses are related by |f| = g alone",)
@@ -282,13 +263,13 @@ def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> 
     lengths, readings, corrections = [], [], []
     for before, after in pairwise(good):
         begin, end = detection.poses[before].stop - 1, detection.poses[after].start
-        if why := broken_turn(recording, begin, end):
+        if why := static.broken_turn(recording, begin, end):
             broken.append((before, after, why))
             continue
         kept.append((before, after))
-        edges = step_edges(recording.time, recording.rate, begin, end)
-        length, mean = step_means(recording.time, recording.readings, edges)
-        rotation, correction = rotation_between(recording, edges)
+        edges = static.step_edges(recording.time, recording.rate, begin, end)
+        length, mean = static.step_means(recording.time, recording.readings, edges)
+        rotation, correction = static.rotation_between(recording, edges)
         propagated = attitude[before] @ rotation
         attitude[after] = _levelling(propagated @ level[after]) @ propagated
         lengths.append(length)
@@ -303,7 +284,12 @@ def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> 
         return tumble, notes
     start, stop = np.array(kept).T
     return replace(
-        tumble, start=start, stop=stop, step=padded(lengths), readings=padded(readings), coning=padded(corrections)
+        tumble,
+        start=start,
+        stop=stop,
+        step=static.padded(lengths),
+        readings=static.padded(readings),
+        coning=static.padded(corrections),
     ), notes
 
 
@@ -328,7 +314,7 @@ def _levelling(force: np.ndarray) -> np.ndarray:
 
 
 def _rows(
-    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], poses: Sequence[Pose]
+    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], poses: Sequence[static.Pose]
 ) -> dict[str, np.ndarray]:
     present = np.stack([np.isfinite(numbers[c.name]) for c in channels if c.name in numbers]).all(axis=0)
     complete = {name: values[present] for name, values in numbers.items()}
@@ -343,7 +329,7 @@ def _rows(
 
 
 def _notes(
-    recording: Recording, detection: Detection, flagged: np.ndarray, rotated: np.ndarray, tumble: Tumble
+    recording: static.Recording, detection: Detection, flagged: np.ndarray, rotated: np.ndarray, tumble: Tumble
 ) -> tuple[str, ...]:
     seconds = recording.time[recording.initial.stop - 1] - recording.time[recording.initial.start]
     fit = detection.fit
@@ -354,12 +340,12 @@ def _notes(
         if fit.judges
         else f"{len(flagged)} poses are too few to tell a disturbed one by |f| = g, {LEAST_TO_JUDGE} are needed",
     ]
-    notes += one_axis_note(pose_means(recording.force, detection.poses))
+    notes += one_axis_note(static.pose_means(recording.force, detection.poses))
     for pose in np.flatnonzero(flagged):
         begin = recording.time[detection.poses[pose].start]
         why = (
             f"the gyros show a rotation by {np.rad2deg(rotated[pose]):.2g} deg"
-            if rotated[pose] > MOST_ROTATION
+            if rotated[pose] > static.MOST_ROTATION
             else f"|f| − g is {fit.residual[pose]:.2g} m/s²"
         )
         notes.append(f"pose {pose} (from {begin:.4g} s) excluded as disturbed: {why}")
@@ -383,7 +369,7 @@ def one_axis_note(means: np.ndarray) -> list[str]:
 def wrong_acceleration_unit(means: np.ndarray, gravity: float, file: Path) -> list[Finding]:
     """Return a finding where |f| of static poses, shape (n, 3) in m/s², is far from g."""
     slope = float(np.median(np.linalg.norm(means, axis=1))) / gravity
-    if LEAST_G < slope < MOST_G:
+    if static.LEAST_G < slope < static.MOST_G:
         return []
     return [
         Finding(
@@ -394,13 +380,13 @@ def wrong_acceleration_unit(means: np.ndarray, gravity: float, file: Path) -> li
     ]  # fmt: skip
 
 
-def _findings(recording: Recording, detection: Detection, gravity: float, file: Path) -> list[Finding]:
+def _findings(recording: static.Recording, detection: Detection, gravity: float, file: Path) -> list[Finding]:
     """Return findings of a wrong unit: |f| far from g, or gyro angles far from the changes of attitude."""
-    means = pose_means(recording.force, detection.poses)
+    means = static.pose_means(recording.force, detection.poses)
     found, shares = wrong_acceleration_unit(means, gravity, file), []
     for (before, f), (after, h) in pairwise(zip(detection.poses, means, strict=True)):
-        angle = angle_between(f, h)
-        if recording.turns and angle > 0.3 and not broken_turn(recording, before.stop - 1, after.start):
+        angle = static.angle_between(f, h)
+        if recording.turns and angle > 0.3 and not static.broken_turn(recording, before.stop - 1, after.start):
             shares.append(_path(recording, before, after) / angle)
     share = float(np.median(shares)) if shares else 1.0
     if not 0.3 < share < 20.0:
@@ -415,7 +401,7 @@ def _findings(recording: Recording, detection: Detection, gravity: float, file: 
     return found
 
 
-def _path(recording: Recording, before: Pose, after: Pose) -> float:
+def _path(recording: static.Recording, before: static.Pose, after: static.Pose) -> float:
     """Return the integral of |rate| between two poses, rad."""
     moving = slice(before.stop - 1, after.start + 1)
     speed = np.linalg.norm(recording.rate[moving], axis=1)

@@ -7,27 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.file_schemas import CampaignFile
-from imubayes.campaign.setup_gate.equipment_mistakes import (
-    ChannelsExchanged,
-    FilesExchanged,
-    Mistake,
-    MountingMislabelled,
-    MountingsExchanged,
-    MountingWrong,
-    TimeShift,
-)
-from imubayes.campaign.setup_gate.reading_mistakes import (
-    ANGLE_UNITS,
-    RATE_UNITS,
-    AngleUnit,
-    ChannelGain,
-    LatitudeValue,
-    NominalScale,
-    RateUnit,
-    TableRates,
-    TemperatureReversed,
-    TemperatureUnit,
-)
+from imubayes.campaign.setup_gate import equipment_mistakes as bench
+from imubayes.campaign.setup_gate import reading_mistakes as reading
 from imubayes.campaign.setup_gate.search import Explanation
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.foundations.campaign_data import Campaign
@@ -74,14 +55,14 @@ class Places:
         """Return the stated reading of the angle at the zero of a table, deg."""
         return next((entry.zero_angle_deg for entry in self.entry.table if entry.name == table), 0.0)
 
-    def column(self, mistake: Mistake, column: str) -> str:
+    def column(self, mistake: bench.Mistake, column: str) -> str:
         """Return where a column of the runs concerned stands."""
         if mistake.scope.section == "run":
             return f"{self.table(mistake.scope.name)}, column '{column}'"
         return f"{self.ledger.file}, column '{column}' of the runs"
 
 
-def _subject(mistake: Mistake) -> str:
+def _subject(mistake: bench.Mistake) -> str:
     scope = mistake.scope
     if scope.section == "run":
         return f"in run '{scope.name}'"
@@ -159,7 +140,7 @@ def _sense(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-def _table_of(campaign: Campaign, mistake: Mistake) -> str:
+def _table_of(campaign: Campaign, mistake: bench.Mistake) -> str:
     if mistake.scope.section == "table":
         return mistake.scope.name
     return next(str(run.table) for run in campaign.runs if run.name == mistake.scope.name)
@@ -195,7 +176,7 @@ def _azimuth(campaign: Campaign, found: Explanation, places: Places) -> Words:
 
 def _label(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
-    assert isinstance(mistake, MountingMislabelled)
+    assert isinstance(mistake, bench.MountingMislabelled)
     name = mistake.scope.name
     what = f"the unit sat in mounting '{mistake.actual}' {_subject(mistake)}"
     if mistake.scope.section == "run":
@@ -207,7 +188,7 @@ def _label(campaign: Campaign, found: Explanation, places: Places) -> Words:
 
 def _seats(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
-    assert isinstance(mistake, MountingsExchanged)
+    assert isinstance(mistake, bench.MountingsExchanged)
     first, second = mistake.first, mistake.second
     on = f" on table '{mistake.scope.name}'" if mistake.scope.section == "table" else ""
     runs = [(run.name, run.mounting) for run in campaign.runs if not on or run.table == mistake.scope.name]
@@ -223,7 +204,7 @@ def _seats(campaign: Campaign, found: Explanation, places: Places) -> Words:
 
 def _files(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
-    assert isinstance(mistake, FilesExchanged)
+    assert isinstance(mistake, bench.FilesExchanged)
     first, second = mistake.scope.name, mistake.second
     return Words(
         f"the tables of runs '{first}' and '{second}' are exchanged",
@@ -236,7 +217,7 @@ def _files(campaign: Campaign, found: Explanation, places: Places) -> Words:
 
 def _matrix(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
-    assert isinstance(mistake, MountingWrong)
+    assert isinstance(mistake, bench.MountingWrong)
     name, run = mistake.scope.name, mistake.scope.section == "run"
     what = "the transpose of body_to_table fits" if mistake.transposed else "the unit sat in another orientation"
     remedy = f"write body_to_table = {_rows(mistake.matrix)}"
@@ -259,7 +240,7 @@ def _latitude(campaign: Campaign, found: Explanation, places: Places) -> Words:
 
 
 def _latitude_value(campaign: Campaign, found: Explanation, places: Places) -> Words:
-    assert isinstance(found.mistake, LatitudeValue)
+    assert isinstance(found.mistake, reading.LatitudeValue)
     latitude, sign = math.degrees(campaign.site.latitude), 1 if found.mistake.north else -1
     actual = sign * round(max(0.0, math.degrees(sign * found.size)))
     return Words(
@@ -273,7 +254,7 @@ def _latitude_value(campaign: Campaign, found: Explanation, places: Places) -> W
 
 def _channels(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
-    assert isinstance(mistake, ChannelsExchanged)
+    assert isinstance(mistake, bench.ChannelsExchanged)
     pairs = [(campaign.channels[a].name, campaign.channels[b].name) for a, b in
              zip(mistake.places, mistake.order, strict=True)]  # fmt: skip
     columns = ", ".join(f"'{name}'" for name, _ in pairs)
@@ -287,16 +268,16 @@ def _channels(campaign: Campaign, found: Explanation, places: Places) -> Words:
 
 def _unit_and_factor(found: Explanation) -> tuple[str, float]:
     """Return the mistaken unit in words, empty for a reversed sign, and by how much the outputs are too large."""
-    if isinstance(found.mistake, ChannelGain):
+    if isinstance(found.mistake, reading.ChannelGain):
         return found.mistake.units, found.mistake.factor
-    assert isinstance(found.mistake, NominalScale)
+    assert isinstance(found.mistake, reading.NominalScale)
     factor = float(f"{math.exp(found.size):.4g}")
     return found.mistake.units(found.size) or f"{factor:g} times its nominal scale", factor
 
 
 def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
-    assert isinstance(mistake, (ChannelGain, NominalScale))
+    assert isinstance(mistake, (reading.ChannelGain, reading.NominalScale))
     units, factor = _unit_and_factor(found)
     subject, names = _subject(mistake), ", ".join(f"'{name}'" for name in mistake.channels)
     noun, verb = ("channel", "is") if len(mistake.channels) == 1 else ("channels", "are")
@@ -323,7 +304,7 @@ def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
 
 
 def _rate(campaign: Campaign, found: Explanation, places: Places) -> Words:
-    if isinstance(found.mistake, TableRates):
+    if isinstance(found.mistake, reading.TableRates):
         return Words(
             f"the rates of table '{found.mistake.scope.name}' are {math.exp(found.size):.4g} times those of column "
             "'table_rate_deg_s'",
@@ -336,10 +317,10 @@ def _rate(campaign: Campaign, found: Explanation, places: Places) -> Words:
 
 def _unit(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
-    assert isinstance(mistake, (RateUnit, AngleUnit))
-    column, units, allowed = "table_angle_deg", ANGLE_UNITS, "degrees"
-    if isinstance(mistake, RateUnit):
-        column, units, allowed = "table_rate_deg_s", RATE_UNITS, "degrees per second"
+    assert isinstance(mistake, (reading.RateUnit, reading.AngleUnit))
+    column, units, allowed = "table_angle_deg", reading.ANGLE_UNITS, "degrees"
+    if isinstance(mistake, reading.RateUnit):
+        column, units, allowed = "table_rate_deg_s", reading.RATE_UNITS, "degrees per second"
     factor = units[mistake.unit]
     return Words(
         f"column '{column}' is in {mistake.unit} {_subject(mistake)}",
@@ -351,7 +332,7 @@ def _unit(campaign: Campaign, found: Explanation, places: Places) -> Words:
 
 def _time(campaign: Campaign, found: Explanation, places: Places) -> Words:
     subject, runs = _subject(found.mistake), {run.name: run for run in campaign.runs}
-    assert isinstance(found.mistake, TimeShift)
+    assert isinstance(found.mistake, bench.TimeShift)
     run, size = runs.get(found.mistake.scope.name), float(round(found.size))
     if not found.mistake.whole:
         size = round(2 * found.size) / 2
@@ -382,7 +363,7 @@ def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Word
 
 def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
-    assert isinstance(mistake, TemperatureUnit)
+    assert isinstance(mistake, reading.TemperatureUnit)
     columns, noun, one = _thermal_columns(mistake)
     return Words(
         f"{noun} {columns} {'is' if one else 'are'} in degrees Fahrenheit {_subject(mistake)}",
@@ -392,7 +373,7 @@ def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Words
     )
 
 
-def _thermal_columns(mistake: TemperatureUnit | TemperatureReversed) -> tuple[str, str, bool]:
+def _thermal_columns(mistake: reading.TemperatureUnit | reading.TemperatureReversed) -> tuple[str, str, bool]:
     """Return the columns of a mistake as a list, the noun before it, and whether it is one."""
     one = len(mistake.names) == 1
     return " and ".join(f"'{_COLUMN[name]}'" for name in mistake.names), "column" if one else "columns", one
@@ -408,7 +389,7 @@ def _thermometers(campaign: Campaign, found: Explanation, places: Places) -> Wor
 
 
 def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Words:
-    assert isinstance(found.mistake, TemperatureReversed)
+    assert isinstance(found.mistake, reading.TemperatureReversed)
     mistake = found.mistake
     columns, noun, one = _thermal_columns(mistake)
     return Words(

@@ -14,18 +14,10 @@ from functools import cache, cached_property, partial
 import numpy as np
 import scipy.linalg
 
+from imubayes.criticism.evidence import noise_structures as structures
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants, summed_over_widths
 from imubayes.criticism.evidence.free_forms import ChosenForm
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED, ChannelRows, LinearProblem
-from imubayes.criticism.evidence.noise_structures import (
-    HeavyTails,
-    NoiseOfUnit,
-    NoiseUnit,
-    log_prior_of_sisters,
-    noise_units,
-    tail_bound,
-    tail_weights,
-)
 from imubayes.criticism.evidence.whitened_rows import GramMatrix, WhitenedRows, offsets_of_runs
 
 ROUNDS = 30
@@ -40,7 +32,7 @@ class Hypothesis:
     """What is missing: places of variants in order, the noise of each unit, and a form."""
 
     variants: tuple[int, ...]
-    noise: tuple[NoiseOfUnit, ...]
+    noise: tuple[structures.NoiseOfUnit, ...]
     form: ChosenForm | None = None
 
     def without(self, variant: int) -> "Hypothesis":
@@ -51,7 +43,7 @@ class Hypothesis:
         """Return the hypothesis with further variants."""
         return replace(self, variants=tuple(sorted((*self.variants, *variants))))
 
-    def with_noise(self, unit: int, noise: NoiseOfUnit) -> "Hypothesis":
+    def with_noise(self, unit: int, noise: structures.NoiseOfUnit) -> "Hypothesis":
         """Return the hypothesis with other noise in a unit."""
         return replace(self, noise=(*self.noise[:unit], noise, *self.noise[unit + 1 :]))
 
@@ -113,20 +105,20 @@ class EvidenceOf:
     def __init__(self, problem: LinearProblem):
         self.problem = problem
         self.variants: tuple[EffectVariant, ...] = effect_variants(problem)
-        self.units: tuple[NoiseUnit, ...] = noise_units(problem)
+        self.units: tuple[structures.NoiseUnit, ...] = structures.noise_units(problem)
         self.unit_of = {k: place for place, unit in enumerate(self.units) for k in unit.channels}
         self._place = [_places_of(rows, problem.own + len(problem.coefficients)) for rows in problem.rows]
         self.rows = [WhitenedRows(rows) for rows in problem.rows]
-        self._of_sisters = cache(partial(log_prior_of_sisters, problem, self.units))
+        self._of_sisters = cache(partial(structures.log_prior_of_sisters, problem, self.units))
         self.known: dict[Hypothesis, Evaluated] = {}
 
     @cached_property
-    def stated(self) -> tuple[NoiseOfUnit, ...]:
+    def stated(self) -> tuple[structures.NoiseOfUnit, ...]:
         """The noise as stated, of each unit; the likeliest before the data."""
         return tuple(max(unit.stated, key=lambda each: each.log_prior) for unit in self.units)
 
     @cached_property
-    def as_fitted(self) -> tuple[NoiseOfUnit, ...]:
+    def as_fitted(self) -> tuple[structures.NoiseOfUnit, ...]:
         """The same with correlations in time as fitted."""
         return tuple(unit.as_fitted for unit in self.units)
 
@@ -140,7 +132,7 @@ class EvidenceOf:
 
     # ---- Gram matrices ----
 
-    def noise(self, at: Hypothesis, channel: int) -> NoiseOfUnit:
+    def noise(self, at: Hypothesis, channel: int) -> structures.NoiseOfUnit:
         """Return the noise of a channel."""
         return at.noise[self.unit_of[channel]]
 
@@ -248,7 +240,7 @@ class _Evaluation:
         self.form_columns = form.width if form is not None else 0
         self.scale = np.ones(len(problem.rows)) if start is None else start.scale.copy()
         rows = {k: of.noise(hypothesis, k).rows for k in self.channels}
-        self.degrees = {k: each.degrees for k, each in rows.items() if isinstance(each, HeavyTails)}
+        self.degrees = {k: each.degrees for k, each in rows.items() if isinstance(each, structures.HeavyTails)}
         self.weight: dict[int, np.ndarray] = {}
         for k, degrees in self.degrees.items():
             known = start.weight.get(k) if start is not None else None
@@ -259,7 +251,7 @@ class _Evaluation:
     def _first_weights(self, channel: int, degrees: float) -> np.ndarray:
         """Return the weights at the fit where its model has heavy tails; else 1, since outliers have moved the fit."""
         rows = self.of.problem.rows[channel]
-        return tail_weights(rows.columns[:, -1] ** 2, degrees) if rows.tails else np.ones(len(rows.entry))
+        return structures.tail_weights(rows.columns[:, -1] ** 2, degrees) if rows.tails else np.ones(len(rows.entry))
 
     def found(self) -> Evaluated:
         self._gather()
@@ -328,7 +320,7 @@ class _Evaluation:
         """Weigh the rows of heavy tails anew, and return by how much a logarithm of a weight changes at most."""
         moved = 0.0
         for k, before in self.weight.items():
-            self.weight[k] = tail_weights(self._squares(k), self.degrees[k])
+            self.weight[k] = structures.tail_weights(self._squares(k), self.degrees[k])
             moved = max(moved, float(np.max(np.abs(np.log(self.weight[k] / before)))))
         self._gather()
         return moved
@@ -347,7 +339,7 @@ class _Evaluation:
             square = self.products[k].square / self.scale[k] ** 2
             found -= len(problem.rows[k].entry) * math.log(self.scale[k]) + 0.5 * square
             if k in self.weight:
-                found += tail_bound(self._squares(k), self.weight[k], self.degrees[k])
+                found += structures.tail_bound(self._squares(k), self.weight[k], self.degrees[k])
         of_effects = np.arange(problem.own, problem.own + len(self.coefficients))
         rest = np.setdiff1d(np.arange(len(self.whole)), of_effects)
         # Coefficients of unit information: what a prior alone tells stands beside what a million rows tell.

@@ -26,14 +26,7 @@ import numpy as np
 from scipy import special
 
 from imubayes.adequacy.known_noise import SISTERS_LOG_SD
-from imubayes.criticism.evidence.linear_problem import (
-    NEGLIGIBLE,
-    UNEXPECTED,
-    UNKNOWN,
-    ChannelRows,
-    Grid,
-    LinearProblem,
-)
+from imubayes.criticism.evidence import linear_problem as linear
 
 _BLOCK = 64
 """Rows that are filtered by one matrix.  Numerical: a compromise of loops and products."""
@@ -57,7 +50,7 @@ class NoiseStructure:
         """Whether rows stay as they are."""
         return True
 
-    def whiten(self, rows: ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
+    def whiten(self, rows: linear.ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
         """Return columns (n, C) whitened, and the log determinant of the whitening."""
         return columns, 0.0
 
@@ -75,7 +68,7 @@ class StateNoise(NoiseStructure):
     def is_white(self) -> bool:
         return False
 
-    def whiten(self, rows: ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
+    def whiten(self, rows: linear.ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the innovations of a Kalman filter over each run, all columns at once."""
         found, log_det = np.empty_like(columns), 0.0
         for length in {each for _, each in rows.series}:
@@ -142,7 +135,7 @@ class InputNoise(NoiseStructure):
     def is_white(self) -> bool:
         return False
 
-    def whiten(self, rows: ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
+    def whiten(self, rows: linear.ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
         """Return columns divided by the noise of each row."""
         root = 1 / np.sqrt(1 + self.excess * rows.input**2)
         return columns * root[:, None], float(np.log(root).sum())
@@ -198,9 +191,9 @@ class NoiseOfUnit:
         """What the noise is beyond what is stated."""
         return "runs" if self.rows.family == "known" and not self.stated else self.rows.family
 
-    def scale_sd(self, rows: ChannelRows) -> float:
+    def scale_sd(self, rows: linear.ChannelRows) -> float:
         """Return the standard deviation of the logarithm of the scale of a channel."""
-        return max(UNKNOWN, rows.scale_sd) if self.rows.free else rows.scale_sd
+        return max(linear.UNKNOWN, rows.scale_sd) if self.rows.free else rows.scale_sd
 
 
 @dataclass(frozen=True)
@@ -243,7 +236,7 @@ class NoiseUnit:
         return max((each for each in self.stated if each.size == size), key=lambda each: each.log_prior)
 
 
-def noise_units(problem: LinearProblem) -> tuple[NoiseUnit, ...]:
+def noise_units(problem: linear.LinearProblem) -> tuple[NoiseUnit, ...]:
     """Return who shares noise: each channel by itself where the model leaves a size of its noise open, else a kind.
 
     The closing rotations of each run are by themselves.
@@ -255,7 +248,9 @@ def noise_units(problem: LinearProblem) -> tuple[NoiseUnit, ...]:
     return tuple(_unit(problem, each) for each in groups)
 
 
-def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], noise: tuple[NoiseOfUnit, ...]) -> float:
+def log_prior_of_sisters(
+    problem: linear.LinearProblem, units: tuple[NoiseUnit, ...], noise: tuple[NoiseOfUnit, ...]
+) -> float:
     """Return what the scatters between runs of equal sensors tell of one another, beyond the prior of each.
 
     Scatters of a kind have a common size with the prior of the model, and lie about it with a standard deviation of the
@@ -274,15 +269,15 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
         ]
         each = np.zeros(len(grids[0]))
         for place, grid in zip(places, grids, strict=True):
-            prior, size = np.exp([p for _, p in grid]), np.log([max(tau, NEGLIGIBLE) for tau, _ in grid])
+            prior, size = np.exp([p for _, p in grid]), np.log([max(tau, linear.NEGLIGIBLE) for tau, _ in grid])
             near = np.exp(-0.5 * ((size[:, None] - size) / SISTERS_LOG_SD) ** 2)
-            about = UNEXPECTED * prior[:, None] + (1 - UNEXPECTED) * near / near.sum(axis=0)
+            about = linear.UNEXPECTED * prior[:, None] + (1 - linear.UNEXPECTED) * near / near.sum(axis=0)
             each += np.log(about[place]) - math.log(prior[place])
         found += float(np.logaddexp.reduce(each + [p for _, p in grids[0]]))
     return found
 
 
-def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
+def _unit(problem: linear.LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     own = problem.rows[channels[0]]
     others = _others(own)
     # What the model leaves open is there beside any structure of the rows, as its prior says.
@@ -291,7 +286,7 @@ def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     opened = [(tau, k, p + q) for tau, p in scatters for k, q in sizes]
     stated = _stated(own)
     scattered = _SCATTERS if len(own.series) > 1 and not own.run_scatter else ()
-    believed = math.log(1 - UNEXPECTED)
+    believed = math.log(1 - linear.UNEXPECTED)
     open_and_stated = [(*one, *other) for one, other in product(opened, stated)]
     as_stated = [NoiseOfUnit(rows, tau, believed + p + q, True, k) for tau, k, p, rows, q in open_and_stated]
     beside = [
@@ -302,12 +297,12 @@ def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
     return NoiseUnit(channels, own.kind, (*as_stated, *other), tuple(each.factor for each in own.correlations))
 
 
-def _stated(rows: ChannelRows) -> Sequence[tuple[NoiseStructure, float]]:
+def _stated(rows: linear.ChannelRows) -> Sequence[tuple[NoiseStructure, float]]:
     """Return the structures of rows that a model states, with the logarithms of their probabilities."""
     return [(HeavyTails("known", False, degrees), p) for degrees, p in rows.tails] or [(KNOWN, 0.0)]
 
 
-def _others(rows: ChannelRows) -> list[NoiseStructure]:
+def _others(rows: linear.ChannelRows) -> list[NoiseStructure]:
     """Return the structures other than stated.
 
     That of a gyro may grow with an input that varies.  Turns follow one another as the hand makes them, and their
@@ -321,7 +316,7 @@ def _others(rows: ChannelRows) -> list[NoiseStructure]:
 
 def _other_noise(
     structures: Sequence[NoiseStructure],
-    scatters: Grid,
+    scatters: linear.Grid,
     opened: Sequence[tuple[float, int, float]],
     whole: int | None,
     beside: Sequence[NoiseOfUnit],
@@ -336,7 +331,7 @@ def _other_noise(
     beside : stated noise with scatters that the model does not have, of which there are `scattered`.
     """
     families = Counter(each.family for each in structures)
-    each_family = math.log(UNEXPECTED / (len(families) + bool(scattered)))
+    each_family = math.log(linear.UNEXPECTED / (len(families) + bool(scattered)))
     for each in structures:
         share = each_family - math.log(families[each.family])
         if whole is not None and isinstance(each, StateNoise):

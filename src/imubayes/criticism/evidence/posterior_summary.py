@@ -12,20 +12,10 @@ from functools import cached_property
 
 import numpy as np
 
+from imubayes.criticism import explanation_records as record
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, Hypothesis
 from imubayes.criticism.evidence.linear_problem import LinearProblem
 from imubayes.criticism.evidence.model_search import ModelSearch
-from imubayes.criticism.explanation_records import (
-    NEAR,
-    CoefficientEstimate,
-    EffectSlot,
-    Evidence,
-    Explanation,
-    FoundForm,
-    FoundNoise,
-    ProbableEffect,
-    ProbableExplanation,
-)
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import Responses
 
@@ -34,7 +24,7 @@ _TABLED = 8
 UNLISTED = 0.25
 """Share of explanations by effects beside noise above what is known, of which a cause outside the catalogue is
 the truth: the effect imitates a part of it and the noise takes the rest.  A belief that no data of the kind refute."""
-_KINDS: tuple[Explanation, ...] = ("nothing", "noise", "effects", "input", "outside")
+_KINDS: tuple[record.Explanation, ...] = ("nothing", "noise", "effects", "input", "outside")
 
 
 @dataclass(frozen=True)
@@ -98,9 +88,9 @@ class ExplanationPosterior:
         return bool(found.hypothesis.variants) and any(np.log(each).mean() > 0 for each in scales)
 
     @cached_property
-    def evidence(self) -> Evidence:
+    def evidence(self) -> record.Evidence:
         """How probable each explanation is, as a record."""
-        return Evidence(
+        return record.Evidence(
             explanations=self._explanations,
             slots=tuple(map(self._slot_record, self.slots)),
             inclusion=self._inclusion[:_TABLED],
@@ -111,22 +101,22 @@ class ExplanationPosterior:
         )
 
     @cached_property
-    def _explanations(self) -> tuple[ProbableExplanation, ...]:
+    def _explanations(self) -> tuple[record.ProbableExplanation, ...]:
         kinds = [kind_of(each.hypothesis) for each in self.distinct]
 
-        def explanation(kind: Explanation) -> ProbableExplanation:
+        def explanation(kind: record.Explanation) -> record.ProbableExplanation:
             here = np.array([each == kind for each in kinds])
             probability, logs = float(self.share[here].sum()), self._logs[here]
             if kind == "outside":
                 probability += self.unlisted
                 logs = np.concatenate([logs, self._logs[self._imitating] + math.log(UNLISTED)])
             odds = float(logs.max() - self._logs.max()) if len(logs) else None
-            return ProbableExplanation(kind=kind, probability=min(probability, 1.0), log_odds=odds)
+            return record.ProbableExplanation(kind=kind, probability=min(probability, 1.0), log_odds=odds)
 
         return tuple(map(explanation, _KINDS))
 
     @cached_property
-    def leading(self) -> Explanation:
+    def leading(self) -> record.Explanation:
         """The kind of explanation that is likeliest."""
         return max(self._explanations, key=lambda each: each.probability).kind
 
@@ -157,7 +147,7 @@ class ExplanationPosterior:
         mass = {e: float(np.logaddexp.reduce([one.log_posterior for one in every])) for e, every in inside.items()}
         whole, members = np.logaddexp.reduce(list(mass.values())), list[SlotMember]()
         for effect in sorted(mass, key=lambda each: -mass[each]):
-            if sum(each.share for each in members) >= 1 - math.exp(-NEAR):
+            if sum(each.share for each in members) >= 1 - math.exp(-record.NEAR):
                 break
             best = max(inside[effect], key=lambda each: each.log_posterior)
             own = next(iter(set(best.hypothesis.variants) - rest))
@@ -172,18 +162,18 @@ class ExplanationPosterior:
         return min(float(self.share[[bool(each) for each in named]].sum()), 1.0)
 
     @cached_property
-    def _inclusion(self) -> tuple[ProbableEffect, ...]:
+    def _inclusion(self) -> tuple[record.ProbableEffect, ...]:
         owners: dict[str, tuple[str, ...]] = {}
         for place in np.argsort(-self.share):
             for n in self.distinct[place].hypothesis.variants:
                 owners.setdefault(self.of.variants[n].effect, self.of.variants[n].owners)
         found = [
-            ProbableEffect(effect=effect, channels=own, probability=self.including([effect]))
+            record.ProbableEffect(effect=effect, channels=own, probability=self.including([effect]))
             for effect, own in owners.items()
         ]
         return tuple(sorted(found, key=lambda each: -each.probability))
 
-    def coefficients(self, variant: int, found: Evaluated) -> tuple[CoefficientEstimate, ...]:
+    def coefficients(self, variant: int, found: Evaluated) -> tuple[record.CoefficientEstimate, ...]:
         """Return the coefficients of a variant in a hypothesis, with their posterior standard deviations."""
         places = self.of.variants[variant].places
         at, variance = self.of.among(found, places), np.diag(self.of.solved(found).covariance)
@@ -210,30 +200,32 @@ class ExplanationPosterior:
         """Wrong inputs near the likeliest, with their probabilities among them; empty without one."""
         found = [each for each in self.distinct if kind_of(each.hypothesis) == "input"]
         best = max((each.log_posterior for each in found), default=-math.inf)
-        near = sorted((each for each in found if each.log_posterior > best - NEAR), key=lambda e: -e.log_posterior)
+        near = sorted(
+            (each for each in found if each.log_posterior > best - record.NEAR), key=lambda e: -e.log_posterior
+        )
         mass = np.logaddexp.reduce([each.log_posterior for each in near]) if near else 0.0
         return tuple((float(np.exp(each.log_posterior - mass)), each) for each in near)
 
-    def _slot_record(self, slot: MissingEffect) -> EffectSlot:
-        return EffectSlot(
+    def _slot_record(self, slot: MissingEffect) -> record.EffectSlot:
+        return record.EffectSlot(
             candidates=tuple(
-                ProbableEffect(effect=m.effect, channels=self.of.variants[m.variant].owners, probability=m.share)
+                record.ProbableEffect(effect=m.effect, channels=self.of.variants[m.variant].owners, probability=m.share)
                 for m in slot.members
             ),
             gain=slot.gain,
             probability=slot.probability,
         )
 
-    def _form_record(self) -> FoundForm | None:
+    def _form_record(self) -> record.FoundForm | None:
         without = max(each.log_posterior for each in self.distinct if each.hypothesis.form is None)
         formed = [each for each in self.distinct if each.hypothesis.form is not None]
         best = max(formed, key=lambda each: each.log_posterior, default=None)
-        if best is None or best.log_posterior < without - NEAR:
+        if best is None or best.log_posterior < without - record.NEAR:
             return None
         chosen, problem = best.hypothesis.form, self.of.problem
         assert chosen is not None
         form = chosen.form
-        return FoundForm(
+        return record.FoundForm(
             name=form.name,
             channels=tuple(problem.rows[k].name for k in chosen.channels),
             covariates=form.covariates,
@@ -243,21 +235,21 @@ class ExplanationPosterior:
             wrong=form.wrong is not None,
         )
 
-    def _noise_records(self) -> Iterable[FoundNoise]:
+    def _noise_records(self) -> Iterable[record.FoundNoise]:
         names = [each.name for each in self.of.problem.rows]
         for unit, noise in zip(self.of.units, self.top.hypothesis.noise, strict=True):
             if not noise.stated:
                 scale = float(np.exp(np.mean(np.log(self.top.scale[list(unit.channels)]))))
                 channels = tuple(names[k] for k in unit.channels)
-                yield FoundNoise(channels=channels, family=noise.family, scale=scale)
+                yield record.FoundNoise(channels=channels, family=noise.family, scale=scale)
 
 
 def estimates(
     problem: LinearProblem, places: Sequence[int], mean: np.ndarray, variance: np.ndarray
-) -> tuple[CoefficientEstimate, ...]:
+) -> tuple[record.CoefficientEstimate, ...]:
     """Return coefficients in their units, from means and variances in their largest typical sizes, (k,)."""
     return tuple(
-        CoefficientEstimate(
+        record.CoefficientEstimate(
             name=problem.coefficients[k].parameter.name,
             value=float(value * problem.sizes[k]),
             sd=float(np.sqrt(square) * problem.sizes[k]),
@@ -267,7 +259,7 @@ def estimates(
     )
 
 
-def kind_of(hypothesis: Hypothesis) -> Explanation:
+def kind_of(hypothesis: Hypothesis) -> record.Explanation:
     """Return what kind of explanation a hypothesis is."""
     if hypothesis.form is not None:
         return "input" if hypothesis.form.form.wrong is not None else "outside"

@@ -11,15 +11,8 @@ from itertools import combinations
 
 import numpy as np
 
+from imubayes.criticism.evidence import hypothesis_evidence as evidence
 from imubayes.criticism.evidence.effect_variants import gain_of_coefficients
-from imubayes.criticism.evidence.hypothesis_evidence import (
-    ROUNDS,
-    SETTLED_WEIGHT,
-    Evaluated,
-    EvidenceOf,
-    Solved,
-    scale_mode,
-)
 from imubayes.criticism.evidence.linear_problem import ChannelRows
 from imubayes.criticism.evidence.noise_structures import (
     HeavyTails,
@@ -38,7 +31,7 @@ class Conditional:
     right: np.ndarray
 
 
-def base_columns(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
+def base_columns(of: evidence.EvidenceOf, at: evidence.Evaluated, channel: int) -> np.ndarray:
     """Return the whitened columns of a channel that take part, the residual last, (n, k + 1)."""
     weight, form = at.weight.get(channel), at.hypothesis.form
     white = of.whitened(at.hypothesis, channel, weight)
@@ -49,7 +42,7 @@ def base_columns(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
     return np.concatenate([*parts, white[:, -1:]], axis=1)
 
 
-def conditional(of: EvidenceOf, solved: Solved) -> Conditional:
+def conditional(of: evidence.EvidenceOf, solved: evidence.Solved) -> Conditional:
     """Return the likelihood of every coefficient beside a hypothesis."""
     problem, count, at = of.problem, len(of.problem.coefficients), solved.at
     own, right, across = np.zeros((count, count)), np.zeros(count), np.zeros((len(at.precision), count))
@@ -73,7 +66,7 @@ def conditional(of: EvidenceOf, solved: Solved) -> Conditional:
     return Conditional(left, right - across.T @ solved.mean)
 
 
-def residuals(of: EvidenceOf, at: Evaluated) -> dict[int, np.ndarray]:
+def residuals(of: evidence.EvidenceOf, at: evidence.Evaluated) -> dict[int, np.ndarray]:
     """Return the residual of each channel at the posterior mean, (n,), in units of the noise known beforehand."""
     found, form = {}, at.hypothesis.form
     for k in of.unit_of:
@@ -83,7 +76,7 @@ def residuals(of: EvidenceOf, at: Evaluated) -> dict[int, np.ndarray]:
 
 
 def log_likelihood(
-    of: EvidenceOf, residual: dict[int, np.ndarray], channels: Sequence[int], noise: NoiseOfUnit
+    of: evidence.EvidenceOf, residual: dict[int, np.ndarray], channels: Sequence[int], noise: NoiseOfUnit
 ) -> float:
     """Return the logarithm of prior and likelihood of residuals under a noise, its scale at the mode; a screen."""
     found = noise.log_prior
@@ -95,7 +88,7 @@ def log_likelihood(
             continue
         gram = with_scatter(of.rows[k].rows, white, noise.scatter)
         square = max(float(gram.products[0, 0]), 1e-12)
-        log_scale, term = scale_mode(square, count, sd)
+        log_scale, term = evidence.scale_mode(square, count, sd)
         found += gram.log_det + term - count * log_scale - 0.5 * square * math.exp(-2 * log_scale)
         found -= 0.5 * count * math.log(2 * math.pi)
     return found
@@ -105,12 +98,12 @@ def _under_tails(rows: ChannelRows, white: WhitenedColumns, scatter: float, degr
     """Return the log likelihood of a residual under Student's t beside offsets of runs at their means."""
     own, rest, term, log_scale, offsets = white.columns[:, 0], white.columns[:, 0], 0.0, 0.0, 0.0
     weight = np.ones(len(own))
-    for _ in range(ROUNDS):
+    for _ in range(evidence.ROUNDS):
         before, weight = weight, tail_weights((rest / math.exp(log_scale)) ** 2, degrees)
         runs = offsets_of_runs(rows, own, white.offset, weight, scatter)
         rest, offsets = own - runs.taken, runs.log_density(math.exp(log_scale))
-        log_scale, term = scale_mode(max(float(weight @ rest**2), 1e-12), len(own), sd)
-        if float(np.max(np.abs(np.log(weight / before)))) < SETTLED_WEIGHT:
+        log_scale, term = evidence.scale_mode(max(float(weight @ rest**2), 1e-12), len(own), sd)
+        if float(np.max(np.abs(np.log(weight / before)))) < evidence.SETTLED_WEIGHT:
             break
     return tail_log_density(rest / math.exp(log_scale), degrees) - len(own) * log_scale + term + offsets
 
@@ -118,7 +111,7 @@ def _under_tails(rows: ChannelRows, white: WhitenedColumns, scatter: float, degr
 class Screen:
     """Quick gains of variants and pairs from one conditional likelihood."""
 
-    def __init__(self, of: EvidenceOf):
+    def __init__(self, of: evidence.EvidenceOf):
         self.of, sizes = of, dict[int, list[int]]()
         for n, each in enumerate(of.variants):
             sizes.setdefault(len(each.places), []).append(n)
