@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 import yaml
 
-from imubayes.display.onboard.export_files import ExportOptions, write_constants
-from imubayes.display.onboard.formats import kalibr_yaml
+from imubayes.display.onboard.formats import ExportOptions, losses_of, write_constants
+from imubayes.display.onboard.kalibr import kalibr_yaml
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.qualification.onboard.constants import body_inputs
-from imubayes.qualification.onboard.losses import NoiseDensity, losses
+from imubayes.qualification.onboard.losses import NoiseDensity
 from imubayes.qualification.onboard.record import (
     CONVENTIONS,
     Constant,
@@ -243,18 +243,18 @@ def test_what_an_autopilot_cannot_hold_is_refused_with_its_size(tmp_path, target
 
 def test_what_is_within_its_uncertainty_may_be_lost():
     vague = unit(triad("accelerometer", SKEW, thermal(1, False, 0.2, True, 5), NONE), sd=0.05)
-    lost = losses(vague, "px4")
+    lost = losses_of(vague, "px4")
     assert [(loss.kind, loss.significant) for loss in lost] == [("misalignment", False)]
     sharp = unit(triad("accelerometer", SKEW, thermal(1, False, 0.2, True, 5), NONE), sd=0.001)
-    assert losses(sharp, "px4")[0].significant
+    assert losses_of(sharp, "px4")[0].significant
     quadratic = UnexpressedEffect(
         effect="accel_quadratic", channels=("ax",), kind="accelerometer", formula="", cause="nonlinear", size=0.01,
         sd=0.001, parameters=(),
     )  # fmt: skip
     with_effect = unit(*PLAIN.triads, effects=(quadratic,))
-    assert [(loss.kind, loss.significant) for loss in losses(with_effect, "c")] == [("effect", True)]
+    assert [(loss.kind, loss.significant) for loss in losses_of(with_effect, "c")] == [("effect", True)]
     fourth = unit(triad("gyro", np.eye(3), thermal(4, False, 0.02, True, 7), NONE))
-    assert [loss.kind for loss in losses(fourth, "ardupilot")] == ["bias_order"]
+    assert [loss.kind for loss in losses_of(fourth, "ardupilot")] == ["bias_order"]
 
 
 def test_axes_that_are_not_those_of_the_body_are_refused(tmp_path):
@@ -285,7 +285,7 @@ def test_kalibr_reads_what_it_would_have_estimated(tmp_path):
         np.testing.assert_allclose(m_a @ f + at(still.triads[0].bias, 25.0, 25.0), r_a, atol=1e-9)
         np.testing.assert_allclose(m_g @ c @ w + a @ c @ f + at(still.triads[1].bias, 25.0, 25.0), r_g, atol=1e-9)
     with pytest.raises(InputError, match="random walk of the gyros is not known"):
-        kalibr_yaml(still, (), {**noise, "gyro": NoiseDensity(1e-4, None)}, 200.0, "/imu0")
+        kalibr_yaml(still, {**noise, "gyro": NoiseDensity(1e-4, None)}, 200.0, "/imu0")
     with pytest.raises(InputError, match="rate of the samples"):
         write_constants(still, "kalibr", tmp_path / "x", ExportOptions(noise=noise))
 

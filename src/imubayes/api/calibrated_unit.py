@@ -9,10 +9,11 @@ from typing import Any
 import lazy_loader
 import polars as pl
 
-from imubayes.display.onboard.export_files import ExportOptions, Format, write_constants
+from imubayes.display.onboard.formats import ExportOptions, write_constants
 from imubayes.display.progress import progress_of
 from imubayes.foundations.errors import input_error
 from imubayes.noise_analysis.noise_record import of_record
+from imubayes.qualification.onboard import Format
 from imubayes.qualification.onboard.constants import onboard_constants as constants_of
 from imubayes.qualification.onboard.effects_not_shown import effects_not_shown
 from imubayes.qualification.onboard.inputs_along_axes import (

@@ -12,6 +12,7 @@ import cyclopts
 
 from imubayes.cli.session import Flag, Json, Trust, progress, show, start_jax, trusting
 from imubayes.foundations.errors import input_error
+from imubayes.qualification.onboard import Format
 
 if TYPE_CHECKING:
     from imubayes.results.result import Result
@@ -142,7 +143,7 @@ def export(
     result: Path,
     *,
     out: Path,
-    format: Literal["json", "c", "kalibr", "px4", "ardupilot", "ros"] = "json",
+    format: Format = "json",
     noise: Path | None = None,
     noise_of_another_unit: Flag = False,
     rate_hz: float | None = None,

@@ -17,7 +17,7 @@ import numpy as np
 from imubayes.display.figures.allan import allan_figure
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, rounded, significant
-from imubayes.display.onboard.noise_yaml import noise_yaml
+from imubayes.display.onboard.kalibr import noise_yaml
 from imubayes.foundations.files import write_text
 from imubayes.noise_analysis.described_band import Cause, Gap
 from imubayes.noise_analysis.noise_record import ChannelNoise, NoiseDensity, StaticNoise, TermRecord

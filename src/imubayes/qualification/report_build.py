@@ -39,7 +39,7 @@ from imubayes.results.folder_files import HISTORY, checked
 from imubayes.results.history_tree import read_fit_record, read_tree
 from imubayes.results.result import Result, opened
 from imubayes.results.stored_tables import draws_of
-from imubayes.results.summary import ParameterSummary, Quantity, is_constant
+from imubayes.results.summary import ParameterSummary, is_constant
 
 
 def _triple(values: np.ndarray) -> tuple[float, float, float]:
@@ -194,7 +194,12 @@ def report_of(
         thermal_linearity=estimates.thermal_linearity(found, unit),
         exact=exact,
         budgets=None if evaluated is None else evaluated.budgets,
-        left_out=left_out_of(campaign, found, diagnosis),
+        left_out=record.Omissions(
+            channels=omitted_values(campaign),
+            notes=found.summary.notes,
+            outliers=len(diagnosis.outliers) if diagnosis is not None else 0,
+            nuisance_parameters=sum(line.nuisance for line in found.summary.parameters),
+        ),
         scope=scope,
         pictures=pictures_of(found, unit, assessment, angles),
         certificate=block,
@@ -385,16 +390,6 @@ def _optional(found: ProbabilityByTwoMethods | None):
     return None if found is None else estimates.probability_of(found)
 
 
-def left_out_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> record.Omissions:
-    """Return what was left out."""
-    return record.Omissions(
-        channels=omitted_values(campaign),
-        notes=result.summary.notes,
-        outliers=len(diagnosis.outliers) if diagnosis is not None else 0,
-        nuisance_parameters=sum(line.nuisance for line in result.summary.parameters),
-    )
-
-
 def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> record.StatisticalScope:
     """Return what the statistics rest on."""
     table = result.residuals.table
@@ -419,12 +414,8 @@ def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) ->
             (each.effect, ", ".join(each.needs)) for each in undetectable if each.reason == "not_supplied"
         ),
         weak_directions=result.summary.weak_directions,
-        from_priors=_from_priors(lines),
+        from_priors=tuple(line.name for line in lines if line.from_data is not None and line.from_data < _UNDETERMINED),
     )
-
-
-def _from_priors(lines: Sequence[Quantity]) -> tuple[str, ...]:
-    return tuple(line.name for line in lines if line.from_data is not None and line.from_data < _UNDETERMINED)
 
 
 def pictures_of(

@@ -5,7 +5,7 @@ the others, a sentence states what would make it agree.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.criticism import diagnosis_record as diagnosis
@@ -117,11 +117,6 @@ def _assumptions(found: Evidence) -> str:
 _MOST = 3
 
 
-def disagreement_text(found: Sequence[diagnosis.Disagreement], probability: float) -> str:
-    """Return which run or row does not agree with the others, how probable that is, and what would make it agree."""
-    return " ".join(_sentence(each, probability) for each in found)
-
-
 def place_text(found: diagnosis.Disagreement) -> str:
     """Return a run, or a row of one, as it is named in a sentence."""
     return f"run {found.run}" if found.row is None else f"row {found.row} of run {found.run}"
@@ -198,7 +193,7 @@ def _finding(found: diagnosis.Diagnosis) -> str:
         noise = noise_text(evidence.noise)
         return beside + (f" The noise is not as modelled either: {noise}." if noise else "")
     if kind == "input":
-        said = disagreement_text(found.disagreeing, evidence.leading.probability)
+        said = " ".join(_sentence(each, evidence.leading.probability) for each in found.disagreeing)
         return f"{said} With the record corrected: {beside}" if beside else said
     assert evidence.form is not None
     said = (

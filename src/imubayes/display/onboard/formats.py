@@ -1,7 +1,6 @@
-"""Constants of a unit as text: C header, kalibr, ROS, PX4 and ArduPilot; and what each format cannot express.
+"""Constants of a unit as files: C header, ROS, PX4, ArduPilot and kalibr; and what each format cannot express.
 
-The C header has the function that applies its constants.  For kalibr it is the `imu.yaml`, with noise; for ROS the
-covariances of the message `sensor_msgs/Imu`.
+The C header has the function that applies its constants.  For ROS it is the covariances of `sensor_msgs/Imu`.
 
 PX4 (lib/sensor_calibration, modules/temperature_compensation), in SI units, d = T − TREF with T kept within
 TMIN … TMAX:
@@ -14,17 +13,21 @@ temperatures kept within TMIN … TMAX:
     accelerometer = (r − P(T − 35) + P(CALTEMP − 35) − OFFS) · SCAL,    gyro = r − P(T − 35) + P(CALTEMP − 35) − OFFS
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
 from imubayes.display.fit_cautions import exact_text
-from imubayes.display.onboard.noise_yaml import KALIBR_NAMES, density_lines, yaml_number
+from imubayes.display.onboard.kalibr import kalibr_yaml, yaml_row
 from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.files import write_text
 from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.noise_analysis.noise_record import NoiseDensity
-from imubayes.qualification.onboard.losses import Loss, along_axes, kalibr_matrices
+from imubayes.qualification.onboard import Format
+from imubayes.qualification.onboard.losses import Abilities, Loss, along_axes, losses
 from imubayes.qualification.onboard.record import (
     OnboardConstants,
     ThermalPolynomial,
@@ -32,7 +35,25 @@ from imubayes.qualification.onboard.record import (
     measurement_covariances,
 )
 
-PROGRAMS = {"c": "the C header", "kalibr": "kalibr", "px4": "PX4", "ardupilot": "ArduPilot"}
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What formats need beside the constants.
+
+    Attributes
+    ----------
+    rate : of the samples, Hz; None where unknown.
+    topic : ROS topic.
+    noise : kind of channel → noise density.
+    accept_loss : whether a file may leave out what is larger than its uncertainty.
+    """
+
+    rate: float | None = None
+    topic: str = "/imu0"
+    noise: Mapping[str, NoiseDensity] = field(default_factory=dict)
+    accept_loss: bool = False
+
+
 _WORDS = {
     "misalignment": "misalignment of the {triad}s: there is no matrix",
     "scale_factor": "scale factor errors of the {triad}s: there is no scale",
@@ -50,13 +71,13 @@ def in_words(loss: Loss) -> str:
     return f"{what}; up to {loss.size:.3g} ± {loss.sd:.2g} {loss.unit}"
 
 
-def refuse_losses(found: Sequence[Loss], target: str, where: str) -> None:
+def _refuse_losses(found: Sequence[Loss], program: str, where: str) -> None:
     """Raise InputError with every significant loss."""
     significant = [loss for loss in found if loss.significant]
     if significant:
         raise InputError(
             Issue(
-                f"{PROGRAMS[target]} cannot hold the {in_words(loss)}",
+                f"{program} cannot hold the {in_words(loss)}",
                 where,
                 "an error within its expanded uncertainty (k = 2)",
                 "export as json, which holds all terms, or accept the errors with --accept-loss",
@@ -83,11 +104,6 @@ def heading(constants: OnboardConstants, found: Sequence[Loss]) -> list[str]:
     return lines
 
 
-def yaml_row(values: Sequence[float]) -> str:
-    """Return a list of numbers for YAML."""
-    return f"[{', '.join(map(yaml_number, values))}]"
-
-
 _VECTOR = {"gyro": "rate", "accelerometer": "force"}
 _POLYNOMIAL = """\
 static inline imu_real imu_polynomial(const imu_real *coefficient, const int (*power)[2], int terms,
@@ -106,9 +122,9 @@ static inline imu_real imu_polynomial(const imu_real *coefficient, const int (*p
 """
 
 
-def c_header(constants: OnboardConstants, found: Sequence[Loss]) -> str:
+def _c_header(constants: OnboardConstants) -> list[str]:
     """Return the header: constants, and a function for rate and for specific force, in C99."""
-    lines = ["/*", *(f" * {line}" for line in heading(constants, found)), " *", " * Conventions"]
+    lines = [" *", " * Conventions"]
     lines += [f" * {each.symbol}{f' [{each.unit}]' if each.unit else ''}: {each.meaning}." for each in
               constants.conventions]  # fmt: skip
     lines += [" *", " * Constants"]
@@ -122,7 +138,7 @@ def c_header(constants: OnboardConstants, found: Sequence[Loss]) -> str:
     lines += [f"#define IMU_REFERENCE_DEGC {constants.reference_degC!r}", "", _POLYNOMIAL]
     for triad in constants.triads:
         lines += _arrays(triad) + _function(triad)
-    return "\n".join([*lines, "#endif", ""])
+    return [*lines, "#endif"]
 
 
 def _arrays(triad: TriadConstants) -> list[str]:
@@ -190,87 +206,12 @@ def _initialiser(rows: Sequence[Sequence[float]]) -> str:
     return "{" + ", ".join(map(_row, rows)) + "}"
 
 
-def kalibr_yaml(
-    constants: OnboardConstants, found: Sequence[Loss], noise: Mapping[str, NoiseDensity], rate: float, topic: str
-) -> str:
-    """Return `imu.yaml`: noise as `ImuConfig` asks for it, and the matrices of the model `scale-misalignment`.
-
-    Parameters
-    ----------
-    noise : kind of channel → density.
-    rate : of the samples, Hz.
-    topic : ROS topic.
-
-    Raises
-    ------
-    InputError
-        where a triad has not three channels, or a noise density is not known.
-    """
-    _refuse_incomplete(constants, noise)
-    matrices = kalibr_matrices(constants)
-    lines = [f"# {line}" for line in heading(constants, found)]
-    lines += [
-        "# r_a = M f + b_a; r_g = M C_gyro_i w + A C_gyro_i f + b_g: from the truth to the reading, in the frame i.",
-        "# Biases are not part of this file: kalibr estimates them along the recording.",
-        "# C_i_body turns body axes of the campaign into the frame i; kalibr ignores it.",
-        f"rostopic: {topic}",
-        f"update_rate: {yaml_number(rate)}",
-        "model: scale-misalignment",
-        "T_i_b:",
-        *(f"- {yaml_row(row)}" for row in np.eye(4).tolist()),
-        "time_offset: 0.0",
-    ]
-    lines += density_lines(noise)
-    if matrices.accelerometers is not None:
-        lines += ["accelerometers:", *_matrix("M", matrices.accelerometers)]
-    if matrices.gyroscopes is not None and matrices.g_sensitivity is not None and matrices.gyro_from_imu is not None:
-        lines += ["gyroscopes:", *_matrix("M", matrices.gyroscopes), *_matrix("A", matrices.g_sensitivity)]
-        lines += _matrix("C_gyro_i", matrices.gyro_from_imu)
-    lines += [line[2:] for line in _matrix("C_i_body", matrices.imu_from_body)]
-    return "\n".join([*lines, ""])
-
-
-def _matrix(name: str, values: np.ndarray) -> list[str]:
-    return [f"  {name}:", *(f"  - {yaml_row(row)}" for row in values.tolist())]
-
-
-def _refuse_incomplete(constants: OnboardConstants, noise: Mapping[str, NoiseDensity]) -> None:
-    issues = [
-        Issue(
-            f"the unit has {len(triad.channels)} {triad.kind} channels", "--format kalibr",
-            "three channels of a kind", "export as json or c",
-        )
-        for triad in constants.triads if len(triad.channels) != 3
-    ]  # fmt: skip
-    present = {triad.kind for triad in constants.triads}
-    issues += [
-        Issue(f"the unit has no complete set of {kind}s", "--format kalibr", "gyros and accelerometers",
-              "export as json or c")
-        for kind in KALIBR_NAMES if kind not in present
-    ]  # fmt: skip
-    for kind in sorted(present):
-        known = noise.get(kind, NoiseDensity(None, None))
-        lacking = [word for word, value in (("white noise density", known.white), ("random walk", known.walk))
-                   if not value]  # fmt: skip
-        issues += [
-            Issue(
-                f"the {word} of the {kind}s is not known, and kalibr needs it", "--format kalibr",
-                "a record of `imubayes noise`, or a model with the noise",
-                "name noise.json of a static record of the unit with --noise",
-            )
-            for word in lacking
-        ]  # fmt: skip
-    if issues:
-        raise InputError(issues)
-
-
 _FIELDS = {"gyro": ("angular_velocity", "rad^2/s^2"), "accelerometer": ("linear_acceleration", "m^2/s^4")}
 
 
-def ros_covariances(constants: OnboardConstants, found: Sequence[Loss]) -> str:
+def _ros_covariances(constants: OnboardConstants) -> list[str]:
     """Return the covariances of a corrected sample as YAML, row-major about x, y, z."""
-    lines = [f"# {line}" for line in heading(constants, found)]
-    lines += [
+    lines = [
         "# Of samples that were corrected with the constants (`imubayes export --format json` or c), in body axes.",
         "# *_covariance: noise of one sample, independent from sample to sample: what filters take it for.",
         "# *_systematic_covariance: calibration at zero input and run-to-run offset; the same for all samples of a",
@@ -286,7 +227,7 @@ def ros_covariances(constants: OnboardConstants, found: Sequence[Loss]) -> str:
             f"{field}_covariance: {_flat(noise)}  # {unit}",
             f"{field}_systematic_covariance: {_flat(systematic)}  # {unit}",
         ]
-    return "\n".join([*lines, ""])
+    return lines
 
 
 def _flat(matrix: np.ndarray) -> str:
@@ -298,8 +239,8 @@ _ARDUPILOT_REFERENCE, _ARDUPILOT_FACTOR, _ORDER = 35.0, 1e6, 3
 _INT32, _REAL32 = 6, 9
 
 
-def px4_parameters(constants: OnboardConstants, found: Sequence[Loss]) -> str:
-    """Return a parameter file for QGroundControl: CAL_ACC0_…, CAL_GYRO0_… and, over temperature, TC_A0_…, TC_G0_….
+def _px4_parameters(constants: OnboardConstants) -> list[str]:
+    """Return the lines of a file for QGroundControl: CAL_ACC0_…, CAL_GYRO0_… and, over temperature, TC_A0_…, TC_G0_….
 
     Raises
     ------
@@ -316,22 +257,18 @@ def px4_parameters(constants: OnboardConstants, found: Sequence[Loss]) -> str:
             values += [(f"CAL_ACC0_{axis}SCALE", scale) for axis, scale in zip("XYZ", _scales(triad), strict=True)]
         values += _px4_thermal(constants, biases, f"TC_{letter}")
     values += [("IMU_GYRO_CAL_EN", 0), ("SENS_IMU_AUTOCAL", 0)]
-    lines = [f"# {line}" for line in heading(constants, found)]
-    lines += [
+    return [
         "# Offsets and scales of the sensor's axes x, y, z, as the driver publishes them in SI units, before rotation.",
         "# Set CAL_ACC0_ID, CAL_GYRO0_ID, TC_A0_ID and TC_G0_ID to the device ids of the sensors on the vehicle.",
         "# IMU_GYRO_CAL_EN and SENS_IMU_AUTOCAL are off: PX4 would overwrite the offsets with its own, at rest and in",
         "# flight. A calibration in QGroundControl overwrites them too.",
         "# vehicle\tcomponent\tname\tvalue\ttype",
+        *(f"1\t1\t{name}\t{_number(value)}\t{_INT32 if isinstance(value, int) else _REAL32}" for name, value in values),
     ]
-    lines += [
-        f"1\t1\t{name}\t{_number(value)}\t{_INT32 if isinstance(value, int) else _REAL32}" for name, value in values
-    ]
-    return "\n".join([*lines, ""])
 
 
-def ardupilot_parameters(constants: OnboardConstants, found: Sequence[Loss]) -> str:
-    """Return a parameter file for ArduPilot: INS_ACCOFFS_…, INS_ACCSCAL_…, INS_GYROFFS_… and INS_TCAL1_….
+def _ardupilot_parameters(constants: OnboardConstants) -> list[str]:
+    """Return the lines of a parameter file for ArduPilot: INS_ACCOFFS_…, INS_ACCSCAL_…, INS_GYROFFS_… and INS_TCAL1_….
 
     Raises
     ------
@@ -356,8 +293,7 @@ def ardupilot_parameters(constants: OnboardConstants, found: Sequence[Loss]) -> 
     if thermal:
         values += [("INS_TCAL1_ENABLE", 1), ("INS_TCAL1_TMIN", low), ("INS_TCAL1_TMAX", high), *thermal]
     values.append(("INS_GYR_CAL", 0))
-    lines = [f"# {line}" for line in heading(constants, found)]
-    lines += [
+    return [
         "# Offsets and scales of the axes x, y, z after the sensor's orientation, before that of the board.",
         "# Set INS_ACC_ID and INS_GYR_ID to the device ids of the sensors on the vehicle: under another id ArduPilot",
         "# takes a sensor as not calibrated.",
@@ -365,7 +301,6 @@ def ardupilot_parameters(constants: OnboardConstants, found: Sequence[Loss]) -> 
         "# accelerometer or gyro calibration by the ground station overwrites them too.",
         *(f"{name},{_number(value)}" for name, value in values),
     ]
-    return "\n".join([*lines, ""])
 
 
 def _px4_thermal(
@@ -429,3 +364,64 @@ def _refuse_other_axes(constants: OnboardConstants, target: str) -> None:
     ]  # fmt: skip
     if issues:
         raise InputError(issues)
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """A format of the constants.
+
+    Attributes
+    ----------
+    lines : what stands below the heading.
+    program : that reads it, as it is named in sentences.
+    able : what it can hold; None where nothing is lost.
+    opening, comment : before the lines of the heading, and at the beginning of each.
+    """
+
+    lines: Callable[[OnboardConstants, ExportOptions], list[str]]
+    program: str = ""
+    able: Abilities | None = None
+    opening: tuple[str, ...] = ()
+    comment: str = "# "
+
+
+_BOTH = ("gyro", "accelerometer")
+_AUTOPILOT = Abilities(False, False, False, ("accelerometer",), 3, False)
+# Kalibr estimates biases itself, as functions of time.
+_KALIBR = Abilities(True, True, False, _BOTH, None, True)
+_ALL = Abilities(True, True, True, _BOTH, None, True)
+_FORMATS: dict[Format, ExportFormat] = {
+    "c": ExportFormat(lambda constants, _: _c_header(constants), "the C header", _ALL, ("/*",), " * "),
+    "kalibr": ExportFormat(
+        lambda constants, given: kalibr_yaml(constants, given.noise, given.rate, given.topic), "kalibr", _KALIBR
+    ),
+    "px4": ExportFormat(lambda constants, _: _px4_parameters(constants), "PX4", _AUTOPILOT),
+    "ardupilot": ExportFormat(lambda constants, _: _ardupilot_parameters(constants), "ArduPilot", _AUTOPILOT),
+    "ros": ExportFormat(lambda constants, _: _ros_covariances(constants)),
+}
+"""All formats but json, which is the record itself."""
+
+
+def losses_of(constants: OnboardConstants, format: Format) -> tuple[Loss, ...]:
+    """Return what a format leaves out."""
+    able = None if format == "json" else _FORMATS[format].able
+    return () if able is None else losses(constants, able)
+
+
+def write_constants(constants: OnboardConstants, format: Format, out: Path, options: ExportOptions) -> tuple[Loss, ...]:
+    """Write the constants; return what the format leaves out.
+
+    Raises
+    ------
+    InputError
+        where the format cannot hold the constants, or needs what is not known.
+    """
+    if format == "json":
+        write_text(out, constants.json_text())
+        return ()
+    chosen, found = _FORMATS[format], losses_of(constants, format)
+    if not options.accept_loss:
+        _refuse_losses(found, chosen.program, str(out))
+    head = [f"{chosen.comment}{line}" for line in heading(constants, found)]
+    write_text(out, "\n".join([*chosen.opening, *head, *chosen.lines(constants, options), ""]))
+    return found

@@ -308,15 +308,11 @@ def covariance_file(report: QualificationReport) -> bytes:
 
 def _with_budget(report: QualificationReport) -> Iterator[tuple[StandardEstimate, str, float]]:
     """Yield the quantities with a D-SI unit, the name of the budget of each, and its uncertainty in that unit."""
-    known = _names_of_budgets(report)
+    known = () if report.budgets is None else report.budgets.correlation.names
     for each in report.standards:
         own = each.name if each.name in known else each.members[0]
         if each.d_si is not None and each.standard_uncertainty and each.withheld is None and own in known:
             yield each, own, each.standard_uncertainty * abs(each.d_si.factor)
-
-
-def _names_of_budgets(report: QualificationReport) -> Sequence[str]:
-    return () if report.budgets is None else report.budgets.correlation.names
 
 
 def _degrees(report: QualificationReport, name: str) -> str:

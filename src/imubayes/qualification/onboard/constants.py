@@ -110,7 +110,7 @@ def onboard_constants(result: Result) -> onboard.OnboardConstants:
         triads=tuple(records.values()),
         constants=constants,
         covariance=_covariance(triads),
-        not_determined=_not_determined(constants),
+        not_determined=tuple(constant.name for constant in constants if not constant.measured),
         weak_directions=summary.weak_directions,
         exact=posterior.exact,
         unexpressed=unexpressed.unexpressed_effects(result, posterior, spans),
@@ -125,10 +125,6 @@ def _needs(result: Result) -> tuple[str, ...]:
     effects = [effect for effect in result.fit.model.assembly.effects if unexpressed.acts_linearly(effect)]
     felt = {need for effect in effects for need in effect.effect_class.needs}
     return tuple(name for name in TEMPERATURES if name in felt)
-
-
-def _not_determined(constants: tuple[onboard.Constant, ...]) -> tuple[str, ...]:
-    return tuple(constant.name for constant in constants if not constant.measured)
 
 
 def _covariance(triads: dict[str, _Triad]) -> tuple[tuple[float, ...], ...]:

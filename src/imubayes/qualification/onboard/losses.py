@@ -1,13 +1,8 @@
-"""What a format for constants on board cannot hold, with the errors; kalibr's matrices and noise densities.
+"""What a format for constants on board cannot hold, with the errors; and noise densities.
 
 A loss is *significant* where the error of leaving it out is larger than its expanded uncertainty, k = 2 (GUM § 6.2):
 then the constants are not those of the fit, and the format is refused unless the loss is accepted.  A smaller one is
 within what is known of it.
-
-kalibr's `scale-misalignment` model goes from the truth to the reading, r_a = M_a f + b_a and r_g = M_g C ω + A C f +
-b_g in the frame i of its IMU, with M_a and M_g lower triangular and C = C_gyro_i a rotation
-(kalibr_imu_camera_calibration/IccSensors.py, IccScaledMisalignedImu).  Frame i is therefore fixed by the
-accelerometers: the inverse of the matrix of the constants is split into a lower triangle and a rotation, C_i_body.
 
 The noise of a triad is given as filters ask for it: white noise density and random walk, of its noisiest axis.
 """
@@ -27,47 +22,6 @@ from imubayes.noise_analysis.noise_record import NoiseDensity, StaticNoise
 from imubayes.qualification.onboard.record import OnboardConstants, ThermalPolynomial, TriadConstants
 from imubayes.qualification.onboard.response import NEGLIGIBLE
 from imubayes.results.result import Result
-
-
-@dataclass(frozen=True)
-class KalibrMatrices:
-    """Matrices of kalibr's model, shape (3, 3) each; those of a triad that the unit lacks are None.
-
-    Attributes
-    ----------
-    accelerometers, gyroscopes : M_a and M_g, lower triangular with positive diagonals.
-    g_sensitivity : A, rad/s per m/s².
-    gyro_from_imu : C_gyro_i.
-    imu_from_body : rotation from the body axes of the constants to kalibr's frame i.
-    """
-
-    accelerometers: np.ndarray | None
-    gyroscopes: np.ndarray | None
-    g_sensitivity: np.ndarray | None
-    gyro_from_imu: np.ndarray | None
-    imu_from_body: np.ndarray
-
-
-def kalibr_matrices(constants: OnboardConstants) -> KalibrMatrices:
-    """Return the constants at the reference temperature as kalibr's matrices; triads must have three channels."""
-    accelerometers, gyros = constants.triad("accelerometer"), constants.triad("gyro")
-    lower, imu_from_body = None, np.eye(3)
-    if accelerometers is not None:
-        lower, imu_from_body = lower_and_rotation(np.linalg.inv(np.array(accelerometers.matrix)))
-    if gyros is None:
-        return KalibrMatrices(lower, None, None, None, imu_from_body)
-    forward = np.linalg.inv(np.array(gyros.matrix))
-    own, rotation = lower_and_rotation(forward @ imu_from_body.T)
-    body = np.zeros((3, 3)) if gyros.g_sensitivity is None else forward @ np.array(gyros.g_sensitivity)
-    return KalibrMatrices(lower, own, body @ imu_from_body.T @ rotation.T, rotation, imu_from_body)
-
-
-def lower_and_rotation(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return L and Q of matrix = L Q: lower triangular with a positive diagonal, and orthogonal; shape (3, 3) each."""
-    q, r = np.linalg.qr(matrix.T)
-    signs = np.sign(np.diag(r))
-    return (r.T * signs), (q * signs).T
-
 
 _SECONDS = math.sqrt(3600.0)
 
@@ -122,7 +76,6 @@ COVERAGE = 2.0
 _TEMPERATURES = 11
 _ALONG = 0.9
 
-Target = Literal["c", "kalibr", "px4", "ardupilot"]
 LossKind = Literal[
     "misalignment", "scale_factor", "g_sensitivity", "gain_temperature", "bias_order", "converter_temperature", "effect"
 ]
@@ -146,17 +99,6 @@ class Abilities:
     scale: tuple[str, ...]
     bias_order: int | None
     converter: bool
-
-
-_BOTH = ("gyro", "accelerometer")
-_AUTOPILOT = Abilities(False, False, False, ("accelerometer",), 3, False)
-ABILITIES: dict[Target, Abilities] = {
-    "c": Abilities(True, True, True, _BOTH, None, True),
-    # Kalibr estimates biases itself, as functions of time.
-    "kalibr": Abilities(True, True, False, _BOTH, None, True),
-    "px4": _AUTOPILOT,
-    "ardupilot": _AUTOPILOT,
-}
 
 
 @dataclass(frozen=True)
@@ -185,9 +127,8 @@ class Loss:
         return self.size > COVERAGE * self.sd
 
 
-def losses(constants: OnboardConstants, target: Target) -> tuple[Loss, ...]:
+def losses(constants: OnboardConstants, able: Abilities) -> tuple[Loss, ...]:
     """Return what a format loses of the constants of a unit."""
-    able = ABILITIES[target]
     found: list[Loss] = []
     for triad in constants.triads:
         found += [] if able.matrix else _of_matrix(constants, triad, able)

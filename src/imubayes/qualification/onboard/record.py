@@ -1,11 +1,17 @@
 """Constants to use on board, as a record: the JSON of `imubayes export --format json`, and its conventions.
 
 The conventions of the constants (sign, order, frame and unit) stand in one table.  What the constants do to a sample is
-computed here.
+computed here, and what kalibr's model makes of them.
+
+kalibr's `scale-misalignment` model goes from the truth to the reading, r_a = M_a f + b_a and r_g = M_g C ω + A C f +
+b_g in the frame i of its IMU, with M_a and M_g lower triangular and C = C_gyro_i a rotation
+(kalibr_imu_camera_calibration/IccSensors.py, IccScaledMisalignedImu).  Frame i is therefore fixed by the
+accelerometers: the inverse of the matrix of the constants is split into a lower triangle and a rotation, C_i_body.
 """
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -273,3 +279,38 @@ def measurement_covariances(constants: OnboardConstants, triad: TriadConstants) 
     chosen = [places[f"bias[{name}]"] for name in triad.channels]
     biases = np.array(constants.covariance)[np.ix_(chosen, chosen)]
     return noise, matrix @ (biases + np.diag(np.square(triad.run_offset))) @ matrix.T
+
+
+@dataclass(frozen=True)
+class KalibrMatrices:
+    """Matrices of kalibr's model, shape (3, 3) each.
+
+    Attributes
+    ----------
+    accelerometers, gyroscopes : M_a and M_g, lower triangular with positive diagonals.
+    g_sensitivity : A, rad/s per m/s².
+    gyro_from_imu : C_gyro_i.
+    imu_from_body : rotation from the body axes of the constants to kalibr's frame i.
+    """
+
+    accelerometers: np.ndarray
+    gyroscopes: np.ndarray
+    g_sensitivity: np.ndarray
+    gyro_from_imu: np.ndarray
+    imu_from_body: np.ndarray
+
+
+def kalibr_matrices(accelerometers: TriadConstants, gyros: TriadConstants) -> KalibrMatrices:
+    """Return the constants at the reference temperature as kalibr's matrices; triads must have three channels."""
+    lower, imu_from_body = lower_and_rotation(np.linalg.inv(np.array(accelerometers.matrix)))
+    forward = np.linalg.inv(np.array(gyros.matrix))
+    own, rotation = lower_and_rotation(forward @ imu_from_body.T)
+    body = np.zeros((3, 3)) if gyros.g_sensitivity is None else forward @ np.array(gyros.g_sensitivity)
+    return KalibrMatrices(lower, own, body @ imu_from_body.T @ rotation.T, rotation, imu_from_body)
+
+
+def lower_and_rotation(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return L and Q of matrix = L Q: lower triangular with a positive diagonal, and orthogonal; shape (3, 3) each."""
+    q, r = np.linalg.qr(matrix.T)
+    signs = np.sign(np.diag(r))
+    return (r.T * signs), (q * signs).T
