@@ -16,7 +16,7 @@ from urllib.parse import quote
 from imubayes.archive import campaign_file
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign, source_digest
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.errors import InputError, Issue, input_error
+from imubayes.foundations.errors import InputError, Issue, input_error, refuse
 from imubayes.foundations.files import replacing
 from imubayes.foundations.progress import counted, silent
 
@@ -68,8 +68,7 @@ class Archive:
     def campaigns(self) -> list[campaign_file.ArchivedCampaign]:
         """Return the campaigns, in the order of `files`; raises InputError for files that cannot be read."""
         heads = self.heads()
-        if issues := [issue for head in heads if isinstance(head, InputError) for issue in head.issues]:
-            raise InputError(issues)
+        refuse(issue for head in heads if isinstance(head, InputError) for issue in head.issues)
         return [head for head in heads if not isinstance(head, InputError)]
 
     def read(self, campaign: campaign_file.ArchivedCampaign) -> Campaign:
@@ -122,8 +121,7 @@ def campaign_folders(places: Iterable[str | Path]) -> list[Path]:
         if not here:
             what = "there is no campaign below the folder" if place.is_dir() else "there is no such folder"
             issues.append(Issue(what, str(place), f"a folder with {CAMPAIGN_FILE}, or of such folders", "correct it"))
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
     return list(found)
 
 

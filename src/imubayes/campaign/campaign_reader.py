@@ -31,7 +31,7 @@ from imubayes.campaign.setup_gate.remedies import Places
 from imubayes.campaign.stream_checks import LIKE_UNITS, SYMPTOMS, UNIT_FINDINGS, Finding
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.foundations.campaign_data import Campaign, Channel, Run, Site
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.units import STANDARD_GRAVITY
 from imubayes.procedures import PROCEDURES, procedure_named
 
@@ -451,6 +451,5 @@ def raw_log(campaign: Campaign, run: Run) -> TableSource:
     table = file.parent / entry.file
     names = [channel.name for channel in campaign.channels]
     layout, issues = lay_out(read_header(table), names, entry.ignore, PROCEDURES[run.procedure], str(table))
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
     return TableSource(table, layout)

@@ -23,7 +23,7 @@ from imubayes.campaign.run_tables import TableSource, known_columns
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.foundations.campaign_data import Campaign, Channel, Grade, Mounting, Run, Site, Table
 from imubayes.foundations.earth import normal_gravity
-from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import Issue, closest_first, refuse
 from imubayes.foundations.units import to_si
 from imubayes.procedures import PROCEDURES, procedure_named
 
@@ -317,8 +317,7 @@ def attitudes(source: TableSource, rows: Sequence[int], channels: Sequence[Chann
         issues += _judge(pair, source.place(row))
         if not issues:
             found.append(attitude_of(pair, channels))
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
     return np.array(found).reshape(-1, 3, 3)
 
 

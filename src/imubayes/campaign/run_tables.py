@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 
 from imubayes.campaign.file_schemas import ABSURD
 from imubayes.foundations.covariates import recorded_columns
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.procedures import Procedure, Reduction
 
 TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
@@ -372,7 +372,7 @@ def _csv_batches(file: Path, layout: ColumnLayout, columns: list[str]) -> Iterat
 
 def _refuse_wrong_types(file: Path, schema: pa.Schema, layout: ColumnLayout) -> None:
     types = {name: schema.field(name).type for name in layout.numbers}
-    issues = [
+    refuse(
         Issue(
             f"column '{name}' holds {kind}, not numbers",
             f"{file}, column '{name}'",
@@ -381,9 +381,7 @@ def _refuse_wrong_types(file: Path, schema: pa.Schema, layout: ColumnLayout) -> 
         )
         for name, kind in types.items()
         if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind))
-    ]
-    if issues:
-        raise InputError(issues)
+    )
 
 
 # Arrow's own conversions of Python numbers, and to NumPy, import pandas where that is installed.

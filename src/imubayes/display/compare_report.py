@@ -34,7 +34,7 @@ from imubayes.display.fit_report import summary_html
 from imubayes.display.layout import SheetTable, render, terminal
 from imubayes.display.progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, kept_if_possible
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, kept_if_possible, refuse
 from imubayes.foundations.files import write_json, write_text
 from imubayes.foundations.progress import Tell, counted
 from imubayes.model.model_file import read_model
@@ -243,13 +243,11 @@ def _chosen_runs(residuals: pl.DataFrame, folder: Path, runs: Sequence[str]) -> 
     if list(runs) == ["all"]:
         return known
     where, remedy = f"{folder}, option --runs", "take names of runs, or 'all'"
-    issues = [
+    refuse(
         Issue(f"'{name}' is not a run of the result", where, closest_first(name, known), remedy)
         for name in runs
         if name not in known
-    ]
-    if issues:
-        raise InputError(issues)
+    )
     return [name for name in known if name in runs]
 
 
@@ -300,8 +298,7 @@ def _checked(summary: Summary, folder: Path, parameters: Sequence[str]) -> list[
             where = f"{folder / 'summary.json'}, option --parameters"
             remedy = "take a name from the tables of the result; a name without its brackets stands for all its members"
             issues.append(Issue(f"'{name}' is not in the result", where, closest_first(name, known), remedy))
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
     return members
 
 

@@ -65,6 +65,12 @@ def input_error(what: str, where: str, allowed: str, remedy: str) -> InputError:
     return InputError(Issue(what, where, allowed, remedy))
 
 
+def refuse(issues: Iterable[Issue]) -> None:
+    """Raise InputError with issues; nothing where there are none."""
+    if found := tuple(issues):
+        raise InputError(found)
+
+
 class NotKept(UserWarning):
     """What a command found is shown, but could not be written beside the result that it was made of, in `folder`.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from imubayes.effects.base import MotionEffect, Stage
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model, bind
 
@@ -169,7 +169,7 @@ def _refuse_other_unit(known: Campaign, campaign: Campaign, any_unit: bool) -> N
 
 def _refuse_unknown_names(campaign: Campaign, changed: Sequence[str]) -> None:
     equipment = [*campaign.tables, *campaign.mountings]
-    issues = [
+    refuse(
         Issue(
             f"'{name}' is no table and no mounting of the campaign",
             "--changed",
@@ -178,9 +178,7 @@ def _refuse_unknown_names(campaign: Campaign, changed: Sequence[str]) -> None:
         )
         for name in changed
         if name not in equipment
-    ]
-    if issues:
-        raise InputError(issues)
+    )
 
 
 def _all_channels(known: Campaign, campaign: Campaign) -> tuple[Channel, ...]:
@@ -197,8 +195,7 @@ def _all_channels(known: Campaign, campaign: Campaign) -> tuple[Channel, ...]:
             allowed = "kind, axes, scale and offset as in the campaign that was fitted"
             remedy = "state the channel as there: errors of scale and axes are counted from these"
             issues.append(Issue(f"channel '{channel.name}' {what}", where, allowed, remedy))
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
     return (*known.channels, *further)
 
 

@@ -23,7 +23,7 @@ from imubayes.effects.base import MotionEffect, Stage
 from imubayes.effects.thermometer import TemperatureOffset
 from imubayes.foundations.arrays import Array, Float, Scalar, on_device
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.bound_effects import (
     BoundEffect,
@@ -412,8 +412,7 @@ def _refuse_useless(
                 'add [[effect]] name = "white_noise": without it residuals have no scale',
             )
         )
-    if found:
-        raise InputError(found)
+    refuse(found)
     if not any(effect.parameters for effect in effects):
         raise input_error(
             "the model has no parameter to fit: it lists noise and no effect that acts in these runs",
@@ -424,17 +423,16 @@ def _refuse_useless(
 
 
 def _refuse_unknown_procedures(campaign: Campaign) -> None:
-    unknown = [run for run in campaign.runs if run.procedure not in PROCEDURES]
-    if unknown:
-        raise InputError(
-            Issue(
-                f"a run of procedure '{run.procedure}' cannot be fitted",
-                f"campaign '{campaign.name}', run '{run.name}'",
-                closest_first(run.procedure, PROCEDURES),
-                "take the run out of campaign.toml, or give it the procedure that describes it",
-            )
-            for run in unknown
+    refuse(
+        Issue(
+            f"a run of procedure '{run.procedure}' cannot be fitted",
+            f"campaign '{campaign.name}', run '{run.name}'",
+            closest_first(run.procedure, PROCEDURES),
+            "take the run out of campaign.toml, or give it the procedure that describes it",
         )
+        for run in campaign.runs
+        if run.procedure not in PROCEDURES
+    )
 
 
 def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> ModelSpec:

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from imubayes.campaign.campaign_reader import read_model_file
 from imubayes.campaign.file_schemas import ModelFile
 from imubayes.foundations.campaign_data import SetAside
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import Issue, refuse
 from imubayes.foundations.files import only_writer, write_text
 from imubayes.foundations.records import Record
 from imubayes.foundations.shipped_examples import model_file
@@ -141,7 +141,7 @@ def trust_files(files: Iterable[str | Path]) -> None:
 def refuse_untrusted(files: Iterable[str | Path]) -> None:
     """Raise InputError for effect files that came along and are not trusted."""
     known = {*_ran, *_trusted()}
-    issues = [
+    refuse(
         Issue(
             f"'{Path(file).name}' is Python code that came along, and it is not trusted",
             str(file),
@@ -150,9 +150,7 @@ def refuse_untrusted(files: Iterable[str | Path]) -> None:
         )
         for file in files
         if Path(file).is_file() and _digest(Path(file)) not in known
-    ]
-    if issues:
-        raise InputError(issues)
+    )
 
 
 def _place() -> Path:

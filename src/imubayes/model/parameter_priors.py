@@ -18,7 +18,7 @@ from jax.scipy.linalg import solve_triangular
 from imubayes.campaign.equipment import grade_of
 from imubayes.foundations.arrays import Array, Float, Scalar
 from imubayes.foundations.campaign_data import Campaign, Channel, Run, Table
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
 from imubayes.foundations.units import to_si
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.model_file import EffectSpec, PriorCorrelation
@@ -64,8 +64,7 @@ def hyper_correlation(listed: Sequence[PriorCorrelation], layout: Layout) -> Hyp
             known = [place for place, name in enumerate(block.parameters) if name in layout.names]
             places = [layout.index(block.parameters[place]) for place in known]
             whole[np.ix_(places, places)] = np.array(block.matrix)[np.ix_(known, known)]
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
     return HyperCorrelation(jnp.asarray(np.linalg.cholesky(whole)))
 
 

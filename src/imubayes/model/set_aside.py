@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Run, SetAside
-from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import InputError, Issue, closest_first, refuse
 
 
 def without(campaign: Campaign, wanted: Sequence[SetAside], where: str) -> Campaign:
@@ -27,9 +27,7 @@ def without(campaign: Campaign, wanted: Sequence[SetAside], where: str) -> Campa
     """
     if campaign.set_aside == tuple(wanted):
         return campaign
-    issues = [issue for each in wanted for issue in _issues(campaign, each, where)]
-    if issues:
-        raise InputError(issues)
+    refuse(issue for each in wanted for issue in _issues(campaign, each, where))
     runs = tuple(run for run in (_rest(campaign, run, wanted) for run in campaign.runs) if run is not None)
     if not runs:
         what = "every run of the campaign is set aside"

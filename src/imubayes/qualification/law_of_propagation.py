@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from imubayes.foundations.errors import InputError, Issue, input_error
+from imubayes.foundations.errors import InputError, Issue, input_error, refuse
 from imubayes.foundations.records import Presented
 from imubayes.qualification.coverage import effective_degrees
 from imubayes.qualification.input_quantities import DistributionName, EvaluationType, InputQuantity
@@ -214,8 +214,7 @@ def _correlation_matrix(inputs: Sequence[InputQuantity], correlation: Correlatio
             found[places[first], places[second]] = found[places[second], places[first]] = value
     if not issues and len(found) and np.linalg.eigvalsh(found).min() < -1e-12:
         issues.append(Issue("no quantities are so correlated", "correlation", "a positive matrix", "correct it"))
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
     return found
 
 

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
 from imubayes.foundations.records import Presented
 from imubayes.qualification import law_of_propagation as law
 from imubayes.qualification.coverage import shortest_interval
@@ -215,7 +215,7 @@ def _check(inputs: Sequence[InputQuantity], digits: int, most_draws: int) -> Non
 
 
 def _check_deviations(inputs: Sequence[InputQuantity]) -> None:
-    issues = [
+    refuse(
         Issue(
             f"the distribution of {each.degrees_of_freedom:g} degrees of freedom has no standard deviation",
             f"input quantity '{each.name}'",
@@ -224,9 +224,7 @@ def _check_deviations(inputs: Sequence[InputQuantity]) -> None:
         )
         for each in inputs
         if each.distribution == "t" and each.uncertainty > 0 and each.degrees_of_freedom <= 2
-    ]
-    if issues:
-        raise InputError(issues)
+    )
 
 
 def _statistics(draws: np.ndarray, tails: np.ndarray) -> np.ndarray:

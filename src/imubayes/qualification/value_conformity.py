@@ -10,7 +10,7 @@ from typing import get_args
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.records import Presented
 from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.qualification import decision_rules as rules
@@ -135,9 +135,7 @@ def _rule(
     if name == "guard_band" and factor is None and width is None:
         factor = rules.GUARD_FACTOR
     entry = _entry(RuleEntry, name=name, factor=factor, width=width, probability=probability)
-    issues = issues_of_rule(entry, "conformity")
-    if issues:
-        raise InputError(issues)
+    refuse(issues_of_rule(entry, "conformity"))
     return rule_of(entry)
 
 

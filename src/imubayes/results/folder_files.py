@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.files import PATIENCE, changing, complete_change, only_writer, replacing_files, write_text
 from imubayes.foundations.records import Record
 from imubayes.model.model_file import read_model, trust_files
@@ -195,8 +195,7 @@ def _settled(folder: Path, faults: Callable[[Manifest], list[Issue]]) -> Manifes
     while True:
         complete(folder)
         issues = missing(folder)
-        if issues:
-            raise InputError(issues)
+        refuse(issues)
         manifest = _read(folder)
         issues = faults(manifest)
         if not issues:

@@ -28,7 +28,7 @@ from imubayes.campaign.equipment import ANGLE
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.errors import InputError, Issue, closest_first
+from imubayes.foundations.errors import Issue, closest_first, refuse
 from imubayes.foundations.files import new_folder, refuse_occupied
 from imubayes.model.bind import Model, bind
 from imubayes.model.derived_quantities import derived_quantities
@@ -141,8 +141,7 @@ def _true_z(layout: Layout, given: Mapping[str, float], widths: np.ndarray, seed
                 issues.append(_impossible(parameter, given[parameter.name], where))
         else:
             z[place] = widths[place] * random_stream(seed, parameter.name).standard_normal()
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
     return z
 
 
@@ -216,31 +215,29 @@ def _in_units(layout: Layout, values) -> dict[str, float]:
 
 def _refuse_unknown(given: Mapping[str, float], model: Model, where: str) -> None:
     names = model.layout.names + model.hyper_layout.names
-    unknown = [name for name in given if name not in names]
-    if unknown:
-        raise InputError(
-            Issue(
-                f"the model has no parameter '{name}'",
-                f"{where}, '{name}'",
-                closest_first(name, names),
-                "correct the name, or add the effect to the model",
-            )
-            for name in unknown
+    refuse(
+        Issue(
+            f"the model has no parameter '{name}'",
+            f"{where}, '{name}'",
+            closest_first(name, names),
+            "correct the name, or add the effect to the model",
         )
+        for name in given
+        if name not in names
+    )
 
 
 def _refuse_tumbles(model: Model) -> None:
     tumbles = [run.name for run in model.campaign.runs if run.tumble is not None]
-    if tumbles:
-        raise InputError(
-            Issue(
-                "a free tumble cannot be simulated: its rotations are recorded, not planned",
-                f"campaign '{model.campaign.name}', run '{name}'",
-                "runs on a table, thermal ramps and current injections",
-                "remove the run",
-            )
-            for name in tumbles
+    refuse(
+        Issue(
+            "a free tumble cannot be simulated: its rotations are recorded, not planned",
+            f"campaign '{model.campaign.name}', run '{name}'",
+            "runs on a table, thermal ramps and current injections",
+            "remove the run",
         )
+        for name in tumbles
+    )
 
 
 TRUTH_FILE = "truth.toml"
@@ -277,8 +274,7 @@ def _write(out: Path, plan: Plan, model: Model, done: Simulated, seed: int) -> N
         for place, entry in enumerate(plan.entries):
             (draft / entry.file).write_text(_table(plan, done, place), encoding="utf-8")
         issues = inspect_campaign(draft).issues
-        if issues:
-            raise InputError(replace(issue, where=issue.where.replace(str(draft), str(out))) for issue in issues)
+        refuse(replace(issue, where=issue.where.replace(str(draft), str(out))) for issue in issues)
 
 
 def _campaign_document(plan: Plan, seed: int) -> dict[str, Any]:

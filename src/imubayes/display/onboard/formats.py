@@ -22,7 +22,7 @@ from numpy.polynomial import Polynomial
 
 from imubayes.display.fit_cautions import exact_text
 from imubayes.display.onboard.kalibr import kalibr_yaml, yaml_row
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import Issue, refuse
 from imubayes.foundations.files import write_text
 from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.noise_analysis.noise_record import NoiseDensity
@@ -73,17 +73,16 @@ def in_words(loss: Loss) -> str:
 
 def _refuse_losses(found: Sequence[Loss], program: str, where: str) -> None:
     """Raise InputError with every significant loss."""
-    significant = [loss for loss in found if loss.significant]
-    if significant:
-        raise InputError(
-            Issue(
-                f"{program} cannot hold the {in_words(loss)}",
-                where,
-                "an error within its expanded uncertainty (k = 2)",
-                "export as json, which holds all terms, or accept the errors with --accept-loss",
-            )
-            for loss in significant
+    refuse(
+        Issue(
+            f"{program} cannot hold the {in_words(loss)}",
+            where,
+            "an error within its expanded uncertainty (k = 2)",
+            "export as json, which holds all terms, or accept the errors with --accept-loss",
         )
+        for loss in found
+        if loss.significant
+    )
 
 
 def heading(constants: OnboardConstants, found: Sequence[Loss]) -> list[str]:
@@ -355,15 +354,13 @@ def _scales(triad: TriadConstants) -> list[float]:
 
 
 def _refuse_other_axes(constants: OnboardConstants, target: str) -> None:
-    issues = [
+    refuse(
         Issue(
             f"the {triad.kind} channels {', '.join(triad.channels)} do not lie along the body axes x, y and z",
             f"--format {target}", "three channels, one along each axis", "export as json or c",
         )
         for triad in constants.triads if not along_axes(triad)
-    ]  # fmt: skip
-    if issues:
-        raise InputError(issues)
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

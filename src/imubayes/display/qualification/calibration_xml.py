@@ -23,7 +23,7 @@ from imubayes.display.numbers_and_labels import pretty, ratio_text
 from imubayes.display.qualification.certificate_pages import all_statements
 from imubayes.display.qualification.exact_tables import omissions
 from imubayes.display.qualification.words import limits_text, value_text
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import Issue, refuse
 from imubayes.qualification.certificate import Certificate, Party
 from imubayes.qualification.decision_rules import Outcome
 from imubayes.qualification.report_record import QualificationReport, StandardEstimate
@@ -87,8 +87,7 @@ def _complete(report: QualificationReport) -> Certificate:
         issues.append(
             Issue("there is no measured quantity with a D-SI unit", "the result", "one or more", "measure one")
         )
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
     return block
 
 

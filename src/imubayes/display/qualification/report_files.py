@@ -30,7 +30,7 @@ from imubayes.display.qualification.certificate_pages import certificate_facts, 
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportDocument
 from imubayes.display.qualification.pdf_file import pdf_file
 from imubayes.display.qualification.quantity_drawings import forest_drawings
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
 from imubayes.foundations.files import only_writer, refuse_existing, replacing
 from imubayes.qualification.report_record import QualificationReport
 
@@ -245,15 +245,13 @@ def places_held(files: Sequence[Path]) -> Iterator[None]:
 
 
 def _check_places(files: Sequence[Path]) -> None:
-    issues = [
+    refuse(
         Issue(
             f"'{file.name}' has no ending of a report", "option --out", closest_first(file.suffix, _WRITERS),
             "choose one of these",
         )
         for file in files if file.suffix.lower() not in _WRITERS
-    ]  # fmt: skip
-    if issues:
-        raise InputError(issues)
+    )  # fmt: skip
     for file in files:
         start = _WRITERS[file.suffix.lower()][1]
         refuse_existing(file, but=lambda content, start=start: content.startswith(start))

@@ -24,7 +24,7 @@ from imubayes.campaign.run_tables import RowBatch
 from imubayes.effects.shared_formulas import RunBias
 from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.covariates import COVARIATES, REFERENCE_TEMPERATURE
-from imubayes.foundations.errors import InputError, Issue, input_error
+from imubayes.foundations.errors import InputError, Issue, input_error, refuse
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.sensitive_axes import acting_on, solve_rows
 from imubayes.noise.components import Entry, EntryNoise, SharedNoise, SlowNoise, WhiteNoise
@@ -315,13 +315,11 @@ def not_given(temperature: str, where: str) -> Issue:
 
 def check_stated(temperatures: Mapping[str, float]) -> None:
     """Raise InputError where a temperature that is stated for all rows is none."""
-    issues = [
+    refuse(
         Issue(f"a temperature of {value:g} degC", f"--{name.replace('_', '-')}", "a number above -273.15", "correct it")
         for name, value in temperatures.items()
         if not -273.15 < value < math.inf
-    ]
-    if issues:
-        raise InputError(issues)
+    )
 
 
 def correction_of(result: Result, header: tuple[str, ...], where: str) -> Correction:

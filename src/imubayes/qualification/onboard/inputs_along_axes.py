@@ -21,7 +21,7 @@ from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.covariates import COVARIATES, REFERENCE_TEMPERATURE
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.model_file import UncertainEquipment
@@ -194,8 +194,7 @@ def _check(
         names = [channel.name for channel in campaign.channels if channel.kind != "angle"]
         allowed = closest_first(next(iter(readings.columns), ""), names)
         issues.append(Issue("no column is a channel of the unit", where, allowed, "name the columns like the channels"))
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
 
 
 def _missing(readings: pl.DataFrame, needed: Sequence[str], where: str) -> list[Issue]:

@@ -14,7 +14,7 @@ from imubayes.campaign import load_campaign, run_tables
 from imubayes.campaign.campaign_reader import raw_log
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
 from imubayes.foundations.covariates import COVARIATES
-from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.files import replacing
 from imubayes.model.model_file import UncertainEquipment
 from imubayes.qualification.onboard.correct_recording import RowTally, check_stated, correction_of, not_given
@@ -153,8 +153,7 @@ def _refuse_other_unit(campaign: Campaign, path: Path, channels: Sequence[Channe
             )
             allowed = "the kind, input_axis, scale, per and offset of the campaign that was fitted"
             issues.append(Issue(what, where, allowed, "correct the entry, or fit this campaign"))
-    if issues:
-        raise InputError(issues)
+    refuse(issues)
 
 
 def correct_recording(
