@@ -23,14 +23,8 @@ import jax
 from jax._src import config, core
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
+from imubayes.compiled import stored_programs as store
 from imubayes.compiled.program_identity import NoIdentityError, Slot, identity, sources_unchanged
-from imubayes.compiled.stored_programs import (
-    Preloading,
-    make_room,
-    packed_program,
-    read_program,
-    write_program,
-)
 
 SWITCH = "IMUBAYES_KEEP_PROGRAMS"
 """Environment variable; at 0 every process traces its programs anew."""
@@ -66,7 +60,7 @@ class _Folder:
     """Where programs are kept: none until `keep_programs` names one; and those that are loaded ahead."""
 
     place: Path | None = None
-    preloading: Preloading | None = None
+    preloading: store.Preloading | None = None
 
 
 _programs: dict[Any, _Program | None] = {}
@@ -81,7 +75,7 @@ def keep_programs(folder: Path | None, purpose: str = "") -> None:
     """
     _Folder.place = None if os.environ.get(SWITCH) == "0" else folder
     if purpose and _Folder.place is not None:
-        _Folder.preloading = Preloading(_Folder.place, purpose)
+        _Folder.preloading = store.Preloading(_Folder.place, purpose)
 
 
 def forget_programs() -> None:
@@ -171,7 +165,7 @@ def _found_or_made(function: Callable, leaves: list[Any], tree: Any) -> _Program
         file = _Folder.place / identity(function, arguments)
     except NoIdentityError:
         return None
-    stored = (_Folder.preloading.read if _Folder.preloading is not None else read_program)(file)
+    stored = (_Folder.preloading.read if _Folder.preloading is not None else store.read_program)(file)
     if stored is not None:
         return _Program(stored.executable, pickle.loads(stored.skeleton), file)
     program = _compiled(function, arguments, arrays)
@@ -225,9 +219,9 @@ def _write(file: Path, program: _Program, arguments: int) -> None:
         skeleton = pickle.dumps(program.skeleton)
     except (TypeError, AttributeError, pickle.PicklingError):
         return  # compiled by each process
-    content = packed_program(program.executable, arguments, results, skeleton)
+    content = store.packed_program(program.executable, arguments, results, skeleton)
     if content is None or not sources_unchanged():
         return
     with suppress(OSError):
-        make_room(file.parent, MOST_BYTES)
-        write_program(file, content)
+        store.make_room(file.parent, MOST_BYTES)
+        store.write_program(file, content)

@@ -16,13 +16,7 @@ from imubayes.criticism.drawn_shape import DrawnCurve, DrawnFormula
 from imubayes.criticism.refit_ahead import Ahead
 from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text
-from imubayes.display.loop.diagnosis_report import (
-    add_command,
-    coefficient_text,
-    formula_sheet,
-    formula_source,
-    next_command,
-)
+from imubayes.display.loop import diagnosis_report as report
 from imubayes.display.loop.diagnosis_sentences import evidence_text, form_text, sentence
 from imubayes.display.loop.selection_text import drawn_text, formula_text, preview_text, refitted_text, selection_text
 from imubayes.explorer import messages
@@ -103,7 +97,7 @@ class OpenModel:
             groupings=table.groupings(),
             effects=tuple(effect.name for effect in model.spec.effects),
             set_aside=tuple(map(set_aside_text, model.spec.set_aside)),
-            command=next_command(said),
+            command=report.next_command(said),
         )
 
     def _causes(self) -> list[messages.CauseLine]:
@@ -117,7 +111,7 @@ class OpenModel:
             shown = self.diagnosis.estimate(line.effect) or line
             found.append(messages.CauseLine(
                 effect=line.effect, probability=line.probability, log_odds=line.log_odds, delta_chi2=shown.delta_chi2,
-                coefficient=coefficient_text(shown), group=groups.get(line.effect),
+                coefficient=report.coefficient_text(shown), group=groups.get(line.effect),
                 words=(getdoc(registry.effects[line.effect]) or "").partition("\n")[0],
             ))  # fmt: skip
         return found
@@ -170,7 +164,7 @@ class OpenModel:
         shown = Ahead(predicted, ~self.view.entries) if ahead is None else ahead
         drop, moved = self._drop(shown.point), self.view.moved(shown.point)
         largest = (moved[0].name, moved[0].in_sd) if moved else None
-        command = add_command(effects, self.channels_for(effects), self.place, out) if effects else ""
+        command = report.add_command(effects, self.channels_for(effects), self.place, out) if effects else ""
         return messages.PreviewFacts(
             effects=tuple(effects) or ((what,) if ahead is not None else ()), refitted=ahead is not None,
             delta_chi2=drop, cells=(by or self.table).expected(shown, self.table), moved=moved, command=command,
@@ -185,11 +179,13 @@ class OpenModel:
     def formula(self, channel: str, drawn: DrawnCurve | None = None) -> messages.FormulaFacts:
         """Return the formula of what the model leaves of a channel, or of a drawing, and the effect that it becomes."""
         found = self.view.formula(channel, drawn)
-        sheet = formula_sheet(self.diagnosis.model_copy(update={"formulas": (found,) if found is not None else ()}))
+        sheet = report.formula_sheet(
+            self.diagnosis.model_copy(update={"formulas": (found,) if found is not None else ()})
+        )
         return messages.FormulaFacts(
             sentence=drawn_text(found) if isinstance(found, DrawnFormula) else formula_text(found, channel),
             table=messages.shown_table(sheet) if found is not None else None,
-            source=formula_source(found) if found is not None else "",
+            source=report.formula_source(found) if found is not None else "",
         )
 
     def channels_for(self, effects: Sequence[str]) -> tuple[str, ...] | None:

@@ -21,14 +21,8 @@ from imubayes.adequacy.known_noise_fit import noise_sd
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Record
 from imubayes.foundations.tail_probabilities import normal_survival, t_survival
+from imubayes.inference import laplace_marginal as laplace
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import (
-    Linearised,
-    inverse_of_precision,
-    linearise,
-    precision_of,
-    whitened_about,
-)
 from imubayes.loop.joined_runs import JoinedRuns, joined_runs
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.noise.components import SharedNoise
@@ -244,7 +238,7 @@ class _OwnFit:
     left, slope : of the new entries and of the priors of what they alone know, (n + k,) and (n + k, k).
     """
 
-    about: Linearised
+    about: laplace.Linearised
     white: tuple[np.ndarray, np.ndarray, np.ndarray]
     left: np.ndarray
     slope: np.ndarray
@@ -258,8 +252,8 @@ def _with_own_unknowns(problem: Problem, z: np.ndarray, h: np.ndarray, own: np.n
     """Return the model where what new runs alone know, (P,) bool, fits them best, by Gauss–Newton steps."""
 
     def at(point: np.ndarray) -> _OwnFit:
-        about = linearise(problem, jnp.asarray(point))
-        residual, jacobian, widths = white = whitened_about(problem, about, h)
+        about = laplace.linearise(problem, jnp.asarray(point))
+        residual, jacobian, widths = white = laplace.whitened_about(problem, about, h)
         left = np.concatenate([residual[new], -point[own] / widths[own]])
         return _OwnFit(about, white, left, np.concatenate([jacobian[new][:, own], np.diag(1 / widths[own])]))
 
@@ -287,12 +281,12 @@ def _posterior_root(fit: Fit, joined: JoinedRuns, shared: np.ndarray, scales: np
     model, old = joined.model, fit.model
     h = model.hyper_layout.carried(old.hyper_layout, scales)
     widths = np.asarray(prior_widths(model.problem, jnp.asarray(h)))
-    about = linearise(old.problem, jnp.asarray(fit.z))
-    told = precision_of(old.problem, about, jnp.asarray(scales))
+    about = laplace.linearise(old.problem, jnp.asarray(fit.z))
+    told = laplace.precision_of(old.problem, about, jnp.asarray(scales))
     places = [model.layout.index(name) for name in old.layout.names]
     precision = np.diag(widths**-2)
     precision[np.ix_(places, places)] += told
-    covariance = inverse_of_precision(precision)[np.ix_(shared, shared)]
+    covariance = laplace.inverse_of_precision(precision)[np.ix_(shared, shared)]
     scale = np.sqrt(np.diag(covariance))
     sizes, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
     return scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))

@@ -24,34 +24,14 @@ from imubayes.effects.thermometer import TemperatureOffset
 from imubayes.foundations.arrays import Array, Float, Scalar, on_device
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
+from imubayes.model import bound_effects as binding
+from imubayes.model import nodes_and_entries
 from imubayes.model.assembly import Assembly, assemble
-from imubayes.model.bound_effects import (
-    BoundEffect,
-    ExactEquipmentError,
-    NotObservableError,
-    SingleRunError,
-    UnknownCovariateError,
-    bind_effect,
-    unknown_covariates_issue,
-)
 from imubayes.model.effect_registry import EffectClass, Registry, with_noise_priors
 from imubayes.model.grouping import Grouping, colour_columns
 from imubayes.model.integrated_outputs import bind_servos, bind_transitions
 from imubayes.model.likelihood import log_density
 from imubayes.model.model_file import EffectSpec, ModelSpec, SingleRunEffect
-from imubayes.model.nodes_and_entries import (
-    Entries,
-    NodeTable,
-    encoder_slopes,
-    join_entries,
-    join_nodes,
-    nominal_rates,
-    output_indices,
-    reference_scales,
-    servo_runs,
-    time_ranks,
-    timeline,
-)
 from imubayes.model.nominal_response import is_independent
 from imubayes.model.parameter_priors import HyperCorrelation, hyper_correlation, stated_uncertainty
 from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity, signal_path, values_of
@@ -83,7 +63,9 @@ def build_problem(assembly: Assembly, hyper_correlation: HyperCorrelation | None
             _noise_layer(effect, assembly) for effect in assembly.effects if issubclass(effect.effect_class, Noise)
         ),
         observations=observations,
-        timeline=timeline(assembly.grouping.campaign, assembly.grouping.entries, np.asarray(observations.group))
+        timeline=nodes_and_entries.timeline(
+            assembly.grouping.campaign, assembly.grouping.entries, np.asarray(observations.group)
+        )
         if slow
         else None,
         sparsity=_sparsity(assembly),
@@ -132,18 +114,18 @@ def _observations(grouping: Grouping) -> Observations:
     members = np.full((len(sizes), sizes.max(initial=1)), len(entries))
     order = np.argsort(group, kind="stable")
     members[group[order], np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)] = order
-    rank = time_ranks(grouping.campaign, entries)
+    rank = nodes_and_entries.time_ranks(grouping.campaign, entries)
     padded = np.append(rank, np.iinfo(rank.dtype).max)
     return Observations(
         value=entries.value.astype(float),
         weight=np.ones(len(entries)),
         entry=Entry(
             samples=entries.samples.astype(float),
-            rate=nominal_rates(grouping.campaign, grouping.nodes, entries),
-            reference=reference_scales(grouping.campaign, grouping.nodes, entries),
-            encoder=encoder_slopes(grouping.campaign, grouping.nodes, entries),
+            rate=nodes_and_entries.nominal_rates(grouping.campaign, grouping.nodes, entries),
+            reference=nodes_and_entries.reference_scales(grouping.campaign, grouping.nodes, entries),
+            encoder=nodes_and_entries.encoder_slopes(grouping.campaign, grouping.nodes, entries),
         ),
-        readout=output_indices(grouping.campaign, grouping.nodes, entries),
+        readout=nodes_and_entries.output_indices(grouping.campaign, grouping.nodes, entries),
         group=group,
         members=members,
         in_time=np.take_along_axis(members, np.argsort(padded[members], axis=1, kind="stable"), axis=1),
@@ -151,7 +133,7 @@ def _observations(grouping: Grouping) -> Observations:
     )
 
 
-def _noise_layer(effect: BoundEffect, assembly: Assembly) -> NoiseLayer:
+def _noise_layer(effect: binding.BoundEffect, assembly: Assembly) -> NoiseLayer:
     """Return a noise member with the indices of its values, per entry, or per group for what is shared."""
     member, grouping = effect.effect_class, assembly.grouping
     assert issubclass(member, Noise)
@@ -173,7 +155,7 @@ def _noise_layer(effect: BoundEffect, assembly: Assembly) -> NoiseLayer:
     return NoiseLayer(member, places, acts.astype(float))
 
 
-def dry_run(problem: Problem, effects: Sequence[BoundEffect], files: Sequence[str]) -> None:
+def dry_run(problem: Problem, effects: Sequence[binding.BoundEffect], files: Sequence[str]) -> None:
     """Trace the signal path and the log density without computing them.
 
     Parameters
@@ -213,7 +195,7 @@ def _like(size: int) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct((size,), jnp.zeros(0).dtype)
 
 
-def _is_own(effect: BoundEffect, files: Sequence[str]) -> bool:
+def _is_own(effect: binding.BoundEffect, files: Sequence[str]) -> bool:
     module = getattr(sys.modules.get(effect.effect_class.__module__), "__file__", None)
     return module is not None and any(Path(module) == Path(file) for file in files)
 
@@ -268,8 +250,8 @@ class Model:
     layout: Layout
     hyper_layout: Layout
     problem: Problem
-    nodes: NodeTable
-    entries: Entries
+    nodes: nodes_and_entries.NodeTable
+    entries: nodes_and_entries.Entries
     assembly: Assembly
     left_out: tuple[SingleRunEffect, ...] = ()
 
@@ -353,7 +335,7 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, 
     new_files = registry is None
     registry = (registry or Registry()).with_files(spec.files)
     spec = _with_implied(with_noise_priors(spec, campaign, registry), campaign, registry)
-    nodes, entries = join_nodes(campaign), join_entries(campaign)
+    nodes, entries = nodes_and_entries.join_nodes(campaign), nodes_and_entries.join_entries(campaign)
     grouping = Grouping(campaign, nodes, entries)
     effects, left_out = _bind_effects(spec, grouping, registry, single_runs)
     clear_if_crowded()  # compiled code belongs to the structure of one model, and every model bound may be another
@@ -367,30 +349,30 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, 
 
 def _bind_effects(
     spec: ModelSpec, grouping: Grouping, registry: Registry, single_runs: bool
-) -> tuple[tuple[BoundEffect, ...], tuple[SingleRunEffect, ...]]:
+) -> tuple[tuple[binding.BoundEffect, ...], tuple[SingleRunEffect, ...]]:
     """Return all effects bound to the campaign, and those left out; raises InputError with all that does not fit."""
-    effects: list[BoundEffect] = []
+    effects: list[binding.BoundEffect] = []
     left_out: list[SingleRunEffect] = []
     issues: list[Issue] = []
-    unknown: dict[tuple, list[UnknownCovariateError]] = {}
+    unknown: dict[tuple, list[binding.UnknownCovariateError]] = {}
     for entry in spec.effects:
         try:
-            bound = bind_effect(entry, grouping, registry, single_runs=single_runs)
+            bound = binding.bind_effect(entry, grouping, registry, single_runs=single_runs)
             effects.append(bound)
             left_out += [SingleRunEffect(effect=entry.name, channels=bound.left_out)] if bound.left_out else []
-        except UnknownCovariateError as error:
+        except binding.UnknownCovariateError as error:
             # An optional one too: other runs show it, and to drop it would put its part of their outputs elsewhere.
             unknown.setdefault((error.runs, error.missing), []).append(error)
-        except ExactEquipmentError:
+        except binding.ExactEquipmentError:
             continue  # the effect is known to be absent
-        except SingleRunError as error:
+        except binding.SingleRunError as error:
             left_out.append(SingleRunEffect(effect=entry.name, channels=error.channels))
-        except NotObservableError as error:
+        except binding.NotObservableError as error:
             issues.extend(() if entry.optional else error.issues)
         except InputError as error:
             issues.extend(error.issues)
     issues.extend(
-        unknown_covariates_issue([each.effect for each in errors], runs, missing, errors[0].where)
+        binding.unknown_covariates_issue([each.effect for each in errors], runs, missing, errors[0].where)
         for (runs, missing), errors in unknown.items()
     )
     issues.extend(_conflicts(effects))
@@ -399,7 +381,7 @@ def _bind_effects(
 
 
 def _refuse_useless(
-    effects: Sequence[BoundEffect], issues: Sequence[Issue], spec: ModelSpec, grouping: Grouping
+    effects: Sequence[binding.BoundEffect], issues: Sequence[Issue], spec: ModelSpec, grouping: Grouping
 ) -> None:
     """Raise InputError with all issues, a model without noise among them, or for a model with nothing to fit."""
     found = list(issues)
@@ -440,7 +422,7 @@ def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> Mo
     tumbles = [run.tumble for run in campaign.runs if run.tumble is not None]
     names = list(_IMPLIED_BY_POSES) if tumbles else []
     names += _IMPLIED_BY_TURNS if any(tumble.turns for tumble in tumbles) else ()
-    names += _IMPLIED_BY_SERVO if servo_runs(campaign) else ()
+    names += _IMPLIED_BY_SERVO if nodes_and_entries.servo_runs(campaign) else ()
     present = {channel.kind for channel in campaign.channels}
     names += [name for name in _IMPLIED_BY_BENCHES if present & set(registry.effects[name].kinds)]
     listed = {effect.name for effect in spec.effects}
@@ -467,7 +449,7 @@ def _temperature_errors(listed: Collection[str], campaign: Campaign, registry: R
     ]
 
 
-def _conflicts(effects: Sequence[BoundEffect]) -> list[Issue]:
+def _conflicts(effects: Sequence[binding.BoundEffect]) -> list[Issue]:
     """Return complaints about effects that are listed twice or exclude each other on the same channel."""
     found = []
     for other, effect in combinations(effects, 2):

@@ -7,13 +7,7 @@ whole recording.
 
 import numpy as np
 
-from imubayes.campaign.reduction.static_poses import (
-    MOST_ROTATION,
-    WINDOW_SECONDS,
-    angle_between,
-    window_half,
-    windowed_variance,
-)
+from imubayes.campaign.reduction import static_poses as static
 
 _LOUD = 10.0  # times the variance of the quietest window
 _SAME = np.deg2rad(5.0)  # closer to the rest before: no other attitude
@@ -24,7 +18,7 @@ class RestWatch:
 
     def __init__(self, interval: float, step: np.ndarray) -> None:
         """Begin; `interval` in s, and the least step of each channel, for readings whose noise is below it."""
-        self._interval, self._half, self._least = interval, window_half(interval), step[:3] ** 2 / 12 + 1e-300
+        self._interval, self._half, self._least = interval, static.window_half(interval), step[:3] ** 2 / 12 + 1e-300
         self._floor = np.full(3, np.inf)
         self._tail = self._rest = np.zeros((0, len(step)))
         self._bias: np.ndarray | None = None
@@ -38,7 +32,7 @@ class RestWatch:
         if len(self._tail) < width:
             return
         inner = self._tail[self._half : len(self._tail) - self._half]
-        variance = windowed_variance(self._tail[:, :3], self._half)[self._half : len(self._tail) - self._half]
+        variance = static.windowed_variance(self._tail[:, :3], self._half)[self._half : len(self._tail) - self._half]
         self._floor = np.minimum(self._floor, np.maximum(variance, self._least).min(axis=0))
         loud = (variance > _LOUD * self._floor).any(axis=1) | self._turning(width)
         if loud.any():
@@ -48,7 +42,7 @@ class RestWatch:
 
     def end(self, missing: bool = False) -> None:
         """End the rest; where samples are missing, the window as well."""
-        if self.still > WINDOW_SECONDS:
+        if self.still > static.WINDOW_SECONDS:
             self.rests += not self.repeated
             self._before, self._bias = self._rest[:, :3].mean(axis=0), self._rest[:, 3:].mean(axis=0)
         self._rest = self._rest[:0]
@@ -69,7 +63,7 @@ class RestWatch:
         """Whether the unit rests in the attitude of the rest before."""
         if self._before is None or not len(self._rest):
             return False
-        return bool(angle_between(self._rest[:, :3].mean(axis=0), self._before) < _SAME)
+        return bool(static.angle_between(self._rest[:, :3].mean(axis=0), self._before) < _SAME)
 
     def _turning(self, width: int) -> np.ndarray:
         if self._tail.shape[1] == 3:
@@ -78,4 +72,4 @@ class RestWatch:
         mean = (total[width:] - total[:-width]) / width
         bias = mean[0] if self._bias is None else self._bias
         self._bias = bias
-        return np.linalg.norm(mean - bias, axis=1) * WINDOW_SECONDS > MOST_ROTATION
+        return np.linalg.norm(mean - bias, axis=1) * static.WINDOW_SECONDS > static.MOST_ROTATION

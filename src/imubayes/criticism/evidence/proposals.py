@@ -12,14 +12,9 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.criticism.evidence import hypothesis_evidence as evidence
+from imubayes.criticism.evidence import noise_structures as structures
 from imubayes.criticism.evidence.effect_variants import gain_of_coefficients
 from imubayes.criticism.evidence.linear_problem import ChannelRows
-from imubayes.criticism.evidence.noise_structures import (
-    HeavyTails,
-    NoiseOfUnit,
-    tail_log_density,
-    tail_weights,
-)
 from imubayes.criticism.evidence.whitened_rows import WhitenedColumns, offsets_of_runs, with_scatter
 
 
@@ -76,14 +71,14 @@ def residuals(of: evidence.EvidenceOf, at: evidence.Evaluated) -> dict[int, np.n
 
 
 def log_likelihood(
-    of: evidence.EvidenceOf, residual: dict[int, np.ndarray], channels: Sequence[int], noise: NoiseOfUnit
+    of: evidence.EvidenceOf, residual: dict[int, np.ndarray], channels: Sequence[int], noise: structures.NoiseOfUnit
 ) -> float:
     """Return the logarithm of prior and likelihood of residuals under a noise, its scale at the mode; a screen."""
     found = noise.log_prior
     for k in channels:
         white, count = of.rows[k].structured(noise, residual[k]), len(residual[k])
         sd = noise.scale_sd(of.problem.rows[k])
-        if isinstance(noise.rows, HeavyTails):
+        if isinstance(noise.rows, structures.HeavyTails):
             found += white.log_det + _under_tails(of.rows[k].rows, white, noise.scatter, noise.rows.degrees, sd)
             continue
         gram = with_scatter(of.rows[k].rows, white, noise.scatter)
@@ -99,13 +94,13 @@ def _under_tails(rows: ChannelRows, white: WhitenedColumns, scatter: float, degr
     own, rest, term, log_scale, offsets = white.columns[:, 0], white.columns[:, 0], 0.0, 0.0, 0.0
     weight = np.ones(len(own))
     for _ in range(evidence.ROUNDS):
-        before, weight = weight, tail_weights((rest / math.exp(log_scale)) ** 2, degrees)
+        before, weight = weight, structures.tail_weights((rest / math.exp(log_scale)) ** 2, degrees)
         runs = offsets_of_runs(rows, own, white.offset, weight, scatter)
         rest, offsets = own - runs.taken, runs.log_density(math.exp(log_scale))
         log_scale, term = evidence.scale_mode(max(float(weight @ rest**2), 1e-12), len(own), sd)
         if float(np.max(np.abs(np.log(weight / before)))) < evidence.SETTLED_WEIGHT:
             break
-    return tail_log_density(rest / math.exp(log_scale), degrees) - len(own) * log_scale + term + offsets
+    return structures.tail_log_density(rest / math.exp(log_scale), degrees) - len(own) * log_scale + term + offsets
 
 
 class Screen:

@@ -6,15 +6,10 @@ from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import counted, pretty, significant
 from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Banner
-from imubayes.qualification.report_record import (
-    Conformity,
-    LimitOutcome,
-    QualificationReport,
-    ReportedConvergence,
-)
+from imubayes.qualification import report_record as record
 
 
-def banner(report: QualificationReport) -> Banner:
+def banner(report: record.QualificationReport) -> Banner:
     """Return the outcome in words and colour."""
     found = report.conformity
     if found is None:
@@ -26,7 +21,7 @@ def banner(report: QualificationReport) -> Banner:
     return Banner(word, _sentence(found), mood)
 
 
-def _sentence(found: Conformity) -> str:
+def _sentence(found: record.Conformity) -> str:
     met = sum(limit.outcome in ("pass", "conditional_pass") for limit in found.limits)
     of = len(found.limits)
     limits = f"{met} of {of} limits of the specification “{found.specification}” are met under the decision rule."
@@ -41,7 +36,7 @@ def _sentence(found: Conformity) -> str:
     return limits + (f" {conditional} results are conditional: within U of the limit." if conditional else "")
 
 
-def alarms(report: QualificationReport) -> list[str]:
+def alarms(report: record.QualificationReport) -> list[str]:
     """Return what stands against the use of the numbers, most serious first; also where there is no specification."""
     convergence, adequacy = report.convergence, report.adequacy
     if not convergence.converged:
@@ -61,7 +56,7 @@ def alarms(report: QualificationReport) -> list[str]:
     return [*found, *_incomplete(report)]
 
 
-def _incomplete(report: QualificationReport) -> list[str]:
+def _incomplete(report: record.QualificationReport) -> list[str]:
     """Return that what ISO/IEC 17025 requires of a certificate is missing; nothing where nothing is."""
     if report.certificate is None or not report.missing:
         return []
@@ -69,7 +64,7 @@ def _incomplete(report: QualificationReport) -> list[str]:
     return [f"No certificate of an accredited laboratory: ISO/IEC 17025 requires {named} more, listed at the end."]
 
 
-def facts(report: QualificationReport) -> list[tuple[str, str]]:
+def facts(report: record.QualificationReport) -> list[tuple[str, str]]:
     """Return the facts of the first page."""
     subject, scope = report.subject, report.scope
     procedures = list(dict.fromkeys(run.procedure for run in subject.runs))
@@ -91,7 +86,7 @@ def facts(report: QualificationReport) -> list[tuple[str, str]]:
     ]
 
 
-def _evaluation(convergence: ReportedConvergence, method: str) -> str:
+def _evaluation(convergence: record.ReportedConvergence, method: str) -> str:
     return f"{method}, {convergence.draws} draws" if convergence.draws else "none: there are no draws"
 
 
@@ -100,7 +95,7 @@ def _day(start: str) -> str:
 
 
 def limits_table(
-    limits: Sequence[LimitOutcome], components: Mapping[str, str] | None = None, reference: str = ""
+    limits: Sequence[record.LimitOutcome], components: Mapping[str, str] | None = None, reference: str = ""
 ) -> Sheet:
     """Return every limit with y ± U, conformance probability and decision.
 
@@ -139,11 +134,11 @@ def limits_table(
     )
 
 
-def _symbol(limit: LimitOutcome) -> Cell:
+def _symbol(limit: record.LimitOutcome) -> Cell:
     return Cell(limit.symbol or limit.name, formula=limit.symbol not in ("", limit.name.partition("[")[0]))
 
 
-def components_of(report: QualificationReport) -> dict[str, str]:
+def components_of(report: record.QualificationReport) -> dict[str, str]:
     """Return the components of the quantities of the standards that are lengths of vectors, as text."""
     own = {each.members[0]: each for each in report.standards if len(each.members) == 1}
     return {
@@ -156,7 +151,7 @@ def components_of(report: QualificationReport) -> dict[str, str]:
     }
 
 
-def _where(limit: LimitOutcome, reference: str) -> str:
+def _where(limit: record.LimitOutcome, reference: str) -> str:
     if limit.temperature_range is None:
         return f"{reference.removesuffix(' °C')} (T_ref)" if reference.count("°C") == 1 else "T_ref"
     low, high = limit.temperature_range
@@ -164,7 +159,7 @@ def _where(limit: LimitOutcome, reference: str) -> str:
     return f"{low:g} … {high:g}{worst}"
 
 
-def rules_text(limits: Sequence[LimitOutcome]) -> list[str]:
+def rules_text(limits: Sequence[record.LimitOutcome]) -> list[str]:
     """Return each decision rule with the limits that it was applied to, a sentence each."""
     groups: dict[str, list[str]] = {}
     for limit in limits:
@@ -176,7 +171,7 @@ def rules_text(limits: Sequence[LimitOutcome]) -> list[str]:
     ]
 
 
-def risk_table(limits: Sequence[LimitOutcome]) -> Sheet:
+def risk_table(limits: Sequence[record.LimitOutcome]) -> Sheet:
     """Return rule, guard band and risks of every limit, with the second method of each probability."""
     known = any(limit.global_consumer_risk is not None for limit in limits)
     rows = [
