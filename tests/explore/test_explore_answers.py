@@ -22,7 +22,6 @@ from imubayes.api import add, diagnose
 from imubayes.cli.main import run
 from imubayes.criticism.evidence.free_forms import ChosenForm
 from imubayes.criticism.evidence.model_search import states_noise
-from imubayes.criticism.linear_answers import LinearAnswers
 from imubayes.display.loop.diagnosis_report import diagnosis_json
 from imubayes.display.loop.selection_text import selection_text
 from imubayes.explorer.linear_view import LinearView
@@ -227,7 +226,7 @@ def test_a_cause_that_is_no_line_is_previewed_as_it_acts(client, first, model):
     left = right - rows @ np.linalg.lstsq(rows, right)[0]
     found = view.with_causes([effect])
     np.testing.assert_allclose(found.left, left, atol=0.02)
-    assert np.max(np.abs(found.left - LinearAnswers.with_causes(view, [effect]).left)) > 0.2
+    assert np.max(np.abs(found.left - LinearView.acting_linearly(view, [effect]).left)) > 0.2
     drop = point.left @ point.left - left @ left
     assert client.json("preview", {"model": first, "effects": [effect]})["delta_chi2"] == pytest.approx(drop, rel=0.01)
 

@@ -11,7 +11,6 @@ from pydantic import Field
 from imubayes.criticism.diagnosis_record import CovariateLabel
 from imubayes.criticism.drawn_shape import DrawnCurve
 from imubayes.criticism.explanation_records import ProbableExplanation, Verdict
-from imubayes.criticism.linear_answers import RankedCause
 from imubayes.display.layout import Sheet
 from imubayes.explorer.kept_session import Lock, ModelNote
 from imubayes.foundations.records import Record
@@ -229,6 +228,14 @@ class ModelFacts(Record):
     effects: tuple[str, ...]
     set_aside: tuple[str, ...]
     command: str
+
+
+class RankedCause(Record):
+    """A cause of chosen rows, with its probability among single effects, an offset of these rows, and none."""
+
+    effect: str
+    probability: float
+    log_odds: float
 
 
 class SelectionFacts(Record):

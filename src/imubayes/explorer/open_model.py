@@ -13,7 +13,6 @@ from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import explained_fit
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.drawn_shape import DrawnCurve, DrawnFormula
-from imubayes.criticism.refit_ahead import Ahead
 from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.loop import diagnosis_report as report
@@ -22,6 +21,7 @@ from imubayes.display.loop.selection_text import drawn_text, formula_text, previ
 from imubayes.explorer import messages
 from imubayes.explorer.linear_view import LinearView
 from imubayes.explorer.point_table import PointTable
+from imubayes.explorer.refit_ahead import Ahead
 from imubayes.foundations.errors import input_error, kept_if_possible
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.tail_probabilities import chi2_survival

@@ -12,11 +12,11 @@ import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnosis_record import CovariateLabel
-from imubayes.criticism.refit_ahead import Ahead
 from imubayes.display.figure_style import NORMAL, band, numbers, temperature_levels, varies
 from imubayes.display.numbers_and_labels import covariates, pretty, readable
 from imubayes.explorer.linear_view import LinearView
 from imubayes.explorer.messages import Brush, ExpectedCell, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
+from imubayes.explorer.refit_ahead import Ahead
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.results.result import Result, to_input_units
 

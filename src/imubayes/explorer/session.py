@@ -15,7 +15,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imubayes.api import add, export, fit, refit, remove
-from imubayes.criticism.refit_ahead import Ahead
 from imubayes.display.loop.change_report import change_lines
 from imubayes.display.loop.diagnosis_report import add_command, formula_source
 from imubayes.display.loop.history import gain_text
@@ -25,6 +24,7 @@ from imubayes.explorer.kept_session import KeptSession, ModelNote
 from imubayes.explorer.messages import ChangeWanted, LockWanted, NoteWanted, PointsWanted, PreviewFacts, PreviewWanted
 from imubayes.explorer.open_model import OpenModel, Stamp, opened, quoted, stamp_of
 from imubayes.explorer.point_table import PointTable
+from imubayes.explorer.refit_ahead import Ahead
 from imubayes.explorer.worker import TaskOutcome, TaskProgress, Worker
 from imubayes.foundations.errors import InputError, input_error, kept_if_possible
 from imubayes.foundations.files import write_text
