@@ -5,11 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from imubayes.qualification.next_due import TwoEstimates, next_due
+from imubayes.qualification.repeatability import ComparedQuantity, next_due
 
 
-def due(*both: float, days: float = 100.0, lower: float = -math.inf, upper: float = math.inf):
-    return next_due("gyro_bias.bias[gx]", "deg/h", TwoEstimates(*both), days, lower, upper)
+def due(first, first_sd, second, second_sd, apart, days=100.0, lower=-math.inf, upper=math.inf):
+    compared = ComparedQuantity(
+        name="gyro_bias.bias[gx]", unit="deg/h", first=first, first_sd=first_sd, second=second, second_sd=second_sd,
+        difference=second - first, difference_sd=apart, common=0.0, e_n=0.0, p=1.0, moved=False,
+    )  # fmt: skip
+    return next_due(compared, days, lower, upper)
 
 
 def test_an_exact_drift_reaches_the_limit_when_the_line_does():

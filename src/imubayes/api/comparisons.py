@@ -8,8 +8,7 @@ from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
 from imubayes.qualification.conformity import resolved_limits
-from imubayes.qualification.next_due import NextDue, TwoEstimates, next_due
-from imubayes.qualification.repeatability import Repeatability, repeatability_of
+from imubayes.qualification.repeatability import NextDue, Repeatability, next_due, repeatability_of
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.unit_under_test import unit_under_test
 from imubayes.results.prediction import RunPrediction, broad_scales, prediction
@@ -102,12 +101,9 @@ def _due(found: Repeatability, later: Result, limits: Path) -> tuple[NextDue, ..
             "state them, or exchange the results",
         )
     compared = {each.name: each for each in found.quantities}
-    dues = []
-    for limit in resolved_limits(*read_specification(limits), unit_under_test(later)):
-        each = compared.get(limit.quantity.name)
-        if each is None or each.unit != limit.quantity.unit:
-            continue
-        both = TwoEstimates(each.first, each.first_sd, each.second, each.second_sd, each.difference_sd)
-        ends = limit.tolerance.lower, limit.tolerance.upper
-        dues.append(next_due(each.name, each.unit, both, found.days, *ends))
+    dues = [
+        next_due(each, found.days, limit.tolerance.lower, limit.tolerance.upper)
+        for limit in resolved_limits(*read_specification(limits), unit_under_test(later))
+        if (each := compared.get(limit.quantity.name)) is not None and each.unit == limit.quantity.unit
+    ]
     return tuple(sorted(dues, key=lambda due: float("inf") if due.days is None else due.days))

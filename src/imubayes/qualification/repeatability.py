@@ -9,8 +9,13 @@ covariances C_A and C_B the error of an estimate has the part −C W⁻² (θ �
 What the prior alone says is not compared that way: its X is C_A + C_B.  Nor does an uncertainty of the equipment count
 that both share; √(U_A² + U_B²), which takes the two as independent, contains it twice.  E_n is the difference over its
 expanded uncertainty, k = 2 (ISO/IEC 17043).  Both as one have the precision Λ_A + Λ_B + W⁻², the prior counted once.
+
+By the drift between both a quantity may leave its limits: then the next calibration is due.  Two calibrations fix a
+straight line and cannot test it: the interval is stated with that reservation, and for ten times the time between them
+at most.  A drift of several calibrations is one of `batch trends`.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -21,6 +26,7 @@ import numpy as np
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Presented, Record
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
+from imubayes.foundations.units import DAYS_PER_YEAR
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import inverse_of_precision, linearise, precision_of
 from imubayes.inference.posterior_groups import in_units
@@ -29,7 +35,6 @@ from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import prior_widths
 from imubayes.parameters.declarations import Parameter, prior_slopes
 from imubayes.procedures.ambient import instant, starts_of
-from imubayes.qualification.next_due import EXPANDED, NextDue
 from imubayes.results.prediction import LEAST_CHANCE
 
 # Share of the information from the data below which a calibration has nothing to be compared.  Convention.
@@ -37,6 +42,10 @@ _LEAST_FROM_DATA = 0.1
 # Correlations of differences below which an eigenvalue is rounding.
 _ROUNDING = 1e-7
 _DAYS = 86400.0
+MOST_INTERVALS = 10.0
+"""Of those between two calibrations, for which a drift is continued."""
+_EXPANDED = 2.0  # coverage factor
+_STEPS = 2000
 
 
 class ComparedQuantity(Record):
@@ -67,6 +76,26 @@ class ComparedQuantity(Record):
     moved: bool
     pooled: float | None = None
     pooled_sd: float | None = None
+
+
+class NextDue(Record):
+    """Drift of a quantity with limits, in its unit.
+
+    Attributes
+    ----------
+    rate, rate_sd : drift per year, and its standard uncertainty.
+    lower, upper : limits; None where there is none.
+    days : after the second calibration, until the value with its expanded uncertainty (k = 2) reaches a limit; None
+        where it does not within ten times the days between both.
+    """
+
+    name: str
+    unit: str
+    rate: float
+    rate_sd: float
+    lower: float | None
+    upper: float | None
+    days: float | None
 
 
 class Repeatability(Presented, Record):
@@ -312,7 +341,7 @@ def _compared(name: str, one: _Normal, other: _Normal, cross: np.ndarray, count:
         difference=apart,
         difference_sd=sd,
         common=2 * common / (first + second),
-        e_n=apart / (EXPANDED * sd) if sd > 0 else 0.0,
+        e_n=apart / (_EXPANDED * sd) if sd > 0 else 0.0,
         p=p,
         moved=count * p < LEAST_CHANCE,
     )
@@ -354,3 +383,28 @@ def _pooled(
         sd = float(np.sqrt(gradient @ covariance[:count, :count] @ gradient))
         found.append(line.model_copy(update={"pooled": value, "pooled_sd": sd}))
     return found
+
+
+def next_due(found: ComparedQuantity, days: float, lower: float, upper: float) -> NextDue:
+    """Return when a quantity reaches a limit; `days` between both calibrations, infinite limits where there is none.
+
+    The drift is taken as even from the first calibration on, so that the value t after the second is
+    x₂ + (x₂ − x₁) t / D, with the uncertainty of both and what they have in common.
+    """
+    common = 0.5 * (found.first_sd**2 + found.second_sd**2 - found.difference_sd**2)
+    drift = found.second - found.first
+    share = np.linspace(0.0, MOST_INTERVALS, _STEPS)
+    variance = ((1 + share) * found.second_sd) ** 2 + (share * found.first_sd) ** 2 - 2 * share * (1 + share) * common
+    reach = _EXPANDED * np.sqrt(np.maximum(variance, 0.0))
+    value = found.second + drift * share
+    outside = (value + reach > upper) | (value - reach < lower)
+    at = float(share[int(np.argmax(outside))]) * days if outside.any() else None
+    return NextDue(
+        name=found.name,
+        unit=found.unit,
+        rate=drift * DAYS_PER_YEAR / days,
+        rate_sd=found.difference_sd * DAYS_PER_YEAR / days,
+        lower=lower if math.isfinite(lower) else None,
+        upper=upper if math.isfinite(upper) else None,
+        days=at,
+    )

@@ -28,8 +28,7 @@ from imubayes.foundations.files import refuse_occupied, write_text
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.units import DAYS_PER_YEAR
 from imubayes.loop.predicted_runs import ShiftedEstimate
-from imubayes.qualification.next_due import MOST_INTERVALS
-from imubayes.qualification.repeatability import ComparedQuantity, Repeatability
+from imubayes.qualification.repeatability import MOST_INTERVALS, ComparedQuantity, Repeatability
 from imubayes.results.folder_files import RESIDUALS
 from imubayes.results.prediction import LEAST_CHANCE, RunPrediction
 from imubayes.results.summary import Summary
