@@ -194,12 +194,7 @@ def report_of(
         thermal_linearity=estimates.thermal_linearity(found, unit),
         exact=exact,
         budgets=None if evaluated is None else evaluated.budgets,
-        left_out=record.Omissions(
-            channels=omitted_values(campaign),
-            notes=found.summary.notes,
-            outliers=len(diagnosis.outliers) if diagnosis is not None else 0,
-            nuisance_parameters=sum(line.nuisance for line in found.summary.parameters),
-        ),
+        left_out=left_out_of(campaign, found, diagnosis),
         scope=scope,
         pictures=pictures_of(found, unit, assessment, angles),
         certificate=block,
@@ -388,6 +383,16 @@ def _errors_of(found: ConformityOfQuantity) -> record.MonteCarloError | None:
 
 def _optional(found: ProbabilityByTwoMethods | None):
     return None if found is None else estimates.probability_of(found)
+
+
+def left_out_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> record.Omissions:
+    """Return what was left out."""
+    return record.Omissions(
+        channels=omitted_values(campaign),
+        notes=result.summary.notes,
+        outliers=len(diagnosis.outliers) if diagnosis is not None else 0,
+        nuisance_parameters=sum(line.nuisance for line in result.summary.parameters),
+    )
 
 
 def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> record.StatisticalScope:

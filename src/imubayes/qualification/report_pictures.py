@@ -1,6 +1,6 @@
 """What the pictures of a report show, as numbers: errors with limits, residuals, mountings, priors and posteriors."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -22,6 +22,7 @@ _MOST_DRAWS = 2000
 _DIGITS = 7
 _LARGEST_G = 1.05
 ERROR_UNIT: dict[SensorKind, str] = {"gyro": "deg/h", "accelerometer": "ug"}
+_PREFIX = {"gyro": "gyro", "accelerometer": "accel"}
 Abscissa = Literal["input_rate", "input_angle", "temperature", "table_angle"]
 
 
@@ -134,41 +135,49 @@ def _numbers(values: np.ndarray) -> tuple[float, ...]:
     return tuple(float(f"{value:.{_DIGITS}g}") for value in np.asarray(values, dtype=float))
 
 
+_Rows = tuple[Abscissa, str, pl.DataFrame, str]
+"""Abscissa, its unit, rows of the residuals, and their column with the abscissa."""
+_Drawn = tuple[ErrorCurve, list[LimitCurve]]
+
+
 def error_pictures(
     unit: TestedUnit, residuals: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
 ) -> tuple[ErrorPicture, ...]:
     """Return the pictures of errors against rate, angle and temperature that the runs allow."""
     kinds: tuple[SensorKind, ...] = ("gyro", "accelerometer")
-    found = []
-    for kind in kinds:
-        channels = [channel for channel in unit.channels if channel.kind == kind]
-        own = residuals.filter((pl.col("kind") == kind) & (pl.col("procedure") != "current_injection"))
-        if not channels or own.is_empty():
-            continue
-        found.append((_against_rate if kind == "gyro" else _against_angle)(unit, channels, own, limits))
-        found.append(_against_temperature(unit, kind, channels, own, limits))
-        found.append(_against_table_angle(kind, channels, own))
-    return tuple(picture for picture in found if picture is not None)
+    return tuple(picture for kind in kinds for picture in _of_kind(unit, kind, residuals, limits))
 
 
-def _against_rate(
-    unit: TestedUnit, channels: Sequence[Channel], own: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
-) -> ErrorPicture | None:
-    means = _class_means(own, channels, "input_observed")
-    if not means:
-        return None
-    per_hour, curves, bounds = 3600.0, [], []
-    for channel in channels:
-        low, high = unit.input_range(channel.name)
-        rate = np.linspace(low, high, _CURVE)
-        error = _error(unit, channel, rate)
-        if error is not None and high > low:
-            curves.append(_curve(channel.name, rate, error))
-            bounds += _envelope(limits, channel.name, "gyro_bias.bias", "gyro_scale_factor.scale", rate, per_hour)
-    return ErrorPicture(
-        kind="gyro", abscissa="input_rate", x_unit="deg/s", unit="deg/h",
-        curves=tuple(curves), limits=tuple(bounds), residuals=means,
+def _of_kind(
+    unit: TestedUnit, kind: SensorKind, residuals: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
+) -> Iterator[ErrorPicture]:
+    """Yield the pictures of one kind; against the angle of a table, on which no error depends, residuals alone."""
+    channels = [channel for channel in unit.channels if channel.kind == kind]
+    own = residuals.filter((pl.col("kind") == kind) & (pl.col("procedure") != "current_injection"))
+    by_input: _Rows = ("input_rate", "deg/s", own, "input_observed")
+    if kind == "accelerometer":
+        still = (pl.col("input_observed").abs() <= _LARGEST_G) & (pl.col("table_rate_deg_s").fill_null(0.0) == 0)
+        angle = pl.col("input_observed").clip(-1.0, 1.0).arcsin().degrees().alias("input_angle_deg")
+        by_input = ("input_angle", "deg", own.filter(still).with_columns(angle), "input_angle_deg")
+    turned = own.with_columns(pl.col("^table_angle_deg$") % 360.0)
+    by_others: tuple[_Rows, ...] = (
+        ("temperature", "degC", own, "temperature_degC"), ("table_angle", "deg", turned, "table_angle_deg"),
     )  # fmt: skip
+    for abscissa, x_unit, rows, column in (by_input, *by_others) if channels and not own.is_empty() else ():
+        means = _class_means(rows, channels, column)
+        if not means:
+            continue
+        drawn: list[_Drawn | None] = []
+        if abscissa == "temperature":
+            span = min(min(each.x) for each in means), max(max(each.x) for each in means)
+            drawn = [_over_temperature(unit, channel, span, limits) for channel in channels]
+        elif abscissa != "table_angle":
+            drawn = [_over_input(unit, channel, limits) for channel in channels]
+        known = [each for each in drawn if each is not None]
+        yield ErrorPicture(
+            kind=kind, abscissa=abscissa, x_unit=x_unit, unit=ERROR_UNIT[kind], residuals=means,
+            curves=tuple(curve for curve, _ in known), limits=tuple(bound for _, bounds in known for bound in bounds),
+        )  # fmt: skip
 
 
 # Parameter → error by a unit of it at an input: in deg/h at a rate in deg/s, in µg at a specific force in g.
@@ -199,68 +208,28 @@ def _error(unit: TestedUnit, channel: Channel, along: np.ndarray) -> np.ndarray 
     return np.sum(parts, axis=0) if parts else None
 
 
-def _against_angle(
-    unit: TestedUnit, channels: Sequence[Channel], own: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
-) -> ErrorPicture | None:
-    near = own.filter((pl.col("input_observed").abs() <= _LARGEST_G) & (pl.col("table_rate_deg_s").fill_null(0.0) == 0))
-    tilted = near.with_columns(pl.col("input_observed").clip(-1.0, 1.0).arcsin().degrees().alias("input_angle_deg"))
-    means = _class_means(tilted, channels, "input_angle_deg")
-    if not means:
+def _over_input(unit: TestedUnit, channel: Channel, limits: Sequence[ConformityOfQuantity]) -> _Drawn | None:
+    """Return the error of a gyro over rate, of an accelerometer over angle; None where the model has none."""
+    low, high = unit.input_range(channel.name) if channel.kind == "gyro" else (-90.0, 90.0)
+    x = np.linspace(low, high, _CURVE)
+    along = x if channel.kind == "gyro" else np.sin(np.radians(x))
+    error = _error(unit, channel, along)
+    if error is None or not high > low:
         return None
-    curves, bounds = [], []
-    for channel in channels:
-        angle = np.linspace(-90.0, 90.0, _CURVE)
-        force = np.sin(np.radians(angle))
-        error = _error(unit, channel, force)
-        if error is not None:
-            curves.append(_curve(channel.name, angle, error))
-            allowed = _envelope(limits, channel.name, "accel_bias.bias", "accel_scale_factor.scale", force, 1e6)
-            bounds += [bound.model_copy(update={"x": _numbers(angle)}) for bound in allowed]
-    return ErrorPicture(
-        kind="accelerometer", abscissa="input_angle", x_unit="deg", unit="ug",
-        curves=tuple(curves), limits=tuple(bounds), residuals=means,
-    )  # fmt: skip
+    return _curve(channel.name, x, error), _envelope(limits, channel, x, along)
 
 
-def _against_temperature(
-    unit: TestedUnit, kind: SensorKind, channels: Sequence[Channel], own: pl.DataFrame,
-    limits: Sequence[ConformityOfQuantity],
-) -> ErrorPicture | None:  # fmt: skip
-    means = _class_means(own, channels, "temperature_degC")
-    if not means:
+def _over_temperature(
+    unit: TestedUnit, channel: Channel, span: tuple[float, float], limits: Sequence[ConformityOfQuantity]
+) -> _Drawn | None:
+    draws, name = thinned(unit.quantities.draws, _MOST_DRAWS), f"{_PREFIX[channel.kind]}_bias.bias[{channel.name}]"
+    if name not in draws:
         return None
-    low = min(min(each.x) for each in means)
-    high = max(max(each.x) for each in means)
-    family = "gyro_bias.bias" if kind == "gyro" else "accel_bias.bias"
-    draws = thinned(unit.quantities.draws, _MOST_DRAWS)
-    curves, bounds = [], []
-    for channel in channels:
-        name = f"{family}[{channel.name}]"
-        if name not in draws:
-            continue
-        x, values = course_over_range(name, unit.quantities.entries[name].unit, draws, unit.thermal, (low, high))
-        curves.append(_curve(channel.name, x, values))
-        for found in limits:
-            if found.limit.quantity.name == name:
-                span, allowed = np.array(found.limit.span or (low, high)), found.limit.tolerance
-                bounds.append(_bound(channel.name, span, allowed.lower, allowed.upper))
-    return ErrorPicture(
-        kind=kind, abscissa="temperature", x_unit="degC", unit=ERROR_UNIT[kind],
-        curves=tuple(curves), limits=tuple(bounds), residuals=means,
-    )  # fmt: skip
-
-
-def _against_table_angle(kind: SensorKind, channels: Sequence[Channel], own: pl.DataFrame) -> ErrorPicture | None:
-    """Return the residuals alone: the errors of a unit do not depend on the angle of a table."""
-    column = "table_angle_deg"
-    if column not in own.columns:
-        return None
-    means = _class_means(own.with_columns((pl.col(column) % 360.0).alias(column)), channels, column)
-    if not means:
-        return None
-    return ErrorPicture(
-        kind=kind, abscissa="table_angle", x_unit="deg", unit=ERROR_UNIT[kind], curves=(), limits=(), residuals=means
-    )
+    x, values = course_over_range(name, unit.quantities.entries[name].unit, draws, unit.thermal, span)
+    own = [found.limit for found in limits if found.limit.quantity.name == name]
+    return _curve(channel.name, x, values), [
+        _bound(channel.name, np.array(each.span or span), each.tolerance.lower, each.tolerance.upper) for each in own
+    ]
 
 
 def _curve(channel: str, x: np.ndarray, values: np.ndarray) -> ErrorCurve:
@@ -282,18 +251,16 @@ def _bound(channel: str, x: np.ndarray, lower: float | np.ndarray, upper: float 
 
 
 def _envelope(
-    limits: Sequence[ConformityOfQuantity], channel: str, bias: str, scale: str, input_: np.ndarray, per_input: float
+    limits: Sequence[ConformityOfQuantity], channel: Channel, x: np.ndarray, along: np.ndarray
 ) -> list[LimitCurve]:
-    """Return the error that limits of bias and of relative scale factor (ppm) allow together, at inputs (n,).
-
-    `per_input` is one unit of the input in the unit of the bias.
-    """
+    """Return the error that limits of bias and of relative scale factor (ppm) allow together, at inputs (n,)."""
     of = {found.limit.quantity.name: found.limit.tolerance for found in limits}
-    constant, slope = of.get(f"{bias}[{channel}]"), of.get(f"{scale}[{channel}]")
+    prefix, per_input = _PREFIX[channel.kind], 3600.0 if channel.kind == "gyro" else 1e6
+    constant, slope = (of.get(f"{prefix}_{each}[{channel.name}]") for each in ("bias.bias", "scale_factor.scale"))
     if constant is None or slope is None:
         return []
-    ends = np.stack([slope.lower * 1e-6 * per_input * input_, slope.upper * 1e-6 * per_input * input_])
-    return [_bound(channel, input_, constant.lower + ends.min(axis=0), constant.upper + ends.max(axis=0))]
+    ends = np.stack([slope.lower * 1e-6 * per_input * along, slope.upper * 1e-6 * per_input * along])
+    return [_bound(channel.name, x, constant.lower + ends.min(axis=0), constant.upper + ends.max(axis=0))]
 
 
 def _class_means(own: pl.DataFrame, channels: Sequence[Channel], column: str) -> tuple[ResidualMeans, ...]:

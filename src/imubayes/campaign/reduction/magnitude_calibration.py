@@ -81,17 +81,10 @@ def fit_magnitude(force: np.ndarray, gravity: float, scatter: np.ndarray | float
     residual = _residual(values, force, gravity)
     matrix, offset = _unpack(values)
     count, spread = int(free.sum()), _spread(residual, int(free.sum()))
-    if not free.all():
-        # Few residuals may vanish by the fit alone.
-        return MagnitudeFit(
-            matrix,
-            offset,
-            residual,
-            max(spread, float(np.max(scatter, initial=0.0))),
-            count,
-            np.zeros(len(force), bool),
-        )
-    return MagnitudeFit(matrix, offset, residual, spread, count, _outliers(values, force, gravity, scatter))
+    if not free.all():  # few residuals may vanish by the fit alone
+        spread = max(spread, float(np.max(scatter, initial=0.0)))
+    outliers = _outliers(values, force, gravity, scatter) if free.all() else np.zeros(len(force), dtype=bool)
+    return MagnitudeFit(matrix, offset, residual, spread, count, outliers)
 
 
 def _outliers(values: np.ndarray, force: np.ndarray, gravity: float, scatter: np.ndarray | float) -> np.ndarray:
