@@ -9,7 +9,7 @@ There is a figure per record.  The sentences state what a static record holds be
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -142,15 +142,6 @@ _COARSE = 0.1  # part of rounding in the variance of samples from which it is to
 _MOST_LINES = 5
 
 
-def beside_noise(noise: ChannelNoise) -> list[str]:
-    """Return a sentence for each finding."""
-    return [
-        *_of_repetition(noise), *_of_outliers(noise), *_of_contamination(noise), *_of_temperature(noise),
-        *_of_lines(noise), *_of_change(noise), *_of_filter(noise), *_of_gaps(noise), *_of_levels(noise),
-        *_of_rounding(noise),
-    ]  # fmt: skip
-
-
 def withheld_because(noise: ChannelNoise, cause: Cause) -> str:
     """Return why terms are withheld, and what to do."""
     time = noise.correlation_time_s
@@ -189,82 +180,67 @@ def density_unit(unit: str) -> str:
     return pretty(unit).replace("sqrt(h)", "√h").replace("sqrt(Hz)", "√Hz")
 
 
-def _of_repetition(noise: ChannelNoise) -> list[str]:
-    found = noise.repetition
-    if found is None:
-        return []
-    times = f"{found.mean:.3g}" if found.shortest == found.longest else f"{found.shortest} to {found.longest}"
-    told = f"each value is repeated {times} times: the output is new every {significant(found.interval_s)} s."
-    return [f"{told} The record is taken at that rate."]
+def _left_out(noise: ChannelNoise) -> Iterator[str]:
+    """Yield a sentence for each thing that was taken out of the record before its noise was fitted."""
+    unit = pretty(noise.output_unit)
+    if (found := noise.repetition) is not None:
+        times = f"{found.mean:.3g}" if found.shortest == found.longest else f"{found.shortest} to {found.longest}"
+        yield (
+            f"each value is repeated {times} times: the output is new every {significant(found.interval_s)} s. The "
+            "record is taken at that rate."
+        )
+    if (found := noise.outliers) is not None:
+        many = "an outlier is" if found.count == 1 else f"{found.count} outliers are"
+        yield f"{many} left out; the largest is {found.size:.3g} {unit} off at {found.time_s:.6g} s."
+    if (found := noise.contamination) is not None:
+        many = "a stretch is" if found.count == 1 else f"{found.count} stretches are"
+        yield (
+            f"{many} left out in which the unit did not rest, {100 * found.share:.2g} % of the record, the loudest at "
+            f"{found.loudest_s:.6g} s."
+        )
+    if (found := noise.temperature) is not None:
+        slope = f"{found.slope:.3g} ± {found.sd:.1g} {unit} per K"
+        yield f"the output follows temperature_degC, by {slope}; this is taken out before the noise."
+    if noise.lines:
+        named = ", ".join(
+            f"{line.frequency_hz:.5g} Hz (amplitude {line.amplitude:.3g} ± {line.amplitude_sd:.1g})"
+            for line in noise.lines[:_MOST_LINES]
+        )
+        more = f" and {len(noise.lines) - _MOST_LINES} more" if len(noise.lines) > _MOST_LINES else ""
+        word = "a line" if len(noise.lines) == 1 else "lines"
+        yield f"the spectrum has {word} at {named} {unit}{more}, taken out before the fit."
 
 
-def _of_outliers(noise: ChannelNoise) -> list[str]:
-    found = noise.outliers
-    if found is None:
-        return []
-    many = "an outlier is" if found.count == 1 else f"{found.count} outliers are"
-    size = f"{found.size:.3g} {pretty(noise.output_unit)}"
-    return [f"{many} left out; the largest is {size} off at {found.time_s:.6g} s."]
-
-
-def _of_contamination(noise: ChannelNoise) -> list[str]:
-    found = noise.contamination
-    if found is None:
-        return []
-    many = "a stretch is" if found.count == 1 else f"{found.count} stretches are"
-    return [
-        f"{many} left out in which the unit did not rest, {100 * found.share:.2g} % of the record, the loudest at "
-        f"{found.loudest_s:.6g} s."
-    ]
-
-
-def _of_temperature(noise: ChannelNoise) -> list[str]:
-    found = noise.temperature
-    if found is None:
-        return []
-    slope = f"{found.slope:.3g} ± {found.sd:.1g} {pretty(noise.output_unit)} per K"
-    return [f"the output follows temperature_degC, by {slope}; this is taken out before the noise."]
-
-
-def _of_lines(noise: ChannelNoise) -> list[str]:
-    if not noise.lines:
-        return []
-    named = [
-        f"{line.frequency_hz:.5g} Hz (amplitude {line.amplitude:.3g} ± {line.amplitude_sd:.1g})"
-        for line in noise.lines[:_MOST_LINES]
-    ]
-    more = len(noise.lines) - len(named)
-    listed = f"{', '.join(named)} {pretty(noise.output_unit)}" + (f" and {more} more" if more else "")
-    word = "a line" if len(noise.lines) == 1 else "lines"
-    return [f"the spectrum has {word} at {listed}, taken out before the fit."]
-
-
-def _of_change(noise: ChannelNoise) -> list[str]:
-    change = noise.sudden_change
-    if change is None:
-        return []
-    size = f"{change.change:.3g} {pretty(noise.output_unit)}"
-    return [
-        f"at {change.time_s:.6g} s the output changes by {size} from one mean over {change.tau_s:.3g} s to the next, "
-        f"{change.ratio:.0f} times the scatter of such changes: a step or a transient, not noise."
-    ]
-
-
-def _of_filter(noise: ChannelNoise) -> list[str]:
+def _not_as_described(noise: ChannelNoise) -> Iterator[str]:
+    """Yield a sentence for each thing in which the record is not the noise that the terms describe."""
+    unit = pretty(noise.output_unit)
+    if (change := noise.sudden_change) is not None:
+        yield (
+            f"at {change.time_s:.6g} s the output changes by {change.change:.3g} {unit} from one mean over "
+            f"{change.tau_s:.3g} s to the next, {change.ratio:.0f} times the scatter of such changes: a step or a "
+            "transient, not noise."
+        )
     cut = next((gap for gap in noise.gaps if gap.cause is Cause.FILTER), None)
-    if cut is None and noise.roll_off is None:
-        return []
     told = "a filter shapes the spectrum: "
     if cut is not None:
         tau = significant(noise.shortest_tau_s)
-        return [f"{told}frequencies above {cut.low_hz:.3g} Hz are left out, as with --shortest-tau {tau}."]
-    assert noise.roll_off is not None
-    lost = -10 * noise.roll_off.attenuation / math.log(10)
-    return [f"{told}its power is {lost:.2g} dB at {noise.roll_off.frequency_hz:.3g} Hz. N is that of low frequencies."]
-
-
-def _of_gaps(noise: ChannelNoise) -> list[str]:
-    return [_gap_text(gap) for gap in noise.gaps if gap.cause is not Cause.FILTER]
+        yield f"{told}frequencies above {cut.low_hz:.3g} Hz are left out, as with --shortest-tau {tau}."
+    elif (off := noise.roll_off) is not None:
+        lost = -10 * off.attenuation / math.log(10)
+        yield f"{told}its power is {lost:.2g} dB at {off.frequency_hz:.3g} Hz. N is that of low frequencies."
+    yield from (_gap_text(gap) for gap in noise.gaps if gap.cause is not Cause.FILTER)
+    if noise.unequal_levels > 1:
+        yield (
+            f"the level of noise scatters {noise.unequal_levels:.2g} times as much over the record as Gaussian noise "
+            "of one level does: it changes, or has heavy tails. The interval of N is as much wider."
+        )
+    share = noise.rounding_share
+    if share >= _COARSE and not noise.of(NoiseTerm.QUANTISATION).determined:
+        part = "is taken out of N" if noise.rounding_removed else "is part of N"
+        yield (
+            f"the log has steps of {noise.resolution_in_output_units:.3g} {unit}. Rounding to them makes "
+            f"{min(share, 1.0):.0%} of the variance of single samples, and {part}."
+        )
 
 
 def _gap_text(gap: Gap) -> str:
@@ -273,26 +249,6 @@ def _gap_text(gap: Gap) -> str:
         f"below {gap.high_hz:.3g} Hz" if gap.cause is Cause.DRIFT else f"from {gap.low_hz:.3g} to {gap.high_hz:.3g} Hz"
     )
     return f"the noise terms do not describe the spectrum {span}, left out of the fit: {what} may shape it."
-
-
-def _of_levels(noise: ChannelNoise) -> list[str]:
-    if noise.unequal_levels <= 1:
-        return []
-    return [
-        f"the level of noise scatters {noise.unequal_levels:.2g} times as much over the record as Gaussian noise of "
-        "one level does: it changes, or has heavy tails. The interval of N is as much wider."
-    ]
-
-
-def _of_rounding(noise: ChannelNoise) -> list[str]:
-    share = noise.rounding_share
-    if share < _COARSE or noise.of(NoiseTerm.QUANTISATION).determined:
-        return []
-    part = "is taken out of N" if noise.rounding_removed else "is part of N"
-    return [
-        f"the log has steps of {noise.resolution_in_output_units:.3g} {pretty(noise.output_unit)}. Rounding to them "
-        f"makes {min(share, 1.0):.0%} of the variance of single samples, and {part}."
-    ]
 
 
 _NAMES = {
@@ -356,31 +312,22 @@ def _row(term: TermRecord, kind: str) -> tuple[Cell, ...]:
     return cells(name, value, sd, f"{low} … {high}", unit)
 
 
-def _warnings(noise: ChannelNoise) -> list[str]:
-    return [*beside_noise(noise), *_withheld(noise), *_of_ambiguity(noise)]
-
-
-def _withheld(noise: ChannelNoise) -> list[str]:
-    """Return each cause for which terms are withheld, with their names."""
-    found = []
+def _warnings(noise: ChannelNoise) -> Iterator[str]:
+    """Yield a sentence for each finding beside the noise, each cause for which terms are withheld, and what is open."""
+    yield from _left_out(noise)
+    yield from _not_as_described(noise)
     for cause in dict.fromkeys(term.withheld for term in noise.terms if term.withheld):
         names = [_name(term.term, noise.kind) for term in noise.terms if term.withheld is cause]
         named = (
             "no term is" if len(names) == len(noise.terms) else f"{', '.join(names)} {'are' if names[1:] else 'is'} not"
         )
-        found.append(f"{named} determined: {withheld_because(noise, cause)}")
-    return found
-
-
-def _of_ambiguity(noise: ChannelNoise) -> list[str]:
-    found = []
+        yield f"{named} determined: {withheld_because(noise, cause)}"
     if noise.undecided:
         names = " or ".join(_name(term, noise.kind) for term in noise.undecided)
-        found.append(f"the record needs {names}, but does not tell which. A longer record does.")
+        yield f"the record needs {names}, but does not tell which. A longer record does."
     for term, other in noise.alternatives:
-        names = _name(other, noise.kind), _name(term, noise.kind)
-        found.append(f"{names[0]} in place of {names[1]} would describe the record as well.")
-    return found
+        one, instead = _name(other, noise.kind), _name(term, noise.kind)
+        yield f"{one} in place of {instead} would describe the record as well."
 
 
 def write_noise(
