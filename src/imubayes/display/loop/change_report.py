@@ -5,7 +5,7 @@ tables give the coefficients, the estimates that moved, and residual rms before 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from imubayes.criticism.explanation_records import RmsChange
@@ -134,8 +134,6 @@ def share(change: RmsChange | RunRmsChange) -> str:
 _MOST_CHANGES = 3
 _LEAST_CHANGE = math.log(1 + LEAST_PERCENT / 100)
 
-_ONE_OF_SEVERAL = "The posterior with the first of them alone leaves out what the others may explain."
-
 _VERDICTS = {
     "helps": "the addition improves the prediction of {by}s that were left out",
     "unclear": "whether the {step} the prediction of {by}s that were left out is unclear",
@@ -188,52 +186,45 @@ def next_command(change: ModelChange) -> str:
 
 def change_lines(change: ModelChange) -> list[str]:
     """Return the outcome in a few lines: what was changed, predicted and observed, and cross-validation."""
-    step = "addition" if change.added else "removal"
-    return [
-        *_named_lines(change),
-        *(
-            f"Prior widened: {name} ~ {prior}; the estimate lies outside the typical range."
-            for name, prior in change.widened.items()
-        ),
-        *(conflict_line(conflict) for conflict in change.prior_conflicts),
-        *([change.message] if change.message else []),
-        *([_ONE_OF_SEVERAL] if not change.taken and change.added[1:] else []),
-        *_chi2_lines(change),
-        *_odds_lines(change),
-        *(held_out_lines(change.held_out, step) if change.added or change.removed else ()),
-        *(_undistinguished_line(each, change.folder or "RESULT") for each in change.undistinguished),
-    ]
+    return [*_what_was_changed(change), *_what_it_brought(change)]
 
 
-def _named_lines(change: ModelChange) -> list[str]:
-    lines = []
+def _what_was_changed(change: ModelChange) -> Iterator[str]:
     for word, choices in (("Added", change.added), ("Removed", change.removed)):
         names = [each.effect + (f" on {', '.join(each.channels)}" if each.channels else "") for each in choices]
-        lines += [f"{word}: {', '.join(names)}."] if names else []
-    lines += [f"Prior of {name}: {text or 'the default'}." for name, text in change.priors.items()]
-    lines += [f"Set aside: {set_aside_text(each)}." for each in change.set_aside]
-    return lines + [f"Taken back: {set_aside_text(each)}." for each in change.taken_back]
+        if names:
+            yield f"{word}: {', '.join(names)}."
+    yield from (f"Prior of {name}: {text or 'the default'}." for name, text in change.priors.items())
+    yield from (f"Set aside: {set_aside_text(each)}." for each in change.set_aside)
+    yield from (f"Taken back: {set_aside_text(each)}." for each in change.taken_back)
+    for name, prior in change.widened.items():
+        yield f"Prior widened: {name} ~ {prior}; the estimate lies outside the typical range."
+    yield from map(conflict_line, change.prior_conflicts)
+    if change.message:
+        yield change.message
+    if not change.taken and change.added[1:]:
+        yield "The posterior with the first of them alone leaves out what the others may explain."
 
 
-def _chi2_lines(change: ModelChange) -> list[str]:
-    """Return Δχ² predicted and observed, and why the residual of a channel rose all the same."""
+def _what_it_brought(change: ModelChange) -> Iterator[str]:
+    """Yield Δχ² predicted and observed, why the residual of a channel rose all the same, odds, cross-validation."""
     if change.set_aside or change.taken_back:
-        return ["The readings differ: χ² and predictions are not compared."]
-    noise = "" if change.predicted.delta_chi2 is None else " at the noise known beforehand"
-    predicted, observed = (
-        numbers.significant(each).replace("-", "−")
-        for each in (change.predicted.delta_chi2, change.observed.delta_chi2)
-    )
-    risen = [offsets_moved_text(change.offsets_moved)] if change.offsets_moved and change.added else []
-    return [f"Δχ²{noise}: predicted {predicted}, observed {observed}.", *risen]
-
-
-def _odds_lines(change: ModelChange) -> list[str]:
-    """Return the odds of the effects that were removed, where a diagnosis told them."""
-    if change.log_odds is None:
-        return []
-    side, size = "for" if change.log_odds > 0 else "against", numbers.significant(abs(change.log_odds))
-    return [f"Log odds {side} what was removed, by the diagnosis before it was added: {size}."]
+        yield "The readings differ: χ² and predictions are not compared."
+    else:
+        noise = "" if change.predicted.delta_chi2 is None else " at the noise known beforehand"
+        predicted, observed = (
+            numbers.significant(each).replace("-", "−")
+            for each in (change.predicted.delta_chi2, change.observed.delta_chi2)
+        )
+        yield f"Δχ²{noise}: predicted {predicted}, observed {observed}."
+        if change.offsets_moved and change.added:
+            yield offsets_moved_text(change.offsets_moved)
+    if change.log_odds is not None:
+        side, size = "for" if change.log_odds > 0 else "against", numbers.significant(abs(change.log_odds))
+        yield f"Log odds {side} what was removed, by the diagnosis before it was added: {size}."
+    if change.added or change.removed:
+        yield from held_out_lines(change.held_out, "addition" if change.added else "removal")
+    yield from (_undistinguished_line(each, change.folder or "RESULT") for each in change.undistinguished)
 
 
 def _undistinguished_line(found: NotDistinguished, folder: str) -> str:

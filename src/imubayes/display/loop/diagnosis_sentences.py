@@ -5,7 +5,7 @@ the others, a sentence states what would make it agree.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.criticism import diagnosis_record as diagnosis
@@ -164,17 +164,31 @@ def sentence(found: diagnosis.Diagnosis) -> str:
     """Return the verdict in a few sentences; first the noise that contradicts what is known, where noise leads."""
     if found.asked is not None:
         return _asked_sentence(found)
-    told = [found.message] if found.verdict == "not_converged" else []
+    return " ".join(filter(None, _told(found)))
+
+
+def _told(found: diagnosis.Diagnosis) -> Iterator[str]:
+    if found.verdict == "not_converged":
+        yield found.message
     # What explains the data at the noise that is known tells what a noise scale stands in for.
     if found.contradicted and found.explains_by_noise:
-        told.append(f"{contradiction_text(found.contradicted)}.")
-    told.append(_finding(found))
-    return (
-        " ".join(part for part in told if part)
-        + _record_sentence(found)
-        + _outlier_sentence(found)
-        + _neglected_sentence(found)
-    )
+        yield f"{contradiction_text(found.contradicted)}."
+    yield _finding(found)
+    told = {each.parameter for each in found.contradicted} if found.explains_by_noise else ()
+    apart = [each for each in found.disagreeing_noise if each.parameter not in told]
+    if apart:
+        worst, rest = max(apart, key=lambda each: abs(math.log(each.ratio))), len(apart) - 1
+        yield f"The fitted noise of {worst.channel} is {noise_ratio(worst)} times the known noise ({_both(worst)})."
+        if rest:
+            yield f"{rest} more {'channel disagrees' if rest == 1 else 'channels disagree'}."
+    disagreeing = {(each.run, each.row) for each in found.disagreeing}
+    outliers = [each for each in found.outliers if (each.run, each.row) not in disagreeing]
+    if outliers:
+        worst, many = outliers[0], f"{len(outliers)} outliers, the largest" if outliers[1:] else "One outlier:"
+        where = f"{worst.channel} in row {worst.row} of run {worst.run}"
+        yield f"{many} {where}, {abs(worst.distance):.0f} standard deviations."
+    if found.neglected:
+        yield _neglected_sentence(found)
 
 
 def _finding(found: diagnosis.Diagnosis) -> str:
@@ -266,18 +280,6 @@ def _size_sentence(group: diagnosis.EffectGroup) -> str:
     )
 
 
-def _record_sentence(found: diagnosis.Diagnosis) -> str:
-    """Return by how much the fitted noise differs from the recorded one; empty where they agree."""
-    told = {each.parameter for each in found.contradicted} if found.explains_by_noise else ()
-    apart = [each for each in found.disagreeing_noise if each.parameter not in told]
-    if not apart:
-        return ""
-    worst = max(apart, key=lambda each: abs(math.log(each.ratio)))
-    rest = len(apart) - 1
-    more = f" {rest} more {'channel disagrees' if rest == 1 else 'channels disagree'}." if rest else ""
-    return f" The fitted noise of {worst.channel} is {noise_ratio(worst)} times the known noise ({_both(worst)}).{more}"
-
-
 def _both(each: NoiseComparison) -> str:
     """Return fitted and recorded noise of one sample."""
     unit = f" {pretty(each.unit)}" if each.unit else ""
@@ -286,12 +288,10 @@ def _both(each: NoiseComparison) -> str:
 
 def _neglected_sentence(found: diagnosis.Diagnosis) -> str:
     """Return which stated uncertainties no interval includes, the worst with what it would shift."""
-    if not found.neglected:
-        return ""
     worst = found.neglected[0]
     effects = listed([each.effect for each in found.neglected])
     return (
-        f" No interval includes {effects}, which the model takes as exact: the uncertainty that the campaign states of "
+        f"No interval includes {effects}, which the model takes as exact: the uncertainty that the campaign states of "
         f"{worst.parameter}, {significant(worst.value)} {pretty(worst.unit)}, shifts {worst.shifts} by "
         f"{significant(worst.in_sd)} times its sd."
     )
@@ -315,16 +315,6 @@ def bias_clause(bias: ParameterBias) -> str:
         f"{bias.coefficient} of {size}, the largest typical size, would bias {bias.parameter} by "
         f"{significant(abs(bias.in_sd))} times its sd"
     )
-
-
-def _outlier_sentence(found: diagnosis.Diagnosis) -> str:
-    told = {(each.run, each.row) for each in found.disagreeing}
-    outliers = [each for each in found.outliers if (each.run, each.row) not in told]
-    if not outliers:
-        return ""
-    worst, count = outliers[0], len(outliers)
-    where = f"{worst.channel} in row {worst.row} of run {worst.run}, {abs(worst.distance):.0f} standard deviations"
-    return f" {count} outliers, the largest {where}." if count > 1 else f" One outlier: {where}."
 
 
 def _asked_sentence(found: diagnosis.Diagnosis) -> str:
