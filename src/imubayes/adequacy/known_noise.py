@@ -17,7 +17,7 @@ residuals: their parameters are no sizes of independent noise.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -294,11 +294,10 @@ def _against_prior(base: NoiseComparison, parameter: Parameter) -> NoiseComparis
 
 def _against_sisters(
     found: Mapping[str, NoiseComparison], model: Model, of_scale: Mapping[int, _ScaleEstimate]
-) -> list[NoiseComparison]:
-    """Return the comparison of every scale with that of the same kind of sensor, as multiples of what is stated."""
+) -> Iterator[NoiseComparison]:
+    """Yield the comparison of every scale with that of the same kind of sensor, as multiples of what is stated."""
     scales, channels = noise_scales(model), model.campaign.channels
     kinds = {k: (scales[k][0].effect, channels[place].kind) for k in of_scale if (place := scales[k][2]) is not None}
-    compared = []
     for k, own in of_scale.items():
         sisters = [each for each in kinds if each != k and kinds[each] == kinds[k]]
         freedom = sum(of_scale[each].freedom for each in sisters)
@@ -308,20 +307,17 @@ def _against_sisters(
         p = chance_among_sisters(own.variance, own.freedom, pooled, freedom, len(sisters), own.floor)
         spread = _spread_among(len(sisters))
         ratio, base = math.sqrt(own.variance / pooled), found[scales[k][0].name]
-        compared.append(
-            replace(
-                base,
-                source="sisters",
-                recorded=base.fitted / ratio,
-                ratio=ratio,
-                ratio_sd=ratio * math.hypot(spread, math.sqrt(0.5 / own.freedom + 0.5 / freedom)),
-                # A scale within what its own prior states contradicts nothing that is known of its size.
-                p=p if base.fitted > stated(scales[k][0]) else 1.0,
-                freedom=own.freedom,
-                sisters=tuple(channels[place].name for j in sisters if (place := scales[j][2]) is not None),
-            )
+        yield replace(
+            base,
+            source="sisters",
+            recorded=base.fitted / ratio,
+            ratio=ratio,
+            ratio_sd=ratio * math.hypot(spread, math.sqrt(0.5 / own.freedom + 0.5 / freedom)),
+            # A scale within what its own prior states contradicts nothing that is known of its size.
+            p=p if base.fitted > stated(scales[k][0]) else 1.0,
+            freedom=own.freedom,
+            sisters=tuple(channels[place].name for j in sisters if (place := scales[j][2]) is not None),
         )
-    return compared
 
 
 def chance_among_sisters(

@@ -189,7 +189,7 @@ def pooled_discovery(scores: pl.DataFrame, units: pl.DataFrame) -> PooledDiscove
             "run imubayes batch again: it lists why campaigns have no estimates",
         )
     together = pooled.pooled_scores(scores)
-    search = _PooledSearch(together, _groups(together, units))
+    search = _PooledSearch(together, list(_groups(together, units)))
     first = search.ranked(())
     findings, last = tuple(search.findings()), search.ranked(search.leaders)
     return PooledDiscovery(
@@ -327,8 +327,8 @@ def _coefficients(
         )
 
 
-def _groups(scores: pooled.PooledScores, units: pl.DataFrame) -> list[_Group]:
-    """Return each table, mounting and year with enough units inside and outside."""
+def _groups(scores: pooled.PooledScores, units: pl.DataFrame) -> Iterator[_Group]:
+    """Yield each table, mounting and year with enough units inside and outside."""
     of_digest = {row["digest"]: row for row in units.select("digest", "tables", "mountings", "year").to_dicts()}
     rows = [of_digest[digest] for digest in scores.digests]
     owned: list[tuple[Equipment, list[set[str]]]] = [
@@ -336,10 +336,8 @@ def _groups(scores: pooled.PooledScores, units: pl.DataFrame) -> list[_Group]:
         ("mounting", [set(row["mountings"] or ()) for row in rows]),
         ("year", [{str(row["year"])} if row["year"] is not None else set() for row in rows]),
     ]
-    found = list[_Group]()
     for kind, own in owned:
         for name in sorted(set().union(*own)):
             members = np.array([name in each for each in own])
             if members.sum() >= LEAST_UNITS and np.sum(~members) >= LEAST_UNITS:
-                found.append(_Group(members, kind, name))
-    return found
+                yield _Group(members, kind, name)

@@ -224,7 +224,7 @@ def _write_page(html: Path, tree: "Tree") -> None:
     from imubayes.foundations.files import write_text
     from imubayes.results.change_records import read_steps
 
-    write_text(html, history_page(tree, {place: read_steps(tree, place) for place in tree.selected}))
+    write_text(html, history_page(tree, {place: tuple(read_steps(tree, place)) for place in tree.selected}))
 
 
 def plant(

@@ -11,7 +11,7 @@ term is selected first when whole runs are resampled, says how far to trust it.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -131,7 +131,7 @@ def _of_one(base: _Base, gravity: float) -> list[Term]:
             )
             for minutes in _TIME_CONSTANTS_MIN
         ]  # fmt: skip
-        return found + _waves(base, gravity)
+        return found + list(_waves(base, gravity))
     signed: tuple[tuple[str, str, str, Callable], ...] = (
         (f"|{symbol}|", _power_unit(unit, 1), f"jnp.abs({expression})", np.abs),
         (
@@ -143,11 +143,11 @@ def _of_one(base: _Base, gravity: float) -> list[Term]:
         (f"sgn {symbol}", "", f"jnp.sign({expression})", np.sign),
     )
     found += [base.term(text, below, code, f(values), "power") for text, below, code, f in signed]
-    return found + _bumps(base, gravity) + _waves(base, gravity)
+    return found + list(_bumps(base, gravity)) + list(_waves(base, gravity))
 
 
-def _bumps(base: _Base, gravity: float) -> list[Term]:
-    """Return bumps, as of a resonance: 1/(1 + ((x − c)/w)²) at centres and widths over the covered range.
+def _bumps(base: _Base, gravity: float) -> Iterator[Term]:
+    """Yield bumps, as of a resonance: 1/(1 + ((x − c)/w)²) at centres and widths over the covered range.
 
     A rate or a force acts alike in both directions, and x is its size; a temperature has no second side.
     """
@@ -156,34 +156,28 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
         text, code, size = f"|{text}|", f"jnp.abs({code})", np.abs(size)
     low, high = float(np.nanmin(size)), float(np.nanmax(size))
     if not high > low:  # one rate, in both directions
-        return []
+        return
     unit, factor = base.entry.unit, base.entry.factor(gravity)
-    found = []
     for centre in np.linspace(low, high, PLACES + 1)[1:-1].tolist():
         for width in ((high - low) / 16, (high - low) / 8, (high - low) / 4):
             formula = f"1/(1 + (({text} − {centre:.3g})/{width:.3g})²) with {base.entry.symbol} in {unit}"
             python = f"1 / (1 + (({code} - {centre * factor:.6g}) / {width * factor:.6g}) ** 2)"
-            found.append(base.term(formula, "", python, 1 / (1 + ((size - centre) / width) ** 2), "bump"))
-    return found
+            yield base.term(formula, "", python, 1 / (1 + ((size - centre) / width) ** 2), "bump")
 
 
-def _waves(base: _Base, gravity: float) -> list[Term]:
-    """Return waves along a covariate, from one period over its range to as many as its levels resolve."""
+def _waves(base: _Base, gravity: float) -> Iterator[Term]:
+    """Yield waves along a covariate, from one period over its range to as many as its levels resolve."""
     finite = base.values[np.isfinite(base.values)]
     most = min(HARMONICS, len(np.unique(levels(finite))) // 3)
     unit, factor = base.entry.unit, base.entry.factor(gravity)
-    found = []
     for half_turns in range(2, 2 * most + 1):
         period = 2 * float(np.ptp(finite)) / half_turns
         for name, f in (("sin", np.sin), ("cos", np.cos)):
-            found.append(
-                base.term(
-                    f"{name}(2π {base.entry.symbol}/{period:.3g} {unit})", "",
-                    f"jnp.{name}({2 * np.pi / (period * factor):.6g} * {base.entry.python})",
-                    f(2 * np.pi * base.values / period), "wave",
-                )
+            yield base.term(
+                f"{name}(2π {base.entry.symbol}/{period:.3g} {unit})", "",
+                f"jnp.{name}({2 * np.pi / (period * factor):.6g} * {base.entry.python})",
+                f(2 * np.pi * base.values / period), "wave",
             )  # fmt: skip
-    return found
 
 
 def _of_two(one: _Base, other: _Base) -> list[Term]:

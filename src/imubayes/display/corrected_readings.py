@@ -3,7 +3,7 @@
 The motion of the carrier is a table and a figure.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,16 +35,14 @@ _CAUSES = {
 }  # fmt: skip
 
 
-def left_in_lines(left_in: Iterable[UnexpressedEffect], uncertainty: str) -> list[str]:
-    """Return each effect that is left in, with the size that it may have; `uncertainty` is the one that has it."""
-    lines = []
+def left_in_lines(left_in: Iterable[UnexpressedEffect], uncertainty: str) -> Iterator[str]:
+    """Yield each effect that is left in, with the size that it may have; `uncertainty` is the one that has it."""
     for effect in left_in:
         said = f"note: {effect.effect} of {', '.join(effect.channels)} is left in ({_CAUSES[effect.cause]})"
         if effect.size is not None and effect.sd is not None:
             where = "under the conditions of the runs that were fitted"
             said += f": up to {effect.size:.2g} ± {effect.sd:.1g} {_UNITS[effect.kind]} {where}; {uncertainty} has it"
-        lines.append(said)
-    return lines
+        yield said
 
 
 def incomplete_lines(rows: int) -> list[str]:
@@ -58,22 +56,18 @@ def taken_as_exact_lines(exact: Sequence[UncertainEquipment], uncertainty: str) 
     return [f"note: {uncertainty} contains {exact_text(exact)}, taken as exact by the model"] * bool(exact)
 
 
-def beyond_lines(beyond: Mapping[str, int], ranges: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return how many rows are beyond what was calibrated, for each quantity."""
-    lines = []
+def beyond_lines(beyond: Mapping[str, int], ranges: Mapping[str, tuple[float, float]]) -> Iterator[str]:
+    """Yield how many rows are beyond what was calibrated, for each quantity."""
     for name, rows in beyond.items():
         if rows and name in _INPUTS:
             largest = f"{ranges[name][1]:.4g} {_UNITS[name]}"
-            lines.append(
-                f"note: {rows} rows exceed the largest {_INPUTS[name]} of the runs that were fitted, {largest}"
-            )
+            yield f"note: {rows} rows exceed the largest {_INPUTS[name]} of the runs that were fitted, {largest}"
         elif rows:
             low, high = ranges[name]
-            lines.append(
+            yield (
                 f"note: {rows} rows are outside the calibrated range of {COVARIATES[name].column}, "
                 f"{low:.4g} … {high:.4g} °C"
             )
-    return lines
 
 
 def correction_lines(found: CorrectedRecording) -> list[str]:

@@ -134,18 +134,16 @@ def runs_shown(summary: Summary, residuals: pl.DataFrame) -> list[str]:
     return [name for name in runs if name in kept]
 
 
-def _files_of_runs(runs: Sequence[str]) -> list[tuple[str, str]]:
-    """Return a file name for each run: its own, where that is one, and different from all others."""
+def _files_of_runs(runs: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield a file name for each run: its own, where that is one, and different from all others."""
     taken: set[str] = set()
-    found = []
     for run in runs:
         plain = "".join(c if c.isascii() and (c.isalnum() or c in "-_.") else "_" for c in run)[:80]
         name, number = plain, 2
         while name.lower() in taken:
             name, number = f"{plain}_{number}", number + 1
         taken.add(name.lower())
-        found.append((run, name))
-    return found
+        yield run, name
 
 
 def corner_choice(summary: Summary, draws: Mapping[str, np.ndarray], most: int = MOST_CORNER) -> list[str]:

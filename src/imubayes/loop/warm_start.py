@@ -5,7 +5,7 @@ before.  With its columns projected out, the new coefficients follow from one sm
 estimate).  The Δχ² of the refit and its coefficients are predicted before it is made.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -316,7 +316,7 @@ def _first_step(
         z, sd, drop, flat = _second_step(model, z, h, new, (sd, drop, flat), without)
     return ChangedModel(
         model, z, h, null, new, delta_chi2=drop if tells and drop > REFIT_LOSS else None,
-        coefficients=_coefficients(model.layout, z, new, sd, flat) if tells else (),
+        coefficients=tuple(_coefficients(model.layout, z, new, sd, flat)) if tells else (),
         asked=_contradicting(_chosen(model, new), null[new], squares, drive),
         residual=left[:entries], explained=(across @ step)[:entries],
     )  # fmt: skip
@@ -413,20 +413,16 @@ def _away_from_null(model: Model, place: int, null: float, hints: Mapping[str, f
 
 def _coefficients(
     layout: Layout, z: np.ndarray, new: np.ndarray, sd: np.ndarray, flat: np.ndarray
-) -> tuple[CoefficientEstimate, ...]:
-    found = []
+) -> Iterator[CoefficientEstimate]:
     for place, width, blind in zip(np.flatnonzero(new).tolist(), sd.tolist(), flat.tolist(), strict=True):
         parameter = layout.parameters[place]
         if not blind:
             # The standard deviation in the unit: a secant over one standard deviation to each side.
             low, here, high = (parameter.value_at(z[place] + side * width) for side in (-1, 0, 1))
             spread = abs(high - low) / 2
-            found.append(
-                CoefficientEstimate(
-                    name=parameter.name,
-                    value=finite(here),
-                    sd=finite(spread),
-                    unit=parameter.shown_unit,
-                )
+            yield CoefficientEstimate(
+                name=parameter.name,
+                value=finite(here),
+                sd=finite(spread),
+                unit=parameter.shown_unit,
             )
-    return tuple(found)

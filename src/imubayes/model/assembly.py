@@ -1,6 +1,6 @@
 """Effects and campaign assembled: what the problem and the derived quantities are built from."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -84,8 +84,8 @@ class Assembly:
 
     def _effect_layers(
         self, effect: BoundEffect, effect_class: type[Effect], chosen: np.ndarray | None
-    ) -> list[signal_path.EffectLayer]:
-        """Return the layers of an effect, one per kind of channel.
+    ) -> Iterator[signal_path.EffectLayer]:
+        """Yield the layers of an effect, one per kind of channel.
 
         Effects at STAND are evaluated at all stands, effects with memory at all nodes, whatever the chosen nodes.
         """
@@ -97,14 +97,12 @@ class Assembly:
         grouping = replace(self.grouping, nodes=_without_run(nodes) if chosen is None else _at(nodes, chosen))
         kinds = ("",) if issubclass(effect_class, MotionEffect) else [kind for kind in KINDS if kind in effect.kinds]
         options = tuple(sorted(effect.spec.options.items()))
-        layers = []
         for kind in kinds:
             names = [channel.name for channel in grouping.campaign.of_kind(kind)]
             places: dict[str, Array] = {
                 field: self._places(effect, field, grouping, names) for field in effect.declared
             }
-            layers.append(signal_path.EffectLayer(effect_class, options, places, kind))
-        return layers
+            yield signal_path.EffectLayer(effect_class, options, places, kind)
 
     def _places(self, effect: BoundEffect, field: str, grouping: Grouping, names: list[str]) -> np.ndarray:
         """Return the indices of one field's values: (1 or N, 1 or C), or (1 or N,) for effects on the motion."""

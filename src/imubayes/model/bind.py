@@ -9,7 +9,7 @@ User-defined effects are evaluated abstractly, by shapes and types alone, before
 
 import sys
 import traceback
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -449,9 +449,8 @@ def _temperature_errors(listed: Collection[str], campaign: Campaign, registry: R
     ]
 
 
-def _conflicts(effects: Sequence[binding.BoundEffect]) -> list[Issue]:
-    """Return complaints about effects that are listed twice or exclude each other on the same channel."""
-    found = []
+def _conflicts(effects: Sequence[binding.BoundEffect]) -> Iterator[Issue]:
+    """Yield complaints about effects that are listed twice or exclude each other on the same channel."""
     for other, effect in combinations(effects, 2):
         shared = sorted(set(effect.channels) & set(other.channels))
         whole_unit = not effect.channels and not other.channels
@@ -462,8 +461,7 @@ def _conflicts(effects: Sequence[binding.BoundEffect]) -> list[Issue]:
             what = f"the effect '{effect.name}' is listed twice" if same else pair
             on = f" on {', '.join(shared)}" if shared else ""
             remedy = f"keep one of them, or give each its own 'channels' ({other.spec.where} is the other)"
-            found.append(Issue(what + on, effect.spec.where, "one effect for each cause and channel", remedy))
-    return found
+            yield Issue(what + on, effect.spec.where, "one effect for each cause and channel", remedy)
 
 
 def _is_independent_noise(effect_class: EffectClass, campaign: Campaign) -> bool:

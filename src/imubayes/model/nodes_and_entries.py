@@ -8,7 +8,7 @@ smallest distance of neighbouring rows per sample between their middles: exact w
 a run without times follow each other without a gap.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -317,7 +317,7 @@ def timeline(campaign: Campaign, entries: Entries, group: np.ndarray) -> Timelin
     ----------
     group : shape (E,), run and channel of each entry.
     """
-    spans = _spans(campaign)
+    spans = list(_spans(campaign))
     start, length = np.zeros(len(entries)), np.ones(len(entries))
     for index, (begin, lasting) in enumerate(spans):
         chosen = (entries.run == index) & ~entries.closing
@@ -345,20 +345,18 @@ def _sample_length(run: Run) -> float:
     return float(np.min(apart[apart > 0], initial=np.inf))
 
 
-def _spans(campaign: Campaign) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the start of every row since that of its run, and its length, run by run."""
+def _spans(campaign: Campaign) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the start of every row since that of its run, and its length, run by run."""
     own = [_sample_length(run) for run in campaign.runs]
     usual = min(own)
-    found = []
     for run, sample in zip(campaign.runs, own, strict=True):
         if np.isfinite(sample):
             length = run.samples * sample
             start = run.covariates["time"] - length / 2
-            found.append((start - start.min(initial=np.inf), length))
+            yield (start - start.min(initial=np.inf), length)
         else:
             length = run.samples * usual
-            found.append((np.cumsum(length) - length, length))
-    return found
+            yield (np.cumsum(length) - length, length)
 
 
 def _times(spans: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:

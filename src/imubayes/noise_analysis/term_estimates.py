@@ -15,7 +15,7 @@ terms in it, or an interval would leave out what the undetermined ones could tak
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,7 +74,7 @@ def term_evidence(likelihood: NoiseLikelihood) -> TermEvidence:
     if markov:
         evidence[NoiseTerm.MARKOV] = gain
         determined.append(NoiseTerm.MARKOV)
-    alternatives = () if markov else _alternatives(likelihood, full, determined)
+    alternatives = () if markov else tuple(_alternatives(likelihood, full, determined))
     undecided = _undecided(likelihood, full, determined)
     return TermEvidence(full, evidence, tuple(determined), undecided, alternatives)
 
@@ -126,19 +126,17 @@ def _undecided(likelihood: NoiseLikelihood, full: Maximum, determined: list[Nois
 
 def _alternatives(
     likelihood: NoiseLikelihood, full: Maximum, determined: list[NoiseTerm]
-) -> tuple[tuple[NoiseTerm, NoiseTerm], ...]:
-    """Return the slow terms that Gauss–Markov noise could replace.
+) -> Iterator[tuple[NoiseTerm, NoiseTerm]]:
+    """Yield the slow terms that Gauss–Markov noise could replace.
 
     Beside a random walk it is named only where the record prefers a correlation time well within it: a longer one is
     the random walk.
     """
-    found = []
     for term in (each for each in _SLOW if each in determined):
         other = highest(likelihood, (*(kept for kept in BASIC if kept is not term), NoiseTerm.MARKOV))
         within = term is NoiseTerm.FLICKER or other.correlation_time < _WELL_WITHIN * likelihood.span
         if within and 2 * (full.log_likelihood - other.log_likelihood) < LEAST_EVIDENCE:
-            found.append((term, NoiseTerm.MARKOV))
-    return tuple(found)
+            yield term, NoiseTerm.MARKOV
 
 
 PROBABILITY = 0.95

@@ -16,7 +16,7 @@ decision follows the probability that Δk does not exceed the threshold, for Stu
 and 95 % there is none (JCGM 106, guard bands).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -152,9 +152,8 @@ def _line(one: ThermalLine, campaign: Campaign) -> list[TextbookResult]:
     ]
 
 
-def _comparison(one: ThermalLine, base: ThermalLine, threshold: float) -> list[TextbookResult]:
-    """Return Δk with the decision, and Δk of the raw slopes."""
-    found: list[TextbookResult] = []
+def _comparison(one: ThermalLine, base: ThermalLine, threshold: float) -> Iterator[TextbookResult]:
+    """Yield Δk with the decision, and Δk of the raw slopes."""
     runs, evaluation = f"{one.run.name}, {base.run.name}", "type A: residuals of both lines"
     tested = Evaluation(f"{one.channel.name},{one.run.name}", runs, METHOD, evaluation)
     for name, raw in (("delta_k", False), ("delta_k_raw", True)):
@@ -163,8 +162,7 @@ def _comparison(one: ThermalLine, base: ThermalLine, threshold: float) -> list[T
         delta = abs(slopes[0] - slopes[1]) / abs(slopes[1])
         spread = float(np.hypot(errors[0], slopes[0] / slopes[1] * errors[1])) / abs(slopes[1])
         how, decision = ("of the raw slopes", "") if raw else ("", decided(one, base, threshold))
-        found.append(tested.estimate(name, delta * 100, spread * 100, "%", how, decision))
-    return found
+        yield tested.estimate(name, delta * 100, spread * 100, "%", how, decision)
 
 
 def within_threshold(one: ThermalLine, base: ThermalLine, threshold: float) -> float:

@@ -21,7 +21,7 @@ temperature, pooled over temperatures, and over all series with the change with 
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -181,9 +181,8 @@ def _shape(series: RateSeries) -> list[TextbookResult]:
     return found
 
 
-def _repeatability(each: Sequence[RateSeries]) -> list[TextbookResult]:
-    """Return K_r at every temperature, pooled over them, and over all series."""
-    found: list[TextbookResult] = []
+def _repeatability(each: Sequence[RateSeries]) -> Iterator[TextbookResult]:
+    """Yield K_r at every temperature, pooled over them, and over all series."""
     squares, freedom = 0.0, 0
     groups = [
         [series for series in each if series.run in group] for group in textbook.by_temperature([s.run for s in each])
@@ -199,16 +198,15 @@ def _repeatability(each: Sequence[RateSeries]) -> list[TextbookResult]:
             if np.isfinite(at)
             else ""
         )
-        found.append(_spread("repeatability", group, *textbook.standard_deviation(relative), where))
+        yield _spread("repeatability", group, *textbook.standard_deviation(relative), where)
     if len(groups) > 1 and freedom:
         pooled = float(np.sqrt(squares / freedom))
         inside = [series for group in groups if len(group) > 1 for series in group]
         pooled_sd = pooled / np.sqrt(2 * freedom)
-        found.append(_spread("repeatability_pooled", inside, pooled, pooled_sd, " at each temperature"))
+        yield _spread("repeatability_pooled", inside, pooled, pooled_sd, " at each temperature")
     if len(groups) > 1:
         where = " at all temperatures, the change with temperature included"
-        found.append(_spread("repeatability_overall", each, *textbook.standard_deviation(_relative(each)), where))
-    return found
+        yield _spread("repeatability_overall", each, *textbook.standard_deviation(_relative(each)), where)
 
 
 def _relative(each: Sequence[RateSeries]) -> np.ndarray:

@@ -6,7 +6,7 @@ input is constant, and what is left is bias.  The Earth rate along and across th
 mounting the body axis z is up, and north is not known.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -63,8 +63,7 @@ def _mean(run: Run, output: np.ndarray) -> tuple[float, float]:
     return float(np.average(output, weights=run.samples)), sd
 
 
-def _biases(campaign: Campaign, run: Run, attitude: np.ndarray) -> list[TextbookResult]:
-    found: list[TextbookResult] = []
+def _biases(campaign: Campaign, run: Run, attitude: np.ndarray) -> Iterator[TextbookResult]:
     gravity = campaign.site.gravity
     fixed = {
         "gyro": ("gyro_bias.bias", earth_rate(campaign.site.latitude), DEGREE_PER_HOUR, "deg/h"),
@@ -73,13 +72,12 @@ def _biases(campaign: Campaign, run: Run, attitude: np.ndarray) -> list[Textbook
     for kind, (name, vector, factor, unit) in fixed.items():
         if kind == "gyro" and not campaign.north_is_stated(run):
             sentence = "gyro biases: nobody stated where north is; gyrocompassing tells what the runs can tell of them"
-            found.append(Undetermined(run.name, sentence))
+            yield Undetermined(run.name, sentence)
             continue
         for channel, output in measured(run, campaign, kind):
             mean, sd = _mean(run, output / channel.scale_si)
             value = mean - float(attitude @ channel.axes[0] @ vector)
-            found.append(Evaluation(channel.name, run.name, METHOD).estimate(name, value / factor, sd / factor, unit))
-    return found
+            yield Evaluation(channel.name, run.name, METHOD).estimate(name, value / factor, sd / factor, unit)
 
 
 def _vector(run: Run, found: list[tuple[Channel, np.ndarray]]) -> tuple[np.ndarray, np.ndarray] | None:

@@ -12,7 +12,7 @@ infinitely many.  Derivatives are central differences over a part of each standa
 
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,7 +117,7 @@ def budget(
     >>> f"{volume.value:.4g} ± {volume.uncertainty:.2g}"
     '1.25e-05 ± 9e-08'
     """
-    return budgets_of_outputs(bound_equation(function, inputs, names, correlation, probability), probability)
+    return tuple(budgets_of_outputs(bound_equation(function, inputs, names, correlation, probability), probability))
 
 
 def bound_equation(
@@ -249,8 +249,8 @@ def _check_elements(equation: BoundEquation) -> None:
         raise _wrong("gives another output for a value when it is evaluated with others", _ELEMENTWISE)
 
 
-def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[GumBudget, ...]:
-    """Return the budget of each output."""
+def budgets_of_outputs(equation: BoundEquation, probability: float) -> Iterator[GumBudget]:
+    """Yield the budget of each output."""
     inputs = equation.inputs
     x, u = (np.array([getattr(each, part) for each in inputs]) for part in ("value", "uncertainty"))
     covariance = _covariance(equation, u)
@@ -260,7 +260,6 @@ def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[Gum
         allowed = "an equation with a value and a slope there"
         raise _wrong("or its slope is not finite at the estimates of its inputs", allowed)
     second = _second_order(equation, x, _directions(covariance), jacobian)
-    found = []
     for k, name in enumerate(equation.names):
         c = jacobian[:, k]
         first = max(float(c @ covariance @ c), 0.0)
@@ -278,13 +277,10 @@ def budgets_of_outputs(equation: BoundEquation, probability: float) -> tuple[Gum
             )
             for each, slope in zip(inputs, c, strict=True)
         )  # fmt: skip
-        found.append(
-            GumBudget(
-                name, float(values[k]), uncertainty, float(values[k]) + curved if converges else None,
-                math.sqrt(first + beyond) if converges else None, nu, probability, factor, factor * uncertainty, lines,
-            )
+        yield GumBudget(
+            name, float(values[k]), uncertainty, float(values[k]) + curved if converges else None,
+            math.sqrt(first + beyond) if converges else None, nu, probability, factor, factor * uncertainty, lines,
         )  # fmt: skip
-    return tuple(found)
 
 
 def _covariance(equation: BoundEquation, u: np.ndarray) -> np.ndarray:

@@ -200,7 +200,7 @@ def propagate(
     given = [len(each.draws) for each in equation.inputs if each.draws is not None and each.uncertainty > 0]
     if stable and given:
         stable = _is_stable(_by_parts_of_draws(equation, min(given), size, tails, seed), digits)
-    budgets = law.budgets_of_outputs(equation, probability)
+    budgets = tuple(law.budgets_of_outputs(equation, probability))
     outputs = zip(names, draws.T, budgets, strict=True)
     found = tuple(_output(name, own, gum, probability, digits) for name, own, gum in outputs)
     return Propagated(found, draws, probability, stable, min([len(draws), *given]))

@@ -16,7 +16,7 @@ at most.  A drift of several calibrations is one of `batch trends`.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -241,7 +241,7 @@ def repeatability_of(
         chi2=chi2,
         freedom=freedom,
         p=p,
-        quantities=_worst_first(_pooled(lines, one, other, alike) if may_pool else lines),
+        quantities=_worst_first(list(_pooled(lines, one, other, alike)) if may_pool else lines),
         not_determined=left,
         other_priors=unlike,
         pooled=may_pool,
@@ -361,8 +361,8 @@ def _together(names: Sequence[str], one: _Normal, other: _Normal, cross: np.ndar
 
 def _pooled(
     lines: Sequence[ComparedQuantity], one: _Normal, other: _Normal, alike: Sequence[str]
-) -> list[ComparedQuantity]:
-    """Return the quantities with their values by both as one: the sum of what the data of each say, and one prior."""
+) -> Iterator[ComparedQuantity]:
+    """Yield the quantities with their values by both as one: the sum of what the data of each say, and one prior."""
     a, count = np.arange(len(one.names)), len(one.names)
     of_first = dict(zip(alike, one.places(alike).tolist(), strict=True))
     own = iter(range(count, count + len(other.names)))
@@ -376,13 +376,11 @@ def _pooled(
     precision[common, common] -= 1 / (one.widths[common] * other.widths[other.places(alike)])
     covariance = inverse_of_precision(precision)
     moved = covariance @ told - np.concatenate([one.z, np.zeros(total - count)])
-    found = []
     for line in lines:
         gradient = one.quantities[line.name].gradient
         value = line.first + float(gradient @ moved[:count])
         sd = float(np.sqrt(gradient @ covariance[:count, :count] @ gradient))
-        found.append(line.model_copy(update={"pooled": value, "pooled_sd": sd}))
-    return found
+        yield line.model_copy(update={"pooled": value, "pooled_sd": sd})
 
 
 def next_due(found: ComparedQuantity, days: float, lower: float, upper: float) -> NextDue:

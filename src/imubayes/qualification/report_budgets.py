@@ -109,7 +109,7 @@ def _computed(result: Result) -> tuple[KeptBudgets, TestedUnit]:
     correlation = budget.correlation_of(complete({name: unit.quantities.draws[name] for name in arrays.names}))
     widths = tuple(finite(parameter.prior_sd) for parameter in arrays.priors)
     parts = _Parts(result, unit, arrays, widths, exact.included)
-    runs = _next_runs(parts)
+    runs = list(_next_runs(parts))
     quantities = tuple(_budget(parts, place, runs[place]) for place in range(len(arrays.names)))
     rows = tuple(
         tuple(round(float(value), _DECIMALS) + 0.0 for value in row[: place + 1])
@@ -306,7 +306,7 @@ def _better_inputs(arrays: budget.BudgetArrays, place: int) -> Iterator[_Halved]
         yield after, "priors", effect, budget.SOURCES.get(effect, "unit")
 
 
-def _next_runs(parts: _Parts) -> list[budget_parts.NarrowingRun | None]:
+def _next_runs(parts: _Parts) -> Iterator[budget_parts.NarrowingRun | None]:
     """Return, for each quantity, the run that would narrow it most; None where no run would."""
     result, arrays = parts.result, parts.arrays
     count, runs = len(arrays.names), result.fit.model.campaign.runs
@@ -318,7 +318,6 @@ def _next_runs(parts: _Parts) -> list[budget_parts.NarrowingRun | None]:
         expected = expected_deviations(result.fit, arrays.components)
         designs = expected.designs
         left = np.concatenate([left, expected.after / np.maximum(expected.before, np.finfo(float).tiny)])
-    found: list[budget_parts.NarrowingRun | None] = []
     for place in range(count):
         best, by_exact = int(left[:, place].argmin()), parts.variance_of_exact(arrays.names[place])
         own = float(arrays.posterior[place])
@@ -327,5 +326,4 @@ def _next_runs(parts: _Parts) -> list[budget_parts.NarrowingRun | None]:
         run = designs[best - len(runs)] if best >= len(runs) else None
         repeats = runs[best].name if best < len(runs) else None
         narrowing = budget_parts.NarrowingRun(run=run, repeats=repeats, standard_uncertainty=after)
-        found.append(narrowing if useful else None)
-    return found
+        yield narrowing if useful else None

@@ -112,15 +112,13 @@ def _in(value: float | None, unit: float) -> float | None:
     return None if value is None else value / unit
 
 
-def omitted_values(campaign: Campaign) -> tuple[record.OmittedChannel, ...]:
-    """Return missing values of channels that the run recorded at all."""
-    found = []
+def omitted_values(campaign: Campaign) -> Iterator[record.OmittedChannel]:
+    """Yield missing values of channels that the run recorded at all."""
     for run in campaign.runs:
         gone = np.isnan(run.observed)
         for channel, missing in zip(campaign.channels, gone.T, strict=True):
             if missing.any() and not missing.all():
-                found.append(record.OmittedChannel(run=run.name, channel=channel.name, values=int(missing.sum())))
-    return tuple(found)
+                yield record.OmittedChannel(run=run.name, channel=channel.name, values=int(missing.sum()))
 
 
 def provenance_of(result: Result) -> subject.Provenance:
@@ -186,7 +184,7 @@ def report_of(
         convergence=convergence_of(found),
         adequacy=adequacy_of(found, diagnosis, tree),
         conformity=conformity_of(assessment, specification, campaign.site.gravity),
-        results=estimates.result_lines(found, unit),
+        results=tuple(estimates.result_lines(found, unit)),
         mounting_angles=angles,
         combinations=estimates.determined_combinations(found, unit),
         standards=tuple(each for each in standards if each.measured),
@@ -388,7 +386,7 @@ def _optional(found: ProbabilityByTwoMethods | None):
 def left_out_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> record.Omissions:
     """Return what was left out."""
     return record.Omissions(
-        channels=omitted_values(campaign),
+        channels=tuple(omitted_values(campaign)),
         notes=result.summary.notes,
         outliers=len(diagnosis.outliers) if diagnosis is not None else 0,
         nuisance_parameters=sum(line.nuisance for line in result.summary.parameters),

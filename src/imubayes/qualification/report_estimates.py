@@ -97,8 +97,8 @@ def _estimate(result: Result, unit: TestedUnit | None, line: records.Quantity, s
     }
 
 
-def result_lines(result: Result, unit: TestedUnit | None) -> tuple[record.ResultLine, ...]:
-    """Return the result table: parameters without those of single poses, and derived quantities."""
+def result_lines(result: Result, unit: TestedUnit | None) -> Iterator[record.ResultLine]:
+    """Yield the result table: parameters without those of single poses, and derived quantities."""
     model = result.fit.model
     means = {
         parameter.name: float(np.asarray(parameter.prior.mean)) / parameter.factor
@@ -106,7 +106,6 @@ def result_lines(result: Result, unit: TestedUnit | None) -> tuple[record.Result
         if isinstance(parameter.prior, Normal)
     }
     shown = {line.name: line.unit for line in records.in_output_units(result.summary).parameters}
-    found = []
     for line in (*result.summary.parameters, *result.summary.derived):
         if isinstance(line, records.ParameterSummary) and line.nuisance:
             continue
@@ -116,8 +115,7 @@ def result_lines(result: Result, unit: TestedUnit | None) -> tuple[record.Result
             else {"kind": "derived"}
         )
         estimate = _estimate(result, unit, line, shown.get(line.name, ""))
-        found.append(record.ResultLine(prior_mean=means.get(line.name), **diagnostics, **estimate))
-    return tuple(found)
+        yield record.ResultLine(prior_mean=means.get(line.name), **diagnostics, **estimate)
 
 
 def mounting_angles(result: Result, unit: TestedUnit | None) -> tuple[record.MountingAngle, ...]:

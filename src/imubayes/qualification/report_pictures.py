@@ -154,30 +154,26 @@ def _of_kind(
     """Yield the pictures of one kind; against the angle of a table, on which no error depends, residuals alone."""
     channels = [channel for channel in unit.channels if channel.kind == kind]
     own = residuals.filter((pl.col("kind") == kind) & (pl.col("procedure") != "current_injection"))
-    by_input: _Rows = ("input_rate", "deg/s", own, "input_observed")
-    if kind == "accelerometer":
-        still = (pl.col("input_observed").abs() <= _LARGEST_G) & (pl.col("table_rate_deg_s").fill_null(0.0) == 0)
-        angle = pl.col("input_observed").clip(-1.0, 1.0).arcsin().degrees().alias("input_angle_deg")
-        by_input = ("input_angle", "deg", own.filter(still).with_columns(angle), "input_angle_deg")
-    turned = own.with_columns(pl.col("^table_angle_deg$") % 360.0)
-    by_others: tuple[_Rows, ...] = (
-        ("temperature", "degC", own, "temperature_degC"), ("table_angle", "deg", turned, "table_angle_deg"),
-    )  # fmt: skip
-    for abscissa, x_unit, rows, column in (by_input, *by_others) if channels and not own.is_empty() else ():
-        means = _class_means(rows, channels, column)
+    for abscissa, x_unit, rows, column in _abscissae(kind, own) if channels and not own.is_empty() else ():
+        means = tuple(_class_means(rows, channels, column))
         if not means:
             continue
-        drawn: list[_Drawn | None] = []
-        if abscissa == "temperature":
-            span = min(min(each.x) for each in means), max(max(each.x) for each in means)
-            drawn = [_over_temperature(unit, channel, span, limits) for channel in channels]
-        elif abscissa != "table_angle":
-            drawn = [_over_input(unit, channel, limits) for channel in channels]
-        known = [each for each in drawn if each is not None]
+        known = [each for channel in channels if (each := _drawn(unit, channel, abscissa, means, limits)) is not None]
         yield ErrorPicture(
             kind=kind, abscissa=abscissa, x_unit=x_unit, unit=ERROR_UNIT[kind], residuals=means,
             curves=tuple(curve for curve, _ in known), limits=tuple(bound for _, bounds in known for bound in bounds),
         )  # fmt: skip
+
+
+def _abscissae(kind: SensorKind, own: pl.DataFrame) -> Iterator[_Rows]:
+    if kind == "gyro":
+        yield "input_rate", "deg/s", own, "input_observed"
+    else:
+        still = (pl.col("input_observed").abs() <= _LARGEST_G) & (pl.col("table_rate_deg_s").fill_null(0.0) == 0)
+        angle = pl.col("input_observed").clip(-1.0, 1.0).arcsin().degrees().alias("input_angle_deg")
+        yield "input_angle", "deg", own.filter(still).with_columns(angle), "input_angle_deg"
+    yield "temperature", "degC", own, "temperature_degC"
+    yield "table_angle", "deg", own.with_columns(pl.col("^table_angle_deg$") % 360.0), "table_angle_deg"
 
 
 # Parameter → error by a unit of it at an input: in deg/h at a rate in deg/s, in µg at a specific force in g.
@@ -206,6 +202,16 @@ def _error(unit: TestedUnit, channel: Channel, along: np.ndarray) -> np.ndarray 
     shapes = {f"{family}[{channel.name}]": shape for family, shape in _SHAPES[channel.kind].items()}
     parts = [draws[name][:, None] * shape(along)[None, :] for name, shape in shapes.items() if name in draws]
     return np.sum(parts, axis=0) if parts else None
+
+
+def _drawn(
+    unit: TestedUnit, channel: Channel, abscissa: Abscissa, means: Sequence[ResidualMeans],
+    limits: Sequence[ConformityOfQuantity],
+) -> _Drawn | None:  # fmt: skip
+    if abscissa == "temperature":
+        span = min(min(each.x) for each in means), max(max(each.x) for each in means)
+        return _over_temperature(unit, channel, span, limits)
+    return None if abscissa == "table_angle" else _over_input(unit, channel, limits)
 
 
 def _over_input(unit: TestedUnit, channel: Channel, limits: Sequence[ConformityOfQuantity]) -> _Drawn | None:
@@ -263,9 +269,8 @@ def _envelope(
     return [_bound(channel.name, x, constant.lower + ends.min(axis=0), constant.upper + ends.max(axis=0))]
 
 
-def _class_means(own: pl.DataFrame, channels: Sequence[Channel], column: str) -> tuple[ResidualMeans, ...]:
-    """Return means of whitened residuals in classes of equal width, for channels with two different values at least."""
-    found = []
+def _class_means(own: pl.DataFrame, channels: Sequence[Channel], column: str) -> Iterator[ResidualMeans]:
+    """Yield means of whitened residuals in classes of equal width, for channels with two different values at least."""
     for channel in channels:
         if column not in own.columns:
             continue
@@ -277,15 +282,12 @@ def _class_means(own: pl.DataFrame, channels: Sequence[Channel], column: str) ->
             continue
         classes = np.minimum(((x - x.min()) / np.ptp(x) * _BINS).astype(int), _BINS - 1)
         parts = [np.flatnonzero(classes == place) for place in range(_BINS) if (classes == place).any()]
-        found.append(
-            ResidualMeans(
-                channel=channel.name,
-                x=_numbers(np.array([x[part].mean() for part in parts])),
-                mean=_numbers(np.array([y[part].mean() for part in parts])),
-                count=tuple(len(part) for part in parts),
-            )
+        yield ResidualMeans(
+            channel=channel.name,
+            x=_numbers(np.array([x[part].mean() for part in parts])),
+            mean=_numbers(np.array([y[part].mean() for part in parts])),
+            count=tuple(len(part) for part in parts),
         )
-    return tuple(found)
 
 
 def worst_residual(

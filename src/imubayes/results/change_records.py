@@ -5,7 +5,7 @@ The record of a change holds prediction and observation, cross-validation, resid
 """
 
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -481,19 +481,15 @@ class HistoryStep:
     added_variable: pl.DataFrame | None
 
 
-def read_steps(tree: Tree, place: str) -> tuple[HistoryStep, ...]:
-    """Return the steps from the first model to the one at a place."""
-    steps = []
+def read_steps(tree: Tree, place: str) -> Iterator[HistoryStep]:
+    """Yield the steps from the first model to the one at a place."""
     for before, after in pairwise(map(Path, tree.path_to(place))):
         diagnosis = read_diagnosis(before)
-        steps.append(
-            HistoryStep(
-                node=tree.nodes[str(after)],
-                change=read_change(after),
-                group=diagnosis.groups[0] if diagnosis is not None and diagnosis.groups else None,
-                before=_table(before / RESIDUALS),
-                after=_table(after / RESIDUALS),
-                added_variable=_table(after / ADDED_VARIABLE) if checked(after).holds(ADDED_VARIABLE) else None,
-            )
+        yield HistoryStep(
+            node=tree.nodes[str(after)],
+            change=read_change(after),
+            group=diagnosis.groups[0] if diagnosis is not None and diagnosis.groups else None,
+            before=_table(before / RESIDUALS),
+            after=_table(after / RESIDUALS),
+            added_variable=_table(after / ADDED_VARIABLE) if checked(after).holds(ADDED_VARIABLE) else None,
         )
-    return tuple(steps)

@@ -70,15 +70,14 @@ class Guidance:
     trouble: str = ""
 
 
-def read_wanted(words: Sequence[str], gravity: float) -> tuple[Wanted, ...]:
-    """Return what is asked for, of words such as ``accel_bias=0.2mg``.
+def read_wanted(words: Sequence[str], gravity: float) -> Iterator[Wanted]:
+    """Yield what is asked for, of words such as ``accel_bias=0.2mg``.
 
     Raises
     ------
     InputError
         for an effect that no rest or turn shows, or a unit of another dimension.
     """
-    found = []
     for word in words:
         effect, _, text = word.partition("=")
         if effect not in COEFFICIENTS:
@@ -89,8 +88,7 @@ def read_wanted(words: Sequence[str], gravity: float) -> tuple[Wanted, ...]:
         if not size > 0 or not unit or not same_dimension(unit, usual, "option until"):
             what = f"'{word}' has no uncertainty above 0 with a unit of {usual}"
             raise input_error(what, "option until", f"such as {effect}=1{usual}", "state number and unit")
-        found.append(Wanted(effect, text, size, size * to_si(unit, gravity)))
-    return tuple(found)
+        yield Wanted(effect, text, size, size * to_si(unit, gravity))
 
 
 def growing_lines(file: Path, ended: Callable[[], bool], patience: float) -> Iterator[list[str]]:
@@ -118,7 +116,7 @@ class GuidedCapture:
 
     def __init__(self, file: Path, until: Sequence[str], options: Mapping[str, Any]) -> None:
         self.file, self._options = file, {"procedure": "free_tumble"} | dict(options)
-        self._words, self._until = tuple(until), read_wanted(until, 9.81)  # refused before anything is recorded
+        self._words, self._until = tuple(until), tuple(read_wanted(until, 9.81))  # refused before anything is recorded
         self._waiting: list[str] = []
         self._table: ChosenTable | None = None
         self._enough = False
@@ -171,7 +169,7 @@ class GuidedCapture:
         clock = columns[TIME]
         self._interval = float(clock[-1] - clock[0]) / max(len(clock) - 1, 1)
         gravity = float(read.campaign.document["site"].get("gravity_m_s2") or 9.81)
-        self._until = read_wanted(self._words, gravity)
+        self._until = tuple(read_wanted(self._words, gravity))
         self._until = tuple(each for each in self._until if len(names) == 6 or each.effect.startswith("accel"))
         self._scale, self._offset = self._nominal(read.campaign.document, table, gravity)
         least = _least_steps([columns[name] for name in self._names]) * np.abs(self._scale)

@@ -474,16 +474,14 @@ class MountingWrong(Mistake):
         return changed(views[place], body_to_table=self.matrix)
 
 
-def _orientations() -> list[np.ndarray]:
-    found = []
+def _orientations() -> Iterator[np.ndarray]:
     for order, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3)):
         matrix = np.eye(3)[list(order)] * np.array(signs)[:, None]
         if np.linalg.det(matrix) > 0:
-            found.append(matrix)
-    return found
+            yield matrix
 
 
-ORIENTATIONS = _orientations()
+ORIENTATIONS = list(_orientations())
 """The 24 rotations that map the axes of a cube onto each other, the identity first."""
 
 MISTAKES: tuple[type[Mistake], ...] = (

@@ -164,16 +164,15 @@ def sentence(found: diagnosis.Diagnosis) -> str:
     """Return the verdict in a few sentences; first the noise that contradicts what is known, where noise leads."""
     if found.asked is not None:
         return _asked_sentence(found)
-    return " ".join(filter(None, _told(found)))
-
-
-def _told(found: diagnosis.Diagnosis) -> Iterator[str]:
-    if found.verdict == "not_converged":
-        yield found.message
+    told = [found.message] if found.verdict == "not_converged" else []
     # What explains the data at the noise that is known tells what a noise scale stands in for.
     if found.contradicted and found.explains_by_noise:
-        yield f"{contradiction_text(found.contradicted)}."
-    yield _finding(found)
+        told.append(f"{contradiction_text(found.contradicted)}.")
+    return " ".join(filter(None, (*told, _finding(found), *_beside_the_finding(found))))
+
+
+def _beside_the_finding(found: diagnosis.Diagnosis) -> Iterator[str]:
+    """Yield by how much the fitted noise differs from the recorded one, outliers, and what no interval includes."""
     told = {each.parameter for each in found.contradicted} if found.explains_by_noise else ()
     apart = [each for each in found.disagreeing_noise if each.parameter not in told]
     if apart:

@@ -13,7 +13,7 @@ temperatures kept within TMIN … TMAX:
     accelerometer = (r − P(T − 35) + P(CALTEMP − 35) − OFFS) · SCAL,    gyro = r − P(T − 35) + P(CALTEMP − 35) − OFFS
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -250,7 +250,7 @@ def _px4_parameters(constants: OnboardConstants) -> list[str]:
     values: list[tuple[str, float | int]] = []
     for triad in constants.triads:
         sensor, letter = ("GYRO", "G") if triad.kind == "gyro" else ("ACC", "A")
-        biases = _biases(triad)
+        biases = list(_biases(triad))
         values += [(f"CAL_{sensor}0_{axis}OFF", bias.coef[0]) for axis, bias in zip("XYZ", biases, strict=True)]
         if triad.kind == "accelerometer":
             values += [(f"CAL_ACC0_{axis}SCALE", scale) for axis, scale in zip("XYZ", _scales(triad), strict=True)]
@@ -281,7 +281,7 @@ def _ardupilot_parameters(constants: OnboardConstants) -> list[str]:
     thermal: list[tuple[str, float | int]] = []
     for triad in constants.triads:
         sensor = "GYR" if triad.kind == "gyro" else "ACC"
-        biases = _biases(triad)
+        biases = list(_biases(triad))
         offsets = [bias(at - constants.reference_degC) for bias in biases]
         values += [(f"INS_{sensor}OFFS_{axis}", offset) for axis, offset in zip("XYZ", offsets, strict=True)]
         if triad.kind == "accelerometer":
@@ -322,27 +322,23 @@ def _px4_thermal(
 
 def _ardupilot_thermal(
     constants: OnboardConstants, biases: Sequence[Polynomial], sensor: str
-) -> list[tuple[str, float | int]]:
-    """Return the coefficients of P, about 35 °C: the constant term is in the offsets."""
-    found: list[tuple[str, float | int]] = []
+) -> Iterator[tuple[str, float | int]]:
+    """Yield the coefficients of P, about 35 °C: the constant term is in the offsets."""
     shifted = [bias(Polynomial([_ARDUPILOT_REFERENCE - constants.reference_degC, 1.0])) for bias in biases]
     for order in range(1, _ORDER + 1):
         for axis, bias in zip("XYZ", shifted, strict=True):
             known = bias.coef[order] if order < len(bias.coef) else 0.0
-            found.append((f"INS_TCAL1_{sensor}{order}_{axis}", float(known) * _ARDUPILOT_FACTOR))
-    return found
+            yield (f"INS_TCAL1_{sensor}{order}_{axis}", float(known) * _ARDUPILOT_FACTOR)
 
 
-def _biases(triad: TriadConstants) -> list[Polynomial]:
-    """Return b(T) of each channel in T − T_ref of the sensor, to the third order."""
-    found = []
+def _biases(triad: TriadConstants) -> Iterator[Polynomial]:
+    """Yield b(T) of each channel in T − T_ref of the sensor, to the third order."""
     for coefficients in triad.bias.coefficients:
         own = np.zeros(_ORDER + 1)
         for term, coefficient in zip(triad.bias.terms, coefficients, strict=True):
             if term.converter == 0 and term.sensor <= _ORDER:
                 own[term.sensor] = coefficient
-        found.append(Polynomial(own[: max(np.flatnonzero(own), default=0) + 1]))
-    return found
+        yield Polynomial(own[: max(np.flatnonzero(own), default=0) + 1])
 
 
 def _number(value: float) -> str:

@@ -4,7 +4,7 @@ Every constant is a function of the parameters and is computed for every draw: t
 covariance is that of all constants jointly, of gyros and accelerometers alike.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 
@@ -91,7 +91,7 @@ def onboard_constants(result: Result) -> onboard.OnboardConstants:
     spans = unexpressed.input_ranges(posterior.campaign)
     made = {kind: _record(kind, triads[kind], posterior, grid, noise, spans[kind]) for kind in sorted(kinds)}
     records = _checked(made, posterior, ranges)
-    constants = _constants(triads, prior)
+    constants = tuple(_constants(triads, prior))
     summary, model = result.summary, result.fit.model
     return onboard.OnboardConstants(
         serial=posterior.campaign.serial,
@@ -221,9 +221,8 @@ def _polynomial(block: _Block, kept: np.ndarray, grid: ThermalGrid, channels: in
     return onboard.ThermalPolynomial(terms=terms, coefficients=_rows(block, channels))
 
 
-def _constants(triads: dict[str, _Triad], prior: dict[str, _Triad] | None) -> tuple[onboard.Constant, ...]:
-    """Return every constant with its marginal posterior."""
-    found = []
+def _constants(triads: dict[str, _Triad], prior: dict[str, _Triad] | None) -> Iterator[onboard.Constant]:
+    """Yield every constant with its marginal posterior."""
     for kind in sorted(triads):
         before = prior[kind].blocks if prior is not None else [None] * len(triads[kind].blocks)
         for block, earlier in zip(triads[kind].blocks, before, strict=True):
@@ -232,15 +231,12 @@ def _constants(triads: dict[str, _Triad], prior: dict[str, _Triad] | None) -> tu
                 low, high = np.quantile(draws, [0.025, 0.975])
                 share = None if earlier is None else from_data(np.var(draws), np.var(earlier.draws[:, place]))
                 fixed = np.var(draws) == 0
-                found.append(
-                    onboard.Constant(
-                        name=name, unit=block.unit, value=float(draws.mean()), sd=float(draws.std(ddof=1)),
-                        q025=float(low), q975=float(high),
-                        from_data=None if share is None or fixed else finite(float(share)),
-                        measured=not fixed and (share is None or float(share) >= WEAK_SHARE),
-                    )
+                yield onboard.Constant(
+                    name=name, unit=block.unit, value=float(draws.mean()), sd=float(draws.std(ddof=1)),
+                    q025=float(low), q975=float(high),
+                    from_data=None if share is None or fixed else finite(float(share)),
+                    measured=not fixed and (share is None or float(share) >= WEAK_SHARE),
                 )  # fmt: skip
-    return tuple(found)
 
 
 def _with_error_left(record: onboard.TriadConstants, found: np.ndarray, true: np.ndarray) -> onboard.TriadConstants:

@@ -8,7 +8,7 @@ The noise of a triad is given as filters ask for it: white noise density and ran
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -201,16 +201,14 @@ def _of_g_sensitivity(constants: OnboardConstants, triad: TriadConstants) -> Los
     return _worst("g_sensitivity", triad, rows, span)
 
 
-def _of_bias(constants: OnboardConstants, triad: TriadConstants, able: Abilities) -> list[Loss]:
+def _of_bias(constants: OnboardConstants, triad: TriadConstants, able: Abilities) -> Iterator[Loss]:
     terms = triad.bias.terms
     by_converter = np.array([term.converter > 0 for term in terms])
     too_high = np.array([able.bias_order is not None and term.sensor > able.bias_order for term in terms])
-    found = []
     if not able.converter and by_converter.any():
-        found.append(_of_polynomial(constants, triad, "converter_temperature", by_converter))
+        yield _of_polynomial(constants, triad, "converter_temperature", by_converter)
     if (too_high & ~by_converter).any():
-        found.append(_of_polynomial(constants, triad, "bias_order", too_high & ~by_converter))
-    return found
+        yield _of_polynomial(constants, triad, "bias_order", too_high & ~by_converter)
 
 
 def _of_polynomial(

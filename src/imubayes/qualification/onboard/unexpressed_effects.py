@@ -7,7 +7,7 @@ the range of the campaign, with directions of its own.  An effect that needs mor
 a value of its own for each run) is sized by what it contributes to the rows of the campaign.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -268,8 +268,8 @@ def _without(values: np.ndarray, places: np.ndarray, nulls: np.ndarray) -> np.nd
     return changed
 
 
-def _in_campaign(result: Result, effect: BoundEffect) -> list[UnexpressedEffect]:
-    """Return the largest contribution of an effect to the rows of the campaign, for each kind of channel."""
+def _in_campaign(result: Result, effect: BoundEffect) -> Iterator[UnexpressedEffect]:
+    """Yield the largest contribution of an effect to the rows of the campaign, for each kind of channel."""
     model = result.fit.model
     names = [parameter.name for parameter in effect.parameters]
     places, nulls = _switch(result, effect)
@@ -285,7 +285,6 @@ def _in_campaign(result: Result, effect: BoundEffect) -> list[UnexpressedEffect]
     mean, spread = np.abs(changes[0]), np.std(changes[1:], axis=0)
     entries, channels = model.entries, model.campaign.channels
     felt = ~np.isin(entries.run, _injected(model.campaign)) & ~entries.closing
-    found = []
     for kind in effect.kinds:
         named = [k for k, c in enumerate(channels) if c.kind == kind and c.name in effect.channels]
         rows = np.flatnonzero(np.isin(entries.channel, named) & felt)
@@ -294,8 +293,7 @@ def _in_campaign(result: Result, effect: BoundEffect) -> list[UnexpressedEffect]
         scale = np.abs([channels[k].scale_si for k in entries.channel[rows]])
         worst = int((np.hypot(mean[rows], spread[rows]) / scale).argmax())
         size, sd = (float(each[rows][worst] / scale[worst]) for each in (mean, spread))
-        found.append(_unexpressed(result, effect, kind, _cause(effect), size, sd))
-    return found
+        yield _unexpressed(result, effect, kind, _cause(effect), size, sd)
 
 
 def _predicted(result: Result, values: np.ndarray) -> np.ndarray:
