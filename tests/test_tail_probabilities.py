@@ -60,20 +60,12 @@ def test_normal():
 
 def test_counts():
     assert tails.binomial_survival(3, 10, 0.2) == pytest.approx(scipy.stats.binom.sf(2, 10, 0.2))
-    assert tails.poisson_survival(3, 0.7) == pytest.approx(scipy.stats.poisson.sf(2, 0.7))
-    assert tails.binomial_survival(0, 10, 0.2) == tails.poisson_survival(0, 0.7) == 1.0
+    assert tails.binomial_survival(0, 10, 0.2) == 1.0
 
 
 def test_probabilities_end_at_the_least_one():
     assert tails.chi2_survival(1e5, 2) == tails.f_survival(1e5, 2, 1e5) == tails.normal_survival(1e3) == tails.LEAST_P
     assert tails.p_value(-1e6) == tails.LEAST_P
-
-
-@pytest.mark.parametrize("freedom", FREEDOM)
-def test_a_value_is_found_from_its_tail(freedom):
-    value = VALUES[freedom < VALUES]
-    log_p = tails.chi2_log_survival(value, freedom)
-    np.testing.assert_allclose([tails.chi2_at(float(each), freedom) for each in log_p], value, rtol=1e-9)
 
 
 def test_stronger_candidates_rank_before_weaker_ones_at_any_strength():

@@ -81,38 +81,20 @@ def _on(effects: str, channels: tuple[str, ...] | None) -> str:
     return effects + (f" on {', '.join(channels)}" if channels else "")
 
 
-_REPORTS = {
-    ModelChange: partial(change_report, verbose=True),
-    Diagnosis: partial(diagnosis_report, verbose=True),
-    Tree: history_report,
-    Trials: injection_report,
-    RunPrediction: partial(prediction_report, verbose=True),
-    Repeatability: partial(repeatability_report, verbose=True),
-    Propagated: equations.propagated_report,
-    GumBudget: lambda found: Report((), [equations.budget_sheet(found)]),
-    ConformityStatement: equations.conformity_report,
+_SHOWN = {
+    Result: (result_headline, lambda result: summary_report(result.summary)),
+    ModelChange: (change_headline, partial(change_report, verbose=True)),
+    Diagnosis: (diagnosis_headline, partial(diagnosis_report, verbose=True)),
+    Tree: (tree_headline, history_report),
+    Trials: (trials_headline, injection_report),
+    RunPrediction: (prediction_headline, partial(prediction_report, verbose=True)),
+    Repeatability: (repeatability_headline, partial(repeatability_report, verbose=True)),
+    Propagated: (equations.propagated_headline, equations.propagated_report),
+    GumBudget: (equations.budget_headline, lambda found: Report((), [equations.budget_sheet(found)])),
+    ConformityStatement: (equations.conformity_headline, equations.conformity_report),
 }
-for _record, _report in _REPORTS.items():
+for _record, (_headline, _report) in _SHOWN.items():
+    headline_of.register(_record, _headline)
     text_of.register(_record, lambda record, report=_report: report_text(report(record)))
     html_of.register(_record, lambda record, report=_report: report_html(report(record)))
-
-headline_of.register(ModelChange, change_headline)
-headline_of.register(Diagnosis, diagnosis_headline)
-headline_of.register(Tree, tree_headline)
-headline_of.register(Trials, trials_headline)
-headline_of.register(Result, result_headline)
-headline_of.register(RunPrediction, prediction_headline)
-headline_of.register(Repeatability, repeatability_headline)
-headline_of.register(Propagated, equations.propagated_headline)
-headline_of.register(GumBudget, equations.budget_headline)
-headline_of.register(ConformityStatement, equations.conformity_headline)
-
-
-@text_of.register
-def _(record: Result) -> str:
-    return report_text(summary_report(record.summary))
-
-
-@html_of.register
-def _(record: Result) -> str:
-    return summary_html(record.summary)
+html_of.register(Result, lambda result: summary_html(result.summary))

@@ -65,21 +65,6 @@ def chi2_cdf(chi2: Values, freedom: Values) -> np.ndarray:
     return np.asarray(np.maximum(special.gammainc(np.asarray(freedom) / 2, np.asarray(chi2) / 2), LEAST_P))
 
 
-def chi2_at(log_p: float, freedom: int) -> float:
-    """Return the χ² whose upper tail has the logarithm `log_p`."""
-    if log_p > np.log(_LEAST_TAIL):
-        return float(special.chdtri(freedom, np.exp(log_p)))
-    a, chi2 = freedom / 2, -2 * log_p
-    for _ in range(50):  # Newton's method: the logarithm of the tail is concave, and nearly linear there
-        tail = float(chi2_log_survival(chi2, freedom))
-        slope = -0.5 * np.exp((a - 1) * np.log(chi2 / 2) - chi2 / 2 - special.gammaln(a) - tail)
-        step = (log_p - tail) / slope
-        chi2 += step
-        if abs(step) <= 1e-13 * chi2:
-            break
-    return float(chi2)
-
-
 def f_log_survival(ratio: Values, numerator: Values, denominator: Values) -> np.ndarray:
     """Return the logarithm of the upper tail of the F distribution with these degrees of freedom."""
     first, second = np.asarray(numerator) / 2, np.asarray(denominator) / 2
@@ -106,11 +91,6 @@ def t_survival(t: Values, freedom: Values) -> np.ndarray:
 def binomial_survival(count: int, trials: int, share: float) -> float:
     """Return the probability of at least `count` of so many trials, each of probability `share`."""
     return max(float(special.bdtrc(count - 1, trials, share)), LEAST_P) if count > 0 else 1.0
-
-
-def poisson_survival(count: int, mean: float) -> float:
-    """Return the probability of at least `count` events of a Poisson distribution."""
-    return max(float(special.pdtrc(count - 1, mean)), LEAST_P) if count > 0 else 1.0
 
 
 def _log_beta_tail(a: Values, b: Values, odds: Values) -> np.ndarray:
