@@ -11,7 +11,7 @@ A preview is the least squares at the noise known beforehand that predicts Δχ�
 import math
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from imubayes.criticism.evidence.linear_problem import UNEXPECTED
 from imubayes.criticism.evidence.model_search import FormScan, states_noise
 from imubayes.criticism.evidence.proposals import Screen, conditional
 from imubayes.criticism.formula_search import ResidualFormula, find_formula, terms_beside, terms_of
-from imubayes.explorer.messages import MovedEstimate, RankedCause
+from imubayes.explorer.messages import MovedEstimate, RankedCause, RowsRanking
 from imubayes.explorer.refit_ahead import Ahead, refitted, told_values
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import Tell
@@ -39,23 +39,6 @@ from imubayes.results.summary import ParameterSummary, Summary, in_output_units
 
 _MOST_RANKED = 12
 _MOST_MOVED, _STAYED = 60, 0.05
-
-
-@dataclass(frozen=True)
-class RowsRanking:
-    """Causes of chosen rows, the likeliest first, and the probabilities of what else they may be.
-
-    Attributes
-    ----------
-    nothing : of noise alone.
-    form : of the form outside the catalogue, or the wrong record, of the leading explanation; None without one.
-    offset : of an offset of these rows alone; None where all rows are chosen, of which an offset is a bias.
-    """
-
-    causes: tuple[RankedCause, ...]
-    nothing: float
-    form: float | None
-    offset: float | None
 
 
 class LinearView:
@@ -136,8 +119,8 @@ class LinearView:
         )
         ranked = sorted(odds.items(), key=lambda pair: -pair[1])[:_MOST_RANKED]
         causes = tuple(RankedCause(effect=e, probability=math.exp(o - whole), log_odds=o) for e, o in ranked)
-        rest = (None if each is None else math.exp(each - whole) for each in (form, offset))
-        return RowsRanking(causes, math.exp(-whole), *rest)
+        of_form, of_offset = (None if each is None else math.exp(each - whole) for each in (form, offset))
+        return RowsRanking(causes=causes, nothing=math.exp(-whole), form=of_form, offset=of_offset)
 
     @cached_property
     def _scan(self) -> FormScan:

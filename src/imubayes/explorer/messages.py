@@ -178,7 +178,15 @@ class MapCell(ExpectedCell):
     unit: str
 
 
-class CauseLine(Record):
+class RankedCause(Record):
+    """A cause of chosen rows, with its probability among single effects, an offset of these rows, and none."""
+
+    effect: str
+    probability: float
+    log_odds: float
+
+
+class CauseLine(RankedCause):
     """A possible cause.
 
     Attributes
@@ -188,9 +196,6 @@ class CauseLine(Record):
     words : what it is.
     """
 
-    effect: str
-    probability: float
-    log_odds: float
     delta_chi2: float
     coefficient: str
     words: str
@@ -230,22 +235,28 @@ class ModelFacts(Record):
     command: str
 
 
-class RankedCause(Record):
-    """A cause of chosen rows, with its probability among single effects, an offset of these rows, and none."""
+class RowsRanking(Record):
+    """Causes of chosen rows, the likeliest first, and the probabilities of what else they may be.
 
-    effect: str
-    probability: float
-    log_odds: float
+    Attributes
+    ----------
+    nothing : of noise alone.
+    form : of the form outside the catalogue, or the wrong record, of the leading explanation; None without one.
+    offset : of an offset of these rows alone; None where all rows are chosen, of which an offset is a bias.
+    """
+
+    causes: tuple[RankedCause, ...]
+    nothing: float
+    form: float | None
+    offset: float | None
 
 
-class SelectionFacts(Record):
+class SelectionFacts(RowsRanking):
     """What is said of selected rows.
 
     Attributes
     ----------
-    nothing, offset : probability that noise alone, or an offset of these rows alone, made them; None where all rows
-        are selected, of which an offset is a bias.
-    form, form_words : probability of the form, or wrong record, of the leading explanation, and what it is.
+    form_words : what the form, or wrong record, of the leading explanation is.
     sentence : the same in words.
     runs : those with selected rows.
     """
@@ -253,11 +264,7 @@ class SelectionFacts(Record):
     n: int
     of: int
     chi2: float
-    nothing: float
-    offset: float | None
-    form: float | None
     form_words: str
-    causes: tuple[RankedCause, ...]
     sentence: str
     runs: tuple[str, ...]
 

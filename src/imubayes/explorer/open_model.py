@@ -129,8 +129,7 @@ class OpenModel:
         if found.form is not None and found.form > (best[1] if best is not None else 0.0):
             best = words, found.form
         return messages.SelectionFacts(
-            n=n, of=int(view.entries.sum()), chi2=chi2, nothing=found.nothing,
-            offset=found.offset, form=found.form, form_words=words, causes=found.causes,
+            **dict(found), n=n, of=int(view.entries.sum()), chi2=chi2, form_words=words,
             sentence=selection_text(n, chi2, p, rms, best, found.nothing, found.offset),
             runs=tuple(map(str, np.unique(self.table.runs[self.table.run[chosen]]))),
         )  # fmt: skip

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imubayes.campaign.setup_gate.reading_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
-from imubayes.campaign.setup_gate.remedies import REMEDIES, Places, Words
+from imubayes.campaign.setup_gate.remedies import REMEDIES, Places
 from imubayes.campaign.setup_gate.search import DECISIVE, MOST_MISTAKES, Explanation, Search, equally_good
 from imubayes.campaign.setup_gate.setup_view import feels_the_earth_alone
 from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_rival, sized
@@ -17,6 +17,7 @@ from imubayes.campaign.setup_gate.wrong_rows import WrongRow, with_rows, wrong_r
 from imubayes.campaign.stream_checks import Finding, Severity
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.errors import Issue
 
 _STEPS = 3
 _TURNED_FAR = 30.0
@@ -125,7 +126,7 @@ def _of_row(campaign: Campaign, found: WrongRow, places: Places) -> Finding:
 def _explained(
     campaign: Campaign, equal: tuple[Explanation, ...], places: Places, accepted: tuple[str, ...]
 ) -> Finding:
-    found: list[tuple[str, Words]] = [
+    found: list[tuple[str, Issue]] = [
         (each.mistake.kind, REMEDIES[each.mistake.kind](campaign, each, places)) for each in equal
     ]
     run = equal[0].mistake.scope.name if equal[0].mistake.scope.section == "run" else ""

@@ -12,18 +12,9 @@ from imubayes.campaign.setup_gate import reading_mistakes as reading
 from imubayes.campaign.setup_gate.search import Explanation
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import Issue
 
 _COLUMN = {"temperature": "temperature_degC", "converter_temperature": "converter_temperature_degC"}
-
-
-@dataclass(frozen=True)
-class Words:
-    """How a mistake is said: what is wrong, where it stands, what would be right, and what to do."""
-
-    what: str
-    where: str
-    allowed: str
-    remedy: str
 
 
 @dataclass(frozen=True)
@@ -89,7 +80,7 @@ def _uncertainty(found: Explanation) -> str:
     return f" (± {degrees:.1f} deg)" if degrees >= 0.05 else ""
 
 
-def _zero(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake, subject, off = found.mistake, _subject(found.mistake), _folded(-math.degrees(found.size))
     what = f"the zero of the table angle is off by {off:+g} deg{_uncertainty(found)} {subject}"
     allowed = "angles from the zero, at which the table axes are as azimuth and elevation say"
@@ -97,15 +88,15 @@ def _zero(campaign: Campaign, found: Explanation, places: Places) -> Words:
         zero = _folded(places.zero(mistake.scope.name) + off)
         where = places.line("table", mistake.scope.name, "zero_angle_deg")
         remedy = f"write zero_angle_deg = {zero:g} for table '{mistake.scope.name}'"
-        return Words(what, where, allowed, remedy)
+        return Issue(what, where, allowed, remedy)
     remedy = f"add {_folded(-off):+g} to column 'table_angle_deg' of {places.file(mistake.scope.name)}"
-    return Words(what, places.column(mistake, "table_angle_deg"), allowed, remedy)
+    return Issue(what, places.column(mistake, "table_angle_deg"), allowed, remedy)
 
 
-def _axis_zero(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _axis_zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     axis, off = found.mistake.variant, _folded(-math.degrees(found.size))
     column = f"{axis}_angle_deg"
-    return Words(
+    return Issue(
         f"the zero of the angle of the {axis} axis is off by {off:+g} deg{_uncertainty(found)} "
         f"{_subject(found.mistake)}",
         places.column(found.mistake, column),
@@ -114,11 +105,11 @@ def _axis_zero(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-def _turned(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _turned(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     name, by = found.mistake.scope.name, _folded(math.degrees(found.size))
     turn = math.radians(by)
     about = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
-    return Words(
+    return Issue(
         f"mounting '{name}' is turned by {by:+g} deg{_uncertainty(found)} about the axis of the table",
         places.line("mounting", name, "body_to_table"),
         "body_to_table of the unit as it was mounted",
@@ -130,8 +121,8 @@ def _rows(matrix: np.ndarray) -> str:
     return str((np.round(matrix, 6) + 0.0).tolist())
 
 
-def _sense(campaign: Campaign, found: Explanation, places: Places) -> Words:
-    return Words(
+def _sense(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    return Issue(
         f"the table turns against the stated sense {_subject(found.mistake)}",
         places.column(found.mistake, "table_angle_deg"),
         "rates and angles right-handed about the axis of the table",
@@ -146,13 +137,13 @@ def _table_of(campaign: Campaign, mistake: bench.Mistake) -> str:
     return next(str(run.table) for run in campaign.runs if run.name == mistake.scope.name)
 
 
-def _elevation(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _elevation(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     name = _table_of(campaign, found.mistake)
     stated = math.degrees(campaign.tables[name].elevation)
     actual = _folded(stated + math.degrees(found.size))
     over = abs(actual) > 90
     elevation = math.copysign(180, actual) - actual if over else actual
-    return Words(
+    return Issue(
         f"the elevation of the axis of table '{name}' is {elevation:g} deg{_uncertainty(found)}, "
         f"not {stated:g} deg "
         f"{_subject(found.mistake)}",
@@ -162,11 +153,11 @@ def _elevation(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-def _azimuth(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _azimuth(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     name = found.mistake.scope.name
     stated = math.degrees(campaign.tables[name].azimuth)
     actual = round(stated + math.degrees(found.size)) % 360
-    return Words(
+    return Issue(
         f"the azimuth of the axis of table '{name}' is about {actual:g} deg{_uncertainty(found)}, not {stated:g} deg",
         places.line("table", name, "azimuth_deg"),
         "the azimuth of the axis, clockwise from North",
@@ -174,26 +165,26 @@ def _azimuth(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-def _label(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _label(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
     assert isinstance(mistake, bench.MountingMislabelled)
     name = mistake.scope.name
     what = f"the unit sat in mounting '{mistake.actual}' {_subject(mistake)}"
     if mistake.scope.section == "run":
         remedy = f"write mounting = \"{mistake.actual}\" for run '{name}'"
-        return Words(what, places.line("run", name, "mounting"), "the mounting that the run was made in", remedy)
+        return Issue(what, places.line("run", name, "mounting"), "the mounting that the run was made in", remedy)
     remedy = f"write body_to_table = {_rows(mistake.matrix)} for mounting '{name}', that of '{mistake.actual}'"
-    return Words(what, places.line("mounting", name, "body_to_table"), "the orientation of the unit", remedy)
+    return Issue(what, places.line("mounting", name, "body_to_table"), "the orientation of the unit", remedy)
 
 
-def _seats(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _seats(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
     assert isinstance(mistake, bench.MountingsExchanged)
     first, second = mistake.first, mistake.second
     on = f" on table '{mistake.scope.name}'" if mistake.scope.section == "table" else ""
     runs = [(run.name, run.mounting) for run in campaign.runs if not on or run.table == mistake.scope.name]
     named = [name for name, mounting in runs if mounting in (first, second)]
-    return Words(
+    return Issue(
         f"mountings '{first}' and '{second}' are exchanged in all runs{on}",
         places.line("run", named[0], "mounting"),
         "the mounting that the run was made in",
@@ -202,11 +193,11 @@ def _seats(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-def _files(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _files(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
     assert isinstance(mistake, bench.FilesExchanged)
     first, second = mistake.scope.name, mistake.second
-    return Words(
+    return Issue(
         f"the tables of runs '{first}' and '{second}' are exchanged",
         f"{places.line('run', first, 'file')} and {places.line('run', second, 'file')}",
         "the file of the run itself",
@@ -215,13 +206,13 @@ def _files(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-def _matrix(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _matrix(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
     assert isinstance(mistake, bench.MountingWrong)
     name, run = mistake.scope.name, mistake.scope.section == "run"
     what = "the transpose of body_to_table fits" if mistake.transposed else "the unit sat in another orientation"
     remedy = f"write body_to_table = {_rows(mistake.matrix)}"
-    return Words(
+    return Issue(
         f"{what} {_subject(mistake)}",
         places.line("run", name, "mounting") if run else places.line("mounting", name, "body_to_table"),
         "column k of body_to_table is body axis k in the table frame",
@@ -229,9 +220,9 @@ def _matrix(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-def _latitude(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _latitude(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     latitude = math.degrees(campaign.site.latitude)
-    return Words(
+    return Issue(
         f"the gyros show the Earth rate at latitude {-latitude:.6g} deg, not {latitude:.6g} deg",
         places.site("latitude_deg"),
         "degrees, positive north of the equator",
@@ -239,11 +230,11 @@ def _latitude(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-def _latitude_value(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _latitude_value(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(found.mistake, reading.LatitudeValue)
     latitude, sign = math.degrees(campaign.site.latitude), 1 if found.mistake.north else -1
     actual = sign * round(max(0.0, math.degrees(sign * found.size)))
-    return Words(
+    return Issue(
         f"the gyros show the Earth rate at a latitude of about {actual} deg{_uncertainty(found)}, "
         f"not {latitude:.6g} deg",
         places.site("latitude_deg"),
@@ -252,13 +243,13 @@ def _latitude_value(campaign: Campaign, found: Explanation, places: Places) -> W
     )
 
 
-def _channels(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _channels(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
     assert isinstance(mistake, bench.ChannelsExchanged)
     pairs = [(campaign.channels[a].name, campaign.channels[b].name) for a, b in
              zip(mistake.places, mistake.order, strict=True)]  # fmt: skip
     columns = ", ".join(f"'{name}'" for name, _ in pairs)
-    return Words(
+    return Issue(
         f"channels {columns} are exchanged {_subject(mistake)}",
         places.column(mistake, pairs[0][0]),
         "every channel in its own column, with its own input_axis",
@@ -275,7 +266,7 @@ def _unit_and_factor(found: Explanation) -> tuple[str, float]:
     return found.mistake.units(found.size) or f"{factor:g} times its nominal scale", factor
 
 
-def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _gain(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
     assert isinstance(mistake, (reading.ChannelGain, reading.NominalScale))
     units, factor = _unit_and_factor(found)
@@ -287,7 +278,7 @@ def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
     where = places.column(mistake, mistake.channels[0]) if run else places.line("channel", mistake.channels[0], key)
     if not units:
         axes = "; ".join(f"input_axis = {(-c.axes[0].round(6) + 0.0).tolist()} for '{c.name}'" for c in chosen)
-        return Words(
+        return Issue(
             f"{noun} {names} {verb} reversed in sign {subject}", where,
             "outputs that rise with the input along input_axis",
             f"reverse the sign of the columns {names} {subject}" if run else f"write {axes} (and reverse output_axis)",
@@ -295,7 +286,7 @@ def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
     scales = "; ".join(f"scale = {c.scale * factor:.6g} for '{c.name}'" for c in chosen)
     large = factor > 1
     size = f"{factor if large else 1 / factor:.4g} times too {'large' if large else 'small'}"
-    return Words(
+    return Issue(
         f"{noun} {names} {verb} {size} {subject} ({units})", where,
         "outputs in 'output_unit', 'scale' of them per 'per'",
         f"divide the columns {names} by {factor:.6g} {subject}" if run
@@ -303,9 +294,9 @@ def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )  # fmt: skip
 
 
-def _rate(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _rate(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     if isinstance(found.mistake, reading.TableRates):
-        return Words(
+        return Issue(
             f"the rates of table '{found.mistake.scope.name}' are {math.exp(found.size):.4g} times those of column "
             "'table_rate_deg_s'",
             places.column(found.mistake, "table_rate_deg_s"),
@@ -315,14 +306,14 @@ def _rate(campaign: Campaign, found: Explanation, places: Places) -> Words:
     return _unit(campaign, found, places)
 
 
-def _unit(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _unit(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
     assert isinstance(mistake, (reading.RateUnit, reading.AngleUnit))
     column, units, allowed = "table_angle_deg", reading.ANGLE_UNITS, "degrees"
     if isinstance(mistake, reading.RateUnit):
         column, units, allowed = "table_rate_deg_s", reading.RATE_UNITS, "degrees per second"
     factor = units[mistake.unit]
-    return Words(
+    return Issue(
         f"column '{column}' is in {mistake.unit} {_subject(mistake)}",
         places.column(mistake, column),
         allowed,
@@ -330,7 +321,7 @@ def _unit(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-def _time(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _time(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     subject, runs = _subject(found.mistake), {run.name: run for run in campaign.runs}
     assert isinstance(found.mistake, bench.TimeShift)
     run, size = runs.get(found.mistake.scope.name), float(round(found.size))
@@ -340,7 +331,7 @@ def _time(campaign: Campaign, found: Explanation, places: Places) -> Words:
     if run is not None and "time" in run.covariates and run.rows > 1:
         seconds = f" ({abs(size) * float(np.median(np.diff(run.covariates['time']))):.3g} s)"
     sense = "later" if found.size > 0 else "earlier"
-    return Words(
+    return Issue(
         f"the outputs stand {abs(size):g} rows{seconds} {sense} than the columns of the table {subject}",
         places.column(found.mistake, "time_s"),
         "outputs and table recorded on one clock",
@@ -348,11 +339,11 @@ def _time(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     run = found.mistake.scope.name
     large, digits = 1 / (1 + found.size), max(2, min(5, 1 - math.floor(math.log10(found.uncertainty or 1e-3))))
     sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
-    return Words(
+    return Issue(
         f"'table_rate_deg_s' of run '{run}' is {large:.{digits}f}{sd} times what the outputs say, "
         "relative to the other runs",
         places.column(found.mistake, "table_rate_deg_s"),
@@ -361,11 +352,11 @@ def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Word
     )
 
 
-def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
     assert isinstance(mistake, reading.TemperatureUnit)
     columns, noun, one = _thermal_columns(mistake)
-    return Words(
+    return Issue(
         f"{noun} {columns} {'is' if one else 'are'} in degrees Fahrenheit {_subject(mistake)}",
         places.column(mistake, _COLUMN[mistake.names[0]]),
         "degrees Celsius",
@@ -379,8 +370,8 @@ def _thermal_columns(mistake: reading.TemperatureUnit | reading.TemperatureRever
     return " and ".join(f"'{_COLUMN[name]}'" for name in mistake.names), "column" if one else "columns", one
 
 
-def _thermometers(campaign: Campaign, found: Explanation, places: Places) -> Words:
-    return Words(
+def _thermometers(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    return Issue(
         f"columns 'temperature_degC' and 'converter_temperature_degC' are exchanged {_subject(found.mistake)}",
         places.column(found.mistake, _COLUMN["temperature"]),
         "the temperature of the sensors, and that of the converter",
@@ -388,11 +379,11 @@ def _thermometers(campaign: Campaign, found: Explanation, places: Places) -> Wor
     )
 
 
-def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Words:
+def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(found.mistake, reading.TemperatureReversed)
     mistake = found.mistake
     columns, noun, one = _thermal_columns(mistake)
-    return Words(
+    return Issue(
         f"{noun} {columns} {'runs' if one else 'run'} backwards in time {_subject(mistake)}",
         places.column(mistake, _COLUMN[mistake.names[0]]),
         "temperatures in the order of the rows",
@@ -400,7 +391,7 @@ def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
-REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Words]] = {
+REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
     "latitude_sign": _latitude,
     "latitude_value": _latitude_value,
     "files_exchanged": _files,
