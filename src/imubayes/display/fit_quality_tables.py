@@ -6,7 +6,6 @@ combinations that are determined nevertheless.  A run that could be made is desc
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Protocol, runtime_checkable
 
 from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.fit_cautions import SIGNIFICANT, alarm_of, chi2_text, share_of_freedom, tail
@@ -188,28 +187,6 @@ _NOTE = (
 )
 
 
-@runtime_checkable
-class Combined(Protocol):
-    """A determined combination, as the summary and as the report have it.
-
-    Attributes
-    ----------
-    name : standard symbol, or the sum as it is written.
-    standard : whether it has a standard symbol.
-    quantities : members.
-    weights : of the members; None for k cos θ.
-    constant : what is added to the sum.
-    middle_of : run in the middle of whose record it holds; empty where it does not change with time.
-    """
-
-    name: str
-    standard: bool
-    quantities: tuple[str, ...]
-    weights: tuple[float, ...] | None
-    constant: float
-    middle_of: str
-
-
 def weak_sheet(summary: records.Summary) -> Sheet:
     """Return the combinations of parameters that the data did not determine."""
     rows = [
@@ -269,14 +246,14 @@ def _row(found: records.CombinationSummary) -> tuple[Cell, ...]:
     return cells(symbol_text(found), members_text(found), mean, sd, f"{low} … {high}", numbers.pretty(found.unit))
 
 
-def symbol_text(found: Combined) -> str:
+def symbol_text(found: records.Combination) -> str:
     """Return the standard symbol, with the instant at which it holds: `D[g] at mid-record of servo-day`."""
     if not found.standard:
         return ""
     return f"{found.name} at mid-record of {found.middle_of}" if found.middle_of else found.name
 
 
-def members_text(found: Combined) -> str:
+def members_text(found: records.Combination) -> str:
     """Return a combination as a sum of its members, or k cos θ."""
     if found.weights is None:
         scale, angle = found.quantities

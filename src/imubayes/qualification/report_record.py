@@ -22,7 +22,7 @@ from imubayes.qualification.report_pictures import PictureData
 from imubayes.qualification.report_subject import Provenance, Subject
 from imubayes.qualification.standard_quantities import DigitalUnit, Standard
 from imubayes.qualification.taken_as_exact import TakenAsExact
-from imubayes.results.summary import NoiseViolation, RunSummary
+from imubayes.results.summary import Combination, NoiseViolation, RunSummary
 
 IntervalKind = Literal["95 % coverage interval, of the kind stated with each"]
 
@@ -176,22 +176,15 @@ class MountingAngle(ReportedEstimate):
     runs: tuple[str, ...]
 
 
-class ReportedCombination(ReportedEstimate):
+class ReportedCombination(Combination, ReportedEstimate):
     """A combination of quantities that the data determine much better than its leading member.
 
     Attributes
     ----------
-    name : the standard symbol and label, or the sum as it is written.
-    standard, quantities, weights, constant, middle_of : as in the summary of the fit.
     evidence : by procedure; empty where the campaign has one procedure, or where the combination is not linear.
     procedures : of the campaign.
     """
 
-    standard: bool
-    quantities: tuple[str, ...]
-    weights: tuple[float, ...] | None
-    constant: float
-    middle_of: str
     evidence: tuple[ProcedureShare, ...]
     procedures: tuple[str, ...]
 

@@ -133,8 +133,8 @@ class DerivedSummary(Quantity):
     within: Conformance | None = None
 
 
-class CombinationSummary(Quantity):
-    """A combination that the data determine much better than its leading member.
+class Combination(Record):
+    """What is combined.
 
     Attributes
     ----------
@@ -146,11 +146,16 @@ class CombinationSummary(Quantity):
     middle_of : run in the middle of whose record it holds, where it changes with time; else empty.
     """
 
+    name: str
     standard: bool
     quantities: tuple[str, ...]
     weights: tuple[float, ...] | None
     constant: float = 0.0
     middle_of: str = ""
+
+
+class CombinationSummary(Combination, Quantity):
+    """A combination that the data determine much better than its leading member."""
 
 
 class RunSummary(Record):
