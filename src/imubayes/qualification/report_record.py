@@ -101,7 +101,16 @@ class ResultLine(ReportedEstimate):
     ess_tail: float | None = None
 
 
-class StandardEstimate(ReportedEstimate):
+class NamedByStandard(Record):
+    """How a standard calls a quantity."""
+
+    key: str
+    symbol: str
+    quantity: str
+    standard: Standard
+
+
+class StandardEstimate(NamedByStandard, ReportedEstimate):
     """A quantity under the name and symbol of a standard.
 
     Attributes
@@ -112,10 +121,6 @@ class StandardEstimate(ReportedEstimate):
     vector : whether it is the length of the vector of these: its estimate is then that of the mean vector.
     """
 
-    key: str
-    symbol: str
-    quantity: str
-    standard: Standard
     term: str
     label: str
     members: tuple[str, ...]
@@ -131,7 +136,7 @@ class ScreenedCoefficient(Record):
     unit: str
 
 
-class NotEstimated(Record):
+class NotEstimated(NamedByStandard):
     """A quantity of the standards that the result does not measure.
 
     Attributes
@@ -145,10 +150,6 @@ class NotEstimated(Record):
     screened : what the diagnosis estimated of them without adding them, the most significant first.
     """
 
-    key: str
-    symbol: str
-    quantity: str
-    standard: Standard
     effects: tuple[str, ...]
     labels: tuple[str, ...] = ()
     reason: Literal["not_in_model", "undetectable", "not_defined", "not_measured"]
