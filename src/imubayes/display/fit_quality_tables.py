@@ -246,14 +246,14 @@ def _row(found: records.CombinationSummary) -> tuple[Cell, ...]:
     return cells(symbol_text(found), members_text(found), mean, sd, f"{low} … {high}", numbers.pretty(found.unit))
 
 
-def symbol_text(found: records.Combination) -> str:
+def symbol_text(found: records.CombinedQuantities) -> str:
     """Return the standard symbol, with the instant at which it holds: `D[g] at mid-record of servo-day`."""
     if not found.standard:
         return ""
     return f"{found.name} at mid-record of {found.middle_of}" if found.middle_of else found.name
 
 
-def members_text(found: records.Combination) -> str:
+def members_text(found: records.CombinedQuantities) -> str:
     """Return a combination as a sum of its members, or k cos θ."""
     if found.weights is None:
         scale, angle = found.quantities

@@ -22,7 +22,7 @@ from imubayes.qualification.report_pictures import PictureData
 from imubayes.qualification.report_subject import Provenance, Subject
 from imubayes.qualification.standard_quantities import DigitalUnit, Standard
 from imubayes.qualification.taken_as_exact import TakenAsExact
-from imubayes.results.summary import Combination, NoiseViolation, RunSummary
+from imubayes.results.summary import CombinedQuantities, NoiseViolation, RunSummary
 
 IntervalKind = Literal["95 % coverage interval, of the kind stated with each"]
 
@@ -177,7 +177,7 @@ class MountingAngle(ReportedEstimate):
     runs: tuple[str, ...]
 
 
-class ReportedCombination(Combination, ReportedEstimate):
+class ReportedCombination(CombinedQuantities, ReportedEstimate):
     """A combination of quantities that the data determine much better than its leading member.
 
     Attributes

@@ -133,7 +133,7 @@ class DerivedSummary(Quantity):
     within: Conformance | None = None
 
 
-class Combination(Record):
+class CombinedQuantities(Record):
     """What is combined.
 
     Attributes
@@ -154,7 +154,7 @@ class Combination(Record):
     middle_of: str = ""
 
 
-class CombinationSummary(Combination, Quantity):
+class CombinationSummary(CombinedQuantities, Quantity):
     """A combination that the data determine much better than its leading member."""
 
 
