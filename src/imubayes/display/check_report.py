@@ -234,7 +234,8 @@ def check_report(
         if model.untold:
             lines.append(
                 f"more parameters than measured values: of {', '.join(model.untold)} these runs tell less than 10 %, "
-                "and the fit would return the prior; leave them out of the model, or record more"
+                "and no other parameter depends on them: the fit would return the prior; "
+                "leave them out of the model, or record more"
             )
         lines += left_out_lines(model.left_out)
     lines += [*_grade_lines(campaign), *warnings, *([f"next: {command}"] if command else [])]
