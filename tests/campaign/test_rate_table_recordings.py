@@ -64,13 +64,17 @@ class Unit:
         self.bias = 0.05 * self.random.normal(size=3)
         self.heading = self.random.uniform(0, 2 * np.pi)
 
+    def seated(self, seat: Rotation) -> Rotation:
+        """Return the seat as it is, off by half a degree."""
+        return seat * Rotation.from_rotvec(np.radians(0.5) * self.random.normal(size=3))
+
     def record(self, file: Path, seat: Rotation, *, forces: float | None = None) -> Path:
-        """Write a log in a seat, off by half a degree; `forces` is the sense of gravity along the axis."""
+        """Write a log in a seat; `forces` is the sense of gravity along the axis."""
         rate = course()
         turned = Rotation.from_rotvec(np.radians(np.cumsum(rate) / RATE_HZ)[:, None] * [0.0, 0.0, 1.0])
         earth = np.array([*np.cos(LATITUDE) * np.array([np.sin(self.heading), np.cos(self.heading)]), np.sin(LATITUDE)])
         of_table = turned.inv().apply(EARTH * earth) + rate[:, None] * [0.0, 0.0, 1.0]
-        in_body = (seat * Rotation.from_rotvec(np.radians(0.5) * self.random.normal(size=3))).inv()
+        in_body = seat.inv()
         gyros = in_body.apply(of_table) @ self.matrix.T + self.bias + NOISE * self.random.normal(size=of_table.shape)
         columns, names = [np.arange(len(rate)) / RATE_HZ, rate, *gyros.T], "time_s,table_rate_deg_s,gx,gy,gz"
         if forces is not None:
@@ -90,12 +94,13 @@ def axis_of(mounting: dict) -> np.ndarray:
 
 def test_each_seat_is_read_from_the_gyros(tmp_path):
     unit = Unit(1)
-    files = [unit.record(tmp_path / f"{place}.csv", seat) for place, seat in enumerate((*SEATS, SEATS[1]))]
+    seats = [unit.seated(seat) for seat in (*SEATS, SEATS[1])]  # the second anew at the end, and left there
+    files = [unit.record(tmp_path / f"{place}.csv", seat) for place, seat in enumerate((*seats, seats[5]))]
     document = read(files).document
     assert {run["procedure"] for run in document["run"]} == {"rate_table"}
     names = [run["mounting"] for run in document["run"]]
-    assert names == ["mounting-1", "mounting-2", "mounting-3", "mounting-4", "mounting-5", "mounting-2"]
-    for mounting, seat in zip(document["mounting"], SEATS, strict=True):
+    assert names == [f"mounting-{place}" for place in (1, 2, 3, 4, 5, 6, 6)]
+    for mounting, seat in zip(document["mounting"], seats, strict=True):
         off = np.degrees(np.arccos(axis_of(mounting) @ seat.inv().apply([0.0, 0.0, 1.0])))
         assert off < 3.0
         assert mounting["uncertainty_arcmin"] == 60.0
@@ -130,7 +135,7 @@ def test_without_the_rate_of_the_table_it_is_asked_for(tmp_path):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_scale_factors_and_biases_are_within_their_intervals(tmp_path, seed):
     unit = Unit(10 + seed)
-    files = [unit.record(tmp_path / f"{place}.csv", seat) for place, seat in enumerate(SEATS)]
+    files = [unit.record(tmp_path / f"{place}.csv", unit.seated(seat)) for place, seat in enumerate(SEATS)]
     folder = convert(files, tmp_path / "unit", gyro_unit="deg/s", latitude_deg=48.0)
     (tmp_path / "model.toml").write_text(MODEL)
     campaign = imubayes.load_campaign(folder)  # which the check of the set-up lets pass

@@ -19,8 +19,10 @@ from imubayes.campaign.equipment import PRESETS
 PUT_ANYHOW: dict[str, Any] = {"azimuth_deg": "unknown", "elevation_deg": 90.0}
 LEVEL = 60.0  # arcmin to which a bench is level, and a unit lies on it or in its seat, where nobody states it
 _NOMINAL = (0.8, 1.25)  # of the table rate, what gyros of sound scale and unit measure in all
-_SAME = np.cos(np.radians(3.0))  # between directions that are taken for one
+_DESIGN = np.cos(np.radians(3.0))  # of the angle to a direction that is taken for the design of a seat
+_SAME = np.cos(np.radians(0.1))  # of the angle between two recordings in one seat; anew in it, a unit sits otherwise
 _UPRIGHT = 0.5  # share of g along the table axis from which on it is taken for vertical
+_NOBODY = "nobody stated where north is, nor how level the bench is: any heading, and 1 deg, are assumed"
 
 
 @dataclass(frozen=True)
@@ -55,9 +57,6 @@ def lying(run: RecordedRun, count: int, *, seated: bool) -> Stand:
     return Stand([PUT_ANYHOW | {"name": "bench"}], [mounting], [_seat("aligned")] * count, ["; ".join(notes)])
 
 
-_NOBODY = "nobody stated where north is, nor how level the bench is: any heading, and 1 deg, are assumed"
-
-
 def on_table(runs: Sequence[RecordedRun], rates: Sequence[np.ndarray]) -> Stand:
     """Return the stand of recordings on a rate table.
 
@@ -77,10 +76,8 @@ def on_table(runs: Sequence[RecordedRun], rates: Sequence[np.ndarray]) -> Stand:
             mountings.append(_mounting(name, axis) | {"uncertainty_arcmin": LEVEL})
             if found is not None:
                 direction = ", ".join(f"{each:.3f}" for each in axis)
-                notes.append(
-                    f"{name}: the table axis is ({direction}) in body axes, by the nominal scale "
-                    "factors of the gyros; 1 deg is assumed for it"
-                )
+                told = "by the nominal scale factors of the gyros; 1 deg is assumed for it"
+                notes.append(f"{name}: the table axis is ({direction}) in body axes, {told}")
         seats.append(_seat(mountings[place]["name"]))
         upright.append(_upright(run, axis))
     elevation = next((each for each in upright if each is not None), 90.0)
@@ -137,13 +134,13 @@ def _face(axis: np.ndarray) -> str:
 def _mounting(name: str, axis: np.ndarray) -> dict[str, Any]:
     """Return a mounting that has a body axis along table z; what it has along table x is of no account."""
     for preset, matrix in PRESETS.items():
-        if axis @ matrix[2] > _SAME:
+        if axis @ matrix[2] > _DESIGN:
             return {"name": name, "preset": preset}
     face = _nearest_face(axis)
     place = int(np.argmax(np.abs(face)))
     sense = face[place]
     turned = np.diag([1.0, sense, sense]) @ np.array(BODY_TO_TABLE[place])
-    if axis @ face < _SAME:
+    if axis @ face < _DESIGN:
         turned = _onto_z(turned @ axis) @ turned
     return {"name": name, "body_to_table": turned.round(9).tolist()}
 
