@@ -234,8 +234,7 @@ def check_report(
         if model.untold:
             lines.append(
                 f"more parameters than measured values: of {', '.join(model.untold)} these runs tell less than 10 %, "
-                "and no other parameter depends on them: the fit would return the prior; "
-                "leave them out of the model, or record more"
+                "and the fit would return the prior; leave out of the model what is negligible, or record more"
             )
         lines += left_out_lines(model.left_out)
     lines += [*_grade_lines(campaign), *warnings, *([f"next: {command}"] if command else [])]

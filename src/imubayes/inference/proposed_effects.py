@@ -131,14 +131,12 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
 
 
 def untold_effects(model: Model) -> tuple[str, ...]:
-    """Return the effects of sensors of which the runs tell less than a tenth, and on which no other one depends."""
+    """Return the effects of sensors of a model of which the runs tell less than a tenth, beside all others."""
     precision, widths, owner = _precision(model)
-    variance, places = np.diag(inverse_of_precision(precision)), np.arange(len(owner))
-    told = 1 - variance / widths**2
+    told = 1 - np.diag(inverse_of_precision(precision)) / widths**2
     others = {*of_equipment(), *STATION, *(e.name for e in model.assembly.effects if e.effect_class.nuisance)}
     names = [name for name in dict.fromkeys(owner.tolist()) if name not in others]
-    untold = [name for name in names if float(np.max(told[owner == name])) < _TOLD]
-    return tuple(n for n in untold if _widening(precision, owner, places, variance, n) < _INDEPENDENT)
+    return tuple(name for name in names if float(np.max(told[owner == name])) < _TOLD)
 
 
 def _precision(model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

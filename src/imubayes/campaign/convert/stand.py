@@ -5,6 +5,7 @@ table, the gyros tell where the table axis is in body axes: each responds by the
 unit in a tilted fixture is read as such, and one that was seated anew for each recording has a mounting for each.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,7 @@ from imubayes.campaign.convert.column_names import ACCELEROMETERS, TABLE_RATE
 from imubayes.campaign.convert.recorded_runs import RecordedRun, still_seconds
 from imubayes.campaign.convert.stated_turns import BODY_TO_TABLE
 from imubayes.campaign.equipment import PRESETS
+from imubayes.campaign.setup_gate.error_model import TABLE_UNSTATED
 
 PUT_ANYHOW: dict[str, Any] = {"azimuth_deg": "unknown", "elevation_deg": 90.0}
 LEVEL = 60.0  # arcmin to which a bench is level, and a unit lies on it or in its seat, where nobody states it
@@ -22,7 +24,7 @@ _NOMINAL = (0.8, 1.25)  # of the table rate, what gyros of sound scale and unit 
 _DESIGN = np.cos(np.radians(3.0))  # of the angle to a direction that is taken for the design of a seat
 _SAME = np.cos(np.radians(0.1))  # of the angle between two recordings in one seat; anew in it, a unit sits otherwise
 _UPRIGHT = 0.5  # share of g along the table axis from which on it is taken for vertical
-_NOBODY = "nobody stated where north is, nor how level the bench is: any heading, and 1 deg, are assumed"
+_NOBODY = "nobody stated where north is, nor how level the {} is: any heading, and {:g} deg, are assumed"
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ def lying(run: RecordedRun, count: int, *, seated: bool) -> Stand:
     """
     axis = _face_up(run)
     mounting = _mounting("aligned", axis) | {"uncertainty_arcmin": LEVEL if seated else 0.0}
-    notes = [_NOBODY]
+    notes = [_NOBODY.format("bench", LEVEL / 60)]
     if axis[2] != 1:
         notes.append(f"the unit rests with its {_face(axis)}, by its accelerometers")
     return Stand([PUT_ANYHOW | {"name": "bench"}], [mounting], [_seat("aligned")] * count, ["; ".join(notes)])
@@ -65,7 +67,7 @@ def on_table(runs: Sequence[RecordedRun], rates: Sequence[np.ndarray]) -> Stand:
     rates : for each run, shape (N, G), of its gyros x, y, z at their nominal scale, deg/s.
     """
     axes: list[np.ndarray] = []
-    mountings, seats, notes, upright = [], [], [_NOBODY], []
+    mountings, seats, notes, upright = [], [], [_NOBODY.format("table", math.degrees(TABLE_UNSTATED))], []
     for run, rate in zip(runs, rates, strict=True):
         found = _table_axis(run, rate)
         axis = np.array([0.0, 0.0, 1.0]) if found is None else found
@@ -81,7 +83,9 @@ def on_table(runs: Sequence[RecordedRun], rates: Sequence[np.ndarray]) -> Stand:
         seats.append(_seat(mountings[place]["name"]))
         upright.append(_upright(run, axis))
     elevation = next((each for each in upright if each is not None), 90.0)
-    return Stand([PUT_ANYHOW | {"elevation_deg": elevation, "name": "bench"}], mountings, seats, notes)
+    level = round(3600 * math.degrees(TABLE_UNSTATED), 3)
+    table = PUT_ANYHOW | {"elevation_deg": elevation, "axis_uncertainty_arcsec": level, "name": "bench"}
+    return Stand([table], mountings, seats, notes)
 
 
 def _seat(mounting: str) -> dict[str, str]:
