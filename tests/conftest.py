@@ -65,6 +65,8 @@ COMPILED = (
     "study",
     "archive",
     "campaign/test_fresh_setups.py",
+    "campaign/test_rate_table_recordings.py",
+    "campaign/test_tumble.py",
     "campaign/test_checks.py",
     "campaign/test_raw_logs.py",
     "campaign/test_nominal_scales.py",
