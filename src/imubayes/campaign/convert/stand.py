@@ -17,6 +17,7 @@ from imubayes.campaign.convert.recorded_runs import RecordedRun, still_seconds
 from imubayes.campaign.convert.stated_turns import BODY_TO_TABLE
 from imubayes.campaign.equipment import PRESETS
 from imubayes.campaign.setup_gate.error_model import TABLE_UNSTATED
+from imubayes.foundations.earth import towards
 
 PUT_ANYHOW: dict[str, Any] = {"azimuth_deg": "unknown", "elevation_deg": 90.0}
 LEVEL = 60.0  # arcmin to which a bench is level, and a unit lies on it or in its seat, where nobody states it
@@ -121,18 +122,19 @@ def _face_up(run: RecordedRun) -> np.ndarray:
     axis = np.array([0.0, 0.0, 1.0])
     if not all(name in run.columns for name in ACCELEROMETERS) or not still_seconds(run):
         return axis
-    force = np.array([np.nanmedian(run.columns[name]) for name in ACCELEROMETERS])
-    return _nearest_face(force)
+    place, sense = _nearest_face(np.array([np.nanmedian(run.columns[name]) for name in ACCELEROMETERS]))
+    return sense * np.eye(3)[place]
 
 
-def _nearest_face(direction: np.ndarray) -> np.ndarray:
+def _nearest_face(direction: np.ndarray) -> tuple[int, float]:
+    """Return the body axis nearest to a direction, 0 to 2, and its sense."""
     place = int(np.argmax(np.abs(direction)))
-    return np.eye(3)[place] * np.sign(direction[place])
+    return place, float(np.sign(direction[place]))
 
 
 def _face(axis: np.ndarray) -> str:
-    place = int(np.argmax(np.abs(axis)))
-    return f"{'xyz'[place]} axis {'up' if axis[place] > 0 else 'down'}"
+    place, sense = _nearest_face(axis)
+    return f"{'xyz'[place]} axis {'up' if sense > 0 else 'down'}"
 
 
 def _mounting(name: str, axis: np.ndarray) -> dict[str, Any]:
@@ -140,17 +142,8 @@ def _mounting(name: str, axis: np.ndarray) -> dict[str, Any]:
     for preset, matrix in PRESETS.items():
         if axis @ matrix[2] > _DESIGN:
             return {"name": name, "preset": preset}
-    face = _nearest_face(axis)
-    place = int(np.argmax(np.abs(face)))
-    sense = face[place]
+    place, sense = _nearest_face(axis)
     turned = np.diag([1.0, sense, sense]) @ np.array(BODY_TO_TABLE[place])
-    if axis @ face < _DESIGN:
-        turned = _onto_z(turned @ axis) @ turned
+    if sense * axis[place] < _DESIGN:
+        turned = towards((turned @ axis).tolist()).T @ turned
     return {"name": name, "body_to_table": turned.round(9).tolist()}
-
-
-def _onto_z(direction: np.ndarray) -> np.ndarray:
-    """Return the smallest rotation, (3, 3), of a direction in the upper half onto z."""
-    x, y, z = direction
-    cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
-    return np.eye(3) + cross + cross @ cross / (1 + z)
