@@ -125,7 +125,7 @@ class LinearCampaign:
         self.model = self.fit.model
         responses = candidate_responses(self.fit)
         problem = self.model.problem
-        self.sd = np.asarray(noise_sd(problem, jnp.asarray(known_scales(self.fit))))
+        self.sd = np.asarray(noise_sd(problem, known_scales(self.fit)))
         slopes = np.asarray(prior_slopes(problem.priors, jnp.asarray(self.fit.z)))
         widths = np.asarray(prior_widths(problem, jnp.asarray(self.fit.h)))
         own = responses.jacobian * widths

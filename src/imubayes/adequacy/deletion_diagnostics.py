@@ -19,15 +19,11 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
 from imubayes.adequacy.adequacy_record import DoubtedRun
 from imubayes.adequacy.known_noise import known_scales, largest_scatter, scales_between_runs
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import in_batches
 from imubayes.foundations.tail_probabilities import f_log_survival
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import linearise
@@ -168,27 +164,20 @@ class LinearFit:
 
 def linear_fit(model: Model, problem: Problem, z: np.ndarray, h: np.ndarray) -> LinearFit:
     """Return a problem of a model linearised about parameters z at noise scales h."""
-    about = linearise(problem, jnp.asarray(z))
+    about = linearise(problem, np.asarray(z))
     jacobian, misfit = np.asarray(about.jacobian), np.asarray(about.misfit)
     divided = divide(problem, h, np.column_stack([misfit, jacobian]))
     entries = model.entries
     return LinearFit(
         jacobian=jacobian, misfit=misfit, weighted=divided[:, 1:], pulled=divided[:, 0],
-        precision=np.asarray(prior_widths(problem, jnp.asarray(h))) ** -2.0, centre=-np.asarray(z),
+        precision=np.asarray(prior_widths(problem, np.asarray(h))) ** -2.0, centre=-np.asarray(z),
         run=entries.run, channel=entries.channel, used=np.asarray(problem.observations.weight) > 0,
     )  # fmt: skip
 
 
 def divide(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return Σ(h)⁻¹ times columns (E, C)."""
-    at = jnp.asarray(h)
-    return in_batches(lambda some: _inverse(problem, at, some)[0], columns.T, _AT_ONCE).T
-
-
-@kept
-def _inverse(problem: Problem, h, columns):
-    by = whitener(problem, h)
-    return jax.vmap(lambda column: inverse_covariance(problem, by, column))(columns)
+    return inverse_covariance(problem, whitener(problem, np.asarray(h)), columns)[0]
 
 
 _TOLD_P = 0.005

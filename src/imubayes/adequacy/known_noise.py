@@ -20,14 +20,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.adequacy_record import NOISE_AGREES, NOISE_TOLD_SD, NoiseComparison
 from imubayes.adequacy.noise_tests import to_entries
 from imubayes.adequacy.projection import Projection
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.tail_probabilities import LEAST_P, f_survival, normal_survival
 from imubayes.inference.conditional_precision import run_means
 from imubayes.inference.fitted_model import Fit
@@ -386,12 +383,13 @@ def _white_noise(problem: Problem, h: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.sqrt(variance * np.asarray(observations.entry.samples)), correlated
 
 
-@kept
-def _white_variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E"]:
-    """Return the variance of the white noise of each entry."""
+def _white_variances(problem: Problem, h: np.ndarray) -> np.ndarray:
+    """Return the variance of the white noise of each entry, (E,)."""
     values, entries = problem.hyper_priors.values(h), problem.observations.entry
     white = [layer for layer in problem.noise if issubclass(layer.noise, WhiteNoise)]
-    return sum((layer.entry_variances(values, entries) for layer in white), jnp.zeros_like(entries.samples))
+    return np.sum(
+        [np.zeros(len(entries.samples)), *(layer.entry_variances(values, entries) for layer in white)], axis=0
+    )
 
 
 def sample_noise(model: Model) -> dict[int, SampleNoise]:

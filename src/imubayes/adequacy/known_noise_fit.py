@@ -14,13 +14,10 @@ figure.
 import math
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.adequacy_record import ChannelRms, KnownNoiseFit
 from imubayes.adequacy.known_noise import known_scales
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, in_batches
 from imubayes.foundations.campaign_data import INPUT_UNIT
 from imubayes.foundations.numerics import group_means
 from imubayes.foundations.units import to_si
@@ -86,7 +83,7 @@ class KnownNoisePoint:
 
     def _channels(self) -> tuple[ChannelRms, ...]:
         campaign, entries = self.model.campaign, self.model.entries
-        noise = np.asarray(noise_sd(self.model.problem, jnp.asarray(self.h)))
+        noise = np.asarray(noise_sd(self.model.problem, np.asarray(self.h)))
         used = (np.asarray(self.model.problem.observations.weight) > 0) & ~entries.closing
         found = []
         for place, channel in enumerate(campaign.channels):
@@ -102,12 +99,11 @@ class KnownNoisePoint:
 
 def whitened_rows(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return columns (E, C) whitened by the noise at scales h."""
-    return in_batches(lambda some: whitened_columns(problem, h, some.T).T, columns.T, _AT_ONCE).T
+    return whitened_columns(problem, h, columns)
 
 
-@kept
-def noise_sd(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E"]:
-    """Return the standard deviation of the noise of every entry at scales h, output units."""
+def noise_sd(problem: Problem, h: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of the noise of every entry at scales h, (E,), output units."""
     return noise_deviation(problem, whitener(problem, h))
 
 
@@ -126,5 +122,5 @@ def known_noise_point(model: Model, about: Linearised, h: np.ndarray) -> KnownNo
 def fit_at_known_noise(fitted: Fit) -> KnownNoiseFit:
     """Return the goodness of fit of a model at the noise known beforehand, its parameters fitted there."""
     problem, h = fitted.model.problem, known_scales(fitted)
-    z = fit_at(problem, jnp.asarray(fitted.z), jnp.asarray(h))
+    z = fit_at(problem, np.asarray(fitted.z), np.asarray(h))
     return known_noise_point(fitted.model, linearise(problem, z), h).record()

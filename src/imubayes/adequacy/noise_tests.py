@@ -13,7 +13,6 @@ statistics: the power at the lowest frequencies of each run, and the step betwee
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its parts when they are first used
 
@@ -239,7 +238,7 @@ class NoiseJudgement:
 
 def projected(fit: Fit) -> Projection:
     """Return the residual of a fit, projected about its mode, for the tests of its noise."""
-    about = fit.mode.about if fit.mode is not None else linearise(fit.model.problem, jnp.asarray(fit.z))
+    about = fit.mode.about if fit.mode is not None else linearise(fit.model.problem, np.asarray(fit.z))
     return project(fit, np.asarray(about.misfit), np.asarray(about.jacobian))
 
 

@@ -11,8 +11,6 @@ from functools import cached_property
 
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import whitened_columns
 from imubayes.model.likelihood import pseudo_values
@@ -130,9 +128,6 @@ class RowTransform:
         return result
 
 
-_pseudo_values = kept(pseudo_values)
-
-
 def project(fitted: Fit, misfit: np.ndarray, jacobian: np.ndarray) -> Projection:
     """Return the projection of a fit.
 
@@ -149,7 +144,7 @@ def project(fitted: Fit, misfit: np.ndarray, jacobian: np.ndarray) -> Projection
     rows = turn(jacobian)
     rows[len(misfit) :] = np.diag(1 / widths)
     basis, _ = np.linalg.qr(rows)
-    whole = turn(np.asarray(_pseudo_values(problem, fitted.h, misfit)))
+    whole = turn(pseudo_values(problem, fitted.h, misfit))
     whole[len(misfit) :] = -fitted.z / widths
     strata = _strata(fitted, members, separate, len(widths))
     return Projection(
@@ -196,12 +191,7 @@ def with_run_offsets(projection: Projection) -> Projection:
 
 def _can_scatter(problem: Problem) -> np.ndarray:
     """Return which groups have an offset with a noise scale, (G,) bool."""
-    return np.asarray(_shared_variances(problem, np.ones(problem.size[1]))) > 0
-
-
-@kept
-def _shared_variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
-    return noise_distribution(problem, h).shared_variance
+    return noise_distribution(problem, np.ones(problem.size[1])).shared_variance > 0
 
 
 def _freedom(problem: Problem, strata: Strata, basis: np.ndarray) -> np.ndarray:

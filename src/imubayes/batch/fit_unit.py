@@ -30,10 +30,10 @@ from imubayes.batch.lanes import LANES, LaneMode, LaneStructure, Stacked, of_lan
 from imubayes.batch.posterior_table import Kind, Outcome, Quantities, UnitIdentity, UnitPosterior
 from imubayes.compiled.kept_programs import kept
 from imubayes.criticism.diagnose import judge
-from imubayes.foundations.arrays import Array, Float
+from imubayes.foundations.arrays import Array, Float, on_host
 from imubayes.foundations.campaign_data import Campaign, channel_of_component
 from imubayes.foundations.errors import InputError
-from imubayes.inference.conditional_precision import ExactPrecision
+from imubayes.inference.conditional_precision import conditional_precision
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.identifiability import from_data
@@ -251,15 +251,15 @@ def _probes(mode: LaneMode, at: Curvature, lane: int) -> HyperProbes | None:
 
 def _fit(model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: LaneDraws) -> Fit:
     """Return the fit of one unit, without posterior where its estimates cannot be those of a working unit."""
-    problem, z = model.problem, found.model.z
+    problem, z, h = model.problem, np.asarray(found.model.z), np.asarray(found.h)
     about = linearise(problem, z)
-    true = jnp.asarray(True)
-    mode = Mode(z, found.h, found.decrement, about, at, jnp.asarray(0), true, true)
+    mode = Mode(z, h, float(found.decrement), about, on_host(at), 0, True, True)
     fit = judged_fit(model, mode)
     if not fit.converged:
         return fit
     weak, _, bend = curved_directions(problem, mode)
-    approximation = NestedLaplace(z, found.h, axes, along, ExactPrecision(about), weak, bend)
+    given = conditional_precision(problem, mode)
+    approximation = NestedLaplace(z, h, np.asarray(axes), on_host(along), given, weak, bend)
     delta = np.asarray(drawn.delta).reshape(-1, len(z))
     bent = delta + _bent(delta, np.asarray(weak), np.asarray(bend))
     points = np.concatenate([np.asarray(z) + bent, np.repeat(np.asarray(drawn.h), _EACH, axis=0)], axis=1)

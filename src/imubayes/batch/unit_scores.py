@@ -23,7 +23,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 import polars as pl
 
@@ -281,7 +280,7 @@ def refitted(spec: ModelSpec, campaign: Campaign, row: dict) -> Fit:
     layouts = model.layout, model.hyper_layout
     means = dict(zip(row["names"], row["mean"], strict=True))
     start = [
-        jnp.array([_start(parameter.z_at(means.get(parameter.name, np.nan))) for parameter in layout.parameters])
+        np.array([_start(parameter.z_at(means.get(parameter.name, np.nan))) for parameter in layout.parameters])
         for layout in layouts
     ]
     mode = find_mode(model.problem, *start)

@@ -1,10 +1,13 @@
-"""Arrays in compiled functions: names of shapes, indexing, transfer to the device, batches, and rotations in JAX.
+"""Arrays: names of shapes, NumPy or JAX, indexing, transfer to the device, batches, and rotations in JAX.
 
 The letters used in shapes throughout: N nodes (instants at which the signal path is evaluated), R rows (recorded
 values), C channels of one kind, E entries (rows × channels that were measured), P parameters (θ, in z), H
 hyperparameters (noise scales, in z).
 
 Indexing is unchecked, and batches have a fixed size.
+
+Linear algebra that contains no forward model is written once for both libraries: `namespace` chooses NumPy where all
+operands are NumPy arrays, which compiles nothing, and JAX inside compiled, differentiated or batched functions.
 
 Frames: n local level (x East, y North, z Up), t table (z along the rotation axis), b body.  `C_nb` transforms a vector
 from b to n.  Rotations are twice differentiable at zero angle.  Their products are written out by component, so that
@@ -14,15 +17,22 @@ XLA fuses them with the surrounding elementwise operations; a batched 3 × 3 mat
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
+from jax.scipy.linalg import solve_triangular as jax_solve_triangular
+from jax.scipy.special import gammaln as jax_gammaln
 from jaxtyping import Bool, Float, Int
 
-# What is NumPy when a model is declared is a JAX array when it is computed with.
-Array = jax.Array | np.ndarray
+# What is NumPy when a model is declared is a JAX array when it is computed with.  Algebra that is written for both
+# libraries has the type of its operands, which a type checker cannot follow through `namespace`.
+if TYPE_CHECKING:
+    Array = Any
+else:
+    Array = jax.Array | np.ndarray
 
 Scalar = Float[Array, ""]
 Vector3 = Float[Array, "3"]
@@ -63,12 +73,99 @@ __all__ = [
 ]
 
 
+def namespace(*operands: Any) -> Any:
+    """Return `jax.numpy` where an operand is an array of JAX, also a traced one; else `numpy`."""
+    return jnp if any(isinstance(operand, jax.Array) for operand in operands) else np
+
+
 def take(values: Array, places: Int[Array, "..."]) -> Array:
     """Return values[places]; all indices must be non-negative and within the first axis.
 
-    Plain indexing compiles to bounds and sign checks that cost more than the gather itself.
+    Plain indexing of JAX compiles to bounds and sign checks that cost more than the gather itself.
     """
+    if namespace(values, places) is np:
+        return np.asarray(values)[places]
     return jnp.asarray(values).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+def take_last(values: Array, places: Int[Array, "..."]) -> Array:
+    """Return values[..., places]; all indices must be non-negative and within the last axis."""
+    if namespace(values, places) is np:
+        return np.asarray(values)[..., places]
+    return jnp.asarray(values).at[..., places].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+def add_at(size: int, places: Int[Array, " n"], values: Float[Array, "n *columns"]) -> Float[Array, "size *columns"]:
+    """Return the sums of values by their places, shape (size, …)."""
+    if namespace(places, values) is not np:
+        return jnp.zeros((size, *values.shape[1:])).at[places].add(values)
+    if values.ndim == 1:
+        return np.bincount(places, values, size)
+    found = np.zeros((size, *values.shape[1:]))
+    np.add.at(found, places, values)
+    return found
+
+
+def scan(step: Callable, first: Array, rows: tuple[Array, ...], reverse: bool = False) -> tuple[Array, Any]:
+    """Return last state and stacked results of a recursion over the first axis of `rows`, as `jax.lax.scan`."""
+    if namespace(first, *rows) is not np:
+        return jax.lax.scan(step, first, rows, reverse=reverse)
+    state, found = first, []
+    for row in zip(*(each[::-1] for each in rows) if reverse else rows, strict=True):
+        state, result = step(state, row)
+        found.append(result)
+    found = found[::-1] if reverse else found
+    if found and isinstance(found[0], tuple):
+        return state, tuple(map(np.stack, zip(*found, strict=True)))
+    return state, np.stack(found)
+
+
+def fixed(value: Any) -> Any:
+    """Return a value that counts as a constant in derivatives."""
+    return jax.lax.stop_gradient(value) if namespace(*jax.tree.leaves(value)) is jnp else value
+
+
+def repeat(count: int, function: Callable[[Array], Array], value: Array) -> Array:
+    """Return what a function makes of a value when it is applied so many times."""
+    if namespace(value) is np:
+        for _ in range(count):
+            value = function(value)
+        return value
+    return jax.lax.fori_loop(0, count, lambda _, last: function(last), value)
+
+
+def cholesky(matrix: Float[Array, "*batch P P"]) -> Float[Array, "*batch P P"]:
+    """Return the lower Cholesky factor; NaN where a matrix is not positive definite, as JAX has it."""
+    if namespace(matrix) is jnp:
+        return jnp.linalg.cholesky(matrix)
+    try:
+        return np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        if matrix.ndim == 2:
+            return np.full(matrix.shape, np.nan)
+        return np.stack([cholesky(each) for each in matrix])
+
+
+def solve_lower(
+    factor: Float[Array, "P P"], values: Float[Array, "P *columns"], transposed: bool = False
+) -> Float[Array, "P *columns"]:
+    """Return L⁻¹ · values, or L⁻ᵀ · values, for a lower triangular factor L."""
+    if namespace(factor, values) is jnp:
+        return jax_solve_triangular(factor, values, lower=True, trans=int(transposed))
+    if not factor.size:
+        return values
+    found, status = scipy.linalg.lapack.dtrtrs(factor.T, values, lower=0, trans=int(not transposed))
+    return found if status == 0 else np.full(values.shape, np.nan)
+
+
+def cho_solve(factor: Float[Array, "P P"], values: Float[Array, "P *columns"]) -> Float[Array, "P *columns"]:
+    """Return (L Lᵀ)⁻¹ · values for a lower Cholesky factor L."""
+    return solve_lower(factor, solve_lower(factor, values), transposed=True)
+
+
+def gammaln(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Return log Γ(x)."""
+    return jax_gammaln(x) if namespace(x) is jnp else scipy.special.gammaln(x)
 
 
 def on_device(tree: Any) -> Any:
@@ -77,6 +174,11 @@ def on_device(tree: Any) -> Any:
     Indices become int32, as the compiled gather uses them.
     """
     return jax.device_put(jax.tree.map(_shorten, tree))
+
+
+def on_host[Tree](tree: Tree) -> Tree:
+    """Return a pytree with its arrays as those of NumPy; on a CPU they are not copied."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf, tree)
 
 
 def _shorten(leaf: Any) -> Any:

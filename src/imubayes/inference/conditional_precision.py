@@ -1,4 +1,8 @@
-"""Precision of θ at any noise scales, from blocks stored once, and coordinates of the scales for correlated noise.
+"""Precision of θ at any noise scales, and coordinates of the scales for correlated noise.
+
+Where rows are independent but for the offset of their run, and normal, statistics of the linearisation give it
+(`imubayes.inference.scale_statistics`).  Where few rows are correlated, or their noise is slow, it is computed anew for
+each h, by a compiled program; where they are many or have heavy tails, from blocks stored once.
 
 The offset that all rows of a run share moves their mean alone, so knowledge falls into two parts.  Differences within a
 run do not feel the scatter between runs: with scales d_j = log s_j(h)/s_j(ĥ) their precision and gradient are Σ_j
@@ -14,16 +18,19 @@ the noise there is no ridge: in the logarithm of σ √(1 − φ²) the curve is
 change φ, so its determinant is 1.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, Int, take
-from imubayes.inference.laplace_marginal import Linearised, knowledge
+from imubayes.foundations.arrays import Array, Float, Int
+from imubayes.inference.laplace_marginal import Linearised, ScaleMarginal, knowledge
 from imubayes.inference.posterior_mode import Mode
-from imubayes.model.likelihood import pseudo_values
+from imubayes.inference.scale_statistics import ScaleStatistics
+from imubayes.model.likelihood import has_heavy_tails, pseudo_values
 from imubayes.model.noise_covariance import (
     group_sum,
     noise_distribution,
@@ -38,6 +45,10 @@ from imubayes.noise.components import EntryNoise, SeriesNoise, SharedNoise, Tail
 _DIGITS, _PROBES = 9, 3
 # Products up to which the precision of correlated rows is computed anew for each draw: half a millisecond.
 _MOST_WORK = 5e6
+# Half the distance of central differences by the logarithm of a scale.
+_APART = 1e-4
+# Noise scales for which it is computed in one call.
+_AT_ONCE = 16
 
 
 class PrecisionBlocks(eqx.Module):
@@ -86,37 +97,68 @@ class ExactPrecision(eqx.Module):
     about: Linearised
 
 
-def conditional(
-    blocks: PrecisionBlocks | ExactPrecision, problem: Problem, h: Float[Array, " H"]
-) -> tuple[Float[Array, "P P"], Float[Array, " P"]]:
-    """Return precision (P, P) and gradient (P,) of the log density of θ given h, about the mode."""
-    if isinstance(blocks, ExactPrecision):
-        known, prior = knowledge(problem, blocks.about, h), prior_widths(problem, h) ** -2
-        return known.precision + jnp.diag(prior), known.gradient - prior * blocks.about.z
-    values = problem.hyper_priors.values
-    shrink = (values(blocks.h) / values(h)) ** 2
-    if rows_correlate(problem):
-        shrink = shrink * (1 + blocks.rows @ (_of_means(problem, h) / _of_means(problem, blocks.h) - 1))
-    weight = 1 / take(mean_variances(problem, h), blocks.member)
-    prior_precision = prior_widths(problem, h) ** -2
-    precision = jnp.tensordot(shrink, blocks.within, 1) + jnp.tensordot(weight, blocks.between, 1)
-    gradient = shrink @ blocks.within_gradient + weight @ blocks.between_gradient + blocks.fixed_gradient
-    return precision + blocks.fixed + jnp.diag(prior_precision), gradient - prior_precision * blocks.z
+Conditional = ScaleStatistics | PrecisionBlocks | ExactPrecision
+"""What gives precision and gradient of θ at any h."""
+
+
+def conditional(of: Conditional, problem: Problem, h: Float[Array, "n H"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return precision (n, P, P) and gradient (n, P) of the log density of θ given each h, about the mode."""
+    if isinstance(of, ScaleStatistics):
+        return of.normal(h)
+    prior = prior_widths(problem, h) ** -2
+    if isinstance(of, ExactPrecision):
+        precision, gradient = _computed_anew(problem, of.about, h)
+        z = of.about.z
+    else:
+        values = problem.hyper_priors.values
+        shrink = (values(of.h) / values(h)) ** 2
+        if rows_correlate(problem):
+            means = np.stack([_of_means(problem, each) for each in h]) / _of_means(problem, of.h) - 1
+            shrink = shrink * (1 + means @ of.rows.T)
+        weight = 1 / np.stack([mean_variances(problem, each)[of.member] for each in h])
+        precision = np.tensordot(shrink, of.within, 1) + np.tensordot(weight, of.between, 1) + of.fixed
+        gradient = shrink @ of.within_gradient + weight @ of.between_gradient + of.fixed_gradient
+        z = of.z
+    place = np.arange(prior.shape[-1])
+    precision[:, place, place] += prior
+    return precision, gradient - prior * z
+
+
+def _computed_anew(problem: Problem, about: Linearised, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    parts = []
+    for start in range(0, len(h), _AT_ONCE):
+        some = h[start : start + _AT_ONCE]
+        padded = np.concatenate([some, np.repeat(some[-1:], _AT_ONCE - len(some), axis=0)])  # compiled for one size
+        parts.append([np.array(part)[: len(some)] for part in _knowledge_at(problem, about, padded)])
+    precision, gradient = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return precision, gradient
+
+
+@kept
+def _knowledge_at(problem: Problem, about: Linearised, h: Float[Array, "n H"]):
+    def at(scales):
+        known = knowledge(problem, about, scales)
+        return known.precision, known.gradient
+
+    return jax.lax.map(at, h)
 
 
 def _of_means(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
     """Return what correlation leaves of the information of a run on its mean, 1ᵀR⁻¹1/n of AR(1), rows not masked."""
     correlation = row_correlations(problem, problem.hyper_priors.values(h))
-    count = jnp.maximum(group_sum(jnp.where(problem.observations.weight > 0, 1.0, 0.0), problem.observations), 1.0)
-    return (1 - (1 - 2 / jnp.maximum(count, 2.0)) * correlation) / (1 + correlation)
+    count = np.maximum(group_sum(np.where(problem.observations.weight > 0, 1.0, 0.0), problem.observations), 1.0)
+    return (1 - (1 - 2 / np.maximum(count, 2.0)) * correlation) / (1 + correlation)
 
 
-def precision_blocks(problem: Problem, mode: Mode) -> PrecisionBlocks | ExactPrecision:
-    """Return the blocks about a mode."""
+def conditional_precision(problem: Problem, mode: Mode) -> Conditional:
+    """Return what gives the precision of θ at any noise scales about a mode."""
     if problem.timeline is not None or _small_and_correlated(problem):
         return ExactPrecision(mode.about)
-    member, class_of, shared = _classes(problem, mode.h)
-    return _precision_blocks(problem, mode, jnp.asarray(shared), jnp.asarray(class_of), jnp.asarray(member))
+    if rows_correlate(problem) or has_heavy_tails(problem):
+        return precision_blocks(problem, mode)
+    statistics = ScaleMarginal(problem, mode.about).statistics
+    assert statistics is not None
+    return statistics
 
 
 def _small_and_correlated(problem: Problem) -> bool:
@@ -128,15 +170,14 @@ def _small_and_correlated(problem: Problem) -> bool:
     return work <= _MOST_WORK and rows_correlate(problem)
 
 
-@kept
-def run_means(problem: Problem, h: Float[Array, " H"]) -> tuple[Float[Array, " G"], Float[Array, " G"]]:
+def run_means(problem: Problem, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return of the mean of each run and channel the precision within the run, and the variance its rows share."""
     precision = group_sum(whitener(problem, h).direction ** 2, problem.observations)
     return precision, noise_distribution(problem, h).shared_variance
 
 
-@kept
-def mean_variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
+@np.errstate(divide="ignore")
+def mean_variances(problem: Problem, h: np.ndarray) -> np.ndarray:
     """Return the variance of the mean of each run and channel, shared variance included; ∞ where all is masked."""
     precision, shared = run_means(problem, h)
     return shared + 1 / precision
@@ -144,10 +185,10 @@ def mean_variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"
 
 def _classes(problem: Problem, h: Float[Array, " H"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a member of each class of run means, (K,), the class of each, (G,), and whether it shares noise, (G,)."""
-    acts = [np.asarray(layer.acts) for layer in problem.noise if issubclass(layer.noise, SharedNoise)]
+    acts = [layer.acts for layer in problem.noise if issubclass(layer.noise, SharedNoise)]
     shared = np.sum(acts, axis=0) > 0 if acts else np.zeros(problem.observations.members.shape[0], bool)
     away = np.random.default_rng(0).normal(size=(_PROBES, len(h)))
-    variances = np.stack([np.asarray(mean_variances(problem, h + step)) for step in (np.zeros(len(h)), *away)], axis=-1)
+    variances = np.stack([mean_variances(problem, h + step) for step in (np.zeros(len(h)), *away)], axis=-1)
     shared &= np.isfinite(variances).all(axis=-1)
     class_of = np.full(len(shared), -1)
     if not shared.any():
@@ -157,69 +198,64 @@ def _classes(problem: Problem, h: Float[Array, " H"]) -> tuple[np.ndarray, np.nd
     return np.flatnonzero(shared)[first], class_of, shared
 
 
-def _parts(problem: Problem, about: Linearised, shared, h: Float[Array, " H"]) -> Parts:
+def _parts(problem: Problem, about: Linearised, shared: np.ndarray, h: np.ndarray) -> Parts:
     """Return knowledge within runs, and run means; a run without shared noise has all its knowledge within."""
     by, observations = whitener(problem, h), problem.observations
     jacobian, misfit = by.scale(about.jacobian), by.scale(pseudo_values(problem, h, about.misfit))
     direction = by.direction
     information = group_sum(direction**2, observations)
-    safe = jnp.where(information > 0, information, 1.0)
+    safe = np.where(information > 0, information, 1.0)
     mean = group_sum(direction[:, None] * jacobian, observations) / safe[:, None]
     mean_misfit = group_sum(direction * misfit, observations) / safe
-    taken = jnp.where(shared, information, 0.0)
+    taken = np.where(shared, information, 0.0)
     precision = jacobian.T @ jacobian - mean.T @ (taken[:, None] * mean)
     return Parts(precision, jacobian.T @ misfit - mean.T @ (taken * mean_misfit), mean, mean_misfit)
 
 
-@kept
-def _precision_blocks(problem: Problem, mode: Mode, shared, class_of, member) -> PrecisionBlocks:
-    def within(h):
-        parts = _parts(problem, mode.about, shared, h)
-        return parts.precision, parts.gradient
-
-    def per_scale(direction):
-        _, (precision, gradient) = jax.jvp(within, (mode.h,), (direction,))
-        return -0.5 * precision, -0.5 * gradient
-
-    values = problem.hyper_priors.values
-    slopes = jax.vmap(lambda seed: jax.jvp(values, (mode.h,), (seed,))[1])(jnp.eye(mode.h.shape[0]))
-    # One after the other: all at once they are scales × readings × parameters.
-    blocks, gradients = jax.lax.map(per_scale, jnp.diag(values(mode.h) / jnp.diagonal(slopes)))
+def precision_blocks(problem: Problem, mode: Mode) -> PrecisionBlocks:
+    """Return the blocks about a mode."""
+    member, class_of, shared = _classes(problem, mode.h)
+    count, size = len(mode.h), len(mode.z)
+    blocks, gradients = np.zeros((count, size, size)), np.zeros((count, size))
+    values = problem.hyper_priors.values(mode.h)
+    steps = _APART * values / problem.hyper_priors.slopes(mode.h)
     # Tails and correlations shape the distribution of the noise and are no scales.
-    scales = _is_scale(problem)
-    blocks, gradients = scales[:, None, None] * blocks, scales[:, None] * gradients
+    for place in np.flatnonzero(_is_scale(problem)):
+        step = np.where(np.arange(count) == place, steps, 0.0)
+        up, down = (_parts(problem, mode.about, shared, mode.h + side * step) for side in (1, -1))
+        blocks[place] = -0.25 / _APART * (up.precision - down.precision)
+        gradients[place] = -0.25 / _APART * (up.gradient - down.gradient)
     parts = _parts(problem, mode.about, shared, mode.h)
-
-    def of_class(number):
-        chosen = jnp.where(class_of == number, 1.0, 0.0)
-        return parts.mean.T @ (chosen[:, None] * parts.mean), parts.mean.T @ (chosen * parts.mean_misfit)
-
-    between, between_gradients = jax.vmap(of_class)(jnp.arange(member.shape[0]))
+    means = [parts.mean[class_of == number] for number in range(len(member))]
+    misfits = [parts.mean_misfit[class_of == number] for number in range(len(member))]
+    between = np.array([mean.T @ mean for mean in means]).reshape(-1, size, size)
+    pairs = zip(means, misfits, strict=True)
+    between_gradients = np.array([mean.T @ misfit for mean, misfit in pairs]).reshape(-1, size)
     fixed, fixed_gradient = parts.precision - blocks.sum(0), parts.gradient - gradients.sum(0)
     return PrecisionBlocks(
         mode.h, mode.z, blocks, gradients, fixed, fixed_gradient, between, between_gradients, member, _rows(problem)
     )
 
 
-def _rows(problem: Problem) -> Float[Array, "H G"]:
-    """Return the share of the rows on which each scale acts in every run and channel."""
+def _rows(problem: Problem) -> np.ndarray:
+    """Return the share of the rows on which each scale acts in every run and channel, (H, G)."""
     observations = problem.observations
-    found = jnp.zeros((len(problem.hyper_priors.order), observations.members.shape[0]))
+    found = np.zeros((len(problem.hyper_priors.order), observations.members.shape[0]))
     for layer in problem.noise:
         if issubclass(layer.noise, EntryNoise):
             for place in layer.places.values():
-                found = found.at[place, observations.group].add(layer.acts)
+                np.add.at(found, (place, observations.group), layer.acts)
     total = found.sum(axis=1, keepdims=True)
-    return jnp.where(total > 0, found / jnp.where(total > 0, total, 1.0), 0.0)
+    return np.where(total > 0, found / np.where(total > 0, total, 1.0), 0.0)
 
 
-def _is_scale(problem: Problem) -> Float[Array, " H"]:
-    """Return 1 for a hyperparameter that scales the noise, 0 for one that shapes its distribution."""
-    found = jnp.ones(len(problem.hyper_priors.order))
+def _is_scale(problem: Problem) -> np.ndarray:
+    """Return 1 for a hyperparameter that scales the noise, 0 for one that shapes its distribution, (H,)."""
+    found = np.ones(len(problem.hyper_priors.order))
     for layer in problem.noise:
         if issubclass(layer.noise, TailNoise | SeriesNoise):
             for place in layer.places.values():
-                found = found.at[place].min(1 - layer.acts)
+                np.minimum.at(found, place, 1 - layer.acts)
     return found
 
 
@@ -227,7 +263,8 @@ def _is_scale(problem: Problem) -> Float[Array, " H"]:
 _LEAST = 1e-6
 
 
-class InnovationScale(eqx.Module):
+@dataclass(frozen=True)
+class InnovationScale:
     """The shear h = u + S (λ(u) − λ(ĥ)) with λ = ½ log(1 − φ²) of each run and channel.
 
     Attributes
@@ -236,48 +273,47 @@ class InnovationScale(eqx.Module):
     at_mode : λ(ĥ), shape (G,).
     """
 
-    slope: Float[Array, "H G"]
-    at_mode: Float[Array, " G"]
+    slope: np.ndarray
+    at_mode: np.ndarray
 
-    def straightened(self, problem: Problem, h: Float[Array, " H"]) -> Float[Array, " H"]:
+    def straightened(self, problem: Problem, h: Float[Array, "*batch H"]) -> np.ndarray:
         """Return u of noise scales h."""
         return h - self._along_ridge(problem, h)
 
-    def scales(self, problem: Problem, straight: Float[Array, " H"]) -> Float[Array, " H"]:
+    def scales(self, problem: Problem, straight: Float[Array, "*batch H"]) -> np.ndarray:
         """Return the noise scales h of u."""
         return straight + self._along_ridge(problem, straight)
 
-    def straightened_information(
-        self, problem: Problem, h: Float[Array, " H"], information: Float[Array, "H H"]
-    ) -> Float[Array, "H H"]:
-        """Return the negative Hessian in u of a density of h at its mode, from that in h."""
-        slope = jax.jacfwd(lambda straight: self.scales(problem, straight))(h)
+    def straightened_information(self, problem: Problem, h: np.ndarray, information: np.ndarray) -> np.ndarray:
+        """Return the negative Hessian (H, H) in u of a density of h at its mode, from that in h."""
+        slope = _by_differences(lambda straight: self.scales(problem, straight), h)
         return slope.T @ information @ slope
 
-    def _along_ridge(self, problem: Problem, h: Float[Array, " H"]) -> Float[Array, " H"]:
-        return self.slope @ (_log_innovation(problem, h) - self.at_mode)
+    def _along_ridge(self, problem: Problem, h: Float[Array, "*batch H"]) -> np.ndarray:
+        return (_log_innovation(problem, h) - self.at_mode) @ self.slope.T
 
 
-def innovation_scale(problem: Problem, h: Float[Array, " H"]) -> InnovationScale | None:
+def innovation_scale(problem: Problem, h: np.ndarray) -> InnovationScale | None:
     """Return the shear about the mode h; None where no rows are correlated."""
     if problem.timeline is not None or not rows_correlate(problem):
         return None
-    sensitivity, at_mode = _at(problem, h)
-    return InnovationScale(-jnp.asarray(np.linalg.pinv(np.asarray(sensitivity), rcond=_LEAST)), at_mode)
+    sensitivity = _by_differences(lambda point: _mean_log_scale(problem, point), h)
+    return InnovationScale(-np.linalg.pinv(sensitivity, rcond=_LEAST), _log_innovation(problem, h))
 
 
-@kept
-def _at(problem: Problem, h: Float[Array, " H"]) -> tuple[Float[Array, "G H"], Float[Array, " G"]]:
-    """Return how scales move the mean logarithm of the noise of each run and channel, and λ there."""
-
-    def mean_log(h: Float[Array, " H"]) -> Float[Array, " G"]:
-        own, observations = noise_distribution(problem, h).squared_scale, problem.observations
-        there = jnp.where(observations.weight > 0, 1.0, 0.0)
-        logarithm = jnp.where(there > 0, jnp.log(jnp.where(there > 0, own, 1.0)), 0.0)
-        return 0.5 * group_sum(logarithm, observations) / jnp.maximum(group_sum(there, observations), 1.0)
-
-    return jax.jacfwd(mean_log)(h), _log_innovation(problem, h)
+def _by_differences(function: Callable[[np.ndarray], np.ndarray], h: np.ndarray) -> np.ndarray:
+    """Return the Jacobian of a function of h by central differences."""
+    steps = _APART * np.eye(len(h))
+    return np.stack([(function(h + step) - function(h - step)) / (2 * _APART) for step in steps], axis=-1)
 
 
-def _log_innovation(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
-    return 0.5 * jnp.log1p(-(row_correlations(problem, problem.hyper_priors.values(h)) ** 2))
+def _mean_log_scale(problem: Problem, h: np.ndarray) -> np.ndarray:
+    """Return the mean logarithm of the noise of each run and channel, (G,)."""
+    own, observations = noise_distribution(problem, h).squared_scale, problem.observations
+    there = np.where(observations.weight > 0, 1.0, 0.0)
+    logarithm = np.log(np.where(there > 0, own, 1.0))
+    return 0.5 * group_sum(logarithm, observations) / np.maximum(group_sum(there, observations), 1.0)
+
+
+def _log_innovation(problem: Problem, h: Float[Array, "*batch H"]) -> np.ndarray:
+    return 0.5 * np.log1p(-(row_correlations(problem, problem.hyper_priors.values(h)) ** 2))

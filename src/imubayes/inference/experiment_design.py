@@ -25,14 +25,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_factor, cho_solve
 
-from imubayes.compiled.kept_programs import kept
 from imubayes.effects.base import Effect, Stage
-from imubayes.foundations.arrays import Array, Float, Int, take
+from imubayes.foundations.arrays import cholesky, solve_lower
 from imubayes.inference.candidate_runs import CandidateRun, NextRun, RunDesign, candidate_runs
 from imubayes.inference.fitted_model import Fit, evenly_spaced
 from imubayes.inference.identifiability import Contribution, ProcedureShare, WeakDirection
@@ -284,13 +280,13 @@ def expected_deviations(fit: Fit, quantities: Sequence[Components]) -> ExpectedD
     """
     wide, candidates = with_planned(fit)
     model = wide.model
-    about = linearise(model.problem, jnp.asarray(wide.z))
+    about = linearise(model.problem, np.asarray(wide.z))
     gradients = np.concatenate([each.gradient for each in quantities])
     rows = np.stack([model.layout.carried(fit.model.layout, gradient) for gradient in gradients])
     known_runs = len(fit.model.campaign.runs)
 
     def precision(included: Iterable[int]) -> np.ndarray:
-        return precision_of(model.problem, about, jnp.asarray(wide.h), np.isin(model.entries.run, list(included)))
+        return precision_of(model.problem, about, np.asarray(wide.h), np.isin(model.entries.run, list(included)))
 
     now = precision(range(known_runs)) + np.eye(len(wide.z))
     totals = (now, *(now + precision([known_runs + place]) for place in range(len(candidates))))
@@ -317,8 +313,8 @@ def _deviation(quantity: Components, before: np.ndarray, after: np.ndarray) -> f
 def _near_zero(fit: Fit, quantities: Sequence[str]) -> dict[str, Components]:
     """Return the components of those quantities that are angles near zero."""
     problem = fit.model.problem
-    about = linearise(problem, jnp.asarray(fit.z))
-    precision = precision_of(problem, about, jnp.asarray(fit.h))
+    about = linearise(problem, np.asarray(fit.z))
+    precision = precision_of(problem, about, np.asarray(fit.h))
     covariance = inverse_of_precision(precision + np.eye(len(fit.z)))
     return components_near_zero(fit, quantities, covariance)
 
@@ -328,7 +324,7 @@ def _gradients(fit: Fit, quantities: Sequence[str]) -> Iterator[tuple[str, np.nd
     layout, problem = fit.model.layout, fit.model.problem
     names = [name.name for name in fit.derived.names]
     of_derived = derived_jacobian(fit.derived.derivation, problem, fit.z)
-    slopes = np.asarray(prior_slopes(problem.priors, jnp.asarray(fit.z))) / layout.factors()
+    slopes = np.asarray(prior_slopes(problem.priors, np.asarray(fit.z))) / layout.factors()
     for quantity in quantities:
         if quantity in names:
             yield quantity, of_derived[[names.index(quantity)]]
@@ -403,44 +399,42 @@ def _deviations_by_procedure(
     of_run = np.array([procedures.index(run.procedure) for run in model.campaign.runs])
     of_entry = of_run[np.asarray(model.entries.run)]
     ends = tuple(np.cumsum(np.bincount(of_entry, minlength=len(procedures))).tolist())
-    places = jnp.asarray(np.argsort(of_entry, kind="stable"))
+    places = np.asarray(np.argsort(of_entry, kind="stable"))
     draws = evenly_spaced(len(fit.posterior.points), _SCALES)
-    scales = jnp.asarray(fit.posterior.points[draws, len(fit.z) :])
-    alone, without = _variances(problem, fit.mode.about, scales, places, ends, jnp.asarray(gradients))
+    scales = np.asarray(fit.posterior.points[draws, len(fit.z) :])
+    alone, without = _variances(problem, fit.mode.about, scales, places, ends, np.asarray(gradients))
     return np.sqrt(alone), np.sqrt(without)
 
 
-@kept
 def _variances(
     problem: Problem,
     about: Linearised,
-    scales: Float[Array, "S H"],
-    places: Int[Array, " E"],
+    scales: np.ndarray,
+    places: np.ndarray,
     ends: tuple[int, ...],
-    gradients: Float[Array, "n P"],
-) -> Float[Array, "2 L n"]:
-    """Return mean variances over noise scales, from each procedure alone and without it.
+    gradients: np.ndarray,
+) -> np.ndarray:
+    """Return mean variances over noise scales (S, H), from each procedure alone and without it, (2, L, n).
 
     Parameters
     ----------
     places : entries in order of procedures.
     ends : of the procedures in this order.
+    gradients : of the quantities, (n, P).
     """
-    others = 1 - jnp.eye(len(ends))
+    others = 1 - np.eye(len(ends))
 
-    def variance(precision: Float[Array, "P P"]) -> Float[Array, " n"]:
-        return jnp.sum(gradients * cho_solve(cho_factor(precision), gradients.T).T, axis=1)
-
-    def at(h: Float[Array, " H"]) -> Float[Array, "2 L n"]:
+    def at(h: np.ndarray) -> np.ndarray:
         # Entries of different runs share no noise: each part of the whitened Jacobian stands for itself.
-        jacobian = take(whitened_jacobian(problem, about, h), places)
+        jacobian = whitened_jacobian(problem, about, h)[places]
         parts = [jacobian[first:end] for first, end in pairwise((0, *ends))]
-        alone = jnp.stack([part.T @ part for part in parts])
-        prior = jnp.diag(prior_widths(problem, h) ** -2)[None, None]
+        alone = np.stack([part.T @ part for part in parts])
         # Summed, not taken from the whole: the difference would lose the digits of a small part.
-        return jax.vmap(jax.vmap(variance))(prior + jnp.stack([alone, jnp.einsum("lk,kpq->lpq", others, alone)]))
+        both = np.stack([alone, np.tensordot(others, alone, 1)]) + np.diag(prior_widths(problem, h) ** -2)
+        halves = [[solve_lower(cholesky(precision), gradients.T) for precision in each] for each in both]
+        return np.sum(np.stack(halves) ** 2, axis=2)
 
-    return jnp.mean(jax.lax.map(at, scales), axis=0)
+    return np.mean([at(h) for h in scales], axis=0)
 
 
 def _gradients_of_draws(z: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

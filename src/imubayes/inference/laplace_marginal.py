@@ -5,22 +5,26 @@ form, each a function of the hyperparameters.  With Σ(h) = D + Σ_g T_g 1 1ᵀ 
 less one rank-one term per run and channel, so the precision JᵀΣ⁻¹J costs one matrix product at any h.  Where rows are
 correlated J and e pass the filter of their series first.
 
+The linearisation is a compiled program.  All that follows is NumPy: the marginal and its gradient come from statistics
+of the linearisation (`imubayes.inference.scale_statistics`).  Only where rows are correlated or have heavy tails is the
+gradient taken automatically, by a compiled program.
+
 The mode of h is found by quasi-Newton steps: the Hessian is computed once, by differences of the gradient, then updated
 from the steps.  When the steps have become short it is computed anew, and convergence is judged by that Hessian alone.
-Automatic second derivatives of the marginal would take longer to compile than all these gradients take to evaluate.
 """
+
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_factor, cho_solve
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, Scalar
+from imubayes.foundations.arrays import Array, Float, Scalar, cho_solve, cholesky, namespace, on_host
+from imubayes.inference.scale_statistics import MarginalSlope, ScaleStatistics, row_classes, scale_statistics
 from imubayes.model.likelihood import has_heavy_tails, log_normaliser, pseudo_values, whitened
 from imubayes.model.noise_covariance import group_sum, whiten, whitener
-from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
+from imubayes.model.problem import Problem, masked, predict_with_jacobian, prior_widths
 
 
 class Linearised(eqx.Module):
@@ -39,75 +43,64 @@ class Knowledge(eqx.Module):
     square: Scalar
 
 
-# Compiled once for all who ask; what calls it from a compiled function takes it in.
-@kept
-def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
-    """Return the model linearised about z."""
+def linearised(problem: Problem, z: Float[Array, " P"]) -> Linearised:
+    """Return the model linearised about z, as a part of a compiled function."""
     predicted, jacobian = predict_with_jacobian(problem, z)
     return Linearised(z, problem.observations.value - predicted, jacobian)
+
+
+_linearised = kept(linearised)
+
+
+def linearise(problem: Problem, z: np.ndarray) -> Linearised:
+    """Return the model linearised about z, as arrays of NumPy."""
+    return on_host(_linearised(problem, np.asarray(z)))
 
 
 def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Knowledge:
     """Return what the data say about θ at hyperparameters h."""
     by, pseudo, observations = whitener(problem, h), pseudo_values(problem, h, about.misfit), problem.observations
     # (I − κ û ûᵀ)² = I − (2κ − κ²|u|²/|u|²…) û ûᵀ; with shrink = κ/|u|² the rank-one weight is 2·shrink − shrink²·|u|².
-    weight = by.direction**2
+    along_rows = by.direction
+    weight = along_rows**2
     direction = group_sum(weight, observations)
     rank_one = 2 * by.shrink - by.shrink**2 * direction
     if by.series is not None:
         jacobian, misfit = by.scale(about.jacobian), by.scale(pseudo)
-        along = group_sum(by.direction[:, None] * jacobian, observations)
-        misfit_along = group_sum(by.direction * misfit, observations)
+        along = group_sum(along_rows[:, None] * jacobian, observations)
+        misfit_along = group_sum(along_rows * misfit, observations)
         precision = jacobian.T @ jacobian - along.T @ (rank_one[:, None] * along)
         gradient = jacobian.T @ misfit - along.T @ (rank_one * misfit_along)
-        return Knowledge(precision, gradient, jnp.sum(misfit**2) - jnp.sum(rank_one * misfit_along**2))
+        return Knowledge(precision, gradient, (misfit**2).sum() - (rank_one * misfit_along**2).sum())
     weighted = weight[:, None] * about.jacobian
     along, misfit_along = group_sum(weighted, observations), group_sum(weight * pseudo, observations)
     precision = about.jacobian.T @ weighted - along.T @ (rank_one[:, None] * along)
     gradient = weighted.T @ pseudo - along.T @ (rank_one * misfit_along)
     if has_heavy_tails(problem):
-        return Knowledge(precision, gradient, jnp.sum(whitened(problem, h, about.misfit) ** 2))
-    square = jnp.sum(weight * pseudo**2) - jnp.sum(rank_one * misfit_along**2)
+        return Knowledge(precision, gradient, (whitened(problem, h, about.misfit) ** 2).sum())
+    square = (weight * pseudo**2).sum() - (rank_one * misfit_along**2).sum()
     return Knowledge(precision, gradient, square)
 
 
-@kept
-def _precision(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Float[Array, "P P"]:
-    return knowledge(problem, about, h).precision
-
-
-def precision_of(
-    problem: Problem, about: Linearised, h: Float[Array, " H"], chosen: np.ndarray | None = None
-) -> np.ndarray:
+def precision_of(problem: Problem, about: Linearised, h: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
     """Return what chosen entries, (E,) bool, or all say of θ in z, without the prior; shape (P, P)."""
-    weight = problem.observations.weight * (1.0 if chosen is None else jnp.asarray(chosen.astype(float)))
-    return np.asarray(_precision(eqx.tree_at(lambda p: p.observations.weight, problem, weight), about, h))
+    some = problem if chosen is None else masked(problem, ~chosen)
+    return knowledge(some, on_host(about), np.asarray(h)).precision
 
 
-@kept
-def whitened_jacobian(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Float[Array, "E P"]:
+def whitened_jacobian(problem: Problem, about: Linearised, h: np.ndarray) -> np.ndarray:
     """Return Σ(h)^(−½) J: the products of its columns are the precision of θ in z, without the prior."""
-    return whiten(problem, whitener(problem, h), about.jacobian)
+    return whitened_columns(problem, h, about.jacobian)
 
 
 def whitened_columns(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return columns (E, …), in output units, whitened by the noise at scales h."""
-    return np.asarray(_whitened_columns(problem, jnp.asarray(h), jnp.asarray(columns)))
-
-
-@kept
-def _whitened_columns(problem: Problem, h, columns):
-    return whiten(problem, whitener(problem, h), columns)
+    return whiten(problem, whitener(problem, np.asarray(h)), np.asarray(columns))
 
 
 def whitened_about(problem: Problem, about: Linearised, h: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,) at noise scales h."""
-    residual, jacobian, widths = map(np.asarray, _whitened_about(problem, about, jnp.asarray(h)))
-    return residual, jacobian, widths
-
-
-@kept
-def _whitened_about(problem: Problem, about: Linearised, h):
+    h, about = np.asarray(h), on_host(about)
     by = whitener(problem, h)
     residual = whiten(problem, by, pseudo_values(problem, h, about.misfit))
     return residual, whiten(problem, by, about.jacobian), prior_widths(problem, h)
@@ -120,16 +113,17 @@ def deviations(gradients: np.ndarray, precision: np.ndarray) -> np.ndarray:
 
 def log_marginal(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Scalar:
     """Return log p(y, h) with θ integrated out of the linearised model (the Laplace marginal of h)."""
-    known = knowledge(problem, about, h)
+    known, xp = knowledge(problem, about, h), namespace(h, about.misfit, problem.observations.weight)
     prior_precision = prior_widths(problem, h) ** -2
-    total = known.precision + jnp.diag(prior_precision)
+    total = known.precision + xp.diag(prior_precision)
     gradient = known.gradient - prior_precision * about.z
-    factor = cho_factor(total, lower=True)
-    step = cho_solve(factor, gradient)
-    log_determinant = 2 * jnp.sum(jnp.log(jnp.diagonal(factor[0])))
-    fit = -0.5 * known.square - 0.5 * jnp.sum(prior_precision * about.z**2) + 0.5 * gradient @ step
+    factor = cholesky(total)
+    log_determinant = 2 * xp.log(factor.diagonal()).sum()
+    fit = (
+        -0.5 * known.square - 0.5 * (prior_precision * about.z**2).sum() + 0.5 * gradient @ cho_solve(factor, gradient)
+    )
     size = about.z.shape[0]
-    return fit - 0.5 * log_determinant + 0.5 * size * jnp.log(2 * jnp.pi) + log_normaliser(problem, h)
+    return fit - 0.5 * log_determinant + 0.5 * size * np.log(2 * np.pi) + log_normaliser(problem, h)
 
 
 def inverse_of_precision(precision: np.ndarray) -> np.ndarray:
@@ -169,54 +163,91 @@ _APART = 1e-3
 _ROUNDING, _SHORTEST = 1e-9, 1e-3
 # The rank-one update is skipped where step and secant error are this close to orthogonal: its denominator vanishes.
 _TELLING = 1e-8
-
-
-class Slope(eqx.Module):
-    """The Laplace marginal of h at a point: log p(y, h) and its gradient (H,)."""
-
-    value: Scalar
-    gradient: Float[Array, " H"]
+# Far from the mode a density may overflow; what is not finite is never taken.
+_SILENT = np.errstate(all="ignore")
 
 
 class Curvature(eqx.Module):
     """The Laplace marginal of h at a point: log p(y, h), its gradient (H,) and its negative Hessian (H, H)."""
 
-    value: Scalar
+    value: Float[Array, ""] | float
     gradient: Float[Array, " H"]
     information: Float[Array, "H H"]
 
 
 @kept
-def slope(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Slope:
-    """Return value and gradient of the Laplace marginal of h."""
-    return Slope(*jax.value_and_grad(log_marginal, argnums=2)(problem, about, h))
-
-
-def curvature(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Curvature:
-    """Return value, gradient and negative Hessian of the Laplace marginal of h, the latter by central differences."""
-    here, count = slope(problem, about, h), len(h)
-    if not count:
-        return Curvature(here.value, here.gradient, jnp.zeros((0, 0)))
-    apart = _APART * np.eye(count)
-    gradients = np.asarray(_gradients(problem, about, jnp.asarray(np.asarray(h) + np.concatenate([apart, -apart]))))
-    information = (gradients[count:] - gradients[:count]) / (2 * _APART)
-    return Curvature(here.value, here.gradient, jnp.asarray(0.5 * (information + information.T)))
+def _traced_slope(problem: Problem, about: Linearised, h: Float[Array, " H"]):
+    return jax.value_and_grad(log_marginal, argnums=2)(problem, about, h)
 
 
 @kept
-def _gradients(problem: Problem, about: Linearised, points: Float[Array, "N H"]) -> Float[Array, "N H"]:
+def _traced_gradients(problem: Problem, about: Linearised, points: Float[Array, "N H"]) -> Float[Array, "N H"]:
     """Return the gradient of the Laplace marginal at several h, one after another in one call of compiled code."""
     return jax.lax.map(lambda h: jax.grad(log_marginal, argnums=2)(problem, about, h), points)
+
+
+class ScaleMarginal:
+    """The Laplace marginal of h about a linearisation: from its statistics, or differentiated automatically.
+
+    Attributes
+    ----------
+    statistics : None where rows are correlated or have heavy tails.
+    """
+
+    def __init__(self, problem: Problem, about: Linearised):
+        self.problem, self.about = problem, on_host(about)
+        at = self.about
+        self.statistics: ScaleStatistics | None = scale_statistics(
+            problem, row_classes(problem), at.z, at.misfit, at.jacobian
+        )
+
+    @_SILENT
+    def values(self, points: np.ndarray) -> np.ndarray:
+        """Return log p(y, h) at several h, (n, H); shape (n,)."""
+        one: Callable[[np.ndarray], float] = (
+            self.statistics.log_marginal
+            if self.statistics is not None
+            else lambda h: float(log_marginal(self.problem, self.about, h))
+        )
+        return np.array([one(point) for point in points])
+
+    @_SILENT
+    def slope(self, h: np.ndarray) -> MarginalSlope:
+        """Return value and gradient."""
+        if self.statistics is not None:
+            return self.statistics.slope(h)
+        value, gradient = _traced_slope(self.problem, self.about, h)
+        return MarginalSlope(float(value), np.asarray(gradient))
+
+    def curvature(self, h: np.ndarray) -> Curvature:
+        """Return value, gradient and negative Hessian, the latter by central differences of the gradient."""
+        here, count = self.slope(h), len(h)
+        if not count:
+            return Curvature(here.value, here.gradient, np.zeros((0, 0)))
+        apart = _APART * np.eye(count)
+        gradients = self._gradients(h + np.concatenate([apart, -apart]))
+        information = (gradients[count:] - gradients[:count]) / (2 * _APART)
+        return Curvature(here.value, here.gradient, 0.5 * (information + information.T))
+
+    def _gradients(self, points: np.ndarray) -> np.ndarray:
+        if self.statistics is None:
+            return np.asarray(_traced_gradients(self.problem, self.about, points))
+        return np.stack([self.slope(point).gradient for point in points])
+
+
+def curvature(problem: Problem, about: Linearised, h: np.ndarray) -> Curvature:
+    """Return value, gradient and negative Hessian of the Laplace marginal of h."""
+    return ScaleMarginal(problem, about).curvature(np.asarray(h))
 
 
 def climb(
     problem: Problem,
     about: Linearised,
-    h: Float[Array, " H"],
-    information: Float[Array, "H H"] | None = None,
+    h: np.ndarray,
+    information: np.ndarray | None = None,
     *,
     judged: bool = True,
-) -> tuple[Float[Array, " H"], Curvature]:
+) -> tuple[np.ndarray, Curvature]:
     """Return the mode of the Laplace marginal of h, and value, gradient and negative Hessian there.
 
     Parameters
@@ -227,21 +258,28 @@ def climb(
     judged : whether the end is judged by the Hessian there.  Where not, the Hessian is the one learnt from the steps,
         and costs nothing: enough for a value of the marginal, which is flat at its mode, but not for a width.
     """
+    return climbed(ScaleMarginal(problem, about), np.asarray(h), information, judged=judged)
+
+
+def climbed(
+    marginal: ScaleMarginal, h: np.ndarray, information: np.ndarray | None = None, *, judged: bool = True
+) -> tuple[np.ndarray, Curvature]:
+    """Return the mode of a marginal as `climb` does."""
     measured, short = information is None, _SHORT if judged else _SHORT_LEARNT
-    at = curvature(problem, about, h) if information is None else _with(slope(problem, about, h), information)
+    at = marginal.curvature(h) if information is None else _with(marginal.slope(h), information)
     for _ in range(_MOST_STEPS):
         step = _newton_step(at)
         ahead, length = None, 1.0
         if not _is_short(step, short):
-            ahead, length = _ahead(problem, about, h, at, step)
+            ahead, length = _ahead(marginal, h, at, step)
         if ahead is None:
             if measured or (not judged and _is_short(step, short)):
                 break
-            at, measured = curvature(problem, about, h), True
+            at, measured = marginal.curvature(h), True
             continue
         taken = length * step
         h, at, measured = h + taken, _with(ahead, _learnt(at, taken, ahead.gradient)), False
-    return h, at if measured or not judged else curvature(problem, about, h)
+    return h, at if measured or not judged else marginal.curvature(h)
 
 
 def _is_short(step: np.ndarray, short: float) -> bool:
@@ -249,7 +287,7 @@ def _is_short(step: np.ndarray, short: float) -> bool:
     return not (step.size and float(np.max(np.abs(step))) >= short)
 
 
-def _with(here: Slope, information: Float[Array, "H H"]) -> Curvature:
+def _with(here: MarginalSlope, information: np.ndarray) -> Curvature:
     return Curvature(here.value, here.gradient, information)
 
 
@@ -265,25 +303,25 @@ def _newton_step(at: Curvature) -> np.ndarray:
 
 
 def _ahead(
-    problem: Problem, about: Linearised, h: Float[Array, " H"], at: Curvature, step: np.ndarray
-) -> tuple[Slope | None, float]:
+    marginal: ScaleMarginal, h: np.ndarray, at: Curvature, step: np.ndarray
+) -> tuple[MarginalSlope | None, float]:
     """Return the marginal after a step, shortened until it does not descend, and its length; None where all do."""
     length = 1.0
     while length > _SHORTEST:
-        ahead = slope(problem, about, h + length * step)
-        if float(ahead.value) >= float(at.value) - _ROUNDING:
+        ahead = marginal.slope(h + length * step)
+        if ahead.value >= float(at.value) - _ROUNDING:
             return ahead, length
         length *= 0.3
     return None, length
 
 
-def _learnt(at: Curvature, taken: np.ndarray, gradient: Float[Array, " H"]) -> Float[Array, "H H"]:
+def _learnt(at: Curvature, taken: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """Return the negative Hessian after a step, by the symmetric rank-one update (Conn, Gould & Toint 1991).
 
     Unlike that of BFGS it may be indefinite, as is the Hessian of the marginal far from its mode.
     """
-    lacking = np.asarray(at.gradient) - np.asarray(gradient) - np.asarray(at.information) @ taken
+    lacking = np.asarray(at.gradient) - gradient - np.asarray(at.information) @ taken
     along = float(lacking @ taken)
     if not abs(along) > _TELLING * float(np.linalg.norm(lacking) * np.linalg.norm(taken)):
-        return at.information
-    return at.information + jnp.asarray(np.outer(lacking, lacking) / along)
+        return np.asarray(at.information)
+    return np.asarray(at.information) + np.outer(lacking, lacking) / along

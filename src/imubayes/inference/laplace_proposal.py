@@ -19,13 +19,12 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import jax
-import jax.numpy as jnp
 import lazy_loader
 import numpy as np
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float
-from imubayes.inference.nested_laplace import NestedLaplace, to_normal, to_point
+from imubayes.foundations.arrays import Array, Float, on_device
+from imubayes.inference.nested_laplace import NestedLaplace, to_normals, to_points
 from imubayes.model.likelihood import log_density
 from imubayes.model.problem import Problem
 
@@ -37,27 +36,6 @@ else:
 
 # Points per vectorised block: larger blocks exceed the cache of a core.
 _MOST_IN_BLOCK = 16
-
-
-def in_blocks(function: Callable[[Array], Any], rows: Float[Array, "n PH"]) -> Any:
-    """Apply a function of one row to all; the last block is padded, since a shorter one would be compiled as well.
-
-    Vectorised as a whole, the precisions of 4000 draws take hundreds of megabytes, and five times as long.
-    """
-    count = rows.shape[0]
-    block = min(_MOST_IN_BLOCK, count)
-    padded = jnp.concatenate([rows, jnp.repeat(rows[-1:], -count % block, axis=0)])
-    return jax.tree.map(lambda whole: whole[:count], jax.lax.map(function, padded, batch_size=block))
-
-
-@kept
-def _to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array, "n PH"]):
-    return in_blocks(lambda vector: to_point(approximation, problem, vector), normal)
-
-
-@kept
-def _to_normal(approximation: NestedLaplace, problem: Problem, points: Float[Array, "n PH"]):
-    return in_blocks(lambda point: to_normal(approximation, problem, point), points)
 
 
 @kept
@@ -76,7 +54,7 @@ class LogDensity:
     def __init__(self, problem: Problem, batch: int):
         # Blocks of nearly the largest size, with little padding in the last.
         blocks = math.ceil(batch / _MOST_IN_BLOCK)
-        self.problem, self.block = problem, math.ceil(batch / blocks)
+        self.problem, self.block = on_device(problem), math.ceil(batch / blocks)
         self.batch = blocks * self.block
         self.evaluations = 0
 
@@ -121,13 +99,11 @@ class LaplaceProposal:
 
     def to_point(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the points of standard normal vectors, (n, P + H), and the log density of the proposal, (n,)."""
-        points, density = _to_point(self.approximation, self.problem, normal)
-        return np.array(points), np.array(density)
+        return to_points(self.approximation, self.problem, normal)
 
     def to_normal(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the standard normal vectors of points, (n, P + H), and the log density of the proposal, (n,)."""
-        normal, density = _to_normal(self.approximation, self.problem, points)
-        return np.array(normal), np.array(density)
+        return to_normals(self.approximation, self.problem, points)
 
     def draw(self, random: np.random.RandomState, count: int) -> np.ndarray:
         """Return `count` independent proposals, shape (count, P + H)."""

@@ -16,25 +16,22 @@ directions are solved for along the ridge.  Where the marginal of a weak directi
 
 from dataclasses import dataclass, replace
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its parts when they are first used
-from jax.scipy.linalg import solve_triangular
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, Scalar
+from imubayes.foundations.arrays import Array, Float, cholesky, solve_lower
 from imubayes.inference.conditional_precision import (
-    ExactPrecision,
+    Conditional,
     InnovationScale,
-    PrecisionBlocks,
     conditional,
+    conditional_precision,
     innovation_scale,
-    precision_blocks,
 )
-from imubayes.inference.laplace_marginal import inverse_of_precision, inverse_within, knowledge, log_marginal
+from imubayes.inference.laplace_marginal import ScaleMarginal, inverse_of_precision, inverse_within, knowledge
 from imubayes.inference.posterior_mode import Mode
+from imubayes.inference.scale_statistics import ScaleStatistics
 from imubayes.inference.tabulated_directions import (
     TabulatedDensity,
     TabulatedDirections,
@@ -46,7 +43,7 @@ from imubayes.inference.tabulated_directions import (
 from imubayes.inference.tabulated_directions import to_normal as to_standard
 from imubayes.model.likelihood import log_normaliser, residuals_of
 from imubayes.model.noise_covariance import inverse_covariance, whitener
-from imubayes.model.problem import Problem, predict, predict_many, prior_widths
+from imubayes.model.problem import Problem, predict_many, prior_widths
 
 # A direction is weak where its posterior standard deviation exceeds this share of the prior's; below, a ridge is
 # straight.
@@ -64,9 +61,12 @@ _SURVEY = np.linspace(-3.5, 3.5, 15)
 _HOPELESS, _APART = 15.0, 0.1
 # Log density, relative to the mode, where the marginal is not finite.
 _NOWHERE = -200.0
+# Draws whose precisions are formed and factored together: as a whole those of 4000 take hundreds of megabytes.
+_AT_ONCE = 64
 
 
-class NestedLaplace(eqx.Module):
+@dataclass(frozen=True)
+class NestedLaplace:
     """The proposal.
 
     Attributes
@@ -87,19 +87,20 @@ class NestedLaplace(eqx.Module):
     h: Float[Array, " H"]
     hyper_axes: Float[Array, "H H"]
     along: TabulatedDensity
-    blocks: PrecisionBlocks | ExactPrecision
+    blocks: Conditional
     weak: Float[Array, "P K"]
     bend: Float[Array, "K K P"]
     shape: TabulatedDirections | None = None
     ridge: InnovationScale | None = None
     along_ridge: "ChordSteps | None" = None
 
-    def scales(self, problem: Problem, straight: Float[Array, " H"]) -> Float[Array, " H"]:
+    def scales(self, problem: Problem, straight: Float[Array, "n H"]) -> np.ndarray:
         """Return the noise scales h of u."""
         return straight if self.ridge is None else self.ridge.scales(problem, straight)
 
 
-class ChordSteps(eqx.Module):
+@dataclass(frozen=True)
+class ChordSteps:
     """Steps of the chord method from a bent point to the ridge: the highest point for its weak coordinates.
 
     The Jacobian is that at the mode, so that a step costs one prediction and its error falls by the relative change of
@@ -112,32 +113,29 @@ class ChordSteps(eqx.Module):
     steps : their number.
     """
 
-    gain: Float[Array, "P E"]
-    restoring: Float[Array, "P P"]
-    steps: int = eqx.field(static=True)
+    gain: np.ndarray
+    restoring: np.ndarray
+    steps: int
 
-    def solved(self, problem: Problem, z: Float[Array, " P"], bent: Float[Array, " P"]) -> Float[Array, " P"]:
-        """Return the strong part of the step from z to the ridge, from its first estimate `bent`."""
+    def solved(self, problem: Problem, z: Float[Array, "n P"], bent: Float[Array, "n P"]) -> np.ndarray:
+        """Return the strong part of the steps from z to the ridge, from their first estimates `bent`."""
         for _ in range(self.steps):
             bent = bent + self.step(problem, z + bent)
         return bent
 
-    def step(self, problem: Problem, z: Float[Array, " P"]) -> Float[Array, " P"]:
-        """Return one step from z."""
-        return self.gain @ (problem.observations.value - predict(problem, z)) - self.restoring @ z
+    def step(self, problem: Problem, z: Float[Array, "n P"]) -> np.ndarray:
+        """Return one step from each z."""
+        return (problem.observations.value - predict_many(problem, z)) @ self.gain.T - z @ self.restoring.T
 
 
-@kept
-def posterior_precision(problem: Problem, mode: Mode) -> Float[Array, "P P"]:
-    """Return the Gauss–Newton precision of θ at the mode, in z."""
+def posterior_precision(problem: Problem, mode: Mode) -> np.ndarray:
+    """Return the Gauss–Newton precision of θ at the mode, in z, (P, P)."""
     known = knowledge(problem, mode.about, mode.h)
-    return known.precision + jnp.diag(prior_widths(problem, mode.h) ** -2)
+    return known.precision + np.diag(prior_widths(problem, mode.h) ** -2)
 
 
-def bends(
-    problem: Problem, mode: Mode, weak: Float[Array, "P K"], reach: Float[Array, " K"], inverse: Float[Array, "P P"]
-) -> Float[Array, "K K P"]:
-    """Return the acceleration along every pair of weak directions.
+def bends(problem: Problem, mode: Mode, weak: np.ndarray, reach: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """Return the acceleration along every pair of weak directions, (K, K, P).
 
     The second derivatives are central differences over one posterior standard deviation to each side, the range of the
     proposal, rather than the derivatives at the mode.
@@ -149,25 +147,19 @@ def bends(
     inverse : shape (P, P), inverse of the precision restricted to the strong directions.
     """
     count = weak.shape[1]
-    steps = np.asarray(weak.T * reach[:, None])
+    steps = weak.T * reach[:, None]
     rows, columns = np.triu_indices(count)
-    pairs, middle = steps[rows] + steps[columns], np.asarray(mode.z)
-    centre = np.asarray(problem.observations.value - mode.about.misfit)
+    pairs, middle = steps[rows] + steps[columns], mode.z
+    centre = problem.observations.value - mode.about.misfit
     whole = predict_many(problem, middle + pairs) + predict_many(problem, middle - pairs) - 2 * centre
     # ∂²f[a, b] = ½ (∂²f[a + b, a + b] − ∂²f[a, a] − ∂²f[b, b]); the difference for (a, a) is along 2a: 4 ∂²f[a, a].
-    own, far = whole[rows == columns] / 4, np.asarray(reach)
+    own, far = whole[rows == columns] / 4, reach
     mixed = 0.5 * (whole - own[rows] - own[columns]) / (far[rows] * far[columns])[:, None]
-    acceleration = -np.asarray(_pulled(problem, mode, mixed)) @ np.asarray(inverse)
+    pulled = inverse_covariance(problem, whitener(problem, mode.h), mode.about.jacobian)[0]
+    acceleration = -(mixed @ pulled) @ inverse
     result = np.zeros((count, count, weak.shape[0]))
     result[rows, columns] = result[columns, rows] = acceleration
-    return jnp.asarray(result)
-
-
-@kept
-def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float[Array, "n P"]:
-    """Return JᵀΣ⁻¹ · change for each change of the prediction."""
-    by = whitener(problem, mode.h)
-    return jax.vmap(lambda change: mode.about.jacobian.T @ inverse_covariance(problem, by, change)[0])(changes)
+    return result
 
 
 def nested_laplace(problem: Problem, mode: Mode, marginal: "HyperMarginal | None" = None) -> NestedLaplace:
@@ -178,38 +170,36 @@ def nested_laplace(problem: Problem, mode: Mode, marginal: "HyperMarginal | None
         chord_steps(problem, mode, weak, reach, bend),
     )
     own = marginal or hyper_marginal(problem, mode)
-    blocks = precision_blocks(problem, mode)
-    return NestedLaplace(mode.z, mode.h, own.axes, own.along, blocks, weak, bend, shape, own.ridge, chords)
+    given = conditional_precision(problem, mode)
+    return NestedLaplace(mode.z, mode.h, own.axes, own.along, given, weak, bend, shape, own.ridge, chords)
 
 
-def weak_directions(
-    problem: Problem, mode: Mode
-) -> tuple[Float[Array, "P K"], Float[Array, "K K P"], TabulatedDirections | None]:
+def weak_directions(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.ndarray, TabulatedDirections | None]:
     """Return the weak directions about a mode, as of `curved_directions`, and the marginals that are not normal."""
     weak, reach, bend = curved_directions(problem, mode)
     return weak, bend, tabulated_directions(problem, mode, weak, reach, bend)
 
 
-def curved_directions(problem: Problem, mode: Mode) -> tuple[Float[Array, "P K"], np.ndarray, Float[Array, "K K P"]]:
+def curved_directions(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the weak directions about a mode.
 
     Returns
     -------
-    Orthonormal directions, the posterior standard deviation along each, (K,), and the acceleration along every pair.
+    Orthonormal directions (P, K), the posterior standard deviation along each, (K,), and the acceleration along every
+    pair, (K, K, P).
     """
-    precision = np.asarray(posterior_precision(problem, mode))
+    precision = posterior_precision(problem, mode)
     variances, vectors = np.linalg.eigh(inverse_of_precision(precision))
     count = min(int(np.sum(variances > _WEAK_SD**2)), _MOST_WEAK)
     # The largest variance comes first, as the least precision.
     weak, strong = vectors[:, ::-1][:, :count], vectors[:, ::-1][:, count:]
-    inverse = jnp.asarray(inverse_within(precision, strong))
-    reach, weak = variances[::-1][:count] ** 0.5, jnp.asarray(weak)
-    none = jnp.zeros((0, 0, mode.z.shape[0]))
-    return weak, reach, bends(problem, mode, weak, jnp.asarray(reach), inverse) if count else none
+    inverse, reach = inverse_within(precision, strong), variances[::-1][:count] ** 0.5
+    none = np.zeros((0, 0, mode.z.shape[0]))
+    return weak, reach, bends(problem, mode, weak, reach, inverse) if count else none
 
 
 def chord_steps(
-    problem: Problem, mode: Mode, weak: Float[Array, "P K"], reach: np.ndarray, bend: Float[Array, "K K P"]
+    problem: Problem, mode: Mode, weak: np.ndarray, reach: np.ndarray, bend: np.ndarray
 ) -> ChordSteps | None:
     """Return the steps that lead from bent points to the ridge; None where the bend does, or where they would not.
 
@@ -219,37 +209,22 @@ def chord_steps(
     """
     if not reach.size:
         return None
-    precision = np.asarray(posterior_precision(problem, mode))
-    chords = ChordSteps(
-        *_gains(problem, mode, jnp.asarray(inverse_within(precision, scipy.linalg.null_space(weak.T)))), 0
-    )
+    precision = posterior_precision(problem, mode)
+    inverse = inverse_within(precision, scipy.linalg.null_space(weak.T))
+    pulled = inverse_covariance(problem, whitener(problem, mode.h), mode.about.jacobian)[0]
+    chords = ChordSteps(inverse @ pulled.T, inverse * prior_widths(problem, mode.h)[None, :] ** -2, 0)
     w = reach * np.random.default_rng(0).normal(size=(_RIDGE_POINTS, reach.size))
-    z = np.asarray(mode.z) + w @ np.asarray(weak).T + 0.5 * np.einsum("ni,nj,ijp->np", w, w, np.asarray(bend))
+    z = mode.z + w @ weak.T + 0.5 * np.einsum("ni,nj,ijp->np", w, w, bend)
     before = np.inf
     for count in range(_MOST_CHORDS + 1):
-        misfit = np.asarray(problem.observations.value) - predict_many(problem, z)
-        step = misfit @ np.asarray(chords.gain).T - z @ np.asarray(chords.restoring).T
-        size = np.sqrt(np.einsum("np,pq,nq->n", step, precision, step).max())
+        step = chords.step(problem, z)
+        size = np.sqrt(np.einsum("np,pq,nq->n", step, precision, step, optimize=True).max())
         if size < _ON_RIDGE:
             return replace(chords, steps=count) if count else None
         if not size < before:
             return None
         z, before = z + step, size
     return replace(chords, steps=_MOST_CHORDS)
-
-
-@kept
-def _gains(
-    problem: Problem, mode: Mode, inverse: Float[Array, "P P"]
-) -> tuple[Float[Array, "P E"], Float[Array, "P P"]]:
-    by = whitener(problem, mode.h)
-    pulled = jax.vmap(lambda column: inverse_covariance(problem, by, column)[0])(mode.about.jacobian.T)
-    return inverse @ pulled, inverse * prior_widths(problem, mode.h)[None, :] ** -2
-
-
-@kept
-def _log_marginals(problem: Problem, mode: Mode, h: Float[Array, "n H"]) -> Float[Array, " n"]:
-    return jax.lax.map(lambda point: log_marginal(problem, mode.about, point), h)
 
 
 @dataclass(frozen=True)
@@ -262,7 +237,7 @@ class HyperMarginal:
     others : h (H,) near other maxima along the axes.
     """
 
-    axes: Float[Array, "H H"]
+    axes: np.ndarray
     along: TabulatedDensity
     ridge: InnovationScale | None
     deviation: np.ndarray
@@ -273,14 +248,12 @@ def hyper_marginal(problem: Problem, mode: Mode) -> HyperMarginal:
     """Return the marginal of h, or of u where there is a ridge, along each of its axes."""
     information, ridge = np.asarray(mode.marginal.information), innovation_scale(problem, mode.h)
     if ridge is not None:
-        information = np.asarray(ridge.straightened_information(problem, mode.h, mode.marginal.information))
-    probes = hyper_probes(np.asarray(mode.h), information)
-    points = jnp.asarray(probes.points)
-    if ridge is not None:
-        points = jax.vmap(lambda point: ridge.scales(problem, point))(points)
-    values = np.asarray(_log_marginals(problem, mode, points)) - float(mode.marginal.value)
-    others = tuple(np.asarray(points[place]) for place in probes.other_maxima(values))
-    return HyperMarginal(jnp.asarray(probes.axes), probes.tabulated(values), ridge, probes.deviation, others)
+        information = ridge.straightened_information(problem, mode.h, information)
+    probes = hyper_probes(mode.h, information)
+    points = probes.points if ridge is None else ridge.scales(problem, probes.points)
+    values = ScaleMarginal(problem, mode.about).values(points) - float(mode.marginal.value)
+    others = tuple(points[place] for place in probes.other_maxima(values))
+    return HyperMarginal(probes.axes, probes.tabulated(values), ridge, probes.deviation, others)
 
 
 @dataclass(frozen=True)
@@ -337,93 +310,124 @@ def hyper_probes(h: np.ndarray, information: np.ndarray) -> HyperProbes:
     return HyperProbes(axes, deviation, knots, order < len(_PROBES), points.reshape(-1, len(axes)))
 
 
-def _conditional(approximation: NestedLaplace, problem: Problem, h: Float[Array, " H"]):
-    """Return Cholesky factor of the precision of θ given h, and its mean less ẑ."""
+def _given(approximation: NestedLaplace, problem: Problem, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return Cholesky factors of the precision of θ given each h, (n, P, P), and its whitened mean less ẑ, (n, P)."""
     precision, gradient = conditional(approximation.blocks, problem, h)
-    factor = jnp.linalg.cholesky(precision)
-    step = solve_triangular(factor, gradient, lower=True)
-    return factor, solve_triangular(factor.T, step, lower=False)
+    factor = cholesky(precision)
+    return factor, _solved(factor, gradient)
 
 
-def _bent(approximation: NestedLaplace, problem: Problem, delta: Float[Array, " P"]) -> Float[Array, " P"]:
+def _solved(factor: np.ndarray, vectors: np.ndarray, transposed: bool = False) -> np.ndarray:
+    """Return L⁻¹ · vector, or L⁻ᵀ · vector, for each of n factors and vectors."""
+    return np.stack([solve_lower(each, vector, transposed) for each, vector in zip(factor, vectors, strict=True)])
+
+
+def _bent(approximation: NestedLaplace, problem: Problem, delta: np.ndarray) -> np.ndarray:
     weak = delta @ approximation.weak
-    bent = 0.5 * jnp.einsum("i,j,ijp->p", weak, weak, approximation.bend)
+    count, size = weak.shape[1], delta.shape[1]
+    products = (weak[:, :, None] * weak[:, None, :]).reshape(len(delta), count**2)
+    bent = 0.5 * products @ approximation.bend.reshape(count**2, size)
     if approximation.along_ridge is None:
         return bent
-    return approximation.along_ridge.solved(problem, approximation.z + approximation.weak @ weak, bent)
+    return approximation.along_ridge.solved(problem, approximation.z + weak @ approximation.weak.T, bent)
 
 
-def to_point(
-    approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"]
-) -> tuple[Float[Array, " PH"], Scalar]:
-    """Return the point (θ, h), in z, of a standard normal vector, and the log density of the proposal there.
+def to_points(approximation: NestedLaplace, problem: Problem, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points (θ, h), in z, of standard normal vectors (n, P + H), and the log density of the proposal there.
 
     The points of random vectors are proposals.
     """
-    return _to_point(approximation, problem, normal)[:2]
+    parts = [_to_points(approximation, problem, rows)[:2] for rows in _blocks(normal)]
+    return np.concatenate([points for points, _ in parts]), np.concatenate([density for _, density in parts])
 
 
-def point_and_marginal(
-    approximation: NestedLaplace, problem: Problem, misfit: Float[Array, " E"], normal: Float[Array, " PH"]
-) -> tuple[Float[Array, " PH"], Scalar]:
-    """Return the point of a standard normal vector, and the Laplace marginal of its h, up to a constant.
+def points_and_marginals(
+    approximation: NestedLaplace, problem: Problem, misfit: np.ndarray, normal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points of standard normal vectors (n, P + H), and the Laplace marginal of their h, up to a constant.
 
     Parameters
     ----------
     misfit : shape (E,), y − f at the mode.
     """
-    point, _, (factor, mean) = _to_point(approximation, problem, normal)
-    h = point[approximation.z.shape[0] :]
-    joint = -0.5 * jnp.sum(residuals_of(problem, misfit, approximation.z, h) ** 2) + log_normaliser(problem, h)
-    return point, joint + 0.5 * jnp.sum((factor.T @ mean) ** 2) - jnp.sum(jnp.log(jnp.diagonal(factor)))
+    points, marginals, size = [], [], approximation.z.shape[0]
+    for rows in _blocks(normal):
+        found, _, factor, half = _to_points(approximation, problem, rows)
+        given = approximation.blocks
+        density = (
+            given.log_densities(found[:, size:])
+            if isinstance(given, ScaleStatistics)
+            else np.asarray(_log_densities(problem, misfit, approximation.z, found[:, size:]))
+        )
+        log_determinant = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        points.append(found)
+        marginals.append(density + 0.5 * np.sum(half**2, axis=1) - log_determinant)
+    return np.concatenate(points), np.concatenate(marginals)
 
 
-def _to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"]):
-    """Return point and log density as `to_point`, and Cholesky factor and mean of θ given h."""
+@kept
+def _log_densities(problem: Problem, misfit, z, h: Float[Array, "n H"]) -> Float[Array, " n"]:
+    """Return the log density at the mode of θ for several h: one compiled program for noise that is no sum of scales."""
+
+    def at(scales):
+        return -0.5 * (residuals_of(problem, misfit, z, scales) ** 2).sum() + log_normaliser(problem, scales)
+
+    return jax.lax.map(at, h)
+
+
+def _blocks(rows: np.ndarray) -> list[np.ndarray]:
+    return np.split(rows, range(_AT_ONCE, len(rows), _AT_ONCE))
+
+
+def _to_points(approximation: NestedLaplace, problem: Problem, normal: np.ndarray):
+    """Return points and log density as `to_points`, and Cholesky factor and whitened mean of θ given h."""
     size = approximation.z.shape[0]
-    along = from_normal(approximation.along, normal[size:])
-    h = approximation.scales(problem, approximation.h + approximation.hyper_axes @ along)
-    factor, mean = _conditional(approximation, problem, h)
-    whitened, excess = normal[:size], jnp.zeros(())
+    along = from_normal(approximation.along, normal[:, size:])
+    h = approximation.scales(problem, approximation.h + along @ approximation.hyper_axes.T)
+    factor, half = _given(approximation, problem, h)
+    whitened, excess = normal[:, :size], 0.0
     if approximation.shape is not None:
         whitened, excess = approximation.shape.shaped(factor, whitened)
-    delta = mean + solve_triangular(factor.T, whitened, lower=False)
-    point = jnp.concatenate([approximation.z + delta + _bent(approximation, problem, delta), h])
-    return point, _log_density(approximation, factor, whitened, along) + excess, (factor, mean)
+    delta = _solved(factor, half + whitened, transposed=True)
+    points = np.concatenate([approximation.z + delta + _bent(approximation, problem, delta), h], axis=1)
+    return points, _log_density(approximation, factor, whitened, along) + excess, factor, half
 
 
-def to_normal(
-    approximation: NestedLaplace, problem: Problem, point: Float[Array, " PH"]
-) -> tuple[Float[Array, " PH"], Scalar]:
-    """Return the standard normal vector of a point, and the log density of the proposal there."""
+def to_normals(approximation: NestedLaplace, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the standard normal vectors of points (n, P + H), and the log density of the proposal there."""
+    parts = [_to_normals(approximation, problem, rows) for rows in _blocks(points)]
+    return np.concatenate([normal for normal, _ in parts]), np.concatenate([density for _, density in parts])
+
+
+def _to_normals(approximation: NestedLaplace, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = approximation.z.shape[0]
-    z, h = point[:size], point[size:]
+    z, h = points[:, :size], points[:, size:]
     along = _along(approximation, problem, h)
-    factor, mean = _conditional(approximation, problem, h)
+    factor, half = _given(approximation, problem, h)
     bent = z - approximation.z
     # The bend does not change the weak coordinates, so it is computed from the bent step and subtracted.
-    whitened = factor.T @ (bent - _bent(approximation, problem, bent) - mean)
+    step = bent - _bent(approximation, problem, bent)
+    whitened = np.einsum("nqp,nq->np", factor, step) - half
     density = _log_density(approximation, factor, whitened, along)
     if approximation.shape is not None:
         whitened, excess = approximation.shape.normalised(factor, whitened)
         density = density + excess
-    return jnp.concatenate([whitened, to_standard(approximation.along, along)]), density
+    return np.concatenate([whitened, to_standard(approximation.along, along)], axis=1), density
 
 
-def hyper_density(approximation: NestedLaplace, problem: Problem, h: Float[Array, " H"]) -> Scalar:
-    """Return the log density of the proposal of h."""
-    return jnp.sum(log_density(approximation.along, _along(approximation, problem, h)))
+def hyper_density(approximation: NestedLaplace, problem: Problem, h: Float[Array, "n H"]) -> np.ndarray:
+    """Return the log density of the proposal of each h, (n,)."""
+    return np.sum(log_density(approximation.along, _along(approximation, problem, h)), axis=-1)
 
 
-def _along(approximation: NestedLaplace, problem: Problem, h: Float[Array, " H"]) -> Float[Array, " H"]:
+def _along(approximation: NestedLaplace, problem: Problem, h: Float[Array, "n H"]) -> np.ndarray:
     """Return h along the axes of its marginal."""
     straight = h if approximation.ridge is None else approximation.ridge.straightened(problem, h)
-    step = straight - approximation.h
-    return solve_triangular(approximation.hyper_axes, step, lower=True, unit_diagonal=True) if h.size else h
+    return solve_lower(approximation.hyper_axes, (straight - approximation.h).T).T if h.size else h
 
 
-def _log_density(approximation: NestedLaplace, factor, whitened: Float[Array, " P"], along: Float[Array, " H"]):
-    hyper = jnp.sum(log_density(approximation.along, along))
-    log_determinant = jnp.sum(jnp.log(jnp.diagonal(factor)))
-    constant = 0.5 * jnp.log(2 * jnp.pi) * whitened.shape[0]
-    return hyper - 0.5 * jnp.sum(whitened**2) + log_determinant - constant
+def _log_density(approximation: NestedLaplace, factor: np.ndarray, whitened: np.ndarray, along: np.ndarray):
+    hyper = np.sum(log_density(approximation.along, along), axis=1)
+    log_determinant = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
+    constant = 0.5 * np.log(2 * np.pi) * whitened.shape[1]
+    return hyper - 0.5 * np.sum(whitened**2, axis=1) + log_determinant - constant

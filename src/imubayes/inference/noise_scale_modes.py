@@ -11,23 +11,19 @@ from what is tabulated about every mode that holds mass.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import logsumexp
 
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float
 from imubayes.inference.conditional_precision import ExactPrecision
-from imubayes.inference.laplace_marginal import climb
-from imubayes.inference.laplace_proposal import in_blocks, systematic
+from imubayes.inference.laplace_marginal import ScaleMarginal, climbed
+from imubayes.inference.laplace_proposal import systematic
 from imubayes.inference.nested_laplace import (
     HyperMarginal,
     NestedLaplace,
     hyper_density,
     hyper_marginal,
     nested_laplace,
-    point_and_marginal,
+    points_and_marginals,
 )
 from imubayes.inference.posterior_mode import Mode, find_mode, log_evidence
 from imubayes.model.noise_covariance import rows_correlate
@@ -68,9 +64,9 @@ def modes_of_scales(problem: Problem, mode: Mode) -> ScaleModes:
     while True:
         highest = max(known, key=lambda each: float(each.marginal.value))
         marginal = hyper_marginal(problem, highest)
-        count = len(known)
-        for start in (*marginal.others, *_exchanged(np.asarray(highest.h), marginal.deviation)):
-            h, at = climb(problem, highest.about, jnp.asarray(start))
+        count, density = len(known), ScaleMarginal(problem, highest.about)
+        for start in (*marginal.others, *_exchanged(highest.h, marginal.deviation)):
+            h, at = climbed(density, start)
             if float(at.value) < float(highest.marginal.value) - _HOPELESS or _among(known, h):
                 continue
             found = find_mode(problem, highest.z, h)
@@ -93,8 +89,8 @@ def _exchanged(h: np.ndarray, deviation: np.ndarray) -> list[np.ndarray]:
     return starts
 
 
-def _among(known: Sequence[Mode], h: Float[Array, " H"]) -> bool:
-    return any(float(jnp.max(jnp.abs(mode.h - h), initial=0.0)) < _ALIKE for mode in known)
+def _among(known: Sequence[Mode], h: np.ndarray) -> bool:
+    return any(float(np.max(np.abs(mode.h - h), initial=0.0)) < _ALIKE for mode in known)
 
 
 def posterior_points(
@@ -120,14 +116,14 @@ def posterior_points(
     share /= share.sum()
     ends = np.round(np.cumsum(share) * len(normal)).astype(int)
     drawn = [
-        _points_and_marginals(proposal, problem, mode.about.misfit, rows)
+        points_and_marginals(proposal, problem, mode.about.misfit, rows)
         for proposal, mode, rows in zip(proposals, all_modes, np.split(normal, ends[:-1]), strict=True)
     ]
-    points, marginal = (np.concatenate([np.asarray(each[part]) for each in drawn]) for part in (0, 1))
+    points, marginal = (np.concatenate([each[part] for each in drawn]) for part in (0, 1))
     # By blocks, the precision of correlated rows is approximate: good for θ, but no measure of a density.
     if not (isinstance(approximation.blocks, ExactPrecision) or not rows_correlate(problem)):
         return points
-    densities = np.stack([np.asarray(_hyper_densities(each, problem, points[:, size:])) for each in proposals])
+    densities = np.stack([hyper_density(each, problem, points[:, size:]) for each in proposals])
     return resampled(points, marginal - logsumexp(densities + np.log(share)[:, None], axis=0))
 
 
@@ -137,15 +133,3 @@ def resampled(points: np.ndarray, log_weight: np.ndarray) -> np.ndarray:
     if len(weight) * np.sum(weight**2) < 1 + _EVEN:
         return points
     return points[systematic(weight, len(weight), np.random.RandomState(0))]
-
-
-@kept
-def _points_and_marginals(
-    approximation: NestedLaplace, problem: Problem, misfit: Float[Array, " E"], normal: Float[Array, "n PH"]
-):
-    return in_blocks(lambda vector: point_and_marginal(approximation, problem, misfit, vector), normal)
-
-
-@kept
-def _hyper_densities(approximation: NestedLaplace, problem: Problem, h: Float[Array, "n H"]) -> Float[Array, " n"]:
-    return jax.lax.map(lambda each: hyper_density(approximation, problem, each), h)

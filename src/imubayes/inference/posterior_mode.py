@@ -12,6 +12,7 @@ the digits in a tenth of the time.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -23,16 +24,23 @@ import numpy as np
 import optimistix as optx
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Bool, Float, Int, Scalar
-from imubayes.inference.laplace_marginal import Curvature, Linearised, climb, knowledge, linearise
+from imubayes.foundations.arrays import Array, Bool, Float, Int, Scalar, cho_solve, cholesky, on_host
+from imubayes.inference.laplace_marginal import (
+    Curvature,
+    Linearised,
+    climb,
+    knowledge,
+    linearise,
+    linearised,
+)
 from imubayes.model.likelihood import (
     has_heavy_tails,
     least_squares_form,
     log_normaliser,
-    residuals_of,
+    whitened,
     with_normal_noise,
 )
-from imubayes.model.noise_covariance import whiten
+from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict_many, prior_widths
 
 # Initial damping, relative to columns of unit norm: nearly Gauss–Newton, without a leap onto a plateau.
@@ -261,12 +269,12 @@ class Mode(eqx.Module):
 
     z: Float[Array, " P"]
     h: Float[Array, " H"]
-    decrement: Scalar
+    decrement: float
     about: Linearised
     marginal: Curvature
-    steps: Int[Array, ""]
-    settled: Bool[Array, ""]
-    converged: Bool[Array, ""]
+    steps: int
+    settled: bool
+    converged: bool
 
 
 def linear_residual(problem: Problem, h: Float[Array, " H"]) -> Callable:
@@ -279,7 +287,7 @@ def linear_residual(problem: Problem, h: Float[Array, " H"]) -> Callable:
 
     def residual(z):
         here = jax.lax.stop_gradient(z)
-        about = linearise(problem, here)
+        about = linearised(problem, here)
         by, straight = least_squares_form(problem, h, about.misfit)
         value = jnp.concatenate([whiten(problem, by, straight), here / widths])
         slope = jnp.concatenate([-whiten(problem, by, about.jacobian), jnp.diag(1 / widths)])
@@ -302,63 +310,56 @@ def fit_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"
 _fit_parameters = kept(fit_parameters)
 
 
-class Newton(eqx.Module):
-    """The Gauss–Newton step at given h, and its size, in posterior standard deviations."""
+@dataclass(frozen=True)
+class Newton:
+    """The Gauss–Newton step, (P,), at given h, and its size √(gᵀH⁻¹g), in posterior standard deviations."""
 
-    step: Float[Array, " P"]
-    decrement: Scalar
+    step: np.ndarray
+    decrement: float
 
 
 # Where a weak direction is curved, Gauss–Newton creeps along it with steps that shrink by a constant factor.
 _LENGTHS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 
 
-def gauss_newton(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Newton:
-    """Return the step to the mode of the linearised model, and the decrement √(gᵀH⁻¹g)."""
+@np.errstate(all="ignore")
+def gauss_newton(problem: Problem, about: Linearised, h: np.ndarray) -> Newton:
+    """Return the step to the mode of the linearised model, and the decrement."""
     known, prior_precision = knowledge(problem, about, h), prior_widths(problem, h) ** -2
-    total = known.precision + jnp.diag(prior_precision)
     gradient = known.gradient - prior_precision * about.z
-    step = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(total), True), gradient)
-    return Newton(step, jnp.sqrt(jnp.maximum(gradient @ step, 0.0)))
+    step = cho_solve(cholesky(known.precision + np.diag(prior_precision)), gradient)
+    # NaN, and not 0, of a step that is none.
+    return Newton(step, float(np.sqrt(np.maximum(gradient @ step, 0.0))))
 
 
-_gauss_newton = kept(gauss_newton)
-
-
-@kept
-def _heights(problem: Problem, predicted: Float[Array, "n E"], z: Float[Array, "n P"], h: Float[Array, " H"]):
-    def height(predicted, z):
-        misfit = problem.observations.value - predicted
-        return -0.5 * jnp.sum(residuals_of(problem, misfit, z, h) ** 2) + log_normaliser(problem, h)
-
-    return jax.vmap(height)(predicted, z)
-
-
-def heights(problem: Problem, z: Sequence[Float[Array, " P"]] | np.ndarray, h: Float[Array, " H"]) -> np.ndarray:
+@np.errstate(all="ignore")
+def heights(problem: Problem, z: Sequence[np.ndarray] | np.ndarray, h: np.ndarray) -> np.ndarray:
     """Return the log density at several θ (n of shape P) and one h, −∞ where it is not finite; shape (n,)."""
-    points = np.stack([np.asarray(point) for point in z])
-    found = np.asarray(_heights(problem, predict_many(problem, points), points, h))
+    points, h = np.stack([np.asarray(point) for point in z]), np.asarray(h)
+    misfits, known = problem.observations.value - predict_many(problem, points), log_normaliser(problem, h)
+    widths = prior_widths(problem, h)
+    if has_heavy_tails(problem):
+        data = np.array([np.sum(whitened(problem, h, misfit) ** 2) for misfit in misfits])
+    else:
+        data = np.sum(whiten(problem, whitener(problem, h), misfits.T) ** 2, axis=0)
+    found = -0.5 * (data + np.sum((points / widths) ** 2, axis=1)) + known
     return np.where(np.isfinite(found), found, -np.inf)
 
 
-def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Mode:
-    """Return the joint fit, started from z (P,) and h (H,).
-
-    The parts are pure functions of arrays and vmap over a stack of problems; this loop only decides how often they are
-    called.
-    """
-    steps, settled, about, at = 0, False, None, None
+def find_mode(problem: Problem, z: np.ndarray, h: np.ndarray) -> Mode:
+    """Return the joint fit, started from z (P,) and h (H,)."""
+    steps, settled, about, at, h = 0, False, None, None, np.asarray(h)
     if has_heavy_tails(problem):
         # Far from the fit every sample would pass for an outlier and have no influence.
-        z = _fit_parameters(with_normal_noise(problem), z, h).value
+        z = fit_at(with_normal_noise(problem), z, h)
     for _ in range(_ROUNDS):
-        fitted = _fit_parameters(problem, z, h)
+        fitted = _fit_parameters(problem, np.asarray(z), h)
         steps += int(fitted.steps)
-        z, about = fitted.value, fitted.aux
+        z, about = np.asarray(fitted.value), on_host(fitted.aux)
         before = h
         h, at = climb(problem, about, h, at.information if at is not None else None)
-        settled = h.size == 0 or float(jnp.max(jnp.abs(h - before))) < _SETTLED
-        if settled or not bool(jnp.all(jnp.isfinite(h))):
+        settled = h.size == 0 or float(np.max(np.abs(h - before))) < _SETTLED
+        if settled or not np.all(np.isfinite(h)):
             break
     assert about is not None
     assert at is not None
@@ -366,9 +367,7 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
     return _mode(about, h, at, decrement, steps + more, settled)
 
 
-def mode_near(
-    problem: Problem, about: Linearised, h: Float[Array, " H"], information: Float[Array, "H H"] | None = None
-) -> Mode:
+def mode_near(problem: Problem, about: Linearised, h: np.ndarray, information: np.ndarray | None = None) -> Mode:
     """Return the joint fit from a place close to it: h in the linearised model and Gauss–Newton steps in turns.
 
     For a fit of nearly the same data, whose linearisation `about` is at hand: a step or two lead there, where
@@ -381,49 +380,46 @@ def mode_near(
     information : shape (H, H), negative Hessian of the marginal of h at a fit of nearly the same data.  Where it is
         given, that of the mode is learnt from the steps alone: the mode is as good, widths of h are not.
     """
-    steps, settled, at, decrement = 0, False, None, jnp.asarray(jnp.inf)
+    steps, settled, at, decrement, h = 0, False, None, np.inf, np.asarray(h)
     judged = information is None
     for _ in range(_ROUNDS):
         before = h
         h, at = climb(problem, about, h, at.information if at is not None else information, judged=judged)
-        settled = h.size == 0 or float(jnp.max(jnp.abs(h - before))) < _SETTLED
+        settled = h.size == 0 or float(np.max(np.abs(h - before))) < _SETTLED
         about, decrement, more = _polished(problem, about, h)
         steps += more
-        if (settled and not more) or not bool(jnp.all(jnp.isfinite(h))):
+        if (settled and not more) or not np.all(np.isfinite(h)):
             break
     assert at is not None
     return _mode(about, h, at, decrement, steps, settled)
 
 
-def _polished(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> tuple[Linearised, Scalar, int]:
+def _polished(problem: Problem, about: Linearised, h: np.ndarray) -> tuple[Linearised, float, int]:
     """Return the model about the end of Gauss–Newton steps at given h, the decrement there, and how many they were."""
-    decrement, steps = jnp.asarray(jnp.inf), 0
+    decrement, steps, about = np.inf, 0, on_host(about)
     for _ in range(_POLISH_STEPS):
-        newton = _gauss_newton(problem, about, h)
+        newton = gauss_newton(problem, about, h)
         decrement = newton.decrement
-        if not float(decrement) >= _DECREMENT / 10:
+        if not decrement >= _DECREMENT / 10:
             break
-        ends = np.asarray(about.z) + _LENGTHS[:, None] * np.asarray(newton.step)
+        ends = about.z + _LENGTHS[:, None] * newton.step
         best = int(np.argmax(heights(problem, ends, h)))
         if _LENGTHS[best] == 0:
             break
         steps += 1
-        about = linearise(problem, jnp.asarray(ends[best]))
+        about = linearise(problem, ends[best])
     return about, decrement, steps
 
 
-def _mode(
-    about: Linearised, h: Float[Array, " H"], at: Curvature, decrement: Scalar, steps: int, settled: bool
-) -> Mode:
+def _mode(about: Linearised, h: np.ndarray, at: Curvature, decrement: float, steps: int, settled: bool) -> Mode:
     parts = (decrement, h, at.value, at.gradient, at.information)
-    finite = all(bool(jnp.all(jnp.isfinite(part))) for part in parts)
-    converged = finite and settled and float(decrement) < _DECREMENT
-    return Mode(about.z, h, decrement, about, at, jnp.asarray(steps), jnp.asarray(settled), jnp.asarray(converged))
+    finite = all(bool(np.all(np.isfinite(part))) for part in parts)
+    return Mode(about.z, h, decrement, about, at, steps, settled, finite and settled and decrement < _DECREMENT)
 
 
-def fit_at(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Float[Array, " P"]:
+def fit_at(problem: Problem, z: np.ndarray, h: np.ndarray) -> np.ndarray:
     """Return θ at given h, started from z: the compiled form of `fit_parameters`."""
-    return _fit_parameters(problem, z, h).value
+    return np.asarray(_fit_parameters(problem, np.asarray(z), np.asarray(h)).value)
 
 
 def log_evidence(mode: Mode) -> float:
@@ -434,13 +430,13 @@ def log_evidence(mode: Mode) -> float:
 
 def message(mode: Mode) -> str:
     """Return the sentence that says how the fit ended; empty when it converged."""
-    if bool(mode.converged):
+    if mode.converged:
         return ""
-    if not bool(jnp.isfinite(mode.decrement)):
+    if not np.isfinite(mode.decrement):
         return "The fit did not converge: the model gave a value that is not finite."
-    if not bool(mode.settled):
+    if not mode.settled:
         return f"The fit did not converge: the noise scales still changed after {_ROUNDS} rounds."
     return (
-        f"The fit did not converge: the last step was {float(mode.decrement):.2g} posterior standard deviations, "
+        f"The fit did not converge: the last step was {mode.decrement:.2g} posterior standard deviations, "
         f"more than {_DECREMENT:g}."
     )

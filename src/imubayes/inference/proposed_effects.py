@@ -12,7 +12,6 @@ and misalignment: of six faces K0 and K2 have hardly more than a sum.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import AmbientEffect
@@ -141,7 +140,7 @@ def untold_effects(model: Model) -> tuple[str, ...]:
 
 def _precision(model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the precision of the parameters before any reading, (P, P), their prior widths and their effects, (P,)."""
-    about = linearise(model.problem, jnp.zeros(len(model.layout)))
+    about = linearise(model.problem, np.zeros(len(model.layout)))
     _, jacobian, widths = whitened_about(model.problem, about, np.zeros(len(model.hyper_layout)))
     owner = np.array([parameter.effect for parameter in model.layout.parameters])
     return jacobian.T @ jacobian + np.diag(widths**-2), widths, owner

@@ -193,7 +193,7 @@ def _best_start(
     """Fit from the start and from draws of the prior; return the best, and other ends worth a look."""
     size, hyper_size = problem.size
     z, h = start if start is not None else (np.zeros(size), np.zeros(hyper_size))
-    mode = find_mode(problem, jnp.asarray(z), jnp.asarray(h))
+    mode = find_mode(problem, np.asarray(z), np.asarray(h))
     draws = _dispersed(size, sampling) if sampling is not None or start is None else []
     ends = [fit_at(problem, draw, mode.h) for draw in counted(tell, "fitting: dispersed start", draws)]
     here, *densities = heights(problem, [mode.z, *ends], mode.h).tolist()
@@ -211,7 +211,7 @@ def _best_start(
 def _dispersed(size: int, sampling: Settings | None) -> list[Float[Array, " P"]]:
     """Return draws of the prior to begin fits at."""
     random = np.random.default_rng([sampling.seed if sampling else 0, 1])
-    return [jnp.asarray(random.normal(size=size)) for _ in range(_DISPERSED)]
+    return [np.asarray(random.normal(size=size)) for _ in range(_DISPERSED)]
 
 
 def _negligible(problem: Problem, end: np.ndarray, mode: Mode) -> bool:
@@ -219,7 +219,7 @@ def _negligible(problem: Problem, end: np.ndarray, mode: Mode) -> bool:
 
     An ensemble that begins there does not leave it, and says what is no matter: that the ensembles disagree.
     """
-    there = find_mode(problem, jnp.asarray(end), mode.h)
+    there = find_mode(problem, np.asarray(end), mode.h)
     return bool(there.converged) and log_evidence(there) < log_evidence(mode) - NEGLIGIBLE
 
 

@@ -13,16 +13,12 @@ the lower end and what is above it from the upper one, so that no digits are los
 """
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
+import jax.scipy.special
 import numpy as np
 import scipy  # loads its parts when they are first used
 import scipy.special
-from jax.scipy.linalg import cho_solve, solve_triangular
-from jax.scipy.special import ndtr, ndtri
 
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, Scalar
+from imubayes.foundations.arrays import Array, Float, cho_solve, cholesky, namespace, solve_lower
 from imubayes.inference.laplace_marginal import Linearised, knowledge, linearise
 from imubayes.inference.posterior_mode import Mode, heights
 from imubayes.model.problem import Problem, prior_widths
@@ -89,31 +85,40 @@ def tabulate(knots: np.ndarray, log_density: np.ndarray, scale: np.ndarray) -> T
     above = np.cumsum(np.concatenate([ends[:, 1:], cells[:, ::-1]], axis=-1), axis=-1)[:, ::-1]
     total = (below + above)[:, :1]
     arrays = (at, values - np.log(total), tails, below / total, above / total)
-    return TabulatedDensity(*(jnp.asarray(array) for array in arrays))
+    return TabulatedDensity(*arrays)
 
 
-def from_normal(table: TabulatedDensity, normal: Float[Array, " H"]) -> Float[Array, " H"]:
+def from_normal(table: TabulatedDensity, normal: Float[Array, "*batch H"]) -> Float[Array, "*batch H"]:
     """Return the variables that standard normal ones stand for, by their distribution functions."""
-    low = jax.vmap(_quantile)(table, ndtr(jnp.minimum(normal, 0.0)))
-    high = -jax.vmap(_quantile)(_reflected(table), ndtr(-jnp.maximum(normal, 0.0)))
-    return jnp.where(normal < 0, low, high)
+    xp, special = namespace(table.knots, normal), _special(table.knots, normal)
+    low = _quantile(table, special.ndtr(xp.minimum(normal, 0.0)))
+    high = -_quantile(_reflected(table), special.ndtr(-xp.maximum(normal, 0.0)))
+    return xp.where(normal < 0, low, high)
 
 
-def to_normal(table: TabulatedDensity, value: Float[Array, " H"]) -> Float[Array, " H"]:
+def to_normal(table: TabulatedDensity, value: Float[Array, "*batch H"]) -> Float[Array, "*batch H"]:
     """Return the standard normal variables that values stand for."""
-    below, above = jax.vmap(_mass_below)(table, value), jax.vmap(_mass_below)(_reflected(table), -value)
-    return jnp.where(below < above, ndtri(jnp.maximum(below, _LEAST_MASS)), -ndtri(jnp.maximum(above, _LEAST_MASS)))
+    xp, special = namespace(table.knots, value), _special(table.knots, value)
+    below, above = _mass_below(table, value), _mass_below(_reflected(table), -value)
+    return xp.where(
+        below < above, special.ndtri(xp.maximum(below, _LEAST_MASS)), -special.ndtri(xp.maximum(above, _LEAST_MASS))
+    )
 
 
-def log_density(table: TabulatedDensity, value: Float[Array, " H"]) -> Float[Array, " H"]:
+def log_density(table: TabulatedDensity, value: Float[Array, "*batch H"]) -> Float[Array, "*batch H"]:
     """Return the logarithms of the densities at values."""
+    xp = namespace(table.knots, value)
+    cell = _cell(table, value)
+    inside = xp.clip(value, table.knots[:, 0], table.knots[:, -1])
+    knots, heights = ((_picked(each, cell), _picked(each, cell + 1)) for each in (table.knots, table.log_density))
+    within = heights[0] + (inside - knots[0]) / (knots[1] - knots[0]) * (heights[1] - heights[0])
+    left = table.tails[:, 0] * xp.minimum(value - table.knots[:, 0], 0.0)
+    return within + left - table.tails[:, 1] * xp.maximum(value - table.knots[:, -1], 0.0)
 
-    def at(table: TabulatedDensity, value):
-        inside = jnp.interp(value, table.knots, table.log_density)
-        left = table.tails[0] * jnp.minimum(value - table.knots[0], 0.0)
-        return inside + left - table.tails[1] * jnp.maximum(value - table.knots[-1], 0.0)
 
-    return jax.vmap(at)(table, value)
+def _special(*operands: Array):
+    """Return the distribution functions of the library that computes with these arrays."""
+    return scipy.special if namespace(*operands) is np else jax.scipy.special
 
 
 def _reflected(table: TabulatedDensity) -> TabulatedDensity:
@@ -127,28 +132,51 @@ def _reflected(table: TabulatedDensity) -> TabulatedDensity:
     )
 
 
-def _cell(table: TabulatedDensity, cell):
-    """Return left knot, density there, mass below it and slope of the logarithm in a cell."""
-    left = table.knots[cell]
-    slope = (table.log_density[cell + 1] - table.log_density[cell]) / (table.knots[cell + 1] - left)
-    return left, jnp.exp(table.log_density[cell]), table.below[cell], jnp.where(jnp.abs(slope) < _LEVEL, _LEVEL, slope)
+def _picked(table: Float[Array, "H K"], cell: Array) -> Float[Array, "*batch H"]:
+    """Return the value of each variable at its place, (…, H)."""
+    return table[np.arange(table.shape[0]), cell]
 
 
-def _quantile(table: TabulatedDensity, mass):
-    cell = jnp.clip(jnp.sum(table.below < mass) - 1, 0, table.knots.shape[0] - 2)
-    left, density, below, slope = _cell(table, cell)
-    within = left + jnp.log1p(jnp.maximum(mass - below, 0.0) * slope / density) / slope
-    outside = table.knots[0] + jnp.log(jnp.maximum(mass / table.below[0], _LEAST_MASS)) / table.tails[0]
-    return jnp.where(mass < table.below[0], outside, within)
+def _cell(table: TabulatedDensity, value: Array) -> Array:
+    """Return the cell between two knots in which each value lies, or the outermost."""
+    return _last_below(table.knots, value)
 
 
-def _mass_below(table: TabulatedDensity, value):
-    cell = jnp.clip(jnp.sum(table.knots < value) - 1, 0, table.knots.shape[0] - 2)
-    left, density, below, slope = _cell(table, cell)
-    within = below + density * jnp.expm1(slope * jnp.minimum(value - left, table.knots[cell + 1] - left)) / slope
-    outside = table.below[0] * jnp.exp(table.tails[0] * jnp.minimum(value - table.knots[0], 0.0))
+def _last_below(table: Float[Array, "H K"], value: Float[Array, "*batch H"]) -> Array:
+    xp, most = namespace(table, value), table.shape[1] - 2
+    if xp is np:
+        places = [np.searchsorted(row, value[..., place]) for place, row in enumerate(table)]
+        found = np.stack(places, axis=-1) if places else np.zeros(value.shape, int)
+    else:
+        found = xp.sum(table < value[..., None], axis=-1)
+    return xp.clip(found - 1, 0, most)
+
+
+def _of_cell(table: TabulatedDensity, cell: Array) -> tuple[Array, Array, Array, Array]:
+    """Return left end of a cell, density there, mass below it, and slope of the logarithm within."""
+    xp = namespace(table.knots, cell)
+    left, height = _picked(table.knots, cell), _picked(table.log_density, cell)
+    slope = (_picked(table.log_density, cell + 1) - height) / (_picked(table.knots, cell + 1) - left)
+    return left, xp.exp(height), _picked(table.below, cell), xp.where(xp.abs(slope) < _LEVEL, _LEVEL, slope)
+
+
+def _quantile(table: TabulatedDensity, mass: Float[Array, "*batch H"]) -> Float[Array, "*batch H"]:
+    xp = namespace(table.knots, mass)
+    left, density, below, slope = _of_cell(table, _last_below(table.below, mass))
+    within = left + xp.log1p(xp.maximum(mass - below, 0.0) * slope / density) / slope
+    first = table.below[:, 0]
+    outside = table.knots[:, 0] + xp.log(xp.maximum(mass / first, _LEAST_MASS)) / table.tails[:, 0]
+    return xp.where(mass < first, outside, within)
+
+
+def _mass_below(table: TabulatedDensity, value: Float[Array, "*batch H"]) -> Float[Array, "*batch H"]:
+    xp, cell = namespace(table.knots, value), _cell(table, value)
+    left, density, below, slope = _of_cell(table, cell)
+    right, first = _picked(table.knots, cell + 1), table.knots[:, 0]
+    within = below + density * xp.expm1(slope * xp.minimum(value - left, right - left)) / slope
+    outside = table.below[:, 0] * xp.exp(table.tails[:, 0] * xp.minimum(value - first, 0.0))
     # Beyond the last knot it stays at the mass below that knot: there the other end is the one to reckon from.
-    return jnp.where(value < table.knots[0], outside, within)
+    return xp.where(value < first, outside, within)
 
 
 # Where the marginal is evaluated, in standard deviations of the normal approximation, outwards from the mode.
@@ -178,26 +206,28 @@ class TabulatedDirections(eqx.Module):
     directions: Float[Array, "P M"]
     along: TabulatedDensity
 
-    def shaped(self, factor: Float[Array, "P P"], normal: Float[Array, " P"]) -> tuple[Float[Array, " P"], Scalar]:
-        """Return a whitened step with these marginals, and its log density less that of a standard normal vector.
+    def shaped(
+        self, factor: Float[Array, "n P P"], normal: Float[Array, "n P"]
+    ) -> tuple[Float[Array, "n P"], Float[Array, " n"]]:
+        """Return whitened steps with these marginals, and their log density less that of standard normal vectors.
 
         Parameters
         ----------
-        factor : lower Cholesky factor L of the precision of θ; the step itself is L⁻ᵀ times the whitened one.
-        normal : standard normal vector.
+        factor : lower Cholesky factors L of the precision of θ; the step itself is L⁻ᵀ times the whitened one.
+        normal : standard normal vectors.
         """
         axes = self._axes(factor)
-        before = axes.T @ normal
+        before = np.einsum("npm,np->nm", axes, normal)
         after = from_normal(self.along, before)
-        return normal + axes @ (after - before), self._excess(after)
+        return normal + np.einsum("npm,nm->np", axes, after - before), self._excess(after)
 
     def normalised(
-        self, factor: Float[Array, "P P"], whitened: Float[Array, " P"]
-    ) -> tuple[Float[Array, " P"], Scalar]:
-        """Return the standard normal vector of a whitened step, and the log density as `shaped` does."""
+        self, factor: Float[Array, "n P P"], whitened: Float[Array, "n P"]
+    ) -> tuple[Float[Array, "n P"], Float[Array, " n"]]:
+        """Return the standard normal vectors of whitened steps, and the log density as `shaped` does."""
         axes = self._axes(factor)
-        after = axes.T @ whitened
-        return whitened + axes @ (to_normal(self.along, after) - after), self._excess(after)
+        after = np.einsum("npm,np->nm", axes, whitened)
+        return whitened + np.einsum("npm,nm->np", axes, to_normal(self.along, after) - after), self._excess(after)
 
     def stretch(self, factor: Float[Array, "P P"]) -> np.ndarray:
         """Return the linear map (P, P) of steps of the normal approximation that gives them the widths of the tables.
@@ -206,19 +236,18 @@ class TabulatedDirections(eqx.Module):
         ----------
         factor : lower Cholesky factor of the precision of θ.
         """
-        whitening, axes = np.asarray(factor).T, np.asarray(self._axes(factor))
+        whitening, axes = factor.T, self._axes(factor[None])[0]
         back = np.linalg.solve(whitening, axes)
-        quantiles = jax.vmap(lambda normal: from_normal(self.along, jnp.full(axes.shape[1], normal)))(_NORMAL_QUANTILES)
-        widths = np.asarray(quantiles).std(axis=0)
+        widths = from_normal(self.along, np.tile(_NORMAL_QUANTILES[:, None], axes.shape[1])).std(axis=0)
         return np.eye(len(whitening)) + (back * (widths - 1)) @ (axes.T @ whitening)
 
-    def _axes(self, factor: Float[Array, "P P"]) -> Float[Array, "P M"]:
+    def _axes(self, factor: Float[Array, "n P P"]) -> Float[Array, "n P M"]:
         """Return the directions among whitened steps, orthonormal: vᵀδ = (L⁻¹v)ᵀ (Lᵀδ)."""
-        axes, triangle = jnp.linalg.qr(solve_triangular(factor, self.directions, lower=True))
-        return axes * jnp.sign(jnp.diagonal(triangle))[None, :]
+        axes, triangle = np.linalg.qr(np.stack([solve_lower(each, self.directions) for each in factor]))
+        return axes * np.sign(np.diagonal(triangle, axis1=-2, axis2=-1))[..., None, :]
 
-    def _excess(self, after: Float[Array, " M"]) -> Scalar:
-        return jnp.sum(log_density(self.along, after) + 0.5 * after**2 + 0.5 * jnp.log(2 * jnp.pi))
+    def _excess(self, after: Float[Array, "n M"]) -> Float[Array, " n"]:
+        return np.sum(log_density(self.along, after) + 0.5 * after**2 + 0.5 * np.log(2 * np.pi), axis=-1)
 
 
 def tabulated_directions(
@@ -232,7 +261,7 @@ def tabulated_directions(
     reach : shape (K,), standard deviation along each of the normal approximation.
     bend : shape (K, K, P), acceleration along pairs of them.
     """
-    chosen = _not_normal(problem, mode, np.asarray(weak), reach, np.asarray(bend))
+    chosen = _not_normal(problem, mode, weak, reach, bend)
     if not chosen.size:
         return None
     tables = [_marginal(problem, mode, weak[:, place], float(reach[place])) for place in chosen]
@@ -248,7 +277,7 @@ def _not_normal(problem: Problem, mode: Mode, weak: np.ndarray, reach: np.ndarra
         return np.zeros(0, int)
     steps = _SCREEN * reach[:, None] * weak.T
     curve = 0.5 * (_SCREEN * reach[:, None]) ** 2 * bend[np.arange(count), np.arange(count)]
-    here = np.asarray(mode.z)
+    here = mode.z
     found = heights(problem, np.concatenate([[here], here + curve + steps, here + curve - steps]), mode.h)
     fall = np.nan_to_num(found[1:] - found[0], neginf=_NOWHERE).reshape(2, count)
     excess = np.abs(fall + 0.5 * _SCREEN**2).max(axis=0)
@@ -256,7 +285,7 @@ def _not_normal(problem: Problem, mode: Mode, weak: np.ndarray, reach: np.ndarra
     return order[excess[order] > _ALIKE]
 
 
-def _marginal(problem: Problem, mode: Mode, direction: Float[Array, " P"], reach: float) -> np.ndarray:
+def _marginal(problem: Problem, mode: Mode, direction: np.ndarray, reach: float) -> np.ndarray:
     """Return the log marginal along a direction at the grid, relative to the mode."""
     middle = _across(problem, mode.about, mode.h, direction)[1]
     height = heights(problem, [mode.z], mode.h)[0]
@@ -269,20 +298,19 @@ def _marginal(problem: Problem, mode: Mode, direction: Float[Array, " P"], reach
             for _ in range(_STEPS):
                 step, width = _across(problem, linearise(problem, z), mode.h, direction)
                 z = z + step
-            found = heights(problem, [z], mode.h)[0] - height - 0.5 * (float(width) - float(middle))
+            found = heights(problem, [z], mode.h)[0] - height - 0.5 * (width - middle)
             side.append(max(float(found), _NOWHERE) if np.isfinite(found) else _NOWHERE)
         sides.append(side)
     return np.array([*reversed(sides[0]), 0.0, *sides[1]])
 
 
-@kept
-def _across(
-    problem: Problem, about: Linearised, h: Float[Array, " H"], direction: Float[Array, " P"]
-) -> tuple[Float[Array, " P"], Scalar]:
+@np.errstate(all="ignore")
+def _across(problem: Problem, about: Linearised, h: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the Gauss–Newton step across a direction, and log det of the precision across it."""
     known, prior_precision = knowledge(problem, about, h), prior_widths(problem, h) ** -2
-    factor = jnp.linalg.cholesky(known.precision + jnp.diag(prior_precision))
-    step = cho_solve((factor, True), known.gradient - prior_precision * about.z)
-    along = cho_solve((factor, True), direction)
+    factor = cholesky(known.precision + np.diag(prior_precision))
+    step = cho_solve(factor, known.gradient - prior_precision * about.z)
+    along = cho_solve(factor, direction)
     variance = direction @ along
-    return step - direction @ step / variance * along, 2 * jnp.sum(jnp.log(jnp.diagonal(factor))) + jnp.log(variance)
+    width = 2 * np.sum(np.log(np.diagonal(factor))) + np.log(variance)
+    return step - direction @ step / variance * along, float(width)

@@ -9,23 +9,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
 from imubayes.criticism.explanation_records import RmsChange
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.progress import counted
 from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Linearised, curvature, linearise, slope
+from imubayes.inference.laplace_marginal import Linearised, ScaleMarginal, curvature, linearise
 from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
 from imubayes.loop.model_history import CrossValidation, GroupGain, HeldOutVerdict
 from imubayes.loop.warm_start import REFIT_LOSS
 from imubayes.model.bind import Model
-from imubayes.model.likelihood import has_heavy_tails, residuals
-from imubayes.model.problem import hyper_prior_square, masked
+from imubayes.model.likelihood import has_heavy_tails, residuals_of
+from imubayes.model.problem import Problem, hyper_prior_square, masked, predict_many
 from imubayes.parameters.declarations import Layout
 
 _GAIN_STANDARD_ERRORS, _GAIN_CHANCE, _GAIN_MIN = 2.0, 0.0228, 0.5
@@ -35,7 +33,6 @@ data (Akaike)."""
 _MAX_BLOCKS, _BLOCK_ROWS = 8, 4
 """A single run is left out in so many blocks at most, of so many rows at least.  Convention."""
 
-_residuals = kept(residuals)
 _EXACT_FLIPS, _ROUNDING = 13, 1e-12
 _OF_A_REMOVAL: dict[str, HeldOutVerdict] = {"helps": "costs", "unclear": "unclear", "not": "spares"}
 """What the effects that were removed did → what their removal does."""
@@ -167,8 +164,8 @@ def groups(model: Model) -> tuple[Literal["run", "pose", "block"], tuple[str, ..
 
 def whole_fit(fitted: Fit) -> WholeFit:
     """Return what the fits without a part start from."""
-    about = linearise(fitted.model.problem, jnp.asarray(fitted.z))
-    return WholeFit(fitted, about, curvature(fitted.model.problem, about, jnp.asarray(fitted.h)).information)
+    about = linearise(fitted.model.problem, np.asarray(fitted.z))
+    return WholeFit(fitted, about, curvature(fitted.model.problem, about, np.asarray(fitted.h)).information)
 
 
 def predict_left_out(whole: WholeFit, left_out: np.ndarray) -> LeftOut:
@@ -180,16 +177,21 @@ def predict_left_out(whole: WholeFit, left_out: np.ndarray) -> LeftOut:
     left_out : shape (E,), True for the entries to predict.
     """
     fitted, problem = whole.fitted, whole.fitted.model.problem
-    rest, h = masked(problem, left_out), jnp.asarray(fitted.h)
+    rest, h = masked(problem, left_out), np.asarray(fitted.h)
     mode = mode_near(rest, whole.about, h, whole.information)
     if not bool(mode.converged):
-        mode = find_mode(rest, jnp.asarray(fitted.z), h)
+        mode = find_mode(rest, np.asarray(fitted.z), h)
     # Under a normal law the density of all may be taken about the fit to the rest; a heavy tail is no parabola.
     all_data = (
-        linearise(problem, fit_at(problem, jnp.asarray(fitted.z), mode.h)) if has_heavy_tails(problem) else mode.about
+        linearise(problem, fit_at(problem, np.asarray(fitted.z), mode.h)) if has_heavy_tails(problem) else mode.about
     )
-    density = float(slope(problem, all_data, mode.h).value - slope(rest, mode.about, mode.h).value)
+    density = _marginal(problem, all_data, mode.h) - _marginal(rest, mode.about, mode.h)
     return LeftOut(density, np.asarray(mode.about.misfit)[left_out])
+
+
+def _marginal(problem: Problem, about: Linearised, h: np.ndarray) -> float:
+    """Return log p(y, h) with θ integrated out."""
+    return float(ScaleMarginal(problem, about).values(h[None])[0])
 
 
 def observed_delta_chi2(before: Fit, after: Fit) -> float:
@@ -206,11 +208,15 @@ def observed_delta_chi2(before: Fit, after: Fit) -> float:
 def _drops(before: Fit, after: Fit) -> np.ndarray:
     """Return the drop of chi² of each row, priors of shared parameters last, at the noise scales of the old fit."""
     old, new = before.model, after.model
-    h = jnp.asarray(_in_order(old.hyper_layout, before.h, new.hyper_layout))
-    z = fit_at(new.problem, jnp.asarray(after.z), h)
-    was = np.asarray(_residuals(old.problem, jnp.asarray(before.z), jnp.asarray(before.h)))
-    now = np.asarray(_residuals(new.problem, z, h))
+    h = np.asarray(_in_order(old.hyper_layout, before.h, new.hyper_layout))
+    z = fit_at(new.problem, np.asarray(after.z), h)
+    was, now = _residuals(old.problem, before.z, before.h), _residuals(new.problem, z, h)
     return _without_priors(was, old.layout, new.layout) ** 2 - _without_priors(now, new.layout, old.layout) ** 2
+
+
+def _residuals(problem: Problem, z: np.ndarray, h: np.ndarray) -> np.ndarray:
+    misfit = problem.observations.value - predict_many(problem, z[None])[0]
+    return residuals_of(problem, misfit, z, h)
 
 
 def _without_priors(rows: np.ndarray, layout: Layout, other: Layout) -> np.ndarray:
@@ -226,10 +232,10 @@ def _in_order(old: Layout, point: np.ndarray, new: Layout) -> np.ndarray:
 
 def _log_likelihood(fitted: Fit) -> float:
     """Return log p(y | h) with θ integrated out about the mode."""
-    problem, h = fitted.model.problem, jnp.asarray(fitted.h)
-    about = linearise(problem, jnp.asarray(fitted.z))
+    problem, h = fitted.model.problem, np.asarray(fitted.h)
+    about = linearise(problem, np.asarray(fitted.z))
     prior = 0.5 * float(hyper_prior_square(problem, h)) + 0.5 * len(fitted.h) * np.log(2 * np.pi)
-    return float(slope(problem, about, h).value) + prior
+    return _marginal(problem, about, h) + prior
 
 
 def objection(after: Fit, delta_chi2: float, may_rise: bool = False) -> str:

@@ -8,7 +8,6 @@ Simulations without any effect give the rate of false alarms.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its parts when they are first used
 
@@ -189,7 +188,7 @@ def plant_effects(
 def refitted(fitted: Fit, campaign: Campaign) -> Fit:
     """Return the model fitted to other outputs of the same campaign, from where it stood."""
     model = bind(fitted.model.spec, campaign, fitted.model.registry.without_files())
-    mode = find_mode(model.problem, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
+    mode = find_mode(model.problem, np.asarray(fitted.z), np.asarray(fitted.h))
     return replace(judged_fit(model, mode), mode=None)
 
 
@@ -236,11 +235,11 @@ def _trial(fitted: Fit, clear: _Clear, name: str, size: Size, seed: int, screen:
         return error.issues[0].what
     shape, unit = _direction(model, old, name, seed)
     null = _carried(model, fitted, shape)
-    base = np.asarray(predict(model.problem, jnp.asarray(null)))
+    base = np.asarray(predict(model.problem, np.asarray(null)))
 
     def strength(scale: float) -> float:
         z = _placed(model, null, unit, scale)
-        return clear.chi2(np.asarray(predict(model.problem, jnp.asarray(z))) - base)
+        return clear.chi2(np.asarray(predict(model.problem, np.asarray(z))) - base)
 
     scale = size.typical
     if scale is None:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
@@ -50,7 +49,7 @@ def start_at_estimates(change: ChangedModel, estimates: Mapping[str, float]) -> 
     for start in starts:
         start[list(told)] = list(told.values())
     starts = [change.z, *(_others_fitted(change, start) for start in starts)]
-    best = int(np.argmax(heights(change.model.problem, starts, jnp.asarray(change.h))))
+    best = int(np.argmax(heights(change.model.problem, starts, np.asarray(change.h))))
     return replace(change, z=starts[best])
 
 

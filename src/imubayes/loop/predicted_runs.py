@@ -14,7 +14,6 @@ describes has the variance by which these data reduce that of its posterior, whi
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise_fit import noise_sd
@@ -200,7 +199,7 @@ def predict_runs(
         joined=joined,
         predicted=(np.asarray(model.entries.value) - np.asarray(about.misfit))[new],
         model_sd=np.sqrt(np.sum(felt**2, axis=1)),
-        noise_sd=np.asarray(noise_sd(model.problem, jnp.asarray(h)))[new],
+        noise_sd=np.asarray(noise_sd(model.problem, np.asarray(h)))[new],
         whitened=whitened,
         freedom=freedom,
         chi2=float(np.sum(together**2)),
@@ -252,7 +251,7 @@ def _with_own_unknowns(problem: Problem, z: np.ndarray, h: np.ndarray, own: np.n
     """Return the model where what new runs alone know, (P,) bool, fits them best, by Gauss–Newton steps."""
 
     def at(point: np.ndarray) -> _OwnFit:
-        about = laplace.linearise(problem, jnp.asarray(point))
+        about = laplace.linearise(problem, np.asarray(point))
         residual, jacobian, widths = white = laplace.whitened_about(problem, about, h)
         left = np.concatenate([residual[new], -point[own] / widths[own]])
         return _OwnFit(about, white, left, np.concatenate([jacobian[new][:, own], np.diag(1 / widths[own])]))
@@ -280,9 +279,9 @@ def _posterior_root(fit: Fit, joined: JoinedRuns, shared: np.ndarray, scales: np
     """Return a root (S, S) of the posterior covariance of what is shared, by what the runs of the fit say."""
     model, old = joined.model, fit.model
     h = model.hyper_layout.carried(old.hyper_layout, scales)
-    widths = np.asarray(prior_widths(model.problem, jnp.asarray(h)))
-    about = laplace.linearise(old.problem, jnp.asarray(fit.z))
-    told = laplace.precision_of(old.problem, about, jnp.asarray(scales))
+    widths = np.asarray(prior_widths(model.problem, np.asarray(h)))
+    about = laplace.linearise(old.problem, np.asarray(fit.z))
+    told = laplace.precision_of(old.problem, about, np.asarray(scales))
     places = [model.layout.index(name) for name in old.layout.names]
     precision = np.diag(widths**-2)
     precision[np.ix_(places, places)] += told

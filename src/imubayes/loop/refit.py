@@ -11,7 +11,6 @@ effects that counts; of two it is the size of their correlation.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise import known_scales
@@ -118,7 +117,7 @@ def _predicted_drop(before: Fit, change: ChangedModel) -> float | None:
         return None
     start = Fit(change.model, change.z, change.h, False)
     was, now = (
-        known_noise_point(fit.model, linearise(fit.model.problem, jnp.asarray(fit.z)), known_scales(fit)).record().chi2
+        known_noise_point(fit.model, linearise(fit.model.problem, np.asarray(fit.z)), known_scales(fit)).record().chi2
         for fit in (before, start)
     )
     return finite(was - now)

@@ -9,8 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_triangular
 
@@ -282,7 +280,7 @@ def _chosen(model: Model, new: np.ndarray) -> list[Parameter]:
 
 def whitened(problem: Problem, z: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,)."""
-    return whitened_about(problem, linearise(problem, jnp.asarray(z)), h)
+    return whitened_about(problem, linearise(problem, np.asarray(z)), h)
 
 
 def _first_step(
@@ -357,7 +355,7 @@ def _contradicting(
 
 def _about(prior: Prior, z: float) -> tuple[float, float, float]:
     """Return value, slope by z and width of a prior at z, in SI; a width without end where it is not about zero."""
-    value, slope = jax.jvp(prior.value, (jnp.asarray(float(z)),), (jnp.asarray(1.0),))
+    value, slope = prior.value(np.asarray(float(z))), prior.slope(np.asarray(float(z)))
     family = _about_zero(prior)
     scale = prior.scale if isinstance(prior, HalfNormal) else prior.sd()
     return float(value), float(slope), float(scale) if family else np.inf

@@ -21,7 +21,7 @@ import numpy as np
 from imubayes.compiled.jax_settings import clear_if_crowded, prepare_jax
 from imubayes.effects.base import MotionEffect, Stage
 from imubayes.effects.thermometer import TemperatureOffset
-from imubayes.foundations.arrays import Array, Float, Scalar, on_device
+from imubayes.foundations.arrays import Array, Float, Scalar
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.model import bound_effects as binding
@@ -34,7 +34,7 @@ from imubayes.model.likelihood import log_density
 from imubayes.model.model_file import EffectSpec, ModelSpec, SingleRunEffect
 from imubayes.model.nominal_response import is_independent
 from imubayes.model.parameter_priors import HyperCorrelation, hyper_correlation, stated_uncertainty
-from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity, signal_path, values_of
+from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity, placed, signal_path, values_of
 from imubayes.model.set_aside import without
 from imubayes.noise.components import Entry, EntryNoise, Noise, SlowNoise
 from imubayes.parameters.declarations import Layout, Priors
@@ -340,7 +340,7 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, 
     effects, left_out = _bind_effects(spec, grouping, registry, single_runs)
     clear_if_crowded()  # compiled code belongs to the structure of one model, and every model bound may be another
     assembly = assemble(effects, grouping)
-    problem = on_device(build_problem(assembly, hyper_correlation(spec.correlations, assembly.hyper_layout)))
+    problem = placed(build_problem(assembly, hyper_correlation(spec.correlations, assembly.hyper_layout)))
     if new_files:
         dry_run(problem, effects, spec.files)
     layouts = assembly.layout, assembly.hyper_layout

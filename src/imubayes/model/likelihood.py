@@ -13,10 +13,9 @@ for score tests.  Without heavy tails both are the problem itself.
 """
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
+import numpy as np
 
-from imubayes.foundations.arrays import Array, Float, Scalar
+from imubayes.foundations.arrays import Array, Float, Scalar, fixed, namespace, repeat
 from imubayes.model.noise_covariance import (
     NoiseDistribution,
     Whitener,
@@ -52,9 +51,7 @@ def has_heavy_tails(problem: Problem) -> bool:
 def with_normal_noise(problem: Problem) -> Problem:
     """Return the problem with normal noise; shapes are unchanged, so nothing is recompiled."""
     layers = tuple(
-        eqx.tree_at(lambda known: known.acts, layer, jnp.zeros_like(layer.acts))
-        if issubclass(layer.noise, TailNoise)
-        else layer
+        eqx.tree_at(lambda known: known.acts, layer, 0.0 * layer.acts) if issubclass(layer.noise, TailNoise) else layer
         for layer in problem.noise
     )
     return eqx.tree_at(lambda known: known.noise, problem, layers)
@@ -66,7 +63,7 @@ def pseudo_values(problem: Problem, h: Float[Array, " H"], misfit: Float[Array, 
     if noise.tail is None:
         return misfit
     offset, x = _offset_and_misfit(problem, noise, misfit)
-    return jnp.sqrt(noise.squared_scale) * x * irls_weight(x, noise.tail) / fisher_information(noise.tail) + offset
+    return noise.scale * x * irls_weight(x, noise.tail) / fisher_information(noise.tail) + offset
 
 
 def least_squares_form(
@@ -78,7 +75,7 @@ def least_squares_form(
         return whitener(problem, h), misfit
     offset, x = _offset_and_misfit(problem, noise, misfit)
     by = whitener_of(problem, h, noise.squared_scale / deviance_root_slope(x, noise.tail) ** 2, noise.shared_variance)
-    return by, jnp.sqrt(noise.squared_scale) * deviance_root_over_slope(x, noise.tail) + offset
+    return by, noise.scale * deviance_root_over_slope(x, noise.tail) + offset
 
 
 def _offset_and_misfit(
@@ -86,7 +83,7 @@ def _offset_and_misfit(
 ) -> tuple[Float[Array, " E"], Float[Array, " E"]]:
     """Return the offset of each entry's run and channel, and the remaining misfit in units of its scale."""
     offset = run_offsets(problem, noise, misfit)[problem.observations.group]
-    return offset, (misfit - offset) / jnp.sqrt(noise.squared_scale)
+    return offset, (misfit - offset) / noise.scale
 
 
 def run_offsets(problem: Problem, noise: NoiseDistribution, misfit: Float[Array, " E"]) -> Float[Array, " G"]:
@@ -98,7 +95,7 @@ def run_offsets(problem: Problem, noise: NoiseDistribution, misfit: Float[Array,
     assert tail is not None
 
     def moved(offset, noise, misfit, choose):
-        x = (misfit - offset[observations.group]) / jnp.sqrt(noise.squared_scale)
+        x = (misfit - offset[observations.group]) / noise.scale
         precision = observations.weight / noise.squared_scale
         pull = group_sum(precision * irls_weight(x, noise.tail) * (misfit - offset[observations.group]), observations)
         stiff = group_sum(precision * irls_weight(x, noise.tail), observations)
@@ -106,12 +103,11 @@ def run_offsets(problem: Problem, noise: NoiseDistribution, misfit: Float[Array,
         return offset + (noise.shared_variance * pull - offset) / (1 + noise.shared_variance * known)
 
     def newton(true, reweighted):
-        return jnp.where(true > _LEAST_CURVATURE * reweighted, true, reweighted)
+        return namespace(true).where(true > _LEAST_CURVATURE * reweighted, true, reweighted)
 
-    still = jax.lax.stop_gradient((noise, misfit))
-    offset = jax.lax.stop_gradient(_from_median(problem, noise, misfit))
-    offset = jax.lax.fori_loop(0, _REWEIGHTED, lambda _, last: moved(last, *still, lambda true, stiff: stiff), offset)
-    offset = jax.lax.stop_gradient(offset)
+    still_noise, still = fixed(noise), fixed(misfit)
+    offset = fixed(_from_median(problem, noise, misfit))
+    offset = fixed(repeat(_REWEIGHTED, lambda last: moved(last, still_noise, still, lambda true, stiff: stiff), offset))
     for _ in range(_NEWTON):
         offset = moved(offset, noise, misfit, newton)
     return offset
@@ -119,13 +115,14 @@ def run_offsets(problem: Problem, noise: NoiseDistribution, misfit: Float[Array,
 
 def _from_median(problem: Problem, noise: NoiseDistribution, misfit: Float[Array, " E"]) -> Float[Array, " G"]:
     observations = problem.observations
-    seen = jnp.concatenate([observations.weight > 0, jnp.zeros(1, dtype=bool)])[observations.members]
-    values = jnp.concatenate([misfit, jnp.zeros(1)])[observations.members]
+    xp = namespace(misfit, observations.weight, noise.squared_scale)
+    seen = xp.concatenate([observations.weight > 0, xp.zeros(1, dtype=bool)])[observations.members]
+    values = xp.concatenate([misfit, xp.zeros(1)])[observations.members]
     count = seen.sum(axis=1)
-    ordered = jnp.sort(jnp.where(seen, values, jnp.inf), axis=1)
-    middle = jnp.take_along_axis(ordered, jnp.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
+    ordered = xp.sort(xp.where(seen, values, xp.inf), axis=1)
+    middle = xp.take_along_axis(ordered, xp.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
     known = noise.shared_variance * group_sum(observations.weight / noise.squared_scale, observations)
-    return jnp.where(count > 0, middle, 0.0) * known / (1 + known)
+    return xp.where(count > 0, middle, 0.0) * known / (1 + known)
 
 
 def whitened(problem: Problem, h: Float[Array, " H"], misfit: Float[Array, " E"]) -> Float[Array, " E"]:
@@ -143,22 +140,23 @@ def residuals_of(
     problem: Problem, misfit: Float[Array, " E"], z: Float[Array, " P"], h: Float[Array, " H"]
 ) -> Float[Array, " EP"]:
     """Return `residuals` for a known misfit y − f(θ)."""
-    return jnp.concatenate([whitened(problem, h, misfit), z / prior_widths(problem, h)])
+    parts = whitened(problem, h, misfit), z / prior_widths(problem, h)
+    return namespace(*parts).concatenate(parts)
 
 
 def log_normaliser(problem: Problem, h: Float[Array, " H"]) -> Scalar:
     """Return the terms of the log density that depend on h alone, including its prior."""
     whitening = whitener(problem, h)
-    widths = jnp.sum(jnp.log(prior_widths(problem, h)))
-    entries = jnp.sum(problem.observations.weight)
-    constant = 0.5 * jnp.log(2 * jnp.pi) * (entries + problem.size[0] + problem.size[1])
+    widths = prior_widths(problem, h)
+    widths, entries = namespace(widths).log(widths).sum(), problem.observations.weight.sum()
+    constant = 0.5 * np.log(2 * np.pi) * (entries + problem.size[0] + problem.size[1])
     return -0.5 * whitening.log_determinant - widths - 0.5 * hyper_prior_square(problem, h) - constant
 
 
 def log_density(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Scalar:
     """Return the joint log density of data, parameters and hyperparameters, in z."""
     r = residuals(problem, z, h)
-    return -0.5 * jnp.sum(r**2) + log_normaliser(problem, h)
+    return -0.5 * (r**2).sum() + log_normaliser(problem, h)
 
 
 class EntryLikelihood(eqx.Module):
@@ -182,21 +180,21 @@ def entry_log_likelihood(problem: Problem, residual: Float[Array, " E"], h: Floa
     heavy-tailed distribution keeps its shape about that mean; its scale grows by the uncertainty of the offset.
     """
     whitening, observations, noise = whitener(problem, h), problem.observations, noise_distribution(problem, h)
-    pseudo = pseudo_values(problem, h, residual)
+    pseudo, xp = pseudo_values(problem, h, residual), namespace(residual, h, observations.weight)
     pulled, precision = inverse_covariance(problem, whitening, pseudo)
     seen = observations.weight > 0
-    safe = jnp.where(seen, precision, 1.0)
-    two_pi = jnp.log(2 * jnp.pi)
+    safe = xp.where(seen, precision, 1.0)
+    two_pi = np.log(2 * np.pi)
     if noise.tail is None:
-        entry = jnp.log(safe) - pulled**2 / safe
+        entry = xp.log(safe) - pulled**2 / safe
     else:
-        own = jnp.where(seen, whitening.precision_root, 1.0) ** -2
-        variance = noise.squared_scale + jnp.maximum(1 / safe - own, 0.0)
-        left = (residual - pseudo + pulled / safe) / jnp.sqrt(variance)
-        entry = -jnp.log(variance) - deviance(left, noise.tail) - normaliser(noise.tail)
-    root = jnp.where(seen, whitening.precision_root, 1.0)
+        own = xp.where(seen, whitening.precision_root, 1.0) ** -2
+        variance = noise.squared_scale + xp.maximum(1 / safe - own, 0.0)
+        left = (residual - pseudo + pulled / safe) / xp.sqrt(variance)
+        entry = -xp.log(variance) - deviance(left, noise.tail) - normaliser(noise.tail)
+    root = xp.where(seen, whitening.precision_root, 1.0)
     shrunk = 1 - whitening.shrink * group_sum(whitening.direction**2, observations)
-    log_determinant = -2 * group_sum(jnp.log(root), observations) - 2 * jnp.log(shrunk)
+    log_determinant = -2 * group_sum(xp.log(root), observations) - 2 * xp.log(shrunk)
     if whitening.series is not None:
         log_determinant = log_determinant + group_sum(whitening.series.log_determinants(), observations)
     if noise.tail is not None:

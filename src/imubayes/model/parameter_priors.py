@@ -11,12 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import solve_triangular
 
 from imubayes.campaign.equipment import grade_of
-from imubayes.foundations.arrays import Array, Float, Scalar
+from imubayes.foundations.arrays import Array, Float, Scalar, cho_solve, namespace, solve_lower
 from imubayes.foundations.campaign_data import Campaign, Channel, Run, Table
 from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
 from imubayes.foundations.units import to_si
@@ -37,8 +35,12 @@ class HyperCorrelation(eqx.Module):
 
     def square(self, h: Float[Array, " H"]) -> Scalar:
         """Return hᵀC⁻¹h + log det C: twice the negative logarithm of the density, up to a constant."""
-        independent = solve_triangular(self.root, h, lower=True)
-        return jnp.sum(independent**2) + 2 * jnp.sum(jnp.log(jnp.diagonal(self.root)))
+        independent = solve_lower(self.root, h)
+        return (independent**2).sum() + 2 * namespace(self.root).log(self.root.diagonal()).sum()
+
+    def pull(self, h: np.ndarray) -> np.ndarray:
+        """Return C⁻¹h, half the gradient of `square`."""
+        return cho_solve(np.asarray(self.root), h)
 
     def coloured(self, independent: np.ndarray) -> np.ndarray:
         """Return draws (…, H) of the prior from independent standard normal ones."""
@@ -65,7 +67,7 @@ def hyper_correlation(listed: Sequence[PriorCorrelation], layout: Layout) -> Hyp
             places = [layout.index(block.parameters[place]) for place in known]
             whole[np.ix_(places, places)] = np.array(block.matrix)[np.ix_(known, known)]
     refuse(issues)
-    return HyperCorrelation(jnp.asarray(np.linalg.cholesky(whole)))
+    return HyperCorrelation(np.linalg.cholesky(whole))
 
 
 def _faults(block: PriorCorrelation, layout: Layout, taken: set[str]) -> list[Issue]:

@@ -2,9 +2,15 @@
 
 A `Problem` is one pytree: the nominal motion, the layers of the signal path, the measured entries, the noise, the
 priors.  Nothing here closes over a campaign, so units of equal structure are stacked and treated in one vmap.
+
+The forward model lies on the device and is compiled.  What was measured, its noise and the priors are arrays of NumPy:
+the algebra that follows a linearisation contains no forward model and compiles nothing (`placed`).
 """
 
 from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,15 +18,40 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Bool, Float, Int, Scalar, in_batches, take
+from imubayes.foundations.arrays import (
+    Array,
+    Bool,
+    Float,
+    Int,
+    Scalar,
+    in_batches,
+    namespace,
+    on_device,
+    on_host,
+    take,
+    take_last,
+)
 from imubayes.foundations.signal_path_state import Nodes, SignalPath
 from imubayes.model.integrated_outputs import Servos, Transitions, closing_rotations, servo_angles
 from imubayes.model.nodes_and_entries import Timeline
 from imubayes.model.parameter_priors import HyperCorrelation
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
-from imubayes.noise.components import Entry, Noise, RowSpan, SlowNoise, StateCovariance
+from imubayes.noise import components
+from imubayes.noise.components import (
+    Entry,
+    EntryNoise,
+    Noise,
+    RowSpan,
+    SeriesNoise,
+    SharedNoise,
+    SlowNoise,
+    StateCovariance,
+    TailNoise,
+)
 from imubayes.parameters.declarations import Priors
 
+# Half the distance of central differences of a noise formula, as a share of its parameter.
+_SHARE = 1e-4
 # Batch size of predictions: larger batches would be mostly padding for the usual few points.
 _AT_ONCE = 8
 
@@ -37,37 +68,116 @@ class NoiseLayer(eqx.Module):
 
     def correlations(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
         """Return the correlation of neighbouring rows of every run and channel."""
-        return self._evaluate(h, lambda noise: noise.lag_one_correlation())
+        return self._evaluate(h, _correlation)
 
-    def entry_variances(self, h: Float[Array, " H"], entries: Entry) -> Float[Array, " M"]:
+    def entry_variances(self, h: Float[Array, "*batch H"], entries: Entry) -> Float[Array, "*batch M"]:
         """Return the variance of every entry."""
-        return self._evaluate(h, lambda noise, entry: noise.variance(entry), entries)
+        return self._evaluate(h, variance_of, entries)
 
-    def shared_variances(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
+    def shared_variances(self, h: Float[Array, "*batch H"]) -> Float[Array, "*batch M"]:
         """Return the variance of what all entries of a run and channel have in common."""
-        return self._evaluate(h, lambda noise: noise.shared_variance())
+        return self._evaluate(h, shared_variance_of)
 
     def tails(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
         """Return one over the degrees of freedom of every run and channel, 0 for a normal distribution."""
-        return self._evaluate(h, lambda noise: 1 / noise.degrees())
+        return self._evaluate(h, _tail)
 
     def states(self, h: Float[Array, " H"], row: RowSpan) -> StateCovariance:
         """Return the covariance of every entry with those of its run and channel; zero where the member is not."""
-        chosen = {field: take(h, place) for field, place in self.places.items()}
         member = self.noise
         assert issubclass(member, SlowNoise)
+        chosen = _chosen(self, h)
+        if namespace(h, self.acts) is np:
+            return on_host(_states(member, chosen, self.acts, row))
+        return _each_state(member, chosen, self.acts, row)
 
-        def of_entry(values, acts, start, length, gap):
-            found = member(**values).states(RowSpan(start, length, gap, row.times))
-            return StateCovariance(
-                acts * found.variance, acts * found.mean, acts * found.end, found.over_gap, found.over_row
-            )
+    def _evaluate(self, h: Float[Array, "*batch H"], quantity: Callable, *entries: Entry) -> Float[Array, "*batch M"]:
+        return evaluated(self, h, quantity, *entries)
 
-        return jax.vmap(of_entry)(chosen, self.acts, row.start, row.length, row.gap)
 
-    def _evaluate(self, h: Float[Array, " H"], quantity: Callable, *entries: Entry) -> Float[Array, " M"]:
-        chosen = {field: take(h, place) for field, place in self.places.items()}
-        return self.acts * jax.vmap(lambda values, *entry: quantity(self.noise(**values), *entry))(chosen, *entries)
+# Functions rather than methods: those of a module of Equinox cost more to look up than most formulas to evaluate.
+
+
+def evaluated(
+    layer: NoiseLayer, h: Float[Array, "*batch H"], quantity: Callable, *entries: Entry
+) -> Float[Array, "*batch M"]:
+    """Return a quantity of every entry, such as `variance_of`, at values of the noise parameters in SI."""
+    return layer.acts * _at(layer, quantity, _chosen(layer, h), *entries)
+
+
+def slopes_of(
+    layer: NoiseLayer, h: Float[Array, " H"], quantity: Callable, *entries: Entry
+) -> list[tuple[Array, Array]]:
+    """Return the derivatives of a quantity of every entry by the values that it depends on.
+
+    By central differences over a share of each value, which are exact to rounding for a quadratic formula.
+
+    Returns
+    -------
+    For each field, places (M,) in h and derivatives (M,).
+    """
+    chosen, found = _chosen(layer, h), []
+    for field, place in layer.places.items():
+        step = _SHARE * chosen[field]
+        up, down = (_at(layer, quantity, chosen | {field: chosen[field] + side * step}, *entries) for side in (1, -1))
+        found.append((place, layer.acts * (up - down) / (2 * step)))
+    return found
+
+
+def _chosen(layer: NoiseLayer, h: Float[Array, "*batch H"]) -> dict[str, Array]:
+    return {field: take_last(h, place) for field, place in layer.places.items()}
+
+
+def _at(layer: NoiseLayer, quantity: Callable, chosen: dict[str, Array], *entries: Entry) -> Array:
+    """Return a quantity for the values of every entry; a formula of a user's file may hold for one entry alone."""
+    member = layer.noise
+    if namespace(layer.acts, *chosen.values()) is not np:
+        return _one_by_one(member, quantity, chosen, entries)
+    if member.__module__ == components.__name__:
+        # Its fields are all that a formula takes of a member: to make one takes longer than the formula.
+        return np.asarray(quantity(member, SimpleNamespace(**chosen), *entries))
+    shape = np.broadcast_shapes(*(value.shape for value in chosen.values()))
+    rows = ({field: value[at] for field, value in chosen.items()} for at in np.ndindex(shape[:-1]))
+    found = [np.asarray(_compiled_one_by_one(member, quantity, row, entries)) for row in rows]
+    return np.stack(found).reshape(shape)
+
+
+def variance_of(member: type[EntryNoise], fields: Any, entry: Entry) -> Array:
+    """Return the variance of an entry."""
+    return member.variance(fields, entry)
+
+
+def shared_variance_of(member: type[SharedNoise], fields: Any) -> Array:
+    """Return the variance of what all entries of a run and channel have in common."""
+    return member.shared_variance(fields)
+
+
+def _correlation(member: type[SeriesNoise], fields: Any) -> Array:
+    return member.lag_one_correlation(fields)
+
+
+def _tail(member: type[TailNoise], fields: Any) -> Array:
+    return 1 / member.degrees(fields)
+
+
+def _one_by_one(member: type[Noise], quantity: Callable, chosen: dict[str, Array], entries: tuple[Entry, ...]) -> Array:
+    return jax.vmap(lambda values, *entry: quantity(member, member(**values), *entry))(chosen, *entries)
+
+
+_compiled_one_by_one = kept(_one_by_one)
+
+
+def _each_state(member: type[SlowNoise], chosen: dict[str, Array], acts: Array, row: RowSpan) -> StateCovariance:
+    def of_entry(values, acts, start, length, gap):
+        found = member(**values).states(RowSpan(start, length, gap, row.times))
+        return StateCovariance(
+            acts * found.variance, acts * found.mean, acts * found.end, found.over_gap, found.over_row
+        )
+
+    return jax.vmap(of_entry)(chosen, acts, row.start, row.length, row.gap)
+
+
+_states = kept(_each_state)  # formulas of vectors, written for one row
 
 
 class Observations(eqx.Module):
@@ -150,6 +260,16 @@ class Problem(eqx.Module):
         return self.spread_of.shape[-1], len(self.hyper_priors.order)
 
 
+def placed(problem: Problem) -> Problem:
+    """Return a problem with its forward model on the device, and observations, noise and priors as arrays of NumPy."""
+    host = on_host(problem)
+    return replace(
+        on_device(problem), priors=host.priors, hyper_priors=host.hyper_priors, noise=host.noise,
+        hyper_correlation=host.hyper_correlation, observations=host.observations, timeline=host.timeline,
+        spread_of=host.spread_of, spread_unit=host.spread_unit,
+    )  # fmt: skip
+
+
 def values_of(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " V"]:
     """Return all values the layers refer to: parameters in SI, then nulls."""
     return jnp.concatenate([problem.priors.values(z), problem.nulls])
@@ -219,18 +339,18 @@ def predict_with_jacobian(problem: Problem, z: Float[Array, " P"]) -> tuple[Floa
 
 def hyper_prior_square(problem: Problem, h: Float[Array, " H"]) -> Scalar:
     """Return −2 log p(h), up to the constant H log 2π."""
-    return jnp.sum(h**2) if problem.hyper_correlation is None else problem.hyper_correlation.square(h)
+    return (h**2).sum(-1) if problem.hyper_correlation is None else problem.hyper_correlation.square(h)
 
 
-@jax.jit
-def prior_widths(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " P"]:
+def prior_widths(problem: Problem, h: Float[Array, "*batch H"]) -> Float[Array, "*batch P"]:
     """Return the standard deviation of each z_θ: 1, or the learnt prior width over the stated one."""
     values = problem.hyper_priors.values(h)
-    widths = take(jnp.concatenate([values, jnp.ones(1)]), problem.spread_of)
-    return jnp.where(problem.spread_of < values.shape[0], widths / problem.spread_unit, 1.0)
+    xp = namespace(values, problem.spread_of)
+    widths = take_last(xp.concatenate([values, xp.ones((*values.shape[:-1], 1))], axis=-1), problem.spread_of)
+    return xp.where(problem.spread_of < values.shape[-1], widths / problem.spread_unit, 1.0)
 
 
 def masked(problem: Problem, left_out: np.ndarray) -> Problem:
     """Return the problem with entries, (E,) bool, masked out; shapes are unchanged, so nothing is recompiled."""
-    weight = problem.observations.weight * jnp.asarray(~left_out, dtype=float)
+    weight = problem.observations.weight * (~left_out).astype(float)
     return eqx.tree_at(lambda known: known.observations.weight, problem, weight)

@@ -7,7 +7,7 @@ of scalar parameters.  `Priors` holds their priors stacked by family, so that a 
 values in a few array operations, and a stack of units in one vmap.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
@@ -15,11 +15,9 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, Int, take
+from imubayes.foundations.arrays import Array, Float, Int, namespace, on_host, take_last
 from imubayes.foundations.campaign_data import Grade, graded_prior
 from imubayes.foundations.units import with_output_unit
 from imubayes.parameters.priors import Prior
@@ -299,29 +297,29 @@ class Priors(eqx.Module):
         flat = np.array([i for indices in places for i in indices], dtype=int)
         return Priors(stacked, flat, np.argsort(flat, kind="stable"), tuple(map(len, places)))
 
-    def values(self, z: Float[Array, " P"]) -> Float[Array, " P"]:
-        """Return SI values of a vector of z."""
+    def values(self, z: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
+        """Return SI values of a vector of z, or of many."""
+        return self._by_family(lambda prior, chosen: prior.value(chosen), z)
+
+    def slopes(self, z: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
+        """Return the derivative of each value by its own z."""
+        return self._by_family(lambda prior, chosen: prior.slope(chosen), z)
+
+    def _by_family(self, function: Callable[[Prior, Array], Array], z: Array) -> Array:
         if not self.families:
             return z
-        sorted_z, parts, start = take(z, self.sorted_by_family), [], 0
+        sorted_z, parts, start = take_last(z, self.sorted_by_family), [], 0
         for family, count in zip(self.families, self.counts, strict=True):
-            chosen = sorted_z[start : start + count]
-            parts.append(jax.vmap(lambda prior, z_of: prior.value(z_of))(family, chosen))
+            parts.append(function(family, sorted_z[..., start : start + count]))
             start += count
-        return take(jnp.concatenate(parts), self.order)
-
-    def slopes(self, z: Float[Array, " P"]) -> Float[Array, " P"]:
-        """Return the derivative of each value by its own z."""
-        return jax.jvp(self.values, (z,), (jnp.ones_like(z),))[1]
+        return take_last(namespace(*parts).concatenate(parts, axis=-1), self.order)
 
 
-@kept
-def prior_values(priors: Priors, z: Float[Array, " P"]) -> Float[Array, " P"]:
-    """Return SI values of a vector of z; compiled once for all who ask."""
-    return priors.values(z)
+def prior_values(priors: Priors, z: Float[Array, "*batch P"]) -> np.ndarray:
+    """Return SI values of a vector of z."""
+    return on_host(priors).values(np.asarray(z))
 
 
-@kept
-def prior_slopes(priors: Priors, z: Float[Array, " P"]) -> Float[Array, " P"]:
-    """Return the derivative of each value by its own z; compiled once for all who ask."""
-    return priors.slopes(z)
+def prior_slopes(priors: Priors, z: Float[Array, "*batch P"]) -> np.ndarray:
+    """Return the derivative of each value by its own z."""
+    return on_host(priors).slopes(np.asarray(z))

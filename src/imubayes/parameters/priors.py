@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax.scipy.special import erfc
 from scipy import special
 
-from imubayes.foundations.arrays import Array, Float, Scalar
+from imubayes.foundations.arrays import Array, Float, Scalar, namespace
 from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.foundations.units import NUMBER_AND_UNIT, same_dimension, to_si
@@ -31,6 +31,10 @@ class Prior(eqx.Module):
     @abstractmethod
     def value(self, z: Scalar) -> Scalar:
         """Return the value at standard normal z."""
+
+    @abstractmethod
+    def slope(self, z: Scalar) -> Scalar:
+        """Return the derivative of the value by z."""
 
     @abstractmethod
     def z(self, value: float) -> float:
@@ -59,36 +63,57 @@ Refuse = Callable[[str, str], InputError]  # what is wrong, what is allowed → 
 # form, which `jax.scipy.special.ndtri` and `ndtr` lack, make a program as much as twice as fast to compile.
 
 
-@jax.custom_jvp
 def _probability(z: Scalar) -> Scalar:
     """Return Φ(z)."""
+    return _traced_probability(z) if namespace(z) is jnp else 0.5 * special.erfc(-math.sqrt(0.5) * z)
+
+
+def _density(z: Scalar) -> Scalar:
+    """Return φ(z)."""
+    return namespace(z).exp(-0.5 * z**2) / math.sqrt(2 * math.pi)
+
+
+@jax.custom_jvp
+def _traced_probability(z: Scalar) -> Scalar:
     return 0.5 * erfc(-math.sqrt(0.5) * z)
 
 
-_probability.defjvps(lambda slope, _, z: slope * jnp.exp(-0.5 * z**2) / math.sqrt(2 * math.pi))
+_traced_probability.defjvps(lambda slope, _, z: slope * _density(z))
 
 
-@jax.custom_jvp
 def _half_normal(z: Scalar) -> Scalar:
     """Return x with Φ(x) = ½ (1 + Φ(z)), to 1e-15 of itself."""
-    probability = _probability(jnp.minimum(z, 1.0))
+    return _traced_half_normal(z) if namespace(z) is jnp else _half_normal_value(z)
+
+
+def _half_normal_value(z: Scalar) -> Scalar:
+    xp = namespace(z)
+    probability = _probability(xp.minimum(z, 1.0))
     square = 0.180625 - (0.5 * probability) ** 2
     near = 0.5 * probability * _polynomial(_NEAR, square) / _polynomial(_UNDER_NEAR, square)
-    inverse = 1 / jnp.maximum(z, 1.0)
+    inverse = 1 / xp.maximum(z, 1.0)
     far = z + inverse * _polynomial(_FAR, inverse) / _polynomial(_UNDER_FAR, inverse)
-    return jnp.where(z > 1, far, near)
+    return xp.where(z > 1, far, near)
 
 
-@_half_normal.defjvp
-def _half_normal_slope(points: tuple[Scalar], slopes: tuple[Scalar]) -> tuple[Scalar, Scalar]:
+def _half_normal_slope(z: Scalar, x: Scalar) -> Scalar:
+    """Return the derivative of x = `_half_normal(z)`, ½ φ(z)/φ(x)."""
+    return 0.5 * namespace(z).exp(0.5 * (x - z) * (x + z))
+
+
+_traced_half_normal = jax.custom_jvp(_half_normal_value)
+
+
+@_traced_half_normal.defjvp
+def _traced_half_normal_slope(points: tuple[Scalar], slopes: tuple[Scalar]) -> tuple[Scalar, Scalar]:
     (z,), (slope,) = points, slopes
     x = _half_normal(z)
-    return x, 0.5 * jnp.exp(0.5 * (x - z) * (x + z)) * slope  # ½ φ(z)/φ(x)
+    return x, _half_normal_slope(z, x) * slope
 
 
 def _polynomial(coefficients: tuple[float, ...], x: Scalar) -> Scalar:
     """Return Σ cₖ xᵏ, from the highest power."""
-    return reduce(lambda total, coefficient: total * x + coefficient, reversed(coefficients), jnp.zeros(()))
+    return reduce(lambda total, coefficient: total * x + coefficient, reversed(coefficients))
 
 
 # Φ⁻¹(½ + q) about q = 0: Wichura, algorithm AS 241 (PPND16), Applied Statistics 37 (1988), 477.
@@ -120,6 +145,9 @@ class Normal(Prior):
     def value(self, z: Scalar) -> Scalar:
         return self.mean + self.deviation * z
 
+    def slope(self, z: Scalar) -> Scalar:
+        return self.deviation + 0.0 * z
+
     def z(self, value: float) -> float:
         return float((value - self.mean) / self.deviation)
 
@@ -139,6 +167,9 @@ class Uniform(Prior):
     def value(self, z: Scalar) -> Scalar:
         return self.low + (self.high - self.low) * _probability(z)
 
+    def slope(self, z: Scalar) -> Scalar:
+        return (self.high - self.low) * _density(z)
+
     def z(self, value: float) -> float:
         return float(special.ndtri((value - self.low) / (self.high - self.low)))
 
@@ -156,7 +187,10 @@ class LogNormal(Prior):
     log_deviation: Number
 
     def value(self, z: Scalar) -> Scalar:
-        return self.median * jnp.exp(self.log_deviation * z)
+        return self.median * namespace(z).exp(self.log_deviation * z)
+
+    def slope(self, z: Scalar) -> Scalar:
+        return self.log_deviation * self.value(z)
 
     def z(self, value: float) -> float:
         return float(math.log(value / self.median) / self.log_deviation)
@@ -176,6 +210,9 @@ class HalfNormal(Prior):
 
     def value(self, z: Scalar) -> Scalar:
         return self.scale * _half_normal(z)
+
+    def slope(self, z: Scalar) -> Scalar:
+        return self.scale * _half_normal_slope(z, _half_normal(z))
 
     def z(self, value: float) -> float:
         x = value / float(self.scale)
@@ -200,7 +237,11 @@ class HalfCauchy(Prior):
     scale: Number
 
     def value(self, z: Scalar) -> Scalar:
-        return self.scale / jnp.tan(0.5 * jnp.pi * _probability(-z))
+        return self.scale / namespace(z).tan(0.5 * math.pi * _probability(-z))
+
+    def slope(self, z: Scalar) -> Scalar:
+        angle = 0.5 * math.pi * _probability(-z)
+        return self.scale * 0.5 * math.pi * _density(z) / namespace(z).sin(angle) ** 2
 
     def z(self, value: float) -> float:
         return -float(special.ndtri(2 / math.pi * math.atan(self.scale / value)))
@@ -220,6 +261,9 @@ class LogUniform(Prior):
 
     def value(self, z: Scalar) -> Scalar:
         return self.low * (self.high / self.low) ** _probability(z)
+
+    def slope(self, z: Scalar) -> Scalar:
+        return namespace(self.high, z).log(self.high / self.low) * _density(z) * self.value(z)
 
     def z(self, value: float) -> float:
         return float(special.ndtri(math.log(value / self.low) / math.log(self.high / self.low)))

@@ -26,13 +26,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float
-from imubayes.inference.conditional_precision import (
-    ExactPrecision,
-    PrecisionBlocks,
-    conditional,
-    precision_blocks,
-)
+from imubayes.foundations.arrays import Array, Float, on_host
+from imubayes.inference.conditional_precision import Conditional, conditional, conditional_precision
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import Curvature, Linearised, inverse_of_precision
 from imubayes.inference.nested_laplace import weak_directions
@@ -146,7 +141,7 @@ class LinearPart:
     z: np.ndarray
     weak: np.ndarray
     bend: np.ndarray
-    blocks: PrecisionBlocks | ExactPrecision
+    blocks: Conditional
     shape: TabulatedDirections | None
 
 
@@ -161,11 +156,12 @@ def linear_part(fit: Fit, about: Linearised) -> LinearPart:
         weak, bend = np.asarray(known.weak), np.asarray(known.bend)
         return LinearPart(np.asarray(known.z), weak, bend, known.blocks, known.shape)
     problem, size = fit.model.problem, len(fit.h)
-    unasked = Curvature(jnp.zeros(()), jnp.zeros(size), jnp.eye(size))
-    done = jnp.asarray(True)
-    mode = Mode(about.z, jnp.asarray(fit.h), jnp.zeros(()), about, unasked, jnp.zeros((), int), done, done)
+    unasked = Curvature(0.0, np.zeros(size), np.eye(size))
+    mode = Mode(np.asarray(about.z), np.asarray(fit.h), 0.0, on_host(about), unasked, 0, True, True)
     weak, bend, shape = weak_directions(problem, mode)
-    return LinearPart(np.asarray(fit.z), np.asarray(weak), np.asarray(bend), precision_blocks(problem, mode), shape)
+    return LinearPart(
+        np.asarray(fit.z), np.asarray(weak), np.asarray(bend), conditional_precision(problem, mode), shape
+    )
 
 
 @dataclass(frozen=True)
@@ -184,17 +180,9 @@ class Conditionals:
     widths: np.ndarray
 
 
-@kept
-def _conditionals(blocks: PrecisionBlocks | ExactPrecision, problem: Problem, h: Float[Array, "n H"]):
-    return jax.lax.map(lambda scales: (*conditional(blocks, problem, scales), prior_widths(problem, scales)), h)
-
-
 def conditionals(part: LinearPart, problem: Problem, h: np.ndarray) -> Conditionals:
-    """Return the distributions of θ given noise scales h, (n, H), n at most `AT_ONCE`."""
-    # One size for all, so that the function is compiled once.
-    padded = np.concatenate([h, np.repeat(h[-1:], AT_ONCE - len(h), axis=0)])
-    found = _conditionals(part.blocks, problem, jnp.asarray(padded))
-    return Conditionals(*(np.asarray(each)[: len(h)] for each in found))
+    """Return the distributions of θ given noise scales h, (n, H)."""
+    return Conditionals(*conditional(part.blocks, problem, h), prior_widths(problem, h))
 
 
 def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarray, h: np.ndarray) -> ConditionalMoments:
@@ -233,7 +221,7 @@ def stretched(part: LinearPart, problem: Problem, h: np.ndarray, gradients: np.n
     if part.shape is None:
         return gradients
     precision = conditionals(part, problem, h[None]).precision[0]
-    return gradients @ part.shape.stretch(jnp.linalg.cholesky(jnp.asarray(precision)))
+    return gradients @ part.shape.stretch(np.linalg.cholesky(precision))
 
 
 def unbent(part: LinearPart, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -259,7 +247,7 @@ def derivatives_of(fit: Fit, part: LinearPart, names: Sequence[str]) -> Quantity
     """Return the derivatives of parameters and derived quantities of a fit by name."""
     layout, problem = fit.model.layout, fit.model.problem
     weak = part.weak
-    slopes, bends = (np.asarray(each) / layout.factors() for each in _prior_derivatives(problem, jnp.asarray(fit.z)))
+    slopes, bends = (np.asarray(each) / layout.factors() for each in _prior_derivatives(problem, np.asarray(fit.z)))
     known = {name: (np.eye(len(layout))[place] * slopes[place]) for place, name in enumerate(layout.names)}
     own = {name: bends[place] * np.outer(weak[place], weak[place]) for place, name in enumerate(layout.names)}
     wanted = [quantity.name for quantity in fit.derived.names if quantity.name in names]

@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.foundations.errors import input_error
@@ -175,12 +174,12 @@ class _Quantity:
 
 def _normal(fit: Fit, scales: np.ndarray) -> _Normal:
     model, problem = fit.model, fit.model.problem
-    h, layout = jnp.asarray(scales), model.layout
+    h, layout = np.asarray(scales), model.layout
     widths = np.asarray(prior_widths(problem, h))
-    told = precision_of(problem, linearise(problem, jnp.asarray(fit.z)), h)
+    told = precision_of(problem, linearise(problem, np.asarray(fit.z)), h)
     precision = told + np.diag(widths**-2)
     values = in_units(model, np.concatenate([fit.z, fit.h])[None])[0]
-    slopes = np.asarray(prior_slopes(problem.priors, jnp.asarray(fit.z))) / layout.factors()
+    slopes = np.asarray(prior_slopes(problem.priors, np.asarray(fit.z))) / layout.factors()
     found: dict[str, _Quantity] = {}
     for place, parameter in enumerate(layout.parameters):
         if not parameter.nuisance:

@@ -16,7 +16,6 @@ passes on a quantity that all of them together could put beyond its limit.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise_fit import whitened_rows
@@ -194,7 +193,7 @@ def exact_equipment(fit: Fit, effects: Sequence[str] = tuple(SOURCES)) -> ExactE
     )  # fmt: skip
     rows = whitened_rows(problem, fit.h, joined)
     own, others = rows[:, :size], rows[:, size:]
-    widths = np.asarray(prior_widths(problem, jnp.asarray(fit.h)))
+    widths = np.asarray(prior_widths(problem, np.asarray(fit.h)))
     # By orthogonal projection: some parameters are known to 1e-8 of their prior, and differences of squares are not.
     basis, upper = np.linalg.qr(np.concatenate([own, np.diag(1 / widths)]))
     whole = np.concatenate([others, np.zeros((size, others.shape[1]))])

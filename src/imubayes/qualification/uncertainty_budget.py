@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.inference.experiment_design import NEAR, Components, components_near_zero
@@ -194,8 +193,8 @@ def budget_of(
     fit, quantities = result.fit, _draws(result, names)
     draws, slopes = _with_functions(quantities, functions or {})
     problem, campaign = fit.model.problem, fit.model.campaign
-    about = fit.mode.about if fit.mode is not None else linearise(problem, jnp.asarray(fit.z))
-    whitened, part = np.asarray(whitened_jacobian(problem, about, jnp.asarray(fit.h))), linear_part(fit, about)
+    about = fit.mode.about if fit.mode is not None else linearise(problem, np.asarray(fit.z))
+    whitened, part = np.asarray(whitened_jacobian(problem, about, np.asarray(fit.h))), linear_part(fit, about)
     widths = conditionals(part, problem, fit.h[None]).widths[0]
     covariance = parts.posterior_covariance(whitened, widths)
     derivatives = _with_slopes(derivatives_of(fit, part, list(quantities.values)), slopes)
@@ -371,7 +370,7 @@ def _over_runs(
     """Return the contributions of the runs, (R, G, n), at draws of the noise scales, (n, H)."""
     found = []
     for scales, precision in zip(h, conditionals(part, problem, h).precision, strict=True):
-        whitened = np.asarray(whitened_jacobian(problem, about, jnp.asarray(scales)))
+        whitened = np.asarray(whitened_jacobian(problem, about, np.asarray(scales)))
         found.append(parts.type_a_contributions(gradients @ inverse_of_precision(precision), whitened, member))
     return np.stack(found, axis=2)
 

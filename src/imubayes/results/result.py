@@ -9,12 +9,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import jax.numpy as jnp
 import lazy_loader
 import numpy as np
 import polars as pl
 
-from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import cholesky, solve_lower
 from imubayes.foundations.campaign_data import INPUT_UNIT
 from imubayes.foundations.covariates import shown
 from imubayes.foundations.errors import InputError, closest_first, input_error
@@ -40,14 +39,13 @@ else:
     xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
 
 
-@kept
 def _at_mode(problem: Problem, mode):
     """Return prediction, its standard deviation, the noise's and the whitened residual, each (E,)."""
     by = whitener(problem, mode.h)
     whitened = whiten(problem, by, pseudo_values(problem, mode.h, mode.about.misfit))
-    spread = jnp.linalg.solve(jnp.linalg.cholesky(posterior_precision(problem, mode)), mode.about.jacobian.T)
+    spread = solve_lower(cholesky(posterior_precision(problem, mode)), mode.about.jacobian.T)
     predicted = problem.observations.value - mode.about.misfit
-    return predicted, jnp.sqrt(jnp.sum(spread**2, axis=0)), noise_deviation(problem, by), whitened
+    return predicted, np.sqrt(np.sum(spread**2, axis=0)), noise_deviation(problem, by), whitened
 
 
 def to_input_units(model: Model) -> np.ndarray:

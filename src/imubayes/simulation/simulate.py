@@ -19,19 +19,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import tomlkit
 
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
 from imubayes.campaign.equipment import ANGLE
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue, closest_first, refuse
 from imubayes.foundations.files import new_folder, refuse_occupied
 from imubayes.model.bind import Model, bind
-from imubayes.model.derived_quantities import derived_quantities
+from imubayes.model.derived_quantities import derived_quantities, evaluate_derived
 from imubayes.model.model_file import read_carried_model
 from imubayes.model.noise_covariance import (
     NoiseDistribution,
@@ -41,7 +38,7 @@ from imubayes.model.noise_covariance import (
     noise_distribution,
     whitener,
 )
-from imubayes.model.problem import Problem, predict, prior_widths, values_of
+from imubayes.model.problem import predict_many, prior_widths
 from imubayes.parameters.declarations import Layout, Parameter
 from imubayes.procedures import PROCEDURES
 from imubayes.simulation.test_plan import Plan, read_plan, recorded
@@ -90,13 +87,14 @@ def simulate(model: Model, seed: int, truth: Mapping[str, float] | None = None, 
     if problem.hyper_correlation is not None:
         drawn = np.array([name not in given for name in model.hyper_layout.names])
         h = np.where(drawn, problem.hyper_correlation.coloured(np.where(drawn, h, 0.0)), h)
-    widths = np.asarray(prior_widths(problem, jnp.asarray(h)))
+    widths = prior_widths(problem, h)
     z = _true_z(model.layout, given, widths, seed, where)
-    clean, law, series = _expected(problem, jnp.asarray(z), jnp.asarray(h))
-    observed, offsets = _with_noise(model, np.asarray(clean), law, series, seed)
+    clean, law, series = predict_many(problem, z[None])[0], noise_distribution(problem, h), whitener(problem, h).series
+    observed, offsets = _with_noise(model, clean, law, series, seed)
     runs = tuple(replace(run, observed=output) for run, output in zip(model.campaign.runs, observed, strict=True))
-    values, hyper_values = _in_si(problem, jnp.asarray(z), jnp.asarray(h))
+    values, hyper_values = problem.priors.values(z), problem.hyper_priors.values(h)
     derived = derived_quantities(model.assembly)
+    quantities = evaluate_derived(derived.derivation, problem, z[None])[0].tolist()
     return Simulated(
         campaign=replace(model.campaign, runs=runs),
         z=z,
@@ -104,7 +102,9 @@ def simulate(model: Model, seed: int, truth: Mapping[str, float] | None = None, 
         parameters=_in_units(model.layout, values) | _in_units(model.hyper_layout, hyper_values),
         derived={
             name.name: float(value)
-            for name, value in zip(derived.names, _derived(derived.derivation, problem, jnp.asarray(z)), strict=True)
+            for name, value in zip(
+                derived.names, evaluate_derived(derived.derivation, problem, z[None])[0], strict=True
+            )
         },
         offsets=offsets,
     )
@@ -114,21 +114,6 @@ def random_stream(seed: int, name: str) -> np.random.Generator:
     """Return the random number generator of a named quantity."""
     digest = hashlib.sha256(f"{seed}/{name}".encode()).digest()
     return np.random.default_rng(int.from_bytes(digest[:16], "little"))
-
-
-@kept
-def _expected(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
-    return predict(problem, z), noise_distribution(problem, h), whitener(problem, h).series
-
-
-@kept
-def _in_si(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
-    return problem.priors.values(z), problem.hyper_priors.values(h)
-
-
-@kept
-def _derived(derivation, problem: Problem, z: Float[Array, " P"]):
-    return derivation(values_of(problem, z))
 
 
 def _true_z(layout: Layout, given: Mapping[str, float], widths: np.ndarray, seed: int, where: str) -> np.ndarray:
@@ -178,7 +163,7 @@ def _with_noise(
         shared[index] = common[index] * stream.standard_normal()
         alone[chosen] = stream.standard_normal(len(chosen))
     if isinstance(series, SlowSeries):
-        alone = np.asarray(series.colour(jnp.asarray(alone)))
+        alone = series.colour(alone)
     for index, chosen in enumerate(members):
         names = _names(model, chosen)
         run, channel = int(entries.run[chosen[0]]), int(entries.channel[chosen[0]])

@@ -15,14 +15,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise import known_scales, noise_scales, sample_noise
-from imubayes.compiled.kept_programs import kept
 from imubayes.criticism.evidence.row_correlation import RowCorrelation, correlations_of
-from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Kind
 from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.inference.fitted_model import Fit
@@ -174,10 +170,10 @@ def linear_problem(fitted: Fit, responses: Responses) -> LinearProblem:
     candidates = [each.columns for each in responses.candidates]
     free = np.concatenate(candidates, axis=1) * typical if candidates else np.zeros((len(responses.misfit), 0))
     whole = np.concatenate([responses.jacobian, free, responses.misfit[:, None]], axis=1)
-    own = _variances(problem, jnp.asarray(h))
-    root = np.asarray(problem.observations.weight) / np.sqrt(np.asarray(own))
-    width = np.asarray(prior_widths(problem, jnp.asarray(fitted.h)))
-    at = _At(model, whole, root, np.asarray(_noise_sizes(problem, jnp.asarray(_PRIOR_Z))))
+    own = noise_distribution(problem, h).squared_scale
+    root = problem.observations.weight / np.sqrt(own)
+    width = prior_widths(problem, fitted.h)
+    at = _At(model, whole, root, _noise_sizes(problem, _PRIOR_Z))
     parts = [_in_order(model, k) for k in range(len(model.campaign.channels))]
     entries = [np.concatenate([*each, np.zeros(0, dtype=int)]).astype(int) for each in parts]
     correlations = correlations_of(fitted, h, dict(enumerate(entries)), own)
@@ -186,12 +182,6 @@ def linear_problem(fitted: Fit, responses: Responses) -> LinearProblem:
         responses.candidates, tuple(run.name for run in model.campaign.runs), model.entries.run, width**-2.0,
         -fitted.z * width**-2.0, root, (*rows, *_closing_rows(at)),
     )  # fmt: skip
-
-
-@kept
-def _variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E"]:
-    """Return the squared scale of the independent noise of each entry."""
-    return noise_distribution(problem, h).squared_scale
 
 
 @dataclass(frozen=True)
@@ -293,11 +283,9 @@ def _prior_grid(at: _At, channel: int, kind: type) -> Grid:
     return tuple(zip(at.sizes[:, place].tolist(), np.log(share).tolist(), strict=True))
 
 
-@kept
-def _noise_sizes(problem: Problem, z: Float[Array, " n"]) -> Float[Array, "n H"]:
-    """Return every noise scale at places of its prior, SI."""
-    count = problem.size[1]
-    return jax.vmap(lambda one: problem.hyper_priors.values(jnp.full(count, one)))(z)
+def _noise_sizes(problem: Problem, z: np.ndarray) -> np.ndarray:
+    """Return every noise scale at places of its prior, (n, H), SI."""
+    return problem.hyper_priors.values(np.tile(z[:, None], problem.size[1]))
 
 
 def _scale(model: Model, channel: int, kind: type) -> int | None:

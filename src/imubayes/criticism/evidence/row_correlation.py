@@ -9,13 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise import noise_scales
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, in_batches
+from imubayes.foundations.arrays import Array
 from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
@@ -57,7 +54,7 @@ class RowCorrelation:
 
     def whiten(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (n, C) of rows over their independent noise, whitened."""
-        return in_batches(lambda some: _forward(self.series, jnp.asarray(some)), columns.T, _AT_ONCE).T
+        return self.series.forward(columns)
 
 
 Correlations = Mapping[int, tuple[RowCorrelation, ...]]
@@ -80,7 +77,7 @@ def correlations_of(fitted: Fit, h: np.ndarray, entries: Mapping[int, np.ndarray
     found: dict[int, list[RowCorrelation]] = {k: [] for k in sizes}
     for factor in _FACTORS if sizes else ():
         moved, shares = _moved(h, sizes, factor)
-        series = _series_at(model.problem, jnp.asarray(moved), own)
+        series = _series_at(model.problem, moved, own)
         assert series is not None
         for k, share in shares.items():
             found[k].append(_of_channel(series, factor, share, entries[k]))
@@ -144,7 +141,7 @@ def _count(series: Series | SlowSeries) -> int:
 
 def _of_rows(series: Series, entry: np.ndarray, place: np.ndarray) -> Series:
     before = place[np.asarray(series.before)[entry]]
-    return Series(jnp.asarray(before, dtype=jnp.int32), jnp.asarray(series.correlation)[entry])
+    return Series(before, series.correlation[entry])
 
 
 def _of_lanes(series: SlowSeries, entry: np.ndarray, place: np.ndarray) -> SlowSeries:
@@ -155,9 +152,9 @@ def _of_lanes(series: SlowSeries, entry: np.ndarray, place: np.ndarray) -> SlowS
     back = np.empty(len(entry), dtype=np.int32)
     back[lanes[steps, columns]] = steps * len(chosen) + columns
     # What a row lasts is in the series already.
-    timeline = Timeline(cast(Any, None), jnp.asarray(lanes, dtype=jnp.int32), jnp.asarray(back))
+    timeline = Timeline(cast(Any, None), lanes, back)
     fields = (series.mean, series.over_gap, series.over_row, series.gain, series.variance)
-    return SlowSeries(timeline, *(jnp.asarray(each)[:, chosen] for each in fields))
+    return SlowSeries(timeline, *(each[:, chosen] for each in fields))
 
 
 def _normalised(found: list[RowCorrelation]) -> tuple[RowCorrelation, ...]:
@@ -167,12 +164,6 @@ def _normalised(found: list[RowCorrelation]) -> tuple[RowCorrelation, ...]:
     )
 
 
-@kept
-def _series_at(problem: Problem, h: Float[Array, " H"], own: Float[Array, " E"]) -> Series | SlowSeries | None:
+def _series_at(problem: Problem, h: np.ndarray, own: np.ndarray) -> Series | SlowSeries | None:
     """Return the correlation in time of all entries."""
-    return whitener_of(problem, h, own, jnp.zeros(problem.observations.members.shape[0])).series
-
-
-@kept
-def _forward(series: Series | SlowSeries, columns: Float[Array, "C E"]):
-    return jax.vmap(series.forward)(columns)
+    return whitener_of(problem, h, own, np.zeros(problem.observations.members.shape[0])).series

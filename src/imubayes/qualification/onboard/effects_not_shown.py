@@ -94,7 +94,7 @@ class _Unit:
         self.result, self.constants, self.motion, self.temperature = result, constants, motion, temperature
         self.campaign = result.fit.model.campaign
         self.posterior: SensorPosterior = sensor_posterior(result)
-        self.slopes = np.asarray(prior_slopes(result.fit.model.problem.priors, jnp.asarray(result.fit.z)))
+        self.slopes = np.asarray(prior_slopes(result.fit.model.problem.priors, np.asarray(result.fit.z)))
         names = [member.name for member in members]
         self.lacking = {each.name: each.channels for each in lacking_effects(result.fit, names)[0]}
         exact = exact_equipment(result.fit, names)
@@ -159,15 +159,15 @@ class _Unit:
     def _own(self, member: type[SignalEffect], channel: Channel, parameter: Parameter, size: float) -> np.ndarray:
         """Return what an effect adds to the input of its channel on the nominal scale, (T,)."""
         values = {name: each.null for name, each in declared_parameters(member).items()} | {parameter.field: size}
-        make = member(**{name: jnp.asarray(value) for name, value in values.items()})
-        none, warm = jnp.zeros(()), dict.fromkeys(TEMPERATURES, jnp.asarray(self.temperature))
+        make = member(**{name: np.asarray(value) for name, value in values.items()})
+        none, warm = jnp.zeros(()), dict.fromkeys(TEMPERATURES, np.asarray(self.temperature))
         ambient = Ambient(**dict.fromkeys(ambient_names(), none)).updated(**warm)
         scale = channel.scale_si if member.stage == Stage.CONVERTER else 1.0
 
         def added(rate, force):
-            seen = project(jnp.asarray(channel.axes), acting_on(rate, force), ambient)
-            sample = replace(seen, output_scale=jnp.asarray(channel.scale_si))
+            seen = project(np.asarray(channel.axes), acting_on(rate, force), ambient)
+            sample = replace(seen, output_scale=np.asarray(channel.scale_si))
             signal = scale * (sample.rate if channel.kind == "gyro" else sample.force)[0]
             return (make.apply(signal, sample) - signal) / scale
 
-        return np.asarray(jax.vmap(added)(jnp.asarray(self.motion.body_rate), jnp.asarray(self.motion.body_force)))
+        return np.asarray(jax.vmap(added)(np.asarray(self.motion.body_rate), np.asarray(self.motion.body_force)))

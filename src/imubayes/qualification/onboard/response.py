@@ -126,7 +126,7 @@ def sensor_posterior(result: Result) -> SensorPosterior:
     draws = np.stack([found[name] for name in names], axis=1) * factors if names else np.zeros((1, 0))
     values = np.concatenate([np.zeros(count), np.asarray(model.problem.nulls)])
     values[places] = draws.mean(axis=0)
-    slopes = np.asarray(prior_slopes(model.problem.priors, jnp.asarray(result.fit.z)))[places]
+    slopes = np.asarray(prior_slopes(model.problem.priors, np.asarray(result.fit.z)))[places]
     shifts = [(each, shift[places] * slopes) for each, shift in included_shifts(result.fit)]
     draws, exact = with_included(draws, shifts)
     return SensorPosterior(model.campaign, inputs, names, places, draws, values, exact)
@@ -235,7 +235,7 @@ def linear_response(
     at_reference = np.full((1, 2), REFERENCE_TEMPERATURE)
     nodes = np.concatenate([grid.nodes, at_reference])
     batches = [
-        _about_zero(posterior.inputs, jnp.asarray(_padded(values[first : first + _DRAWS_AT_ONCE])), jnp.asarray(nodes))
+        _about_zero(posterior.inputs, np.asarray(_padded(values[first : first + _DRAWS_AT_ONCE])), np.asarray(nodes))
         for first in range(0, len(values), _DRAWS_AT_ONCE)
     ]
     found = {}

@@ -1,0 +1,322 @@
+"""What the data say of θ at any noise scales, from statistics that are taken once about a linearisation.
+
+Rows that have the same variance v at every h form a class, and the rows of one class in one run and channel a cell.
+With unit weights a class has the statistics A = JᵀJ, a = Jᵀe, c = eᵀe and n, and a cell the sums m of its rows of J,
+s of e and n.  With Σ(h) = D + Σ_g T_g 1 1ᵀ they give, p = 1/v,
+
+    Λ = Σ p A − Σ_g ω_g m_g m_gᵀ + π,  b = Σ p a − Σ_g ω_g s_g m_g − π z,  ω_g = T_g/(1 + T_g n_g),
+
+with m_g, s_g and n_g the sums of p m, p s and p n over the cells of g, and π the precision of the prior.  The Laplace
+marginal −½ q + ½ bᵀΛ⁻¹b − ½ log det Λ − ½ log det Σ then has a gradient in closed form: traces of A with Λ⁻¹.
+
+That holds where noise is normal and rows are independent but for the offset of their run; `scale_statistics` returns
+None elsewhere, and the marginal is differentiated automatically.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from imubayes.foundations.arrays import cho_solve, cholesky
+from imubayes.model.likelihood import has_heavy_tails
+from imubayes.model.noise_covariance import rows_correlate
+from imubayes.model.problem import (
+    NoiseLayer,
+    Problem,
+    evaluated,
+    hyper_prior_square,
+    prior_widths,
+    shared_variance_of,
+    slopes_of,
+    variance_of,
+)
+from imubayes.noise.components import Entry, EntryNoise, SharedNoise
+
+# Rows are of one class where their variances agree to so many digits at the middle of the prior and at a few points
+# besides.
+_DIGITS, _PROBES = 10, 3
+# Above so many numbers in the statistics of all classes, products of rows are formed anew for each h.
+_MOST_STORED = 4_000_000
+
+
+@dataclass(frozen=True)
+class MarginalSlope:
+    """The Laplace marginal of h at a point: log p(y, h) and its gradient (H,)."""
+
+    value: float
+    gradient: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """The normal density of θ about a linearisation: precision Λ, gradient b, and what the marginal is made of."""
+
+    precision: np.ndarray
+    gradient: np.ndarray
+    square: np.ndarray
+    log_determinant: np.ndarray
+
+
+@dataclass(frozen=True)
+class RowClasses:
+    """Classes of rows, and the noise that each is subject to.
+
+    Attributes
+    ----------
+    class_of : shape (E,), class of each row; K for one that is masked out.
+    layers, entry : noise of the independent part, for one row of each class.
+    shared : noise that the rows of a run and channel share.
+    cell_class, cell_group : shape (C,), class and place among `groups` of each cell; runs without shared noise have none.
+    cell_of : shape (E,), cell of each row; C where it has none.
+    groups : shape (S,), runs and channels that share noise.
+    """
+
+    class_of: np.ndarray
+    layers: tuple[NoiseLayer, ...]
+    entry: Entry
+    shared: tuple[NoiseLayer, ...]
+    cell_class: np.ndarray
+    cell_group: np.ndarray
+    cell_of: np.ndarray
+    groups: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number K of classes."""
+        return len(self.entry.samples)
+
+    def variances(self, values: np.ndarray) -> np.ndarray:
+        """Return the variance of each class, (…, K), at values of the noise parameters (…, H), SI."""
+        found = np.zeros((*values.shape[:-1], self.count))
+        for layer in self.layers:
+            found = found + evaluated(layer, values, variance_of, self.entry)
+        return found
+
+    def shared_variances(self, values: np.ndarray) -> np.ndarray:
+        """Return the variance that the rows of each of `groups` share, (…, S)."""
+        found = np.zeros((*values.shape[:-1], len(self.groups)))
+        for layer in self.shared:
+            found = found + evaluated(layer, values, shared_variance_of)
+        return found
+
+
+def row_classes(problem: Problem) -> RowClasses | None:
+    """Return the classes of rows; None where rows are correlated or have heavy tails."""
+    if problem.timeline is not None or rows_correlate(problem) or has_heavy_tails(problem):
+        return None
+    observations, values = problem.observations, problem.hyper_priors.values
+    own = tuple(layer for layer in problem.noise if issubclass(layer.noise, EntryNoise))
+    shared = tuple(layer for layer in problem.noise if issubclass(layer.noise, SharedNoise))
+    random = np.random.default_rng(0)
+    probes = np.concatenate([np.zeros((1, problem.size[1])), random.normal(size=(_PROBES, problem.size[1]))])
+    variances = sum(layer.entry_variances(values(probes), observations.entry) for layer in own)
+    there = np.flatnonzero(observations.weight > 0)
+    signature = np.round(np.log(np.asarray(variances).T[there]), _DIGITS)
+    _, first, inverse = np.unique(signature, axis=0, return_index=True, return_inverse=True)
+    class_of = np.full(len(observations.value), len(first))
+    class_of[there] = inverse
+    acts = sum((np.asarray(layer.acts) for layer in shared), np.zeros(observations.members.shape[0]))
+    groups = np.flatnonzero(acts > 0)
+    place = np.full(len(acts), -1)
+    place[groups] = np.arange(len(groups))
+    group_of = np.where(class_of < len(first), place[observations.group], -1)
+    in_cell = np.flatnonzero(group_of >= 0)
+    cells, cell = np.unique(np.stack([group_of, class_of])[:, in_cell], axis=1, return_inverse=True)
+    cell_of = np.full(len(class_of), cells.shape[1])
+    cell_of[in_cell] = cell.reshape(-1)
+    rows = there[first]
+    return RowClasses(
+        class_of, tuple(_at(layer, rows) for layer in own), jax.tree.map(lambda leaf: leaf[rows], observations.entry),
+        tuple(_at(layer, groups) for layer in shared), cells[1], cells[0], cell_of, groups,
+    )  # fmt: skip
+
+
+def _at(layer: NoiseLayer, rows: np.ndarray) -> NoiseLayer:
+    chosen = {field: np.asarray(place)[rows] for field, place in layer.places.items()}
+    return eqx.tree_at(lambda known: (known.places, known.acts), layer, (chosen, np.asarray(layer.acts)[rows]))
+
+
+@dataclass(frozen=True)
+class ScaleStatistics:
+    """Statistics of a linearisation, and the marginal of the noise scales that they give.
+
+    Attributes
+    ----------
+    classes : of the rows.
+    z : shape (P,), where the model is linearised.
+    jacobian, ordered : rows of the Jacobian (n, P) by classes, and the class of each; what is not stored is made of them.
+    gram : shape (K, P²), sums of products of rows of the Jacobian; None where it is not stored.
+    pulled : shape (K, P), JᵀE of each class; square, rows : shape (K,), sums of squared misfits, and number of rows.
+    along, misfit, size : shapes (C, P), (C,), (C,), sums over each cell of the Jacobian, of the misfit, and of rows.
+    """
+
+    problem: Problem
+    classes: RowClasses
+    z: np.ndarray
+    jacobian: np.ndarray
+    ordered: np.ndarray
+    gram: np.ndarray | None
+    pulled: np.ndarray
+    square: np.ndarray
+    rows: np.ndarray
+    along: np.ndarray
+    misfit: np.ndarray
+    size: np.ndarray
+
+    def normal(self, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return precision (…, P, P) and gradient (…, P) of θ at noise scales (…, H), the prior included."""
+        values = self.problem.hyper_priors.values(h)
+        known = self._known(values, prior_widths(self.problem, h) ** -2)
+        return known.precision, known.gradient
+
+    def log_marginal(self, h: np.ndarray) -> float:
+        """Return log p(y, h) with θ integrated out."""
+        values = self.problem.hyper_priors.values(h)
+        known = self._known(values, prior_widths(self.problem, h) ** -2)
+        factor = cholesky(known.precision)
+        half = np.log(np.diagonal(factor)).sum()
+        fit = 0.5 * known.gradient @ cho_solve(factor, known.gradient)
+        return float(fit - half - 0.5 * (known.square + known.log_determinant) - self._constant(h))
+
+    def log_densities(self, h: np.ndarray) -> np.ndarray:
+        """Return log p(y, ẑ, h) at several noise scales (n, H) up to a constant, ẑ being θ of the linearisation; (n,)."""
+        problem = self.problem
+        values, prior = problem.hyper_priors.values(h), prior_widths(problem, h) ** -2
+        square, log_determinant = self._square(values, prior)
+        priors = np.array([float(hyper_prior_square(problem, each)) for each in h])
+        return -0.5 * (square + log_determinant + priors)
+
+    def slope(self, h: np.ndarray) -> MarginalSlope:
+        """Return log p(y, h) with θ integrated out, and its gradient."""
+        problem, classes = self.problem, self.classes
+        values, widths = problem.hyper_priors.values(h), prior_widths(problem, h)
+        prior = widths**-2
+        known = self._known(values, prior)
+        factor = cholesky(known.precision)
+        if not np.isfinite(factor).all():
+            return MarginalSlope(np.nan, np.full(len(h), np.nan))
+        inverse = cho_solve(factor, np.eye(len(factor)))
+        step = inverse @ known.gradient
+        half = np.log(np.diagonal(factor)).sum()
+        value = 0.5 * known.gradient @ step - half - 0.5 * (known.square + known.log_determinant) - self._constant(h)
+
+        weight, shared = 1 / classes.variances(values), classes.shared_variances(values)
+        of_weight = -0.5 * (self.square + self._moments(inverse, step)) + self.pulled @ step + 0.5 * self.rows / weight
+        along, misfit, size = self._of_groups(weight)
+        drawn, left = shared / (1 + shared * size), misfit - along @ step
+        spread = along @ inverse
+        mean_square = left**2 + np.sum(spread * along, axis=1)
+        group, cells = classes.cell_group, classes.cell_class
+        of_cell = (
+            drawn[group]
+            * (left[group] * (self.misfit - self.along @ step) + np.sum(self.along * spread[group], axis=1))
+            - 0.5 * self.size * (drawn**2 * mean_square + drawn)[group]
+        )
+        of_weight = of_weight + np.bincount(cells, of_cell, classes.count)
+        of_shared = 0.5 * (mean_square / (1 + shared * size) ** 2 - size / (1 + shared * size))
+        of_prior = 0.5 * (1 / prior - (self.z + step) ** 2 - np.diagonal(inverse))
+        by_values = self._by_values(values, -(weight**2) * of_weight, of_shared, of_prior * -2 * widths**-3)
+        gradient = by_values * problem.hyper_priors.slopes(h) - self._prior_pull(h)
+        return MarginalSlope(float(value), gradient)
+
+    def _known(self, values: np.ndarray, prior: np.ndarray) -> _Normal:
+        weight, shared = 1 / self.classes.variances(values), self.classes.shared_variances(values)
+        along, misfit, size = self._of_groups(weight)
+        drawn = shared / (1 + shared * size)
+        precision = self._weighted(weight) - np.swapaxes(along, -1, -2) @ (drawn[..., None] * along)
+        count = np.arange(len(self.z))
+        precision[..., count, count] += prior
+        pulled = weight @ self.pulled - ((drawn * misfit)[..., None, :] @ along)[..., 0, :]
+        return _Normal(precision, pulled - prior * self.z, *self._square(values, prior))
+
+    def _square(self, values: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the quadratic form at ẑ, prior included, and log det Σ − log det π; (…)."""
+        weight, shared = 1 / self.classes.variances(values), self.classes.shared_variances(values)
+        of_cell = weight[..., self.classes.cell_class]
+        misfit, size = self._summed(of_cell * self.misfit), self._summed(of_cell * self.size)
+        gain = 1 + shared * size
+        square = weight @ self.square - (shared / gain * misfit**2).sum(-1) + (prior * self.z**2).sum(-1)
+        return square, -np.log(weight) @ self.rows + np.log(gain).sum(-1) - np.log(prior).sum(-1)
+
+    def _of_groups(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the weighted sums of the Jacobian (…, S, P), the misfit (…, S), and the information (…, S)."""
+        of_cell = weight[..., self.classes.cell_class]
+        along = np.swapaxes(self._summed(np.swapaxes(of_cell[..., None] * self.along, -1, -2)), -1, -2)
+        return along, self._summed(of_cell * self.misfit), self._summed(of_cell * self.size)
+
+    def _summed(self, of_cells: np.ndarray) -> np.ndarray:
+        """Return sums (…, S) over the cells (…, C) of each run and channel."""
+        group, count = self.classes.cell_group, len(self.classes.groups)
+        if np.array_equal(group, np.arange(count)):  # one class in each
+            return of_cells
+        return of_cells @ (group[:, None] == np.arange(count)).astype(float)
+
+    def _weighted(self, weight: np.ndarray) -> np.ndarray:
+        """Return Σ p A, shape (…, P, P)."""
+        size = len(self.z)
+        if self.gram is not None:
+            return (weight @ self.gram).reshape(*weight.shape[:-1], size, size)
+        rows = weight[..., self.ordered]
+        return self.jacobian.T @ (rows[..., None] * self.jacobian)
+
+    def _moments(self, inverse: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Return the trace of A with Λ⁻¹ + δδᵀ of each class, (K,)."""
+        moment = inverse + np.outer(step, step)
+        if self.gram is not None:
+            return self.gram @ moment.reshape(-1)
+        each = np.sum((self.jacobian @ moment) * self.jacobian, axis=1)
+        return np.bincount(self.ordered, each, self.classes.count)
+
+    def _by_values(self, values: np.ndarray, of_own: np.ndarray, of_shared: np.ndarray, of_widths: np.ndarray):
+        """Return the derivative by the noise parameters in SI, (H,), from those by variances and prior widths."""
+        problem, classes = self.problem, self.classes
+        found = np.zeros(len(values))
+        for layer in classes.layers:
+            for place, slope in slopes_of(layer, values, variance_of, classes.entry):
+                np.add.at(found, place, slope * of_own)
+        for layer in classes.shared:
+            for place, slope in slopes_of(layer, values, shared_variance_of):
+                np.add.at(found, place, slope * of_shared)
+        learnt = problem.spread_of < len(values)
+        np.add.at(found, problem.spread_of[learnt], of_widths[learnt] / problem.spread_unit[learnt])
+        return found
+
+    def _constant(self, h: np.ndarray) -> float:
+        """Return the part of the marginal that θ has no part in: half the square of the prior of h, and 2π."""
+        entries = self.rows.sum() + len(h)
+        return 0.5 * float(hyper_prior_square(self.problem, h)) + 0.5 * np.log(2 * np.pi) * entries
+
+    def _prior_pull(self, h: np.ndarray) -> np.ndarray:
+        correlation = self.problem.hyper_correlation
+        return h if correlation is None else correlation.pull(h)
+
+
+def scale_statistics(
+    problem: Problem, classes: RowClasses | None, z: np.ndarray, misfit: np.ndarray, jacobian: np.ndarray
+) -> ScaleStatistics | None:
+    """Return the statistics of a linearisation; None where there are no classes.
+
+    Parameters
+    ----------
+    z, misfit, jacobian : shapes (P,), (E,) and (E, P), the model linearised about z.
+    """
+    if classes is None:
+        return None
+    order = np.argsort(classes.class_of, kind="stable")
+    order = order[classes.class_of[order] < classes.count]
+    rows, of, e = jacobian[order], classes.class_of[order], misfit[order]
+    begin = np.searchsorted(of, np.arange(classes.count + 1))
+    parts = [slice(*ends) for ends in zip(begin[:-1], begin[1:], strict=True)]
+    stored = classes.count * len(z) ** 2 <= min(_MOST_STORED, len(of) * len(z) ** 2)
+    gram = np.stack([(rows[part].T @ rows[part]).reshape(-1) for part in parts]) if stored else None
+    pulled = np.stack([rows[part].T @ e[part] for part in parts])
+    square = np.array([e[part] @ e[part] for part in parts])
+    cells, cell = len(classes.cell_class), classes.cell_of[order]
+    along = np.zeros((cells + 1, len(z)))
+    np.add.at(along, cell, rows)
+    sums = (np.bincount(cell, of_rows, cells + 1)[:cells] for of_rows in (e, np.ones(len(e))))
+    return ScaleStatistics(
+        problem, classes, z, rows, of, gram, pulled, square, np.diff(begin).astype(float), along[:cells], *sums
+    )
