@@ -65,7 +65,7 @@ def redrawn(fitted: Fit, seed: int, correlation: float = 0.0, change: np.ndarray
     readings = np.asarray(predict(problem, jnp.asarray(fitted.z))) + np.sqrt(variance) * noise
     readings = readings + (np.sqrt(shared) * random.normal(size=len(shared)))[group]
     readings = readings if change is None else readings + change
-    fresh = eqx.tree_at(lambda p: p.observations.value, problem, jnp.asarray(readings))
+    fresh = eqx.tree_at(lambda p: p.observations.value, problem, np.asarray(readings))
     mode = find_mode(fresh, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
     model = replace(fitted.model, problem=fresh, entries=replace(fitted.model.entries, value=readings))
     return Fit(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))

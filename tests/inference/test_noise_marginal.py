@@ -28,11 +28,11 @@ def made() -> Model:
 def about() -> Linearised:
     problem = made().problem
     size, hyper_size = problem.size
-    return linearise(problem, fit_at(problem, jnp.zeros(size), jnp.zeros(hyper_size)))
+    return linearise(problem, fit_at(problem, np.zeros(size), np.zeros(hyper_size)))
 
 
-def away(seed: int, far: float) -> jax.Array:
-    return jnp.asarray(np.random.default_rng(seed).normal(size=made().problem.size[1]) * far)
+def away(seed: int, far: float) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=made().problem.size[1]) * far
 
 
 @pytest.mark.slow
@@ -40,7 +40,7 @@ def test_curvature_is_that_of_the_second_derivative():
     h = away(1, 0.3)
     found = marginal.curvature(made().problem, about(), h)
     value, slope = jax.jit(jax.value_and_grad(lambda one: log_marginal(made().problem, about(), one)))(h)
-    second = jax.jit(jax.jacfwd(lambda one: marginal.slope(made().problem, about(), one).gradient))(h)
+    second = jax.jit(jax.hessian(lambda one: log_marginal(made().problem, about(), one)))(h)
     assert float(found.value) == pytest.approx(float(value), rel=1e-12)
     np.testing.assert_allclose(found.gradient, slope, rtol=1e-9)
     np.testing.assert_allclose(found.information, -second, atol=1e-6 * float(jnp.abs(second).max()))
@@ -50,8 +50,8 @@ def test_curvature_is_that_of_the_second_derivative():
 @pytest.mark.slow
 def test_the_mode_is_that_of_scipy(far):
     def downhill(h):
-        at = marginal.slope(made().problem, about(), jnp.asarray(h))
-        return -float(at.value), -np.asarray(at.gradient)
+        at = marginal.ScaleMarginal(made().problem, about()).slope(h)
+        return -at.value, -at.gradient
 
     h, at = marginal.climb(made().problem, about(), away(2, far))
     best = minimize(downhill, np.asarray(h), jac=True, method="BFGS", options={"gtol": 1e-6})
@@ -101,6 +101,6 @@ def test_a_mode_learnt_from_the_steps_is_as_good():
     exact, _ = marginal.climb(problem, about(), near)
     information = marginal.curvature(problem, about(), near).information
     found, at = marginal.climb(problem, about(), near, information, judged=False)
-    assert float(jnp.max(jnp.abs(found - near))) > 0.1, "the start is not the end"
+    assert np.max(np.abs(found - near)) > 0.1, "the start is not the end"
     np.testing.assert_allclose(found, exact, atol=2e-3)
-    assert float(at.value) > float(marginal.slope(problem, about(), exact).value) - 1e-6
+    assert float(at.value) > marginal.ScaleMarginal(problem, about()).slope(exact).value - 1e-6

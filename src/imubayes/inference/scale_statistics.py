@@ -19,7 +19,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from imubayes.foundations.arrays import cho_solve, cholesky
+from imubayes.foundations.arrays import Scalars, cho_solve, cholesky
 from imubayes.model.likelihood import has_heavy_tails
 from imubayes.model.noise_covariance import rows_correlate
 from imubayes.model.problem import (
@@ -55,8 +55,8 @@ class _Normal:
 
     precision: np.ndarray
     gradient: np.ndarray
-    square: np.ndarray
-    log_determinant: np.ndarray
+    square: Scalars
+    log_determinant: Scalars
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ class ScaleStatistics:
         pulled = weight @ self.pulled - ((drawn * misfit)[..., None, :] @ along)[..., 0, :]
         return _Normal(precision, pulled - prior * self.z, *self._square(values, prior))
 
-    def _square(self, values: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _square(self, values: np.ndarray, prior: np.ndarray) -> tuple[Scalars, Scalars]:
         """Return the quadratic form at ẑ, prior included, and log det Σ − log det π; (…)."""
         weight, shared = 1 / self.classes.variances(values), self.classes.shared_variances(values)
         of_cell = weight[..., self.classes.cell_class]

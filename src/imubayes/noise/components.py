@@ -90,7 +90,7 @@ class EntryNoise(Noise):
     """
 
     @abstractmethod
-    def variance(self, entry: Entry) -> Scalar:
+    def variance(self, entry: Entry) -> Scalars:
         """Return the variance of one entry, output units squared."""
 
 
@@ -112,7 +112,7 @@ class SharedNoise(Noise):
     """
 
     @abstractmethod
-    def shared_variance(self) -> Scalar:
+    def shared_variance(self) -> Scalars:
         """Return the variance of the common offset, output units squared."""
 
 
@@ -134,7 +134,7 @@ class SeriesNoise(Noise):
     """
 
     @abstractmethod
-    def lag_one_correlation(self) -> Scalar:
+    def lag_one_correlation(self) -> Scalars:
         """Return the correlation of an entry with that of the row before, in (−1, 1)."""
 
 
@@ -204,7 +204,7 @@ class TailNoise(Noise):
     """
 
     @abstractmethod
-    def degrees(self) -> Scalar:
+    def degrees(self) -> Scalars:
         """Return the degrees of freedom, above 0; a normal law has infinitely many."""
 
 
@@ -222,7 +222,7 @@ class WhiteNoise(EntryNoise):
         "output", "lognormal(1 noise, 0.5)", (1e-9, 0.1), "the standard deviation of one raw sample"
     )
 
-    def variance(self, entry: Entry) -> Scalar:
+    def variance(self, entry: Entry) -> Scalars:
         return self.sigma**2 / entry.samples
 
 
@@ -240,7 +240,7 @@ class RateProportionalNoise(EntryNoise):
 
     k: Scalar = parameter("ppm", "lognormal(10 ppm, 1.5)", (0.1, 300), "the standard deviation per rate")
 
-    def variance(self, entry: Entry) -> Scalar:
+    def variance(self, entry: Entry) -> Scalars:
         return (self.k * entry.rate) ** 2
 
 
@@ -264,7 +264,7 @@ class ReferenceNoise(EntryNoise):
         "deg/s", "lognormal(2e-4 deg/s, 1)", (1e-6, 1e-2), "the reference's standard deviation of one raw sample"
     )
 
-    def variance(self, entry: Entry) -> Scalar:
+    def variance(self, entry: Entry) -> Scalars:
         return (entry.reference * self.sigma) ** 2 / entry.samples
 
 
@@ -287,7 +287,7 @@ class EncoderNoise(EntryNoise):
         "arcsec", "lognormal(0.5 arcsec, 1)", (0.01, 20), "the standard deviation of one reading of the angle"
     )
 
-    def variance(self, entry: Entry) -> Scalar:
+    def variance(self, entry: Entry) -> Scalars:
         return 2 * (entry.encoder * self.sigma) ** 2
 
 
@@ -305,7 +305,7 @@ class Quantisation(EntryNoise):
 
     q: Scalar = parameter("output", "lognormal(0.3 noise, 1.0)", (1e-9, 0.1), "the step of a row's value")
 
-    def variance(self, entry: Entry) -> Scalar:
+    def variance(self, entry: Entry) -> Scalars:
         return self.q**2 / 12
 
 
@@ -322,7 +322,7 @@ class CorrelatedNoise(SeriesNoise):
 
     correlation: Scalar = parameter("1", "uniform(0, 0.99)", (0.05, 0.95), "the correlation of neighbouring rows")
 
-    def lag_one_correlation(self) -> Scalar:
+    def lag_one_correlation(self) -> Scalars:
         return self.correlation
 
 
@@ -340,7 +340,7 @@ class Outliers(TailNoise):
 
     degrees_of_freedom: Scalar = parameter("1", "lognormal(8, 0.8)", (3, 30), "the degrees of freedom ν")
 
-    def degrees(self) -> Scalar:
+    def degrees(self) -> Scalars:
         return self.degrees_of_freedom
 
 
@@ -362,7 +362,7 @@ class RunScatter(SharedNoise):
         "output", "halfnormal(0.5 noise)", (1e-9, 0.1), "the standard deviation of the offset of a run"
     )
 
-    def shared_variance(self) -> Scalar:
+    def shared_variance(self) -> Scalars:
         return self.tau**2
 
 
@@ -382,7 +382,7 @@ class RotationClosure(EntryNoise):
         "arcsec", "lognormal(0.05 deg, 1.5)", (1, 3600), "the standard deviation of the closing rotation"
     )
 
-    def variance(self, entry: Entry) -> Scalar:
+    def variance(self, entry: Entry) -> Scalars:
         return self.sigma**2
 
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax.scipy.special import erfc
 from scipy import special
 
-from imubayes.foundations.arrays import Array, Float, Scalar, namespace
+from imubayes.foundations.arrays import Array, Float, Scalars, namespace
 from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.foundations.units import NUMBER_AND_UNIT, same_dimension, to_si
@@ -29,11 +29,11 @@ class Prior(eqx.Module):
     """A one-dimensional prior in SI units."""
 
     @abstractmethod
-    def value(self, z: Scalar) -> Scalar:
+    def value(self, z: Scalars) -> Scalars:
         """Return the value at standard normal z."""
 
     @abstractmethod
-    def slope(self, z: Scalar) -> Scalar:
+    def slope(self, z: Scalars) -> Scalars:
         """Return the derivative of the value by z."""
 
     @abstractmethod
@@ -63,30 +63,30 @@ Refuse = Callable[[str, str], InputError]  # what is wrong, what is allowed → 
 # form, which `jax.scipy.special.ndtri` and `ndtr` lack, make a program as much as twice as fast to compile.
 
 
-def _probability(z: Scalar) -> Scalar:
+def _probability(z: Scalars) -> Scalars:
     """Return Φ(z)."""
     return _traced_probability(z) if namespace(z) is jnp else 0.5 * special.erfc(-math.sqrt(0.5) * z)
 
 
-def _density(z: Scalar) -> Scalar:
+def _density(z: Scalars) -> Scalars:
     """Return φ(z)."""
     return namespace(z).exp(-0.5 * z**2) / math.sqrt(2 * math.pi)
 
 
 @jax.custom_jvp
-def _traced_probability(z: Scalar) -> Scalar:
+def _traced_probability(z: Scalars) -> Scalars:
     return 0.5 * erfc(-math.sqrt(0.5) * z)
 
 
 _traced_probability.defjvps(lambda slope, _, z: slope * _density(z))
 
 
-def _half_normal(z: Scalar) -> Scalar:
+def _half_normal(z: Scalars) -> Scalars:
     """Return x with Φ(x) = ½ (1 + Φ(z)), to 1e-15 of itself."""
     return _traced_half_normal(z) if namespace(z) is jnp else _half_normal_value(z)
 
 
-def _half_normal_value(z: Scalar) -> Scalar:
+def _half_normal_value(z: Scalars) -> Scalars:
     xp = namespace(z)
     probability = _probability(xp.minimum(z, 1.0))
     square = 0.180625 - (0.5 * probability) ** 2
@@ -96,7 +96,7 @@ def _half_normal_value(z: Scalar) -> Scalar:
     return xp.where(z > 1, far, near)
 
 
-def _half_normal_slope(z: Scalar, x: Scalar) -> Scalar:
+def _half_normal_slope(z: Scalars, x: Scalars) -> Scalars:
     """Return the derivative of x = `_half_normal(z)`, ½ φ(z)/φ(x)."""
     return 0.5 * namespace(z).exp(0.5 * (x - z) * (x + z))
 
@@ -105,13 +105,13 @@ _traced_half_normal = jax.custom_jvp(_half_normal_value)
 
 
 @_traced_half_normal.defjvp
-def _traced_half_normal_slope(points: tuple[Scalar], slopes: tuple[Scalar]) -> tuple[Scalar, Scalar]:
+def _traced_half_normal_slope(points: tuple[Scalars], slopes: tuple[Scalars]) -> tuple[Scalars, Scalars]:
     (z,), (slope,) = points, slopes
     x = _half_normal(z)
     return x, _half_normal_slope(z, x) * slope
 
 
-def _polynomial(coefficients: tuple[float, ...], x: Scalar) -> Scalar:
+def _polynomial(coefficients: tuple[float, ...], x: Scalars) -> Scalars:
     """Return Σ cₖ xᵏ, from the highest power."""
     return reduce(lambda total, coefficient: total * x + coefficient, reversed(coefficients))
 
@@ -142,10 +142,10 @@ class Normal(Prior):
     mean: Number
     deviation: Number
 
-    def value(self, z: Scalar) -> Scalar:
+    def value(self, z: Scalars) -> Scalars:
         return self.mean + self.deviation * z
 
-    def slope(self, z: Scalar) -> Scalar:
+    def slope(self, z: Scalars) -> Scalars:
         return self.deviation + 0.0 * z
 
     def z(self, value: float) -> float:
@@ -164,10 +164,10 @@ class Uniform(Prior):
     low: Number
     high: Number
 
-    def value(self, z: Scalar) -> Scalar:
+    def value(self, z: Scalars) -> Scalars:
         return self.low + (self.high - self.low) * _probability(z)
 
-    def slope(self, z: Scalar) -> Scalar:
+    def slope(self, z: Scalars) -> Scalars:
         return (self.high - self.low) * _density(z)
 
     def z(self, value: float) -> float:
@@ -186,10 +186,10 @@ class LogNormal(Prior):
     median: Number
     log_deviation: Number
 
-    def value(self, z: Scalar) -> Scalar:
+    def value(self, z: Scalars) -> Scalars:
         return self.median * namespace(z).exp(self.log_deviation * z)
 
-    def slope(self, z: Scalar) -> Scalar:
+    def slope(self, z: Scalars) -> Scalars:
         return self.log_deviation * self.value(z)
 
     def z(self, value: float) -> float:
@@ -208,10 +208,10 @@ class HalfNormal(Prior):
 
     scale: Number
 
-    def value(self, z: Scalar) -> Scalar:
+    def value(self, z: Scalars) -> Scalars:
         return self.scale * _half_normal(z)
 
-    def slope(self, z: Scalar) -> Scalar:
+    def slope(self, z: Scalars) -> Scalars:
         return self.scale * _half_normal_slope(z, _half_normal(z))
 
     def z(self, value: float) -> float:
@@ -236,10 +236,10 @@ class HalfCauchy(Prior):
 
     scale: Number
 
-    def value(self, z: Scalar) -> Scalar:
+    def value(self, z: Scalars) -> Scalars:
         return self.scale / namespace(z).tan(0.5 * math.pi * _probability(-z))
 
-    def slope(self, z: Scalar) -> Scalar:
+    def slope(self, z: Scalars) -> Scalars:
         angle = 0.5 * math.pi * _probability(-z)
         return self.scale * 0.5 * math.pi * _density(z) / namespace(z).sin(angle) ** 2
 
@@ -259,10 +259,10 @@ class LogUniform(Prior):
     low: Number
     high: Number
 
-    def value(self, z: Scalar) -> Scalar:
+    def value(self, z: Scalars) -> Scalars:
         return self.low * (self.high / self.low) ** _probability(z)
 
-    def slope(self, z: Scalar) -> Scalar:
+    def slope(self, z: Scalars) -> Scalars:
         return namespace(self.high, z).log(self.high / self.low) * _density(z) * self.value(z)
 
     def z(self, value: float) -> float:
