@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from imubayes.cli.session import Flag, Json, Names, Trust, inspecting, progress, show, split, start_jax, trusting
+from imubayes.cli.session import Flag, Json, Names, Trust, progress, show, split, start_jax, trusting
 from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
@@ -261,14 +261,16 @@ def fit(
 
 def _read(campaign: Path, held: ExitStack, out: Path, resume: bool, replace: bool) -> "Campaign":
     """Return the campaign, after its warnings are printed; the folder of the result is held before, in `held`."""
-    with progress() as tell, inspecting(campaign) as inspected:
+    with progress() as tell:
         from imubayes.results.folder_state import claimed
 
         held.enter_context(claimed(out, resume, replace))
-        start_jax()
+        from imubayes.campaign import inspect_campaign
         from imubayes.display.check_report import usable, warning_lines
 
         tell("reading the campaign")
-        recorded = usable(inspection := inspected())
+        recorded = usable(inspection := inspect_campaign(campaign))
+        tell("loading")
+        start_jax()
     print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
     return recorded

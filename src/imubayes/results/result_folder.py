@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -25,9 +25,11 @@ from imubayes.inference.posterior_groups import SAMPLE, Group, Groups, Labelled,
 from imubayes.loop.model_history import Node
 from imubayes.model.model_file import ModelSpec
 from imubayes.results import folder_files
-from imubayes.results.change_records import ModelChange
 from imubayes.results.fit_file import fit_record
 from imubayes.results.result import Result
+
+if TYPE_CHECKING:  # it reads diagnoses and refits, which a fit does not
+    from imubayes.results.change_records import ModelChange
 
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
 # Arrays of fewer bytes are not compressed; a block of draws has about so many values, or all draws of a number.
@@ -127,7 +129,7 @@ def write_result(
     result: Result,
     node: Node,
     *,
-    change: ModelChange | None = None,
+    change: "ModelChange | None" = None,
     added_variable: pl.DataFrame | None = None,
     selection: int = 0,
 ) -> Result:
