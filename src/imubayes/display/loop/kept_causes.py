@@ -24,7 +24,7 @@ fit_file: Any = lazy_loader.load("imubayes.results.fit_file", suppress_warning=T
 _METHOD = 1
 
 
-class Cause(Record):
+class ClassicalCause(Record):
     """What an effect adds to the classical less the joint estimate of a quantity from a run, in the unit of both."""
 
     name: str
@@ -37,7 +37,7 @@ class KeptCauses(Record):
     """The contents of `causes.json`: what each effect adds to each difference, and the method that found it."""
 
     method: int
-    causes: tuple[Cause, ...]
+    causes: tuple[ClassicalCause, ...]
 
 
 def causes_of(
@@ -61,7 +61,7 @@ def causes_of(
         identity = checked(folder).identity
         found = effects_behind.effects_behind(fit_file.read_fit(folder), residuals, summary)
         causes = [
-            Cause(name=name, run=run, effect=effect, size=size)
+            ClassicalCause(name=name, run=run, effect=effect, size=size)
             for (name, run), own in found.items()
             for effect, size in own
         ]
