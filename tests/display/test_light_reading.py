@@ -1,17 +1,37 @@
-"""What only reads a result, `history` and `compare`, loads neither JAX nor ArviZ."""
+"""No command loads what it has no use for: reading a result needs no JAX, a fit no report, archive or page."""
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+# What `imubayes fit --no-sample` imports, command line and report included.
+FIT = ("imubayes.cli.main", "imubayes.results.folder_state", "imubayes.display.check_report", "imubayes.api.fitting",
+       "imubayes.display.fit_report")  # fmt: skip
+SATELLITES = ("archive", "batch", "criticism.evidence", "explorer", "qualification", "noise_analysis", "simulation")
 HEAVY = {"jax", "equinox", "optimistix", "emcee", "arviz_stats", "arviz_base"}
+
+
+def executed(*modules: str) -> set[str]:
+    """Return the modules that a process has executed after importing modules; lazy ones are left to their first use."""
+    code = (
+        f"import sys, importlib.util, {', '.join(modules)}\n"
+        "lazy = importlib.util._LazyModule\n"
+        "print(*(name for name, module in sys.modules.items() if type(module) is not lazy))"
+    )
+    return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
 
 
 def loaded(*modules: str) -> set[str]:
     """Return the packages that a process has loaded after importing modules."""
-    code = f"import sys, {', '.join(modules)}; print(*{{name.partition('.')[0] for name in sys.modules}})"
-    return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+    return {name.partition(".")[0] for name in executed(*modules)}
+
+
+def satellites(modules: set[str]) -> list[str]:
+    """Return the modules of satellites among some; a package that holds nothing but its docstring is none."""
+    prefixes = tuple(f"imubayes.{name}." for name in SATELLITES)
+    return sorted(name for name in modules if name.startswith(prefixes) and name != "imubayes.qualification.onboard")
 
 
 @pytest.mark.compiled  # processes
@@ -21,3 +41,23 @@ def test_reading_a_result_needs_no_jax():
     assert not found & HEAVY
     # It would be seen.
     assert "jax" in loaded("imubayes.results.result")
+
+
+@pytest.mark.compiled  # processes
+def test_a_fit_loads_no_satellite():
+    found = executed(*FIT)
+    assert "imubayes.inference.run_fit" in found
+    assert satellites(found) == []
+    unused = {"arviz_base", "arviz_stats", "emcee", "h5netcdf", "matplotlib", "pandas", "pyarrow.compute", "xarray"}
+    assert not found & unused
+    # It would be seen.
+    assert satellites(executed(*FIT, "imubayes.qualification.report_budgets"))
+
+
+@pytest.mark.compiled  # processes
+def test_numbers_of_a_table_are_read_without_the_functions_of_arrow():
+    campaign = Path(__file__).parents[2] / "data" / "hidden-gyro"
+    code = f"import sys, imubayes.campaign as read; read.load_campaign({str(campaign)!r}); print(*sys.modules)"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "pyarrow" in told.split()
+    assert "pyarrow.compute" not in told.split()

@@ -4,6 +4,9 @@ import time
 from collections.abc import Callable
 from dataclasses import replace as with_fields
 from pathlib import Path
+from typing import Any, Literal
+
+import lazy_loader
 
 from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
@@ -12,14 +15,15 @@ from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import ModelSpec, read_model
-from imubayes.qualification.marginal import Digits
-from imubayes.qualification.posterior_quantities import fit_until_digits
-from imubayes.qualification.report_budgets import keep_budgets
-from imubayes.results.change_records import first_node
+from imubayes.results.fit_file import node_of
 from imubayes.results.folder_files import CHECKPOINT
 from imubayes.results.folder_state import claimed
 from imubayes.results.result import Result, read_result, result_of
 from imubayes.results.result_folder import write_result
+
+# What only a sampled fit needs.
+posterior_quantities: Any = lazy_loader.load("imubayes.qualification.posterior_quantities", suppress_warning=True)
+report_budgets: Any = lazy_loader.load("imubayes.qualification.report_budgets", suppress_warning=True)
 
 
 def fit(
@@ -32,7 +36,7 @@ def fit(
     resume: bool = False,
     replace: bool = False,
     settings: Settings | None = None,
-    until_digits: Digits | None = None,
+    until_digits: Literal[1, 2] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
     """Fit all runs of a campaign jointly and sample the posterior.
@@ -71,16 +75,16 @@ def fit(
     sampling = with_fields(settings or Settings(), seed=seed) if sample else None
     with claimed(folder, resume, replace), progress_of(progress) as tell:
         if until_digits is not None:
-            fitted = fit_until_digits(declared, sampling, until_digits, checkpoint, resume, tell)
+            fitted = posterior_quantities.fit_until_digits(declared, sampling, until_digits, checkpoint, resume, tell)
         else:
             fitted = joint_fit(declared, sampling, checkpoint, resume, tell)
         tell("summarising")
         result = result_of(fitted, folder, seed, load_seconds)
         if folder is not None:
-            result = write_result(result, first_node(fitted.model, result.summary, seed))
+            result = write_result(result, node_of(fitted.model, result.summary, seed))
             if sample:  # a quick fit of the loop leaves them to its first report
                 tell("uncertainty budgets")
-                keep_budgets(result)
+                report_budgets.keep_budgets(result)
     return result
 
 

@@ -384,24 +384,39 @@ def _refuse_wrong_types(file: Path, schema: pa.Schema, layout: ColumnLayout) -> 
     )
 
 
-# Arrow's own conversions of Python numbers, and to NumPy, import pandas where that is installed.
-_NAN = pa.Array.from_buffers(pa.float64(), 1, [None, pa.py_buffer(np.array([math.nan]))])[0]
-
-
 def _to_batch(records: pa.RecordBatch, layout: ColumnLayout, first: int) -> RowBatch:
     numbers, not_finite = {}, {}
     for name in layout.numbers:
         column = records.column(name)
-        values = np.array(np.from_dlpack(column.cast(pa.float64()).fill_null(_NAN)))
+        values, known = _numbers(column)
         numbers[name] = values
-        bad = ~(np.abs(values) <= ABSURD)
-        if column.null_count:
-            bad &= np.array(column.is_valid().to_pylist())
+        bad = ~(np.abs(values) <= ABSURD) & known
         if bad.any():
             not_finite[name] = np.flatnonzero(bad)
             values[bad] = math.nan
-    texts = {name: records.column(name).cast(pa.string()).to_pylist() for name in layout.texts}
+    texts = {name: _texts(records.column(name)) for name in layout.texts}
     return RowBatch(first, records.num_rows, numbers, texts, not_finite)
+
+
+def _numbers(column: pa.Array) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers of a column, NaN where there is none, and where there is one, (rows,) each.
+
+    Arrow's own conversion to NumPy imports pandas where that is installed, and `cast` the whole of `pyarrow.compute`:
+    it is left to columns that are not doubles already.
+    """
+    doubles = column if column.type == pa.float64() else column.cast(pa.float64())
+    valid, data = doubles.buffers()
+    kept = slice(doubles.offset, doubles.offset + len(doubles))
+    values = np.frombuffer(data, float, kept.stop)[kept].copy() if data is not None else np.full(len(doubles), math.nan)
+    if valid is None or not doubles.null_count:
+        return values, np.full(len(values), doubles.null_count == 0)
+    known = np.unpackbits(np.frombuffer(valid, np.uint8), bitorder="little")[kept].astype(bool)
+    values[~known] = math.nan
+    return values, known
+
+
+def _texts(column: pa.Array) -> list[str | None]:
+    return (column if column.type == pa.string() else column.cast(pa.string())).to_pylist()
 
 
 def _damaged(file: Path, error: Exception) -> InputError:

@@ -18,7 +18,6 @@ from imubayes.cli.session import (
     Json,
     Names,
     Trust,
-    inspecting,
     progress,
     show,
     split,
@@ -85,17 +84,18 @@ def check(
 
 def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel | None]":
     """Return the inspection of a campaign and the size of the model bound to it; None where it cannot be used."""
+    from imubayes.campaign import inspect_campaign
     from imubayes.display.check_report import CheckedModel
 
-    with progress("reading the campaign") as tell, inspecting(campaign) as inspected:
+    with progress("reading the campaign") as tell:
+        inspection = inspect_campaign(campaign)
+        if inspection.campaign is None:
+            return inspection, None
+        tell("binding the model")
         start_jax()
         from imubayes.model.bind import bind
         from imubayes.model.model_file import read_model
 
-        inspection = inspected()
-        if inspection.campaign is None:
-            return inspection, None
-        tell("binding the model")
         declared = bind(read_model(model), inspection.campaign)
         untold: tuple[str, ...] = ()
         if len(declared.layout) > len(declared.entries):

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from imubayes.cli.session import Flag, Json, Names, Trust, inspecting, progress, show, split, start_jax, trusting
+from imubayes.cli.session import Flag, Json, Names, Trust, progress, show, split, start_jax, trusting
 from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
@@ -47,9 +47,8 @@ def classical(
         from imubayes.campaign import load_campaign
         from imubayes.display.classical_comparison import classical_json, compare_classical, of_prediction
         from imubayes.display.fit_report import classical_report
-        from imubayes.display.loop.effects_behind import effects_behind
+        from imubayes.display.loop.kept_causes import causes_of
         from imubayes.procedures import classical as evaluate
-        from imubayes.results.fit_file import read_fit
         from imubayes.results.history_tree import refuse_other_data
         from imubayes.results.stored_tables import read_summary_and_residuals
 
@@ -58,17 +57,17 @@ def classical(
     if delta_k_threshold is not None and not delta_k_threshold > 0:
         what = f"a threshold of {delta_k_threshold:g} %"
         raise input_error(what, "--delta-k-threshold", "a percentage above 0", "correct it")
-    summary = predicted = None
+    summary = predicted = residuals = None
     if result is not None:
         refuse_other_data(result, loaded)
         summary, read = read_summary_and_residuals(result)
-        predicted = of_prediction(loaded, read.table, summary)
+        residuals = read.table
+        predicted = of_prediction(loaded, residuals, summary)
     fitted = None if summary is None else summary.delta_k_threshold
     percent = fitted if delta_k_threshold is None else delta_k_threshold
     comparison = compare_classical(evaluate(loaded, None if percent is None else percent / 100), summary, predicted)
-    if result is not None and summary is not None and comparison.beyond:
-        behind = effects_behind(read_fit(result), read_summary_and_residuals(result)[1].table, summary)
-        comparison = comparison.with_causes(behind)
+    if result is not None and summary is not None and residuals is not None and comparison.beyond:
+        comparison = comparison.with_causes(causes_of(result, residuals, summary))
     show(lambda: classical_json(comparison), lambda: classical_report(comparison), as_json)
     return 0 if comparison.estimates else 1
 
@@ -261,14 +260,16 @@ def fit(
 
 def _read(campaign: Path, held: ExitStack, out: Path, resume: bool, replace: bool) -> "Campaign":
     """Return the campaign, after its warnings are printed; the folder of the result is held before, in `held`."""
-    with progress() as tell, inspecting(campaign) as inspected:
+    with progress() as tell:
         from imubayes.results.folder_state import claimed
 
         held.enter_context(claimed(out, resume, replace))
-        start_jax()
+        from imubayes.campaign import inspect_campaign
         from imubayes.display.check_report import usable, warning_lines
 
         tell("reading the campaign")
-        recorded = usable(inspection := inspected())
+        recorded = usable(inspection := inspect_campaign(campaign))
+        tell("loading")
+        start_jax()
     print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
     return recorded

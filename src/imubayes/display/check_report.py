@@ -9,11 +9,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from imubayes.archive import ArchivedCampaign, Packed
 from imubayes.campaign import Inspection
 from imubayes.campaign.equipment import grade_of
 from imubayes.display.fit_cautions import left_out_lines
@@ -24,8 +23,11 @@ from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.records import Record
 from imubayes.model.model_file import SingleRunEffect
 
+if TYPE_CHECKING:  # a fit, which has the warnings of a check, needs no archive
+    from imubayes.archive import ArchivedCampaign, Packed
 
-def packed_report(packed: Packed, out: Path) -> Report:
+
+def packed_report(packed: "Packed", out: Path) -> Report:
     """Return what packing did."""
     said = f"{counted(len(packed.added), 'campaign')} added to {out}, {packed.present} already there"
     refused = [str(issue) for refusal in packed.refused for issue in refusal.issues]
@@ -35,14 +37,14 @@ def packed_report(packed: Packed, out: Path) -> Report:
     return Report([said], closing=refused)
 
 
-def packed_json(packed: Packed) -> dict[str, Any]:
+def packed_json(packed: "Packed") -> dict[str, Any]:
     """Return what packing did, for `--json`."""
     refused = [{"folder": each.folder, "issues": [asdict(issue) for issue in each.issues]} for each in packed.refused]
     added = [_entry(each) for each in packed.added]
     return {"format": 1, "added": added, "present": packed.present, "refused": refused}
 
 
-def list_report(campaigns: Sequence[ArchivedCampaign]) -> Report:
+def list_report(campaigns: "Sequence[ArchivedCampaign]") -> Report:
     """Return the campaigns of an archive as a table."""
     ordered = sorted(campaigns, key=lambda each: (each.unit, each.date, each.name))
     rows = [
@@ -56,7 +58,7 @@ def list_report(campaigns: Sequence[ArchivedCampaign]) -> Report:
     return Report([said], [Sheet("Campaigns", head, rows, left=(0, 1, 2, 6))])
 
 
-def list_json(campaigns: Sequence[ArchivedCampaign]) -> dict[str, Any]:
+def list_json(campaigns: "Sequence[ArchivedCampaign]") -> dict[str, Any]:
     """Return the campaigns of an archive, for `--json`."""
     return {"format": 1, "campaigns": [_entry(each) for each in campaigns]}
 
@@ -72,7 +74,7 @@ def check_json(files: int, issues: Sequence[Issue]) -> dict[str, Any]:
     return {"format": 1, "campaigns": files, "issues": [asdict(issue) for issue in issues]}
 
 
-def _entry(each: ArchivedCampaign) -> dict[str, Any]:
+def _entry(each: "ArchivedCampaign") -> dict[str, Any]:
     return {
         "unit": each.unit, "campaign": each.name, "date": each.date, "file": str(each.file), "digest": each.digest,
         "runs": each.runs, "rows": each.rows, "channels": each.channels, "checksum": each.checksum,

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import lazy_loader
 import polars as pl
 from markupsafe import Markup
 from rich.console import Console, ConsoleOptions
@@ -32,6 +31,7 @@ from imubayes.display.fit_cautions import disagreement_lines
 from imubayes.display.fit_quality_tables import combination_sheet, fit_sheet, run_sheet, weak_sheet
 from imubayes.display.fit_report import summary_html
 from imubayes.display.layout import SheetTable, render, terminal
+from imubayes.display.loop.kept_causes import causes_of
 from imubayes.display.progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, kept_if_possible, refuse
@@ -74,10 +74,6 @@ def comparison_page(
     page = {"first": shown[:FIRST], "others": shown[FIRST:], "notes": notes, "tables": tables}
     return render("comparison", title=title, **page).lstrip() + "\n"
 
-
-# They load JAX, which most comparisons do not need.
-effects_behind: Any = lazy_loader.load("imubayes.display.loop.effects_behind", suppress_warning=True)
-fit_file: Any = lazy_loader.load("imubayes.results.fit_file", suppress_warning=True)
 
 _MOST_COLUMNS = 9
 
@@ -185,8 +181,7 @@ def compare(
         predicted = of_prediction(campaign, residuals, summary)
         classical_estimates = compare_classical(classical(campaign), summary, predicted)
         if classical_estimates.beyond:
-            behind = effects_behind.effects_behind(fit_file.read_fit(folder), residuals, summary)
-            classical_estimates = classical_estimates.with_causes(behind)
+            classical_estimates = classical_estimates.with_causes(causes_of(folder, residuals, summary))
     notes = tuple(_notes(residuals, draws, chosen) if every else _left_out(len(figures) - len(wanted)))
     page, made, captions = folder / PAGE, (), {}
     with kept_if_possible(folder), progress_of(progress) as tell:

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import polars as pl
@@ -22,12 +22,11 @@ from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.records import Presented, Record, finite
 from imubayes.inference.identifiability import PriorConflict
-from imubayes.inference.run_fit import campaign_hash, model_hash
-from imubayes.loop.model_history import ChiSquareDrop, CrossValidation, Node, Tree, node_id, removal_log_odds
+from imubayes.loop.model_history import ChiSquareDrop, CrossValidation, Node, Tree, removal_log_odds
 from imubayes.loop.refit import NotDistinguished, Prediction, Refit, not_distinguished
 from imubayes.loop.warm_start import ChangedModel
-from imubayes.model.bind import Model
 from imubayes.model.model_file import ModelSpec
+from imubayes.results.fit_file import node_of
 from imubayes.results.folder_files import ADDED_VARIABLE, CHANGE, DIAGNOSIS, RESIDUALS, add_to, added, checked
 from imubayes.results.history_tree import read_node, read_tree
 from imubayes.results.result import Result
@@ -351,29 +350,6 @@ def added_variable(change: ChangedModel) -> pl.DataFrame:
     )
 
 
-def first_node(model: Model, summary: Summary, seed: int) -> Node:
-    """Return the node of a fit that was made from no other."""
-    return _node(model, summary, seed, "", taken=summary.converged, message=summary.message)
-
-
-def _node(model: Model, summary: Summary, seed: int, above: str, *, taken: bool, **more: Any) -> Node:
-    """Return the node of a fit; `above` is the id of its parent, `more` what else is known of it."""
-    data, made = campaign_hash(model), model_hash(model)
-    known = summary.known_noise if taken else None
-    return Node(
-        id=node_id(data, made, seed, above),
-        model=model.spec.name,
-        chi2=known.chi2 if known is not None else None,
-        dof=known.dof if known is not None else None,
-        rms=known.channels if known is not None else (),
-        data_hash=data,
-        model_hash=made,
-        seed=seed,
-        taken=taken,
-        **more,
-    )
-
-
 def next_node(parent: Path | None, change: ModelChange, diagnosis: Diagnosis | None, seed: int) -> Node:
     """Return the node of a changed model; of one that was made from no folder, a first one.
 
@@ -385,9 +361,9 @@ def next_node(parent: Path | None, change: ModelChange, diagnosis: Diagnosis | N
     """
     refitted = change.result
     if parent is None or refitted.folder is None:
-        return first_node(refitted.fit.model, refitted.summary, seed)
+        return node_of(refitted.fit.model, refitted.summary, seed)
     held_out = change.held_out
-    return _node(
+    return node_of(
         refitted.fit.model,
         refitted.summary,
         seed,

@@ -13,6 +13,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,13 +23,14 @@ from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import finite
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import campaign_hash, model_hash
-from imubayes.model.bind import bind
+from imubayes.loop.model_history import Node, node_id
+from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_carried_model
 from imubayes.parameters.declarations import Layout
 from imubayes.procedures.ambient import starts_of
 from imubayes.results.folder_files import FIT, MODEL
 from imubayes.results.history_tree import CampaignPlaces, FitRecord, _folder, read_fit_record
-from imubayes.results.summary import FitProvenance, SoftwareVersion
+from imubayes.results.summary import FitProvenance, SoftwareVersion, Summary
 
 
 def fit_record(fit: Fit, folder: Path, seed: int) -> FitRecord:
@@ -144,3 +146,27 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "not installed as a package"
+
+
+def node_of(model: Model, summary: Summary, seed: int, above: str = "", **more: Any) -> Node:
+    """Return the node of a fit in the history of models, `history.json`.
+
+    Parameters
+    ----------
+    above : id of the node that it was made from; empty for a fit that was made from no other.
+    more : what else is known of it; whether it is taken, and why not, follow from the fit where they do not stand here.
+    """
+    data, made = campaign_hash(model), model_hash(model)
+    said = {"taken": summary.converged, "message": summary.message} | more
+    known = summary.known_noise if said["taken"] else None
+    return Node(
+        id=node_id(data, made, seed, above),
+        model=model.spec.name,
+        chi2=known.chi2 if known is not None else None,
+        dof=known.dof if known is not None else None,
+        rms=known.channels if known is not None else (),
+        data_hash=data,
+        model_hash=made,
+        seed=seed,
+        **said,
+    )

@@ -67,12 +67,12 @@ CHECKPOINT = "checkpoint.h5"
 MANIFEST = "manifest.json"
 HISTORY = "history.json"
 CHANGE, ADDED_VARIABLE = "change.json", "added_variable.parquet"
-DIAGNOSIS, BUDGETS = "diagnosis.json", "budgets.json"
+DIAGNOSIS, BUDGETS, CAUSES = "diagnosis.json", "budgets.json", "causes.json"
 PAGE, FIGURES = "compare.html", "figures"
 CAPTIONS = "captions.json"
 """In `FIGURES`: the captions of what a comparison drew, by file name."""
 DIAGNOSIS_PICTURE, NOISE_PICTURE = "diagnosis.png", "recorded_noise.png"
-BY_OTHER_COMMANDS = {DIAGNOSIS: "diagnose", BUDGETS: "report"}
+BY_OTHER_COMMANDS = {DIAGNOSIS: "diagnose", BUDGETS: "report", CAUSES: "compare"}
 """File that is made of a finished fit → the command that makes it."""
 _NEEDED = (SUMMARY, RESIDUALS)
 

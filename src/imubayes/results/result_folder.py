@@ -3,17 +3,19 @@
 A result is written to a scratch folder and put in place as a whole, its manifest last (see
 `imubayes.results.folder_files`).
 
-The posterior file holds the groups of ArviZ's schema as netCDF 4, written by h5netcdf alone.  xarray, which reads the
-file, would write the same, but with pandas and Dask it takes longer to import than the file takes to write.
+The posterior file holds the groups of ArviZ's schema as netCDF 4, which is HDF5 with a scale for each dimension: h5py
+writes it.  xarray and h5netcdf, which read the file, would write the same, but the one takes longer to import, and the
+other to look up its dimensions, than the file takes to write.
 """
 
 import shutil
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from io import BytesIO
+from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5netcdf
+import h5py
 import numpy as np
 import polars as pl
 import tomlkit
@@ -23,50 +25,78 @@ from imubayes.inference.posterior_groups import SAMPLE, Group, Groups, Labelled,
 from imubayes.loop.model_history import Node
 from imubayes.model.model_file import ModelSpec
 from imubayes.results import folder_files
-from imubayes.results.change_records import ModelChange
 from imubayes.results.fit_file import fit_record
 from imubayes.results.result import Result
 
+if TYPE_CHECKING:  # it reads diagnoses and refits, which a fit does not
+    from imubayes.results.change_records import ModelChange
+
+_NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
 # Arrays of fewer bytes are not compressed; a block of draws has about so many values, or all draws of a number.
 _COMPRESSED, _BLOCK = 4096, 1600
 
 
 def write_posterior(groups: Groups, file: Path) -> None:
     """Write groups; a reader that follows the CF conventions finds each coordinate."""
-    # HDF5 crashes the process where the disk is full.
-    made = BytesIO()
-    with h5netcdf.File(made, "w") as root:
-        root.attrs.update(groups.attributes)
+    # In memory: HDF5 crashes the process where the disk is full.
+    with h5py.File(file.name, "w", driver="core", backing_store=False, track_order=True) as root:
+        about = f"version=2,hdf5={h5py.version.hdf5_version},h5py={h5py.version.version}"
+        root.attrs["_NCProperties"] = np.bytes_(about)
+        _describe(root, groups.attributes)
+        numbers = count()
         for name, group in groups.named.items():
-            _write(root.create_group(name), group)
-    file.write_bytes(made.getvalue())
+            _write(root.create_group(name, track_order=True), group, numbers)
+        root.flush()
+        image = root.id.get_file_image()
+    file.write_bytes(image)
 
 
-def _write(place: h5netcdf.Group, group: Group) -> None:
-    whole = {**group.coordinates, **group.variables}
-    place.attrs.update(group.attributes)
-    place.dimensions = {
+def _describe(place: h5py.Group | h5py.Dataset, attributes: Mapping[str, Any]) -> None:
+    """Write attributes; netCDF has no single numbers among them."""
+    for name, value in attributes.items():
+        place.attrs[name] = value if isinstance(value, str) else np.atleast_1d(value)
+
+
+def _write(place: h5py.Group, group: Group, numbers: Iterator[int]) -> None:
+    """Write a group: its dimensions, which are numbered through the file, as scales that its variables refer to."""
+    _describe(place, group.attributes)
+    whole = {name: _stored(each) for name, each in (group.coordinates | group.variables).items()}
+    sizes = {
         dimension: size
         for each in whole.values()
         for dimension, size in zip(each.dimensions, each.values.shape, strict=True)
     }
+    number = {dimension: np.int32(next(numbers)) for dimension in sizes}
+    made = {name: _create(place, name, each) for name, each in whole.items()}
+    for dimension, size in sizes.items():
+        if dimension in whole:
+            made[dimension].make_scale(dimension)
+        else:
+            made[dimension] = place.create_dataset(dimension, (size,), ">f4", track_order=True)
+            made[dimension].make_scale(f"{_NO_VARIABLE}{size:10}")
+        made[dimension].attrs["_Netcdf4Dimid"] = number[dimension]
     for name, each in whole.items():
-        # A coordinate that has not the name of its dimension is named by each variable that it belongs to.
-        further = [
-            label
-            for label, coordinate in group.coordinates.items()
-            if name not in group.coordinates
-            and label not in each.dimensions
-            and set(coordinate.dimensions) <= set(each.dimensions)
-        ]
-        about = dict(each.attributes) | ({"coordinates": " ".join(further)} if further else {})
-        _create(place, name, each).attrs.update(about)
+        # A scale cannot refer to the scale of its second dimension: the numbers say what its dimensions are.
+        for axis, dimension in enumerate(each.dimensions if name not in sizes else ()):
+            made[name].dims[axis].attach_scale(made[dimension])
+        made[name].attrs["_Netcdf4Coordinates"] = np.array([number[each] for each in each.dimensions], np.int32)
+        _describe(made[name], dict(each.attributes) | _further(name, each, group))
 
 
-def _create(place: h5netcdf.Group, name: str, each: Labelled) -> h5netcdf.Variable:
-    if each.values.dtype.kind == "U":
-        return _create_text(place, name, each)
-    return place.create_variable(name, each.dimensions, data=each.values, **_packing(each.dimensions, each.values))
+def _further(name: str, each: Labelled, group: Group) -> dict[str, str]:
+    """Return the attribute that names the coordinates of a variable that have not the name of a dimension of it."""
+    found = [
+        label
+        for label, coordinate in group.coordinates.items()
+        if name not in group.coordinates
+        and label not in each.dimensions
+        and set(coordinate.dimensions) <= set(each.dimensions)
+    ]
+    return {"coordinates": " ".join(found)} if found else {}
+
+
+def _create(place: h5py.Group, name: str, each: Labelled) -> h5py.Dataset:
+    return place.create_dataset(name, data=each.values, track_order=True, **_packing(each.dimensions, each.values))
 
 
 def _packing(dimensions: Labels, values: np.ndarray) -> dict[str, Any]:
@@ -82,25 +112,24 @@ def _packing(dimensions: Labels, values: np.ndarray) -> dict[str, Any]:
     return {**packing, "chunks": tuple(block)}
 
 
-def _create_text(place: h5netcdf.Group, name: str, each: Labelled) -> h5netcdf.Variable:
-    """Write labels as characters, (labels, length), which readers join; strings of variable length cannot be packed."""
+def _stored(each: Labelled) -> Labelled:
+    """Return an array as it is stored.
+
+    Labels become characters, (labels, length), which readers join; strings of variable length cannot be packed.
+    """
+    if each.values.dtype.kind != "U":
+        return each
     letters = np.char.encode(each.values, "utf-8")
     width = max(letters.dtype.itemsize, 1)
     characters = np.ascontiguousarray(letters.astype(f"S{width}")).view("S1").reshape(*each.values.shape, width)
-    length = f"string{width}"
-    if length not in place.dimensions:
-        place.dimensions[length] = width
-    dimensions = (*each.dimensions, length)
-    variable = place.create_variable(name, dimensions, data=characters, **_packing(dimensions, characters))
-    variable.attrs["_Encoding"] = "utf-8"
-    return variable
+    return Labelled((*each.dimensions, f"string{width}"), characters, {"_Encoding": "utf-8", **each.attributes})
 
 
 def write_result(
     result: Result,
     node: Node,
     *,
-    change: ModelChange | None = None,
+    change: "ModelChange | None" = None,
     added_variable: pl.DataFrame | None = None,
     selection: int = 0,
 ) -> Result:

@@ -136,11 +136,15 @@ class NormalTerms:
 
     def scaled(self, factor: Numbers) -> "NormalTerms":
         """Return the terms of so many times as many outputs, shape (...)."""
+        if np.all(np.equal(factor, 1)):
+            return self
         moments = self.moments * np.asarray(factor)[..., None, None]
         return NormalTerms(moments, self.volume * factor, np.rint(self.values * factor))
 
     def sums(self, starts: np.ndarray) -> "NormalTerms":
         """Return the sums over parts of the first axis, from one start to the next."""
+        if len(starts) == len(self.moments):
+            return self
         return NormalTerms(*(np.add.reduceat(each, starts) for each in (self.moments, self.volume, self.values)))
 
     def total(self) -> "NormalTerms":
@@ -178,9 +182,9 @@ def weighted(
     design : response to the errors that are estimated, shape (..., K, R, n).
     error, weight : of each output, shape (..., K, R).
     own : response to the errors of the run, shape (..., K, R, q).
-    spread : their standard deviations, shape (K, q).
+    spread : their standard deviations, shape (..., K, q).
     """
-    both, own = np.concatenate([design, error[..., None]], axis=-1), own * spread[:, None, :]
+    both, own = np.concatenate([design, error[..., None]], axis=-1), own * spread[..., None, :]
     heavy, turned = both * weight[..., None], own.swapaxes(-2, -1)
     inner = np.eye(own.shape[-1]) + turned @ (own * weight[..., None])
     across = turned @ heavy

@@ -90,26 +90,27 @@ def noise_as_rival(model: ErrorModel, views: Sequence[RunView], errors: np.ndarr
     return Steadiness(noise=noise)
 
 
-def _best(factors: tuple[float, ...], evidence: Callable[[float], np.ndarray]) -> np.ndarray:
-    return np.array(factors)[np.argmin([evidence(factor) for factor in factors], axis=0)]
+def _best(factors: tuple[float, ...], evidence: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Return the factor of least −2 log evidence for each channel, (K,); the evidence is of factors (F, 1)."""
+    return np.array(factors)[np.argmin(evidence(np.array(factors)[:, None]), axis=0)]
 
 
 def _evidence(model: ErrorModel, seen: Sequence[Seen], own: np.ndarray, steadiness: Steadiness) -> np.ndarray:
-    """Return −2 log evidence of each channel by itself, up to a constant, shape (K,)."""
-    noise, rows = (np.asarray(each)[:, None] for each in (steadiness.noise, steadiness.rows))
-    spread = (model.run_offset * steadiness.runs)[:, None]
+    """Return −2 log evidence of each channel by itself, up to a constant, with each of F steadinesses, shape (F, K)."""
+    noise, rows = (np.asarray(each)[..., None] for each in (steadiness.noise, steadiness.rows))
+    spread = (model.run_offset * steadiness.runs)[..., None]
     count = model.own
-    moments, score = np.zeros((len(own), count + 1, count + 1)), np.zeros(len(own))
+    moments, score = np.zeros((1, len(own), count + 1, count + 1)), np.zeros((1, len(own)))
     for run in seen:
         variance = noise**2 * model.white(run) + rows**2 * model.left_out(run) + run.unknown
         weight = np.where(run.there, 1 / variance, 0.0)
         found = weighted(run.design[:, :, :count], run.error, weight, np.ones_like(run.along), spread)
-        moments += found.moments
-        score += found.volume + np.sum(np.where(run.there, np.log(variance), 0.0), axis=1)
-    lower = np.linalg.cholesky(np.eye(count) + own[:, :, None] * moments[:, :-1, :-1] * own[:, None, :])
-    solved = np.linalg.solve(lower, (own * moments[:, :-1, -1])[:, :, None])[:, :, 0]
-    score += moments[:, -1, -1] - np.sum(solved**2, axis=1)
-    return score + 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+        moments = moments + found.moments
+        score = score + found.volume + np.sum(np.where(run.there, np.log(variance), 0.0), axis=-1)
+    lower = np.linalg.cholesky(np.eye(count) + own[:, :, None] * moments[..., :-1, :-1] * own[:, None, :])
+    solved = np.linalg.solve(lower, (own * moments[..., :-1, -1])[..., None])[..., 0]
+    score = score + moments[..., -1, -1] - np.sum(solved**2, axis=-1)
+    return score + 2 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
 
 
 def _noise(

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from scipy.ndimage import gaussian_filter
 
 from imubayes.display import figure_style as style
 from imubayes.display.fit_cautions import alarm_of
@@ -123,7 +123,7 @@ def _deviation(unit: str, mean: float, sd: float) -> tuple[float, str]:
 
 def _marginal(axes: Axes, column: _Column) -> None:
     heights, edges = np.histogram(column.x, bins=_CELLS, range=column.limits, density=True)
-    smooth = gaussian_filter(heights, _kernel(column.x.size, 1.0, 0.2, (0.8, 2.0)))
+    smooth = scipy.ndimage.gaussian_filter(heights, _kernel(column.x.size, 1.0, 0.2, (0.8, 2.0)))
     fine = np.linspace(*column.limits, 240)
     curve = np.interp(fine, 0.5 * (edges[1:] + edges[:-1]), smooth)
     low, high = np.quantile(column.x, [0.025, 0.975])
@@ -147,7 +147,7 @@ def _kernel(count: int, width: float, power: float, limits: tuple[float, float])
 
 def _pair(axes: Axes, across: _Column, up: _Column) -> None:
     counts, x_edges, y_edges = np.histogram2d(across.x, up.x, bins=_CELLS, range=(across.limits, up.limits))
-    density = gaussian_filter(counts.T, _kernel(across.x.size, 1.1, 1 / 6, (0.9, 2.2)))
+    density = scipy.ndimage.gaussian_filter(counts.T, _kernel(across.x.size, 1.1, 1 / 6, (0.9, 2.2)))
     ranked = np.sort(density.ravel())[::-1]
     held = np.cumsum(ranked) / ranked.sum()
     levels = [float(ranked[np.searchsorted(held, level)]) for level in _LEVELS]
