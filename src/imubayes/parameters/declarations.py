@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
+from imubayes.compiled.in_numpy import in_numpy
 from imubayes.foundations.arrays import Array, Float, Int, take
 from imubayes.foundations.campaign_data import Grade, graded_prior
 from imubayes.foundations.units import with_output_unit
@@ -315,13 +315,13 @@ class Priors(eqx.Module):
         return jax.jvp(self.values, (z,), (jnp.ones_like(z),))[1]
 
 
-@kept
+@in_numpy
 def prior_values(priors: Priors, z: Float[Array, " P"]) -> Float[Array, " P"]:
-    """Return SI values of a vector of z; compiled once for all who ask."""
+    """Return SI values of a vector of z, by NumPy."""
     return priors.values(z)
 
 
-@kept
+@in_numpy
 def prior_slopes(priors: Priors, z: Float[Array, " P"]) -> Float[Array, " P"]:
-    """Return the derivative of each value by its own z; compiled once for all who ask."""
+    """Return the derivative of each value by its own z, by NumPy."""
     return priors.slopes(z)

@@ -1,0 +1,326 @@
+"""Programs of NumPy: what JAX has traced, as the list of its primitives, which is run and not compiled.
+
+Every value of a program has a place.  Calls are inlined; a scan is a loop with a program of its own.  Programs can be
+pickled.
+"""
+
+import heapq
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
+
+from imubayes.compiled.numpy_primitives import MAKERS, SELECTS, SETTINGS, NoNumpyError
+
+_INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
+_CALLS = frozenset(
+    {"jit", "pjit", "closed_call", "core_call", "remat", "checkpoint", "custom_jvp_call", "custom_vjp_call"}
+)
+_SUMS, _SEVERAL = frozenset({"add", "add_any"}), frozenset({"split", "scan"})
+
+
+class Step:
+    """One primitive: `run` takes the arrays at the places `taken`, and gives those at the places `given`.
+
+    Attributes
+    ----------
+    loop : of a scan.
+    """
+
+    __slots__ = ("given", "loop", "name", "run", "settings", "taken")
+
+    def __init__(
+        self, name: str, settings: dict[str, Any], taken: Sequence[int], given: Sequence[int], loop: "Loop | None"
+    ):
+        self.name, self.settings, self.taken, self.given, self.loop = name, settings, tuple(taken), tuple(given), loop
+        self.run: Callable[..., Any] = MAKERS[name](settings) if loop is None else loop
+
+    def __reduce__(self) -> tuple[type["Step"], tuple[Any, ...]]:
+        return Step, (self.name, self.settings, self.taken, self.given, self.loop)
+
+    def results(self, taken: Sequence[Any]) -> Iterable[Any]:
+        """Return the arrays that it gives."""
+        found = self.run(*taken)
+        return found if self.name in _SEVERAL else (found,)
+
+    def following(self, places: set[int]) -> tuple[int, ...]:
+        """Return the places that it gives whose values depend on those at some places."""
+        if places.isdisjoint(self.taken):
+            return ()
+        if self.loop is None:
+            return self.given
+        given = self.loop.following([place in places for place in self.taken])
+        return tuple(place for place, follows in zip(self.given, given, strict=True) if follows)
+
+
+@dataclass
+class NumpyProgram:
+    """Steps in order.
+
+    Attributes
+    ----------
+    inputs, outputs : places of the arguments and results.
+    constants : place → value.
+    shapes : place → shape and type.
+    """
+
+    inputs: list[int] = field(default_factory=list)
+    outputs: list[int] = field(default_factory=list)
+    constants: dict[int, np.ndarray] = field(default_factory=dict)
+    shapes: dict[int, tuple[tuple[int, ...], np.dtype]] = field(default_factory=dict)
+    steps: list[Step] = field(default_factory=list)
+
+    def __call__(self, *arrays: Any) -> list[np.ndarray]:
+        """Return the results, flat, of arguments, flat."""
+        values = self.with_inputs(arrays)
+        for step, done in self._schedule:
+            values.update(zip(step.given, step.results([values[place] for place in step.taken]), strict=True))
+            for place in done:
+                del values[place]
+        return [values[place] for place in self.outputs]
+
+    def with_inputs(self, arrays: Iterable[Any]) -> dict[int, Any]:
+        """Return the values that are known before the first step, by their places."""
+        return {**self.constants, **dict(zip(self.inputs, arrays, strict=True))}
+
+    @cached_property
+    def work(self) -> int:
+        """The number of values that one run computes."""
+        inside = (step.loop.body.work * step.loop.length for step in self.steps if step.loop is not None)
+        given = (math.prod(self.shapes[place][0]) for step in self.steps for place in step.given)
+        return sum(given) + sum(inside)
+
+    @cached_property
+    def _schedule(self) -> list[tuple[Step, list[int]]]:
+        return with_ends(self.steps, {*self.outputs, *self.constants, *self.inputs})
+
+    def following(self, places: Iterable[int]) -> set[int]:
+        """Return the places whose values depend on those at some places, these included."""
+        found = set(places)
+        for step in self.steps:
+            found.update(step.following(found))
+        return found
+
+    def without_unused(self) -> "NumpyProgram":
+        """Return the program without the steps that no result needs."""
+        needed, kept = set(self.outputs), []
+        for step in reversed(self.steps):
+            if not needed.isdisjoint(step.given):
+                needed.update(step.taken)
+                kept.append(step)
+        there = needed.union(self.inputs, *(step.given for step in kept))
+        constants = {place: value for place, value in self.constants.items() if place in there}
+        shapes = {place: shape for place, shape in self.shapes.items() if place in there}
+        return NumpyProgram(self.inputs, self.outputs, constants, shapes, kept[::-1])
+
+
+def with_ends(steps: Sequence[Step], held: set[int]) -> list[tuple[Step, list[int]]]:
+    """Return each step with the places that nothing needs after it: memory does not grow with the program.
+
+    Parameters
+    ----------
+    held : places that are needed to the end.
+    """
+    last = {place: k for k, step in enumerate(steps) for place in (*step.taken, *step.given)}
+    done: list[list[int]] = [[] for _ in steps]
+    for place, k in last.items():
+        if place not in held:
+            done[k].append(place)
+    return list(zip(steps, done, strict=True))
+
+
+@dataclass
+class Loop:
+    """A scan.
+
+    Attributes
+    ----------
+    body : of one turn: takes constants, what is carried, and one row of what is passed through row by row.
+    constants, carried : how many.
+    """
+
+    body: NumpyProgram
+    constants: int
+    carried: int
+    length: int
+    backwards: bool
+
+    def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
+        """Return what is carried at the end, and the rows that the turns give."""
+        start = self.constants + self.carried
+        fixed, carried, rows = arrays[: self.constants], list(arrays[self.constants : start]), arrays[start:]
+        turns: list[list[np.ndarray]] = []
+        for k in reversed(range(self.length)) if self.backwards else range(self.length):
+            found = self.body(*fixed, *carried, *(row[k] for row in rows))
+            carried = found[: self.carried]
+            turns.append(found[self.carried :])
+        if self.backwards:
+            turns.reverse()
+        return [*carried, *(np.stack(each) for each in zip(*turns, strict=True))]
+
+    def following(self, taken: Sequence[bool]) -> list[bool]:
+        """Return which results depend on the chosen of the arguments."""
+        chosen = list(taken)
+        while True:
+            found = self.body.following(place for place, own in zip(self.body.inputs, chosen, strict=True) if own)
+            given = [place in found for place in self.body.outputs]
+            carried = range(self.constants, self.constants + self.carried)
+            more = [k for k in carried if given[k - self.constants] and not chosen[k]]
+            if not more:
+                return given
+            for k in more:
+                chosen[k] = True
+
+
+class _Lowering:
+    """From a traced function to a program."""
+
+    def __init__(self) -> None:
+        self.program = NumpyProgram()
+        self._places = itertools.count()
+
+    def lowered(self, traced: ClosedJaxpr) -> NumpyProgram:
+        jaxpr = traced.jaxpr
+        self.program.inputs = [self._place(var) for var in jaxpr.invars]
+        self.program.outputs = self._inlined(jaxpr, traced.consts, self.program.inputs)
+        return self.program.without_unused()
+
+    def _place(self, var: Any) -> int:
+        place = next(self._places)
+        self.program.shapes[place] = (tuple(var.aval.shape), np.dtype(var.aval.dtype))
+        return place
+
+    def _constant(self, value: Any, var: Any) -> int:
+        place = self._place(var)
+        self.program.constants[place] = np.asarray(value, dtype=var.aval.dtype)
+        return place
+
+    def _inlined(self, jaxpr: Jaxpr, constants: Sequence[Any], arguments: Sequence[int]) -> list[int]:
+        """Add the steps of a function, called with values at places; return the places of its results."""
+        known = dict(zip(jaxpr.invars, arguments, strict=True))
+        for var, value in zip(jaxpr.constvars, constants, strict=True):
+            known[var] = self._constant(value, var)
+
+        def read(atom: Any) -> int:
+            return self._constant(atom.val, atom) if isinstance(atom, Literal) else known[atom]
+
+        for equation in jaxpr.eqns:
+            taken = [read(atom) for atom in equation.invars]
+            known.update(zip(equation.outvars, self._added(equation, taken), strict=True))
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def _added(self, equation: JaxprEqn, taken: Sequence[int]) -> list[int]:
+        name, settings = equation.primitive.name, equation.params
+        if name in _CALLS:
+            inner = next(settings[each] for each in _INNER if each in settings)
+            return self._inlined(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), taken)
+        given = [self._place(var) for var in equation.outvars]
+        loop = _loop_of(equation) if name == "scan" else None
+        if loop is None and name not in MAKERS:
+            raise NoNumpyError(name)
+        looked_at = {key: value for key, value in settings.items() if key in SETTINGS} if loop is None else {}
+        self.program.steps.append(Step(name, looked_at, taken, given, loop))
+        return given
+
+
+def _loop_of(equation: JaxprEqn) -> Loop:
+    """Return a scan as a loop: what has one axis less inside is passed through row by row."""
+    inner, settings = equation.params["jaxpr"], equation.params
+    body = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+    by_row = _more_axes(equation.invars, body.jaxpr.invars)
+    carried = _more_axes(equation.outvars, body.jaxpr.outvars).count(False)
+    if not settings["length"]:
+        raise NoNumpyError("a loop without a turn")
+    return Loop(
+        lowered(body), by_row.count(False) - carried, carried, int(settings["length"]), bool(settings["reverse"])
+    )
+
+
+def _more_axes(outside: Sequence[Any], inside: Sequence[Any]) -> list[bool]:
+    return [len(one.aval.shape) > len(other.aval.shape) for one, other in zip(outside, inside, strict=True)]
+
+
+def lowered(traced: ClosedJaxpr) -> NumpyProgram:
+    """Return the program of a traced function; NoNumpyError where it has a primitive that NumPy lacks here."""
+    return _Lowering().lowered(traced)
+
+
+class LinearProgram:
+    """A program that is linear in its last argument: what does not depend on it is run once.
+
+    In each run the steps are taken that follow from components that are not zero: a coefficient of a sensor passes the
+    few operations behind it, and not the whole path.
+
+    Parameters
+    ----------
+    program : of a function with its directional derivative; the direction is its last argument.
+    """
+
+    def __init__(self, program: NumpyProgram):
+        self._program, self._direction = program, program.inputs[-1]
+        linear = program.following([self._direction])
+        self._each = [step for step in program.steps if not linear.isdisjoint(step.given)]
+        self._linear = linear
+        once = [step for step in program.steps if not linear.issuperset(step.given)]
+        needed = {place for step in self._each for place in step.taken}
+        self._once = with_ends(once, needed.union(program.outputs, program.constants, program.inputs))
+        self._users: dict[int, list[int]] = {}
+        for k, step in enumerate(self._each):
+            for place in linear.intersection(step.taken):
+                self._users.setdefault(place, []).append(k)
+
+    def at(self, *arrays: Any) -> tuple[list[np.ndarray], Callable[[np.ndarray], list[np.ndarray]]]:
+        """Return the results at arguments, without the direction, and the map from a direction to the results along it.
+
+        The values of results that depend on the direction are those of direction 0, and the other way round.
+        """
+        outputs = self._program.outputs
+        values = self._program.with_inputs((*arrays, self._zeros(self._direction)))
+        for step, done in self._once:
+            taken = [values[place] if place in values else self._zeros(place) for place in step.taken]
+            values.update(zip(step.given, step.results(taken), strict=True))
+            for place in done:
+                values.pop(place, None)
+        for place in self._linear:
+            values.pop(place, None)
+        return self._chosen(outputs, values), lambda direction: self._along(values, direction)
+
+    def _chosen(self, places: Sequence[int], values: dict[int, Any]) -> list[np.ndarray]:
+        return [values[place] if place in values else self._zeros(place) for place in places]
+
+    def _zeros(self, place: int) -> np.ndarray:
+        shape, dtype = self._program.shapes[place]
+        return np.broadcast_to(np.zeros((), dtype=dtype), shape)
+
+    def _along(self, fixed: dict[int, Any], direction: np.ndarray) -> list[np.ndarray]:
+        own: dict[int, Any] = {self._direction: direction}
+        waiting = list(self._users.get(self._direction, ()))
+        noted = set(waiting)
+        heapq.heapify(waiting)
+        while waiting:
+            step = self._each[heapq.heappop(waiting)]
+            for place, value in self._not_zero(step, own, fixed):
+                own[place] = value
+                for user in self._users.get(place, ()):
+                    if user not in noted:
+                        noted.add(user)
+                        heapq.heappush(waiting, user)
+        return self._chosen(self._program.outputs, own)
+
+    def _not_zero(self, step: Step, own: dict[int, Any], fixed: dict[int, Any]) -> Iterable[tuple[int, Any]]:
+        """Return the linear results of a step that are not known to be zero, with their places."""
+        if step.name in _SUMS:
+            parts = [own[place] for place in step.taken if place in own]
+            if len(parts) < len(step.taken):
+                return ((step.given[0], parts[0]),)
+        taken = [
+            own[place] if place in own else fixed[place] if place in fixed else self._zeros(place)
+            for place in step.taken
+        ]
+        found = [pair for pair in zip(step.given, step.results(taken), strict=True) if pair[0] in self._linear]
+        return [pair for pair in found if np.any(pair[1])] if step.name in SELECTS else found
