@@ -4,6 +4,7 @@ A maker takes the settings of one use of a primitive, and returns the function o
 of compiled code to rounding.  What is not listed, as loops of unknown length and callbacks, is left to the compiler.
 """
 
+import math
 import operator
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,6 +12,9 @@ from typing import Any
 import numpy as np
 from jax.lax import GatherScatterMode
 from scipy import special
+
+_COPIED = 8192
+"""Values up to which a copy takes less time than a view of other strides."""
 
 Maker = Callable[[Mapping[str, Any]], Callable[..., Any]]
 
@@ -46,11 +50,17 @@ def _whole_power(settings: Mapping[str, Any]) -> Callable[..., Any]:
 def _broadcast(settings: Mapping[str, Any]) -> Callable[..., Any]:
     shape, places = tuple(settings["shape"]), tuple(settings["broadcast_dimensions"])
 
+    small = math.prod(shape) <= _COPIED
+
     def broadcast(x: np.ndarray, *sizes: Any) -> np.ndarray:
         own = [1] * len(shape)
-        for place, size in zip(places, np.shape(x), strict=True):
+        for place, size in zip(places, x.shape, strict=True):
             own[place] = size
-        return np.broadcast_to(np.reshape(x, own), shape)
+        if not small:
+            return np.broadcast_to(x.reshape(own), shape)
+        found = np.empty(shape, x.dtype)
+        found[...] = x.reshape(own)
+        return found
 
     return broadcast
 

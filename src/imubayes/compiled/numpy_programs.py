@@ -24,6 +24,10 @@ _CALLS = frozenset(
 _SUMS, _SEVERAL = frozenset({"add", "add_any"}), frozenset({"split", "scan"})
 
 
+Values = dict[int, Any]
+"""Place → value."""
+
+
 class Step:
     """One primitive: `run` takes the arrays at the places `taken`, and gives those at the places `given`.
 
@@ -43,10 +47,13 @@ class Step:
     def __reduce__(self) -> tuple[type["Step"], tuple[Any, ...]]:
         return Step, (self.name, self.settings, self.taken, self.given, self.loop)
 
-    def results(self, taken: Sequence[Any]) -> Iterable[Any]:
-        """Return the arrays that it gives."""
-        found = self.run(*taken)
-        return found if self.name in _SEVERAL else (found,)
+    def take(self, values: Values) -> None:
+        """Add to values what it gives of them."""
+        found = self.run(*[values[place] for place in self.taken])
+        if self.name in _SEVERAL:
+            values.update(zip(self.given, found, strict=True))
+        else:
+            values[self.given[0]] = found
 
     def following(self, places: set[int]) -> tuple[int, ...]:
         """Return the places that it gives whose values depend on those at some places."""
@@ -79,14 +86,28 @@ class NumpyProgram:
         """Return the results, flat, of arguments, flat."""
         values = self.with_inputs(arrays)
         for step, done in self._schedule:
-            values.update(zip(step.given, step.results([values[place] for place in step.taken]), strict=True))
+            step.take(values)
             for place in done:
                 del values[place]
         return [values[place] for place in self.outputs]
 
-    def with_inputs(self, arrays: Iterable[Any]) -> dict[int, Any]:
-        """Return the values that are known before the first step, by their places."""
-        return {**self.constants, **dict(zip(self.inputs, arrays, strict=True))}
+    def with_inputs(self, arrays: Iterable[Any]) -> Values:
+        """Return the values that are known before the first of the `changing` steps."""
+        return {**self._folded, **dict(zip(self.inputs, arrays, strict=True))}
+
+    @cached_property
+    def _folded(self) -> Values:
+        """The constants, and what follows from them alone."""
+        values: Values = dict(self.constants)
+        for step in self.steps:
+            if all(place in values for place in step.taken):
+                step.take(values)
+        return values
+
+    @cached_property
+    def changing(self) -> list[Step]:
+        """The steps that depend on the arguments."""
+        return [step for step in self.steps if step.given[0] not in self._folded]
 
     @cached_property
     def work(self) -> int:
@@ -97,7 +118,7 @@ class NumpyProgram:
 
     @cached_property
     def _schedule(self) -> list[tuple[Step, list[int]]]:
-        return with_ends(self.steps, {*self.outputs, *self.constants, *self.inputs})
+        return with_ends(self.changing, {*self.outputs, *self._folded, *self.inputs})
 
     def following(self, places: Iterable[int]) -> set[int]:
         """Return the places whose values depend on those at some places, these included."""
@@ -264,11 +285,11 @@ class LinearProgram:
     def __init__(self, program: NumpyProgram):
         self._program, self._direction = program, program.inputs[-1]
         linear = program.following([self._direction])
-        self._each = [step for step in program.steps if not linear.isdisjoint(step.given)]
+        self._each = [step for step in program.changing if not linear.isdisjoint(step.given)]
         self._linear = linear
-        once = [step for step in program.steps if not linear.issuperset(step.given)]
+        once = [step for step in program.changing if not linear.issuperset(step.given)]
         needed = {place for step in self._each for place in step.taken}
-        self._once = with_ends(once, needed.union(program.outputs, program.constants, program.inputs))
+        self._once = with_ends(once, needed.union(program.outputs, program.with_inputs(program.inputs)))
         self._users: dict[int, list[int]] = {}
         for k, step in enumerate(self._each):
             for place in linear.intersection(step.taken):
@@ -282,23 +303,24 @@ class LinearProgram:
         outputs = self._program.outputs
         values = self._program.with_inputs((*arrays, self._zeros(self._direction)))
         for step, done in self._once:
-            taken = [values[place] if place in values else self._zeros(place) for place in step.taken]
-            values.update(zip(step.given, step.results(taken), strict=True))
+            for place in self._linear.intersection(step.taken):
+                values[place] = self._zeros(place)
+            step.take(values)
             for place in done:
                 values.pop(place, None)
         for place in self._linear:
             values.pop(place, None)
         return self._chosen(outputs, values), lambda direction: self._along(values, direction)
 
-    def _chosen(self, places: Sequence[int], values: dict[int, Any]) -> list[np.ndarray]:
+    def _chosen(self, places: Sequence[int], values: Values) -> list[np.ndarray]:
         return [values[place] if place in values else self._zeros(place) for place in places]
 
     def _zeros(self, place: int) -> np.ndarray:
         shape, dtype = self._program.shapes[place]
         return np.broadcast_to(np.zeros((), dtype=dtype), shape)
 
-    def _along(self, fixed: dict[int, Any], direction: np.ndarray) -> list[np.ndarray]:
-        own: dict[int, Any] = {self._direction: direction}
+    def _along(self, fixed: Values, direction: np.ndarray) -> list[np.ndarray]:
+        own: Values = {self._direction: direction}
         waiting = list(self._users.get(self._direction, ()))
         noted = set(waiting)
         heapq.heapify(waiting)
@@ -312,7 +334,7 @@ class LinearProgram:
                         heapq.heappush(waiting, user)
         return self._chosen(self._program.outputs, own)
 
-    def _not_zero(self, step: Step, own: dict[int, Any], fixed: dict[int, Any]) -> Iterable[tuple[int, Any]]:
+    def _not_zero(self, step: Step, own: Values, fixed: Values) -> Iterable[tuple[int, Any]]:
         """Return the linear results of a step that are not known to be zero, with their places."""
         if step.name in _SUMS:
             parts = [own[place] for place in step.taken if place in own]
@@ -322,5 +344,8 @@ class LinearProgram:
             own[place] if place in own else fixed[place] if place in fixed else self._zeros(place)
             for place in step.taken
         ]
-        found = [pair for pair in zip(step.given, step.results(taken), strict=True) if pair[0] in self._linear]
-        return [pair for pair in found if np.any(pair[1])] if step.name in SELECTS else found
+        results = step.run(*taken)
+        if step.name not in _SEVERAL:
+            return ((step.given[0], results),) if step.name not in SELECTS or results.any() else ()
+        found = [pair for pair in zip(step.given, results, strict=True) if pair[0] in self._linear]
+        return [pair for pair in found if pair[1].any()]
