@@ -4,8 +4,8 @@ A signal path has some thousand elementwise operations.  XLA takes seconds to co
 its derivatives, but NumPy 10 ms to pass it once for some hundred rows.  So what is evaluated a few times is traced and
 run by NumPy; what is evaluated thousands of times, as the density of a sampler, or for ten thousands of rows, is
 compiled (`kept_programs`).
-Measured on `data/hidden-gyro` with the whole catalogue (5 600 operations, 58 directions): 12 CPU seconds of compilation,
-against one of tracing and 0.3 of NumPy.
+Measured on `data/hidden-gyro` with the whole catalogue (5 600 operations, 58 directions), in CPU seconds: 12 to compile
+it, against 1 to trace it and 0.2 in NumPy, to 1e-15 the same.
 
 Derivatives are those of JAX, which are traced with the function.  A traced program outlasts the process, as compiled
 ones do, by the identity of everything that its tracing reads.  A function with primitives that NumPy lacks here is

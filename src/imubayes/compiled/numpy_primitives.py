@@ -13,6 +13,9 @@ import numpy as np
 from jax.lax import GatherScatterMode
 from scipy import special
 
+Numbers = Any
+"""An array, or the number that NumPy makes of one without axes."""
+
 _COPIED = 8192
 """Values up to which a copy takes less time than a view of other strides."""
 
@@ -28,17 +31,18 @@ def _plain(function: Callable[..., Any]) -> Maker:
     return lambda settings: function
 
 
-def _quotient(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _quotient(one: Numbers, other: Numbers) -> Numbers:
     """Return one / other; of integers rounded towards 0."""
-    if np.result_type(one) == bool or np.issubdtype(np.result_type(one), np.integer):
-        return np.asarray(np.trunc(np.true_divide(one, other))).astype(np.result_type(one))
+    if np.issubdtype(one.dtype, np.integer):
+        rest = np.fmod(one, other)
+        return (one - rest) // other
     return np.divide(one, other)
 
 
 def _whole_power(settings: Mapping[str, Any]) -> Callable[..., Any]:
     power = settings["y"]
 
-    def raised(x: np.ndarray) -> np.ndarray:
+    def raised(x: Numbers) -> Numbers:
         found = x if abs(power) >= 1 else np.ones_like(x)
         for _ in range(abs(power) - 1):
             found = found * x
@@ -52,7 +56,7 @@ def _broadcast(settings: Mapping[str, Any]) -> Callable[..., Any]:
 
     small = math.prod(shape) <= _COPIED
 
-    def broadcast(x: np.ndarray, *sizes: Any) -> np.ndarray:
+    def broadcast(x: Numbers, *sizes: Any) -> Numbers:
         own = [1] * len(shape)
         for place, size in zip(places, x.shape, strict=True):
             own[place] = size
@@ -76,8 +80,8 @@ def _split(settings: Mapping[str, Any]) -> Callable[..., Any]:
     return lambda x: np.split(x, ends, axis)
 
 
-def _select(which: np.ndarray, *cases: np.ndarray) -> np.ndarray:
-    if np.result_type(which) == bool:
+def _select(which: Numbers, *cases: Numbers) -> Numbers:
+    if which.dtype == np.bool_:
         return np.where(which, cases[1], cases[0])
     return np.choose(which, cases)
 
@@ -116,7 +120,7 @@ def _dot(settings: Mapping[str, Any]) -> Callable[..., Any]:
     """Return the contraction of two arrays: batch axes first, then what is left of each."""
     (along, other_along), (batch, other_batch) = settings["dimension_numbers"]
 
-    def contracted(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    def contracted(one: Numbers, other: Numbers) -> Numbers:
         letters = iter("abcdefghijklmnopqrstuvwxyz")
         names, others = [""] * one.ndim, [""] * other.ndim
         for place, other_place in (*zip(batch, other_batch, strict=True), *zip(along, other_along, strict=True)):
@@ -139,9 +143,9 @@ def _gather(settings: Mapping[str, Any]) -> Callable[..., Any]:
     window = [axis for axis in range(len(sizes)) if axis not in collapsed]
     fill = settings["fill_value"]
 
-    def gathered(x: np.ndarray, places: np.ndarray) -> np.ndarray:
+    def gathered(x: Numbers, places: Numbers) -> Numbers:
         around, last = places.shape[:-1], [size - each for size, each in zip(x.shape, sizes, strict=True)]
-        index: list[np.ndarray] = []
+        index: list[Numbers] = []
         lost = np.zeros(around, dtype=bool)
         for axis, size in enumerate(sizes):
             start = places[..., starts.index(axis)] if axis in starts else np.zeros((1,) * len(around), dtype=int)
@@ -168,7 +172,7 @@ def _filling(fill: Any, dtype: np.dtype) -> Any:
         return fill
     if np.issubdtype(dtype, np.inexact):
         return np.nan
-    if dtype == bool:
+    if dtype == np.bool_:
         return True
     limits = np.iinfo(dtype)
     return limits.max if np.issubdtype(dtype, np.unsignedinteger) else limits.min
@@ -177,7 +181,7 @@ def _filling(fill: Any, dtype: np.dtype) -> Any:
 def _dynamic_slice(settings: Mapping[str, Any]) -> Callable[..., Any]:
     sizes = settings["slice_sizes"]
 
-    def chosen(x: np.ndarray, *starts: np.ndarray) -> np.ndarray:
+    def chosen(x: Numbers, *starts: Numbers) -> Numbers:
         firsts = [min(max(int(at), 0), whole - size) for at, whole, size in zip(starts, x.shape, sizes, strict=True)]
         return x[tuple(slice(first, first + size) for first, size in zip(firsts, sizes, strict=True))]
 

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
+from jax.extend.core import Jaxpr, JaxprEqn, Literal
 
 from imubayes.compiled.numpy_primitives import MAKERS, SELECTS, SETTINGS, NoNumpyError
 
@@ -89,7 +89,7 @@ class NumpyProgram:
             step.take(values)
             for place in done:
                 del values[place]
-        return [values[place] for place in self.outputs]
+        return [np.asarray(values[place]) for place in self.outputs]
 
     def with_inputs(self, arrays: Iterable[Any]) -> Values:
         """Return the values that are known before the first of the `changing` steps."""
@@ -205,10 +205,10 @@ class _Lowering:
         self.program = NumpyProgram()
         self._places = itertools.count()
 
-    def lowered(self, traced: ClosedJaxpr) -> NumpyProgram:
-        jaxpr = traced.jaxpr
+    def lowered(self, traced: Any) -> NumpyProgram:
+        jaxpr, constants = _opened(traced)
         self.program.inputs = [self._place(var) for var in jaxpr.invars]
-        self.program.outputs = self._inlined(jaxpr, traced.consts, self.program.inputs)
+        self.program.outputs = self._inlined(jaxpr, constants, self.program.inputs)
         return self.program.without_unused()
 
     def _place(self, var: Any) -> int:
@@ -239,7 +239,7 @@ class _Lowering:
         name, settings = equation.primitive.name, equation.params
         if name in _CALLS:
             inner = next(settings[each] for each in _INNER if each in settings)
-            return self._inlined(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), taken)
+            return self._inlined(*_opened(inner), taken)
         given = [self._place(var) for var in equation.outvars]
         loop = _loop_of(equation) if name == "scan" else None
         if loop is None and name not in MAKERS:
@@ -251,23 +251,27 @@ class _Lowering:
 
 def _loop_of(equation: JaxprEqn) -> Loop:
     """Return a scan as a loop: what has one axis less inside is passed through row by row."""
-    inner, settings = equation.params["jaxpr"], equation.params
-    body = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
-    by_row = _more_axes(equation.invars, body.jaxpr.invars)
-    carried = _more_axes(equation.outvars, body.jaxpr.outvars).count(False)
+    settings = equation.params
+    body, _ = _opened(settings["jaxpr"])
+    by_row = _more_axes(equation.invars, body.invars)
+    carried = _more_axes(equation.outvars, body.outvars).count(False)
     if not settings["length"]:
         raise NoNumpyError("a loop without a turn")
-    return Loop(
-        lowered(body), by_row.count(False) - carried, carried, int(settings["length"]), bool(settings["reverse"])
-    )
+    constants, length = by_row.count(False) - carried, int(settings["length"])
+    return Loop(lowered(settings["jaxpr"]), constants, carried, length, bool(settings["reverse"]))
+
+
+def _opened(traced: Any) -> tuple[Jaxpr, Sequence[Any]]:
+    """Return a traced function and its constants."""
+    return getattr(traced, "jaxpr", traced), getattr(traced, "consts", ())
 
 
 def _more_axes(outside: Sequence[Any], inside: Sequence[Any]) -> list[bool]:
     return [len(one.aval.shape) > len(other.aval.shape) for one, other in zip(outside, inside, strict=True)]
 
 
-def lowered(traced: ClosedJaxpr) -> NumpyProgram:
-    """Return the program of a traced function; NoNumpyError where it has a primitive that NumPy lacks here."""
+def lowered(traced: Any) -> NumpyProgram:
+    """Return the program of what `jax.make_jaxpr` gives; NoNumpyError where NumPy lacks a primitive here."""
     return _Lowering().lowered(traced)
 
 
@@ -313,7 +317,7 @@ class LinearProgram:
         return self._chosen(outputs, values), lambda direction: self._along(values, direction)
 
     def _chosen(self, places: Sequence[int], values: Values) -> list[np.ndarray]:
-        return [values[place] if place in values else self._zeros(place) for place in places]
+        return [np.asarray(values[place]) if place in values else self._zeros(place) for place in places]
 
     def _zeros(self, place: int) -> np.ndarray:
         shape, dtype = self._program.shapes[place]

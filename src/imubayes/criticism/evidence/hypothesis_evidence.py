@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -405,12 +406,15 @@ class _Stacked:
         return self.own @ covariance.reshape(-1)
 
 
+_LAPACK: Any = lapack  # its routines are not typed
+
+
 def inverse(whole: np.ndarray) -> np.ndarray:
     """Return the inverse of a positive definite matrix, (n, n), at unit diagonal."""
     unit = 1 / np.sqrt(np.diag(whole))
     scaled = unit[:, None] * whole * unit
-    factor, failed = lapack.dpotrf(scaled, lower=1)
-    found, failed = lapack.dpotri(factor, lower=1) if not failed else (factor, failed)
+    factor, failed = _LAPACK.dpotrf(scaled, lower=1)
+    found, failed = _LAPACK.dpotri(factor, lower=1) if not failed else (factor, failed)
     if failed:  # by rounding
         found = np.linalg.inv(scaled)
         return 0.5 * (found + found.T) * np.outer(unit, unit)
