@@ -21,6 +21,7 @@ _INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
 _CALLS = frozenset(
     {"jit", "pjit", "closed_call", "core_call", "remat", "checkpoint", "custom_jvp_call", "custom_vjp_call"}
 )
+_ROUNDS = 8
 _SUMS, _SEVERAL = frozenset({"add", "add_any"}), frozenset({"split", "scan"})
 
 
@@ -240,6 +241,12 @@ class _Lowering:
         if name in _CALLS:
             inner = next(settings[each] for each in _INNER if each in settings)
             return self._inlined(*_opened(inner), taken)
+        if name == "scan" and _repeats(equation):
+            body, constants = _opened(settings["jaxpr"])
+            fixed, carried = taken[: -len(body.outvars)], list(taken[-len(body.outvars) :])
+            for _ in range(settings["length"]):
+                carried = self._inlined(body, constants, [*fixed, *carried])
+            return carried
         given = [self._place(var) for var in equation.outvars]
         loop = _loop_of(equation) if name == "scan" else None
         if loop is None and name not in MAKERS:
@@ -247,6 +254,16 @@ class _Lowering:
         looked_at = {key: value for key, value in settings.items() if key in SETTINGS} if loop is None else {}
         self.program.steps.append(Step(name, looked_at, taken, given, loop))
         return given
+
+
+def _repeats(equation: JaxprEqn) -> bool:
+    """Whether a scan is a few rounds that carry something, and nothing goes through it row by row.
+
+    Such rounds stand one after the other in the program, so that what is linear in them is apart.
+    """
+    body, _ = _opened(equation.params["jaxpr"])
+    rows = (*_more_axes(equation.invars, body.invars), *_more_axes(equation.outvars, body.outvars))
+    return not any(rows) and len(equation.outvars) > 0 and equation.params["length"] <= _ROUNDS
 
 
 def _loop_of(equation: JaxprEqn) -> Loop:
@@ -293,7 +310,8 @@ class LinearProgram:
         self._linear = linear
         once = [step for step in program.changing if not linear.issuperset(step.given)]
         needed = {place for step in self._each for place in step.taken}
-        self._once = with_ends(once, needed.union(program.outputs, program.with_inputs(program.inputs)))
+        held = needed.union(program.outputs, program.with_inputs(program.inputs))
+        self._once = [(step, linear.intersection(step.taken), done) for step, done in with_ends(once, held)]
         self._users: dict[int, list[int]] = {}
         for k, step in enumerate(self._each):
             for place in linear.intersection(step.taken):
@@ -306,8 +324,8 @@ class LinearProgram:
         """
         outputs = self._program.outputs
         values = self._program.with_inputs((*arrays, self._zeros(self._direction)))
-        for step, done in self._once:
-            for place in self._linear.intersection(step.taken):
+        for step, at_zero, done in self._once:
+            for place in at_zero:  # of a loop that is not linear as a whole
                 values[place] = self._zeros(place)
             step.take(values)
             for place in done:
@@ -344,12 +362,11 @@ class LinearProgram:
             parts = [own[place] for place in step.taken if place in own]
             if len(parts) < len(step.taken):
                 return ((step.given[0], parts[0]),)
-        taken = [
-            own[place] if place in own else fixed[place] if place in fixed else self._zeros(place)
-            for place in step.taken
-        ]
-        results = step.run(*taken)
+        found = [own[place] if place in own else fixed.get(place) for place in step.taken]
+        if any(each is None for each in found):
+            found = [self._zeros(k) if each is None else each for k, each in zip(step.taken, found, strict=True)]
+        results = step.run(*found)
         if step.name not in _SEVERAL:
             return ((step.given[0], results),) if step.name not in SELECTS or results.any() else ()
-        found = [pair for pair in zip(step.given, results, strict=True) if pair[0] in self._linear]
-        return [pair for pair in found if pair[1].any()]
+        pairs = [pair for pair in zip(step.given, results, strict=True) if pair[0] in self._linear]
+        return [pair for pair in pairs if pair[1].any()]
