@@ -37,7 +37,7 @@ MOST_STEPS = 200_000
 
 
 @dataclass(frozen=True)
-class _Program:
+class _TracedFunction:
     """A traced function.
 
     Attributes
@@ -64,7 +64,7 @@ MOST_VALUES = 40_000_000
 """Values computed in one run above which a function is compiled: NumPy takes a tenth of a second, and a derivative
 holds as much as a third of them."""
 
-_programs: dict[Any, _Program | None] = {}
+_programs: dict[Any, _TracedFunction | None] = {}
 
 
 def in_numpy[**P, R](function: Callable[P, R]) -> Callable[P, R]:
@@ -122,7 +122,7 @@ def _is_slot(leaf: Any) -> bool:
     return isinstance(leaf, Slot)
 
 
-def _traced(function: Callable, with_derivative: bool, leaves: list[Any], tree: Any) -> _Program | None:
+def _traced(function: Callable, with_derivative: bool, leaves: list[Any], tree: Any) -> _TracedFunction | None:
     """Return the program of a function for arguments like these; None where NumPy cannot evaluate it."""
     key = (function, with_derivative, tree, tuple(map(compiled.kind_of, leaves)), config.trace_context())
     if key in _programs:
@@ -138,7 +138,7 @@ def _traced(function: Callable, with_derivative: bool, leaves: list[Any], tree: 
     return found
 
 
-def _found_or_traced(function: Callable, with_derivative: bool, arguments: Any) -> _Program | None:
+def _found_or_traced(function: Callable, with_derivative: bool, arguments: Any) -> _TracedFunction | None:
     folder = compiled.programs_folder()
     try:
         name = identity(function, ("derivative" if with_derivative else "value", arguments))
@@ -156,7 +156,7 @@ def _found_or_traced(function: Callable, with_derivative: bool, arguments: Any) 
     return made
 
 
-def _trace(function: Callable, with_derivative: bool, arguments: Any) -> _Program:
+def _trace(function: Callable, with_derivative: bool, arguments: Any) -> _TracedFunction:
     slots = [leaf for leaf in jax.tree.leaves(arguments, is_leaf=_is_slot) if _is_slot(leaf)]
     returned: list[Any] = []
 
@@ -173,18 +173,18 @@ def _trace(function: Callable, with_derivative: bool, arguments: Any) -> _Progra
         return tuple(leaf for leaf in leaves if eqx.is_array(leaf))
 
     like = [jax.ShapeDtypeStruct(slot.shape, slot.dtype, weak_type=slot.weak) for slot in slots]
-    return _Program(lowered(jax.make_jaxpr(flat)(*like, *like[-1:] if with_derivative else ())), returned[-1])
+    return _TracedFunction(lowered(jax.make_jaxpr(flat)(*like, *like[-1:] if with_derivative else ())), returned[-1])
 
 
-def _read(file: Path) -> _Program | None:
+def _read(file: Path) -> _TracedFunction | None:
     content = store.read_content(file)
     return None if content is None else pickle.loads(content)
 
 
-def _write(file: Path, program: _Program) -> None:
+def _write(file: Path, program: _TracedFunction) -> None:
     """Keep a program, where the sources are still those that it was made of."""
     try:
-        content = pickle.dumps(_Program(program.program, program.skeleton))
+        content = pickle.dumps(_TracedFunction(program.program, program.skeleton))
     except (TypeError, AttributeError, pickle.PicklingError):
         return
     if sources_unchanged():

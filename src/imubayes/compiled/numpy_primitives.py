@@ -13,6 +13,8 @@ import numpy as np
 from jax.lax import GatherScatterMode
 from scipy import special
 
+from imubayes.foundations.tail_probabilities import error_complement
+
 Numbers = Any
 """An array, or the number that NumPy makes of one without axes."""
 
@@ -134,37 +136,42 @@ def _dot(settings: Mapping[str, Any]) -> Callable[..., Any]:
     return contracted
 
 
-def _gather(settings: Mapping[str, Any]) -> Callable[..., Any]:
-    numbers, sizes, mode = settings["dimension_numbers"], tuple(settings["slice_sizes"]), settings["mode"]
-    inside, clipped = mode == GatherScatterMode.PROMISE_IN_BOUNDS, mode == GatherScatterMode.CLIP
-    if numbers.operand_batching_dims or not (inside or clipped or mode == GatherScatterMode.FILL_OR_DROP):
-        raise NoNumpyError("a gather of batches")
-    starts, collapsed, offsets = numbers.start_index_map, numbers.collapsed_slice_dims, numbers.offset_dims
-    window = [axis for axis in range(len(sizes)) if axis not in collapsed]
-    fill = settings["fill_value"]
+class _Gather:
+    """Windows of an array at starting places, (…, axes)."""
 
-    def gathered(x: Numbers, places: Numbers) -> Numbers:
-        around, last = places.shape[:-1], [size - each for size, each in zip(x.shape, sizes, strict=True)]
-        index: list[Numbers] = []
+    def __init__(self, settings: Mapping[str, Any]):
+        numbers, self._mode = settings["dimension_numbers"], settings["mode"]
+        modes = (GatherScatterMode.PROMISE_IN_BOUNDS, GatherScatterMode.CLIP, GatherScatterMode.FILL_OR_DROP)
+        if numbers.operand_batching_dims or self._mode not in modes:
+            raise NoNumpyError("a gather of batches")
+        self._sizes, self._fill = tuple(settings["slice_sizes"]), settings["fill_value"]
+        self._starts, self._offsets = numbers.start_index_map, numbers.offset_dims
+        self._window = [axis for axis in range(len(self._sizes)) if axis not in numbers.collapsed_slice_dims]
+
+    def __call__(self, x: Numbers, places: Numbers) -> Numbers:
+        around, inner = places.shape[:-1], (1,) * len(self._window)
+        starts = [self._start(axis, places) for axis in range(len(self._sizes))]
         lost = np.zeros(around, dtype=bool)
-        for axis, size in enumerate(sizes):
-            start = places[..., starts.index(axis)] if axis in starts else np.zeros((1,) * len(around), dtype=int)
-            if not inside:
-                lost = lost | (start < 0) | (start > last[axis])
-                start = np.clip(start, 0, last[axis])
-            shape = [size if axis == own else 1 for own in window]
-            steps = np.arange(size).reshape(shape) if axis in window else np.zeros((1,) * len(window), dtype=int)
-            index.append(start.reshape(start.shape + (1,) * len(window)) + steps)
-        found = x[tuple(index)]
-        if not (inside or clipped) and lost.any():
-            found = np.where(lost.reshape(around + (1,) * len(window)), _filling(fill, x.dtype), found)
-        found = np.broadcast_to(found, around + tuple(sizes[axis] for axis in window))
-        count = found.ndim
-        batch = [axis for axis in range(count) if axis not in offsets]
-        order = np.argsort([*batch, *offsets])
-        return found.transpose(order.tolist())
+        if self._mode != GatherScatterMode.PROMISE_IN_BOUNDS:
+            last = [whole - size for whole, size in zip(x.shape, self._sizes, strict=True)]
+            for start, end in zip(starts, last, strict=True):
+                lost = lost | (start < 0) | (start > end)
+            starts = [np.clip(start, 0, end) for start, end in zip(starts, last, strict=True)]
+        index = tuple(start.reshape(start.shape + inner) + self._steps(axis) for axis, start in enumerate(starts))
+        found = np.broadcast_to(x[index], around + tuple(self._sizes[axis] for axis in self._window))
+        if self._mode == GatherScatterMode.FILL_OR_DROP and lost.any():
+            found = np.where(lost.reshape(around + inner), _filling(self._fill, x.dtype), found)
+        batch = [axis for axis in range(found.ndim) if axis not in self._offsets]
+        return found.transpose(np.argsort([*batch, *self._offsets]).tolist())
 
-    return gathered
+    def _start(self, axis: int, places: Numbers) -> Numbers:
+        if axis in self._starts:
+            return places[..., self._starts.index(axis)]
+        return np.zeros((1,) * (places.ndim - 1), dtype=int)
+
+    def _steps(self, axis: int) -> Numbers:
+        """Return the steps along an axis of the window, with the axes of the window."""
+        return np.arange(self._sizes[axis]).reshape([self._sizes[axis] if axis == own else 1 for own in self._window])
 
 
 def _filling(fill: Any, dtype: np.dtype) -> Any:
@@ -205,7 +212,7 @@ MAKERS: dict[str, Maker] = {
         "abs": np.abs, "sign": np.sign, "max": np.maximum, "min": np.minimum, "floor": np.floor, "ceil": np.ceil,
         "sqrt": np.sqrt, "rsqrt": lambda x: 1 / np.sqrt(x), "cbrt": np.cbrt, "square": np.square, "pow": np.power,
         "exp": np.exp, "exp2": np.exp2, "expm1": np.expm1, "log": np.log, "log1p": np.log1p,
-        "logistic": special.expit, "erf": special.erf, "erfc": special.erfc,
+        "logistic": special.expit, "erfc": error_complement,
         "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
         "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh,
         "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
@@ -226,7 +233,7 @@ MAKERS: dict[str, Maker] = {
     "slice": _slice,
     "split": _split,
     "dynamic_slice": _dynamic_slice,
-    "gather": _gather,
+    "gather": _Gather,
     "concatenate": lambda settings: lambda *parts: np.concatenate(parts, settings["dimension"]),
     "stack": lambda settings: lambda *parts: np.stack(parts, settings["axis"]),
     "pad": _pad,

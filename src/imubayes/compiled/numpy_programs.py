@@ -362,11 +362,11 @@ class LinearProgram:
             parts = [own[place] for place in step.taken if place in own]
             if len(parts) < len(step.taken):
                 return ((step.given[0], parts[0]),)
-        found = [own[place] if place in own else fixed.get(place) for place in step.taken]
-        if any(each is None for each in found):
-            found = [self._zeros(k) if each is None else each for k, each in zip(step.taken, found, strict=True)]
-        results = step.run(*found)
-        if step.name not in _SEVERAL:
-            return ((step.given[0], results),) if step.name not in SELECTS or results.any() else ()
-        pairs = [pair for pair in zip(step.given, results, strict=True) if pair[0] in self._linear]
-        return [pair for pair in pairs if pair[1].any()]
+        results = step.run(*[self._value(place, own, fixed) for place in step.taken])
+        pairs = zip(step.given, results if step.name in _SEVERAL else (results,), strict=True)
+        return [pair for pair in pairs if pair[0] in self._linear and (step.name not in SELECTS or pair[1].any())]
+
+    def _value(self, place: int, own: Values, fixed: Values) -> Any:
+        if place in own:
+            return own[place]
+        return fixed[place] if place in fixed else self._zeros(place)
