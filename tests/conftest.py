@@ -78,6 +78,7 @@ COMPILED = (
     "procedures/test_rate_series.py",
     "test_docstrings.py",  # after those that fit the same campaign
     "test_kept_programs.py",
+    "test_in_numpy.py",
     "test_rotations.py",
     "release",
 )

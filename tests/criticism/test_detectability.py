@@ -7,7 +7,6 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_evidence import CHANNELS, EFFECTS, LARGEST, RATE, ROWS, RUNS, drawn, problem
@@ -19,6 +18,8 @@ from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf, Hypothes
 from imubayes.criticism.explanation_records import NAMED
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
+from imubayes.parameters.declarations import Priors
+from imubayes.parameters.priors import Normal
 
 FIELDS = {"gyro_bias": "bias", "gyro_scale_factor": "scale"}
 OWN = [
@@ -36,7 +37,7 @@ def _nothing_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def absorbed(scatter: tuple[tuple[float, float], ...] = ()) -> AbsorbedResponses:
     """Return what the model of `test_evidence` absorbs."""
-    priors = SimpleNamespace(slopes=lambda z: jnp.ones_like(z))
+    priors = Priors.stack([Normal(0.0, 1.0)] * len(OWN))
     layout = SimpleNamespace(parameters=OWN, names=[each.name for each in OWN])
     model = made(Model, layout=layout, problem=SimpleNamespace(priors=priors))
     fit: Any = made(Fit, model=model, z=np.zeros(len(OWN)))

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from imubayes.compiled.in_numpy import linearised_in_numpy
 from imubayes.model.problem import predict
 from small_campaign import (
     ACCEL_SCALE,
@@ -215,3 +216,21 @@ def test_a_temperature_rate_changes_the_bias():
     ):
         found = outputs(name, "cycle-slow", channel, slope=5.0) - outputs(name, "cycle-slow", channel, slope=0.0)
         np.testing.assert_allclose(found[2:14], 5 * unit * np.array(slope), rtol=1e-6)
+
+
+def test_numpy_predicts_the_whole_catalogue_as_compiled_code_does():
+    bound = whole_catalogue()
+    problem, rng = bound.problem, np.random.default_rng(11)  # beside no corner of a formula
+    z, along = rng.normal(size=(2, problem.size[0]))
+    found = linearised_in_numpy(predict, problem, 0.3 * z)
+    assert found is not None
+    predicted, push = found
+    steps = np.array([-2, -1, 1, 2]) * 3e-7
+    at = np.stack([predict(problem, jnp.asarray(0.3 * z + step * along)) for step in (0.0, *steps)])
+    scale = np.abs(at).max()
+    np.testing.assert_allclose(predicted, at[0], rtol=1e-13, atol=1e-14 * scale)
+    weights = np.array([1, -8, 8, -1]) / 36e-7
+    wanted = weights @ at[1:]
+    np.testing.assert_allclose(push(along), wanted, rtol=1e-6, atol=1e-7 * np.abs(wanted).max())
+    wrong = np.where(np.arange(len(along)) == int(np.argmax(np.abs(along))), 0.0, along)
+    assert np.abs(push(wrong) - wanted).max() > 1e-7 * np.abs(wanted).max()  # one parameter forgotten

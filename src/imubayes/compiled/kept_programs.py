@@ -78,6 +78,11 @@ def keep_programs(folder: Path | None, purpose: str = "") -> None:
         _Folder.preloading = store.Preloading(_Folder.place, purpose)
 
 
+def programs_folder() -> Path | None:
+    """Return the folder in which programs are kept; None where they are not."""
+    return _Folder.place
+
+
 def forget_programs() -> None:
     """Release the programs that this process has loaded."""
     _programs.clear()
@@ -103,7 +108,7 @@ class _Kept:
         if _Folder.place is None or not core.trace_state_clean() or jax.config.jax_disable_jit:
             return self.ordinary(*args, **kwargs)
         leaves, tree = jax.tree.flatten((args, kwargs))
-        key = (self.function, tree, tuple(map(_kind, leaves)), config.trace_context())
+        key = (self.function, tree, tuple(map(kind_of, leaves)), config.trace_context())
         if key not in _programs:
             _programs[key] = _found_or_made(self.function, leaves, tree)
         program = _programs[key]
@@ -127,7 +132,7 @@ def run_bound(key: tuple, function: Callable, arrays: list[Any], arguments: Call
     if key not in _programs:
         leaves, tree = jax.tree.flatten((arguments(), {}))
         found = _found_or_made(function, leaves, tree) if _Folder.place is not None else None
-        _programs[key] = found or _compiled(function, _slotted(leaves, tree), arrays, to_be_kept=False)
+        _programs[key] = found or _compiled(function, slotted(leaves, tree), arrays, to_be_kept=False)
     program = _programs[key]
     assert program is not None
     return _result(key, program, arrays, lambda: run_bound(key, function, arrays, arguments))
@@ -144,14 +149,14 @@ def _result(key: Any, program: _Program, arrays: list[Any], again: Callable[[], 
         return again()
 
 
-def _kind(leaf: Any) -> Any:
+def kind_of(leaf: Any) -> Any:
     """Return what a program depends on: of an array shape and type, of anything else all of it."""
     if eqx.is_array(leaf):
         return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
     return type(leaf), leaf
 
 
-def _slotted(leaves: list[Any], tree: Any) -> Any:
+def slotted(leaves: list[Any], tree: Any) -> Any:
     """Return a tree with a `Slot` for each array."""
     number = itertools.count()
     return tree.unflatten([Slot.of(next(number), leaf) if eqx.is_array(leaf) else leaf for leaf in leaves])
@@ -160,7 +165,7 @@ def _slotted(leaves: list[Any], tree: Any) -> Any:
 def _found_or_made(function: Callable, leaves: list[Any], tree: Any) -> _Program | None:
     """Return the program of a function, from the folder or compiled now; None where it cannot be kept."""
     assert _Folder.place is not None
-    arguments, arrays = _slotted(leaves, tree), [leaf for leaf in leaves if eqx.is_array(leaf)]
+    arguments, arrays = slotted(leaves, tree), [leaf for leaf in leaves if eqx.is_array(leaf)]
     try:
         file = _Folder.place / identity(function, arguments)
     except NoIdentityError:
@@ -184,7 +189,7 @@ def _compiled(function: Callable, arguments: Any, arrays: list[Any], to_be_kept:
     def flat(*arrays):
         filled = jax.tree.map(lambda leaf: arrays[leaf.number] if _is_slot(leaf) else leaf, arguments, is_leaf=_is_slot)
         leaves, tree = jax.tree.flatten(function(*filled[0], **filled[1]))
-        returned.append(_slotted(leaves, tree))
+        returned.append(slotted(leaves, tree))
         return tuple(leaf for leaf in leaves if eqx.is_array(leaf))
 
     flat.__name__ = flat.__qualname__ = function.__name__

@@ -40,15 +40,21 @@ class StoredProgram:
     skeleton: bytes
 
 
-def read_program(file: Path) -> StoredProgram | None:
-    """Return the program in a file; None where there is none, or its file is damaged."""
+def read_content(file: Path) -> bytes | None:
+    """Return what a file holds behind its digest; None where there is none, or its file is damaged."""
     try:
         content = file.read_bytes()
         os.utime(file)
     except OSError:
         return None
     digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-    if hashlib.sha256(content).digest() != digest:
+    return content if hashlib.sha256(content).digest() == digest else None
+
+
+def read_program(file: Path) -> StoredProgram | None:
+    """Return the program in a file; None where there is none, or its file is damaged."""
+    content = read_content(file)
+    if content is None:
         return None
     serialised, arguments, results, skeleton = pickle.loads(content)
     taken, given = jax.tree.structure(((0,) * arguments, {})), jax.tree.structure((0,) * results)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from statistics import NormalDist
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise import known_scales
@@ -27,6 +26,7 @@ from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.problem import prior_widths
+from imubayes.parameters.declarations import prior_slopes
 from imubayes.responses.candidate_effects import candidate_responses
 from imubayes.responses.uncertain_equipment import stated_size
 
@@ -228,7 +228,7 @@ class AbsorbedResponses:
     @cached_property
     def _slopes(self) -> np.ndarray:
         """The derivative of each parameter by its z, SI, (P,)."""
-        return np.asarray(self.fitted.model.problem.priors.slopes(jnp.asarray(self.fitted.z)))
+        return np.asarray(prior_slopes(self.fitted.model.problem.priors, self.fitted.z))
 
     @property
     def neglected(self) -> tuple[NeglectedUncertainty, ...]:
@@ -295,7 +295,7 @@ def discriminating_run(fitted: Fit, posterior: ExplanationPosterior, slot: Missi
     parts = [responses.jacobian, *(columns for columns, _ in members)]
     white = whitened_rows(extended.model.problem, h, np.concatenate(parts, axis=1))
     jacobian, *columns = np.split(white, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
-    prior = np.diag(1 / np.asarray(prior_widths(extended.model.problem, jnp.asarray(h))))
+    prior = np.diag(1 / np.asarray(prior_widths(extended.model.problem, h)))
     recorded = len(fitted.model.campaign.runs)
     sized = [(own, sizes) for own, (_, sizes) in zip(columns, members, strict=True)]
     differences = [

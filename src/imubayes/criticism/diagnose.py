@@ -8,7 +8,6 @@ of the record: what would make the runs agree.
 from collections.abc import Sequence
 from functools import cached_property
 
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise import compare_with_known, known_scales
@@ -190,7 +189,7 @@ class ExplainedFit:
         self.fit, self.responses, self.known, self.result = fit, responses, known, result
         self.posterior, self.of = posterior, posterior.of
         self.absorbed = AbsorbedResponses(posterior.of, fit)
-        about = Linearised(jnp.asarray(fit.z), jnp.asarray(responses.misfit), jnp.asarray(responses.jacobian))
+        about = Linearised(np.asarray(fit.z), responses.misfit, responses.jacobian)
         self.at_known_noise = known_noise_point(fit.model, about, known_scales(fit))
 
     def diagnosis(self) -> record.Diagnosis:

@@ -37,6 +37,11 @@ def normal_survival(z: Values) -> np.ndarray:
     return np.asarray(np.maximum(special.ndtr(-np.asarray(z, dtype=float)), LEAST_P))
 
 
+def error_complement(x: Values) -> np.ndarray:
+    """Return erfc(x): twice the probability that a standard normal variable exceeds √2 x."""
+    return np.asarray(special.erfc(np.asarray(x, dtype=float)))
+
+
 def chi2_log_survival(chi2: Values, freedom: Values) -> np.ndarray:
     """Return the logarithm of the upper tail of the χ² distribution.
 

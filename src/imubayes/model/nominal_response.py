@@ -2,8 +2,8 @@
 
 An effect acts on the nominal samples of a run with one coefficient at the largest size met in practice, all else at its
 null.  A few instants of each run are enough: those where a stimulus is extreme, and some in between.  They come in
-blocks of one shape, so that nothing is compiled for a campaign.  An effect on the motion responds where it
-changes what acts on the body.
+blocks of one shape, so that formulas are traced once for all campaigns; NumPy evaluates them, and nothing is compiled.
+An effect on the motion responds where it changes what acts on the body.
 
 Three kinds are taken to respond wherever the covariates they need are recorded: effects with memory, and effects on the
 gyros of free tumbles and of driven tables, where the record is not the signal itself.  For those the linearised model
@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
+from imubayes.compiled.in_numpy import in_numpy
 from imubayes.effects.base import Effect, MotionEffect, PlaceEffect, RecordEffect, SignalEffect, Stage
 from imubayes.foundations.arrays import Array
 from imubayes.foundations.campaign_data import Campaign
@@ -158,7 +158,7 @@ def _block(campaign: Campaign, nodes: listed.NodeTable, node: np.ndarray, channe
     )
 
 
-@kept
+@in_numpy
 def _felt(place: Place, motion: Motion, ambient: Ambient) -> Felt:
     experience = jax.vmap(on_body)(motion)
     sample = _samples(place, experience, ambient)
@@ -280,18 +280,18 @@ def _moves(acting: MotionEffect, at: NominalSamples) -> np.ndarray:
     return changed
 
 
-@kept
+@in_numpy
 def _moved(acting: MotionEffect, before: Motion, ambient: Ambient) -> Motion:
     return jax.vmap(acting.apply)(before, ambient)
 
 
 # One program for all effects.
-@kept
+@in_numpy
 def _on_bodies(motion: Motion) -> Experience:
     return jax.vmap(on_body)(motion)
 
 
-@kept
+@in_numpy
 def _alters(acting: Effect, place: Place, felt: Felt, ambient: Ambient) -> Array:
     """Return where an effect changes the signal, (P,) bool."""
     before, size, least = felt.signal, felt.size, jnp.asarray(_LEAST_INPUT)
@@ -342,16 +342,21 @@ def noisy_runs(noise: type[Noise], campaign: Campaign, nodes: listed.NodeTable, 
     values, found = _largest(noise, campaign), set()
     for run in runs:
         here = entries.run == run
-        facts = Entry(jnp.asarray(1.0), *(jnp.asarray(each[here].max(initial=0.0)) for each in known))
-        found |= {run} if float(noise(**values).variance(facts)) > 0 else set()
+        facts = Entry(np.asarray(1.0), *(np.asarray(each[here].max(initial=0.0)) for each in known))
+        found |= {run} if float(_variance(noise(**values), facts)) > 0 else set()
     return found
+
+
+@in_numpy
+def _variance(noise: EntryNoise, facts: Entry) -> Array:
+    return noise.variance(facts)
 
 
 def is_independent(noise: type[EntryNoise], campaign: Campaign) -> bool:
     """Tell whether a noise component gives every reading a variance of its own, at rest too."""
-    still = Entry(*map(jnp.asarray, (1.0, 0.0, 0.0, 0.0)))
-    return "closure" not in noise.kinds and float(noise(**_largest(noise, campaign)).variance(still)) > 0
+    still = Entry(*map(np.asarray, (1.0, 0.0, 0.0, 0.0)))
+    return "closure" not in noise.kinds and float(_variance(noise(**_largest(noise, campaign)), still)) > 0
 
 
 def _largest(member: EffectClass, campaign: Campaign) -> dict[str, Array]:
-    return {field: jnp.asarray(size) for field, size in largest_typical(member, campaign).items()}
+    return {field: np.asarray(size, dtype=float) for field, size in largest_typical(member, campaign).items()}

@@ -11,9 +11,9 @@ from functools import cached_property
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from imubayes.compiled.in_numpy import linearised_in_numpy
 from imubayes.compiled.kept_programs import kept
 from imubayes.effects.base import Effect, MotionEffect
 from imubayes.foundations.arrays import Array, on_device
@@ -27,7 +27,7 @@ from imubayes.model.model_file import EffectSpec
 from imubayes.model.problem import Problem, predict_from
 from imubayes.parameters.declarations import Parameter, Priors, declared_parameters, prior_slopes, prior_values
 
-# Columns of the Jacobian at once: most places of a scan need the derivatives by a few shapes' coefficients alone.
+# Columns of the Jacobian at once, where it is compiled: most places of a scan need a few shapes' coefficients alone.
 _SEEDS_AT_ONCE = 16
 
 
@@ -156,9 +156,10 @@ def _linearised_with(
 ) -> Responses:
     extended = _extend(fitted, acting, about)
     z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.own)])
-    slopes = np.asarray(prior_slopes(extended.problem.priors, jnp.asarray(z)))
-    own = np.asarray(prior_values(extended.problem.priors, jnp.asarray(z)))[: extended.own]
-    first = _linearised(extended.problem, _at_nulls(extended, own, 0), range(len(extended.parameters)))
+    slopes = np.asarray(prior_slopes(extended.problem.priors, z))
+    own = np.asarray(prior_values(extended.problem.priors, z))[: extended.own]
+    coefficients = [extended.places[parameter.name] for effect in acting for parameter in _linear(effect)]
+    first = _linearised(extended.problem, _at_nulls(extended, own, 0), [*range(extended.own), *coefficients])
     candidates: list[Response] = []
     for place in range(max((1, *(len(extended.grid(effect)) for effect in acting)))):
         scanned = [effect for effect in acting if place < max(1, len(extended.grid(effect)))]
@@ -208,13 +209,13 @@ def _with_response(response: Response, heard: set[str], secants: dict[str, np.nd
 
 def _secants(response: Response, extended: _Extended, own: np.ndarray, predicted: np.ndarray) -> dict[str, np.ndarray]:
     """Return the change of the predicted entries, (E,), per unit of each coefficient at its largest typical size."""
-    values, found = _at_nulls(extended, own, 0), {}
+    values, found, problem = _at_nulls(extended, own, 0), {}, extended.problem
     for coefficient in response.coefficients:
         size = coefficient.typical[1]
         at = values.copy()
         at[extended.places[coefficient.parameter.name]] += size * coefficient.parameter.factor
-        whole = jnp.concatenate([jnp.asarray(at), extended.problem.nulls])
-        found[coefficient.parameter.name] = (np.asarray(predict_from(extended.problem, whole)) - predicted) / size
+        whole = np.concatenate([at, np.asarray(problem.nulls)])
+        found[coefficient.parameter.name] = (_pushed(problem, whole, np.zeros((0, len(whole))))[0] - predicted) / size
     return found
 
 
@@ -288,7 +289,7 @@ class CatalogueModel:
         # Of families that are the same nothing is compiled.
         priors = Priors.stack([free.get(k, each).prior for k, each in enumerate(parameters)])
         found = self._nulls.copy()
-        found[places] = np.asarray(of(priors, jnp.asarray(whole)))[places]
+        found[places] = np.asarray(of(priors, whole))[places]
         return found
 
     def linearised(self, z: np.ndarray, free: Mapping[int, Parameter]) -> tuple[np.ndarray, np.ndarray]:
@@ -366,7 +367,7 @@ def _extend(fitted: Fit, acting: tuple[bound.BoundEffect, ...], about: Linearisa
     extended = assemble(assembly.effects + acting, assembly.grouping)
     parameters = extended.layout.parameters
     places = {parameter.name: place for place, parameter in enumerate(parameters)}
-    problem, own, given = on_device(build_problem(extended)), len(assembly.layout), fitted.model.problem
+    problem, own, given = build_problem(extended), len(assembly.layout), fitted.model.problem
     # The record may have been corrected since it was bound.
     problem = eqx.tree_at(
         lambda known: (known.nodes, known.observations.value), problem, (given.nodes, given.observations.value)
@@ -399,14 +400,34 @@ class _Linearised:
 
 def _linearised(problem: Problem, values: np.ndarray, places: Sequence[int]) -> _Linearised:
     """Return the prediction at values of all parameters, SI, and its derivative by the parameters at some places."""
-    sparsity, whole = problem.sparsity, jnp.concatenate([jnp.asarray(values), problem.nulls])
+    sparsity, nulls = problem.sparsity, np.asarray(problem.nulls)
     colour = np.asarray(sparsity.colour)
     needed = np.unique(colour[np.array(places, dtype=int)])
-    seeds = np.zeros((max(1, -(-len(needed) // _SEEDS_AT_ONCE)) * _SEEDS_AT_ONCE, len(colour)))
-    seeds[: len(needed)] = np.asarray(sparsity.seeds)[needed]
-    pushed = [_push(problem, whole, jnp.asarray(each)) for each in np.split(seeds, len(seeds) // _SEEDS_AT_ONCE)]
-    packed = np.concatenate([np.asarray(each) for _, each in pushed])
-    return _Linearised(np.asarray(pushed[0][0]), packed, np.searchsorted(needed, colour), np.asarray(sparsity.reach))
+    seeds = np.asarray(sparsity.seeds)[needed]
+    seeds = np.concatenate([seeds, np.zeros((len(seeds), len(nulls)))], axis=1)
+    predicted, packed = _pushed(problem, np.concatenate([values, nulls]), seeds)
+    return _Linearised(predicted, packed, np.searchsorted(needed, colour), np.asarray(sparsity.reach))
+
+
+def _pushed(problem: Problem, whole: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the prediction (E,), and its derivatives along seeds (S, V), (S, E).
+
+    The program with all candidates is the longest of all, and is run some ten times: NumPy does so in less time than
+    the compiler takes, and what it cannot evaluate is compiled.
+    """
+    found = linearised_in_numpy(_predicted, problem, whole)
+    if found is not None:
+        predicted, push = found
+        return predicted, np.stack([push(seed) for seed in seeds]) if len(seeds) else np.zeros((0, len(predicted)))
+    blocks = max(1, -(-len(seeds) // _SEEDS_AT_ONCE))
+    padded = np.concatenate([seeds, np.zeros((blocks * _SEEDS_AT_ONCE - len(seeds), len(whole)))])
+    placed = on_device(problem)
+    pushed = [_push(placed, whole, block) for block in np.split(padded, blocks)]
+    return np.asarray(pushed[0][0]), np.concatenate([np.asarray(each) for _, each in pushed])[: len(seeds)]
+
+
+def _predicted(problem: Problem, whole: Array) -> Array:
+    return predict_from(problem, whole)
 
 
 def _at_nulls(extended: _Extended, own: np.ndarray, scan_place: int) -> np.ndarray:
@@ -426,10 +447,9 @@ def _at_nulls(extended: _Extended, own: np.ndarray, scan_place: int) -> np.ndarr
 
 
 @kept
-def _push(problem: Problem, values, seeds):
-    predicted, push = jax.linearize(lambda values: predict_from(problem, values), values)
-    nulls = jnp.zeros_like(problem.nulls)
-    return predicted, jax.vmap(lambda seed: push(jnp.concatenate([seed, nulls])))(seeds)
+def _push(problem: Problem, whole, seeds):
+    predicted, push = jax.linearize(lambda values: predict_from(problem, values), whole)
+    return predicted, jax.vmap(push)(seeds)
 
 
 def _linear(effect: bound.BoundEffect) -> list[Parameter]:

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
+from imubayes.compiled.in_numpy import in_numpy
 from imubayes.effects.base import RecordEffect, SignalEffect
 from imubayes.foundations.arrays import Array
 from imubayes.foundations.covariates import COVARIATES, Covariate, ambient_names, regressors
@@ -86,7 +86,7 @@ def _at_samples(fitted: Fit) -> Callable[[Covariate], np.ndarray]:
     return values
 
 
-@kept
+@in_numpy
 def _row_means(problem: Problem, z):
     """Return rate and specific force along each axis, covariate → flattened outputs, as `readout` counts them."""
     path = signal_path(problem, values_of(problem, z))
@@ -157,31 +157,45 @@ def covariates_of(member: type, kind: str) -> tuple[frozenset[str], ...]:
     if not issubclass(member, SignalEffect | RecordEffect):
         return ()
     declared = declared_parameters(member)
-    nulls = {field: jnp.asarray(float(one.null)) for field, one in declared.items()}
+    nulls = {field: np.asarray(float(one.null)) for field, one in declared.items()}
     return tuple(_of_coefficient(member, nulls, field, kind) for field, one in declared.items() if not one.shape)
 
 
 def _of_coefficient(
     member: type[SignalEffect | RecordEffect], nulls: Mapping[str, Array], field: str, kind: str
 ) -> frozenset[str]:
-    @jax.jit
-    def first_order(signal, sample, memory):
-        def output(value):
-            effect = member(**{**nulls, field: value})
-            if isinstance(effect, RecordEffect):
-                return effect.apply(signal, sample, memory)
-            return effect.apply(signal, sample)
+    at_null = member(**nulls)
+    along = member(**{name: np.asarray(float(name == field)) for name in nulls})
 
-        return jax.jvp(output, (nulls[field],), (jnp.ones(()),))[1]
+    def first_order(signal: np.ndarray, sample: Sample, memory: np.ndarray) -> float:
+        return float(_first_order(at_null, along, signal, sample, memory))
 
-    signal, memory, sample = *jnp.asarray(_GENERIC[:2]), _generic_sample()
-    at = float(first_order(signal, sample, memory))
-    found = {name for name, other in _changed(sample) if _differs(float(first_order(signal, other, memory)), at)}
-    if _differs(float(first_order(1.5 * signal, sample, memory)), at):
+    signal, memory, sample = *map(np.asarray, _GENERIC[:2]), _generic_sample()
+    at = first_order(signal, sample, memory)
+    found = {name for name, other in _changed(sample) if _differs(first_order(signal, other, memory), at)}
+    if _differs(first_order(np.asarray(1.5 * signal), sample, memory), at):
         found.add(INPUTS[kind])
-    if _differs(float(first_order(signal, sample, 1.5 * memory)), at):
+    if _differs(first_order(signal, sample, np.asarray(1.5 * memory)), at):
         found.add(MEMORY)
     return frozenset(COVARIATES[name].column if name in COVARIATES else name for name in found)
+
+
+@in_numpy
+def _first_order(
+    effect: SignalEffect | RecordEffect,
+    along: SignalEffect | RecordEffect,
+    signal: Array,
+    sample: Sample,
+    memory: Array,
+) -> Array:
+    """Return the derivative of the signal after an effect by its parameters, in a direction."""
+
+    def output(effect: SignalEffect | RecordEffect) -> Array:
+        if isinstance(effect, RecordEffect):
+            return effect.apply(signal, sample, memory)
+        return effect.apply(signal, sample)
+
+    return jax.jvp(output, (effect,), (along,))[1]
 
 
 def _differs(one: float, other: float) -> bool:
@@ -189,16 +203,16 @@ def _differs(one: float, other: float) -> bool:
 
 
 def _generic_sample() -> Sample:
-    vectors = jnp.asarray(_GENERIC[2:17].reshape(5, 3))
-    values = zip(ambient_names(), jnp.asarray(10 * _GENERIC[17:]), strict=False)
-    return Sample(*vectors, ambient=Ambient(**dict(values)), output_scale=jnp.asarray(1.7))
+    vectors = _GENERIC[2:17].reshape(5, 3)
+    values = zip(ambient_names(), map(np.asarray, 10 * _GENERIC[17:]), strict=False)
+    return Sample(*vectors, ambient=Ambient(**dict(values)), output_scale=np.asarray(1.7))
 
 
 def _changed(sample: Sample) -> Iterator[tuple[str, Sample]]:
     """Yield what may change in a sample, by name, with the sample that it changes to."""
     for vector in ("rate", "force", "acceleration", "north", "up"):
         for place, letter in enumerate("ios"):
-            values = getattr(sample, vector)
-            yield f"{vector}_{letter}", replace(sample, **{vector: values.at[place].multiply(1.5)})
+            larger = np.where(np.arange(3) == place, 1.5, 1.0)
+            yield f"{vector}_{letter}", replace(sample, **{vector: larger * getattr(sample, vector)})
     for name, value in sample.ambient.values.items():
-        yield name, replace(sample, ambient=sample.ambient.updated(**{name: 1.5 * value}))
+        yield name, replace(sample, ambient=sample.ambient.updated(**{name: np.asarray(1.5 * value)}))

@@ -13,11 +13,10 @@ from functools import cached_property
 from typing import Literal
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import exponential, on_device
+from imubayes.compiled.in_numpy import in_numpy
+from imubayes.foundations.arrays import Array, exponential, on_device
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.covariates import COVARIATES, Covariate, recorded
 from imubayes.model.assembly import nodes_of
@@ -63,7 +62,7 @@ class WrongInput:
         if self.form == "seat":
             assert run.mounting is not None
             seat = campaign.mountings[run.mounting]
-            turned = replace(seat, body_to_table=seat.body_to_table @ np.asarray(exponential(jnp.asarray(size))))
+            turned = replace(seat, body_to_table=seat.body_to_table @ np.asarray(_turn(size)))
             name = f"{run.mounting} of {run.name}"
             campaign = replace(campaign, mountings={**campaign.mountings, name: replace(turned, name=name)})
             found = replace(run, mounting=name)
@@ -144,27 +143,32 @@ _NOT_SUSPECTED = {"time", "power_on", *(name for name in COVARIATES if name.ends
 def problem_of(model: Model, campaign: Campaign) -> Problem | None:
     """Return the problem of a model for a changed record of its campaign; None where the nodes are no longer the same.
 
-    Arrays have the shapes that they had, so that nothing is compiled.
+    Arrays have the shapes that they had, so that nothing is traced.
     """
     nodes = join_nodes(campaign)
     same = nodes.turns == model.nodes.turns and np.array_equal(nodes.row_of, model.nodes.row_of)
     if not same or not np.array_equal(nodes.stand, model.nodes.stand):
         return None
-    arrays, given = on_device(nodes_of(campaign, nodes)), model.problem.observations.value
-    value = given + jnp.asarray(join_entries(campaign).value - join_entries(model.campaign).value, dtype=float)
+    arrays, given = on_device(nodes_of(campaign, nodes)), np.asarray(model.problem.observations.value)
+    value = given + (join_entries(campaign).value - join_entries(model.campaign).value)
     return eqx.tree_at(lambda known: (known.nodes, known.observations.value), model.problem, (arrays, value))
 
 
-@kept
-def _misfit(problem: Problem, z):
+@in_numpy
+def _misfit(problem: Problem, z: Array) -> Array:
     return problem.observations.value - predict(problem, z)
+
+
+@in_numpy
+def _turn(vector: Array) -> Array:
+    return exponential(vector)
 
 
 class Predictions:
     """Misfits of a model at parameters z, for changed records of its campaign."""
 
     def __init__(self, model: Model, z: np.ndarray):
-        self.model, self.z = model, jnp.asarray(z)
+        self.model, self.z = model, np.asarray(z)
 
     @cached_property
     def _predicted(self) -> np.ndarray:

@@ -10,9 +10,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
+from typing import Any
 
 import numpy as np
 import scipy.linalg
+from scipy.linalg import lapack
 
 from imubayes.criticism.evidence import noise_structures as structures
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants, summed_over_widths
@@ -170,7 +172,7 @@ class EvidenceOf:
         """Return the posterior of a hypothesis, at other noise scales (K,) if given: larger ones hide effects."""
         scale = at.scale if scale is None else scale
         products = {k: self.products(at.hypothesis, at.columns, k, at.weight.get(k)) for k in self.unit_of}
-        whole, right = _system(at.precision, at.pull, products, scale)
+        whole, right = _Stacked.of(products, len(at.precision)).system(at.precision, at.pull, scale)
         covariance = inverse(whole)
         return Solved(at, scale, covariance @ right, covariance)
 
@@ -276,6 +278,7 @@ class _Evaluation:
         """Collect the inner products of the columns that take part."""
         of, at = self.of, self.hypothesis
         self.products = {k: of.products(at, self.columns, k, self.weight.get(k)) for k in self.channels}
+        self.stacked = _Stacked.of(self.products, len(self.columns) + self.form_columns)
         self.log_det = sum(each.log_det for each in self.products.values())
 
     def _priors(self) -> tuple[np.ndarray, np.ndarray]:
@@ -286,7 +289,7 @@ class _Evaluation:
         return precision, np.concatenate([problem.pull, np.zeros(len(precision) - problem.own)])
 
     def _solve(self, precision: np.ndarray, pull: np.ndarray) -> None:
-        self.whole, self.right = _system(precision, pull, self.products, self.scale)
+        self.whole, self.right = self.stacked.system(precision, pull, self.scale)
         self.covariance = inverse(self.whole)
         self.mean = self.covariance @ self.right
 
@@ -307,13 +310,12 @@ class _Evaluation:
     def _rescale(self) -> None:
         before, self.laplace = self.scale, 0.0
         self.scale = before.copy()
-        for k, each in self.products.items():
-            mean, covariance = self.mean[each.where], self.covariance[np.ix_(each.where, each.where)]
-            rest = float(each.square - 2 * mean @ each.right + mean @ each.own @ mean)
-            taken = float(np.sum(covariance * each.own)) / before[k] ** 2
+        rest, taken = self.stacked.rest(self.mean), self.stacked.taken(self.covariance)
+        for n, k in enumerate(self.channels):
             rows = self.of.problem.rows[k]
             sd = self.of.noise(self.hypothesis, k).scale_sd(rows)
-            log_scale, term = scale_mode(max(rest, 1e-12), max(len(rows.entry) - taken, 2.0), sd)
+            freedom = len(rows.entry) - float(taken[n]) / before[k] ** 2
+            log_scale, term = scale_mode(max(float(rest[n]), 1e-12), max(freedom, 2.0), sd)
             self.scale[k], self.laplace = math.exp(log_scale), self.laplace + term
 
     def _reweigh(self) -> float:
@@ -341,39 +343,83 @@ class _Evaluation:
             if k in self.weight:
                 found += structures.tail_bound(self._squares(k), self.weight[k], self.degrees[k])
         of_effects = np.arange(problem.own, problem.own + len(self.coefficients))
-        rest = np.setdiff1d(np.arange(len(self.whole)), of_effects)
+        after = problem.own + len(self.coefficients)
+        rest = np.concatenate([np.arange(problem.own), np.arange(after, len(self.whole))])
         # Coefficients of unit information: what a prior alone tells stands beside what a million rows tell.
         unit = 1 / np.sqrt(np.diag(self.whole)[rest])
-        lower = np.linalg.cholesky(unit[:, None] * self.whole[np.ix_(rest, rest)] * unit)
-        along = scipy.linalg.solve_triangular(lower, unit * self.right[rest], lower=True)
+        lower = np.linalg.cholesky(unit[:, None] * self.whole[rest[:, None], rest] * unit)
+        columns = np.concatenate([self.right[rest, None], self.whole[rest[:, None], of_effects]], axis=1)
+        both = scipy.linalg.solve_triangular(lower, unit[:, None] * columns, lower=True)
+        along, shared = both[:, 0], both[:, 1:]
         found += 0.5 * along @ along - np.log(np.diag(lower)).sum()
         found += np.log(unit).sum() + 0.5 * np.log(precision[rest]).sum()
         if not len(of_effects):
             return [], 0.0, float(found)
-        shared = scipy.linalg.solve_triangular(lower, unit[:, None] * self.whole[np.ix_(rest, of_effects)], lower=True)
-        own = self.whole[np.ix_(of_effects, of_effects)] - shared.T @ shared - np.diag(precision[of_effects])
+        own = self.whole[of_effects[:, None], of_effects] - shared.T @ shared - np.diag(precision[of_effects])
         grids = [self.of.variants[each].widths for each in self.hypothesis.variants]
         right, sign = self.right[of_effects] - shared.T @ along, problem.sign[self.coefficients]
         widths, gain = summed_over_widths(own, right, self.owner, grids, sign, self.widths)
         return widths, gain, float(found)
 
 
-def _system(
-    precision: np.ndarray, pull: np.ndarray, products: Mapping[int, Products], scale: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normal equations of the coefficients of a hypothesis at noise scales, (n, n) and (n,)."""
-    whole, right = np.diag(precision).astype(float), pull.copy()
-    for k, each in products.items():
-        whole[np.ix_(each.where, each.where)] += each.own / scale[k] ** 2
-        right[each.where] += each.right / scale[k] ** 2
-    return whole, right
+@dataclass(frozen=True)
+class _Stacked:
+    """Inner products of the n columns of a hypothesis on K channels, zero where a channel does not respond.
+
+    One product of matrices serves all channels: scales are found anew some thousand times.
+
+    Attributes
+    ----------
+    channels : places of the channels, in order.
+    own, right, square : shapes (K, n²), (K, n) and (K,).
+    """
+
+    channels: list[int]
+    own: np.ndarray
+    right: np.ndarray
+    square: np.ndarray
+
+    @staticmethod
+    def of(products: Mapping[int, Products], size: int) -> "_Stacked":
+        """Return products stacked."""
+        own, right = np.zeros((len(products), size, size)), np.zeros((len(products), size))
+        for n, each in enumerate(products.values()):
+            own[n, each.where[:, None], each.where] = each.own
+            right[n, each.where] = each.right
+        square = np.array([each.square for each in products.values()])
+        return _Stacked(list(products), own.reshape(len(products), -1), right, square)
+
+    def system(self, precision: np.ndarray, pull: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the normal equations at noise scales, (n, n) and (n,)."""
+        inverse_square, size = scale[self.channels] ** -2.0, len(precision)
+        whole = (inverse_square @ self.own).reshape(size, size)
+        whole[np.arange(size), np.arange(size)] += precision
+        return whole, pull + inverse_square @ self.right
+
+    def rest(self, mean: np.ndarray) -> np.ndarray:
+        """Return the square that coefficients leave of each residual, (K,)."""
+        taken = self.own.reshape(-1, len(mean)) @ mean
+        return self.square + (taken.reshape(len(self.square), -1) - 2 * self.right) @ mean
+
+    def taken(self, covariance: np.ndarray) -> np.ndarray:
+        """Return what coefficients of a covariance take of the rows of each channel, at noise 1, (K,)."""
+        return self.own @ covariance.reshape(-1)
+
+
+_LAPACK: Any = lapack  # its routines are not typed
 
 
 def inverse(whole: np.ndarray) -> np.ndarray:
     """Return the inverse of a positive definite matrix, (n, n), at unit diagonal."""
     unit = 1 / np.sqrt(np.diag(whole))
-    found = np.linalg.inv(unit[:, None] * whole * unit)
-    return 0.5 * (found + found.T) * np.outer(unit, unit)
+    scaled = unit[:, None] * whole * unit
+    factor, failed = _LAPACK.dpotrf(scaled, lower=1)
+    found, failed = _LAPACK.dpotri(factor, lower=1) if not failed else (factor, failed)
+    if failed:  # by rounding
+        found = np.linalg.inv(scaled)
+        return 0.5 * (found + found.T) * np.outer(unit, unit)
+    below = np.tril(found, -1)
+    return (below + below.T + np.diag(np.diag(found))) * np.outer(unit, unit)
 
 
 def _places_of(rows: ChannelRows, count: int) -> np.ndarray:

@@ -56,7 +56,7 @@ class WhitenedRows:
         chosen = np.append(places, -1)
         if weight is None:
             whole = self.gram(noise)
-            return GramMatrix(whole.products[np.ix_(chosen, chosen)], whole.log_det)
+            return GramMatrix(whole.products[chosen[:, None], chosen], whole.log_det)
         (columns, offset), root = self.independent(noise), np.sqrt(weight)
         own = WhitenedColumns(columns[:, chosen] * root[:, None], offset * root, self._log_det_in_time(noise))
         return with_scatter(self.rows, own, noise.scatter)
