@@ -15,8 +15,10 @@ from common import Report, in_words, once, seconds, trihedral
 from plain_numpy import PlainModel
 from scipy.optimize import least_squares
 
+from imubayes.inference.least_squares import GramCholesky
 from imubayes.inference.nested_laplace import posterior_precision
-from imubayes.inference.posterior_mode import GramCholesky, find_mode, fit_at, fit_parameters
+from imubayes.inference.parameter_fit import fit_at, fit_parameters
+from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals
 from imubayes.model.noise_covariance import whiten, whitener

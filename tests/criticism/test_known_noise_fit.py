@@ -11,7 +11,7 @@ from imubayes.adequacy.known_noise import known_scales, sample_noise
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, fit_at_known_noise, known_noise_point
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import linearise
+from imubayes.inference.parameter_fit import linearise
 
 
 def point(fitted: Fit, h: np.ndarray | None = None) -> KnownNoisePoint:

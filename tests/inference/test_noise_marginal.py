@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import minimize
 
 from imubayes.inference import laplace_marginal as marginal
-from imubayes.inference.laplace_marginal import Linearised, linearise, log_marginal
-from imubayes.inference.posterior_mode import fit_at, linear_residual
+from imubayes.inference.laplace_marginal import log_marginal
+from imubayes.inference.parameter_fit import Linearised, fit_at, linear_residual, linearise
 from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import residuals
 from small_campaign import campaign, simulated, spec

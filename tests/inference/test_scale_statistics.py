@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from imubayes.inference import scale_statistics
-from imubayes.inference.laplace_marginal import Linearised, ScaleMarginal, linearise, log_marginal
-from imubayes.inference.posterior_mode import fit_at
+from imubayes.inference.laplace_marginal import ScaleMarginal, log_marginal
+from imubayes.inference.parameter_fit import Linearised, fit_at, linearise
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import masked
 from small_campaign import campaign, simulated, spec

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imubayes.inference.laplace_marginal import knowledge, linearise
+from imubayes.inference.laplace_marginal import knowledge
 from imubayes.inference.laplace_proposal import LogDensity
+from imubayes.inference.parameter_fit import linearise
 from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import entry_log_likelihood, log_density, residuals
 from imubayes.model.noise_covariance import whiten, whitener

@@ -11,7 +11,8 @@ import pytest
 from scipy import stats
 
 from imubayes.foundations.errors import InputError
-from imubayes.inference.laplace_marginal import knowledge, linearise, log_marginal
+from imubayes.inference.laplace_marginal import knowledge, log_marginal
+from imubayes.inference.parameter_fit import linearise
 from imubayes.inference.posterior_mode import Mode, find_mode
 from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import (

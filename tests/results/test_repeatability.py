@@ -12,7 +12,7 @@ from test_predicted_runs import ROOT, scales
 import imubayes
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_mode import fit_at
+from imubayes.inference.parameter_fit import fit_at
 from imubayes.inference.run_fit import joint_fit
 from imubayes.qualification import repeatability as module
 from imubayes.qualification.repeatability import Repeatability, repeatability_of

@@ -12,8 +12,9 @@ import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.foundations.errors import InputError
-from imubayes.inference.laplace_marginal import knowledge, linearise
-from imubayes.inference.posterior_mode import find_mode, fit_at
+from imubayes.inference.laplace_marginal import knowledge
+from imubayes.inference.parameter_fit import fit_at, linearise
+from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.simulation.simulate import simulate, simulate_plan

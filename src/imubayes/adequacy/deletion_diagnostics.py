@@ -26,7 +26,7 @@ from imubayes.adequacy.adequacy_record import DoubtedRun
 from imubayes.adequacy.known_noise import known_scales, largest_scatter, scales_between_runs
 from imubayes.foundations.tail_probabilities import f_log_survival
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import linearise
+from imubayes.inference.parameter_fit import linearise
 from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, prior_widths

@@ -22,8 +22,8 @@ from imubayes.foundations.campaign_data import INPUT_UNIT
 from imubayes.foundations.numerics import group_means
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Linearised, linearise, whitened_about, whitened_columns
-from imubayes.inference.posterior_mode import fit_at
+from imubayes.inference.laplace_marginal import whitened_about, whitened_columns
+from imubayes.inference.parameter_fit import Linearised, fit_at, linearise
 from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import noise_deviation, whitener
 from imubayes.model.problem import Problem

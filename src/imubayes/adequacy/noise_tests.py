@@ -20,7 +20,7 @@ from imubayes.adequacy.adequacy_record import NoiseKind, NoiseViolation
 from imubayes.adequacy.projection import Projection, project
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import linearise
+from imubayes.inference.parameter_fit import linearise
 from imubayes.noise.components import Outliers
 
 _NOISE_DRAWS, _NOISE_DRAWS_AT_ONCE, _NOISE_BLOCK = 200, 20_000_000, 20

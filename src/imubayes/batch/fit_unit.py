@@ -37,10 +37,11 @@ from imubayes.inference.conditional_precision import conditional_precision
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.identifiability import from_data
-from imubayes.inference.laplace_marginal import Curvature, linearise
+from imubayes.inference.laplace_marginal import Curvature
 from imubayes.inference.laplace_proposal import PARETO_K, LaplaceProposal, LogDensity, weigh
 from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
 from imubayes.inference.noise_scale_modes import resampled
+from imubayes.inference.parameter_fit import linearise
 from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.posterior_mode import Mode, log_evidence
 from imubayes.inference.run_fit import joint_fit, judged_fit, posterior_of_draws

@@ -31,7 +31,7 @@ from imubayes.foundations.progress import Tell, silent
 from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Linearised
+from imubayes.inference.parameter_fit import Linearised
 from imubayes.responses.candidate_effects import Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate, covariates
 from imubayes.responses.wrong_inputs import WrongInput

@@ -21,7 +21,8 @@ from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
 from imubayes.criticism.diagnosis_record import ScreenedEffect
 from imubayes.effects.base import Effect
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Linearised, whitened_about
+from imubayes.inference.laplace_marginal import whitened_about
+from imubayes.inference.parameter_fit import Linearised
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem, masked
 from imubayes.parameters.declarations import Parameter, prior_slopes, prior_values

@@ -34,12 +34,15 @@ if TYPE_CHECKING:
 else:
     Array = jax.Array | np.ndarray
 
-# A scalar of NumPy is a number.
-Scalar = Float[Array, ""] | float
+if TYPE_CHECKING:
+    Scalar = Scalars = Array
+else:
+    # A scalar of NumPy is a number.
+    Scalar = Float[Array, ""] | float
+    # One value for each node or channel, or a single one: what travels along the path is batched by vmap.
+    Scalars = Float[Array, "*batch"] | float
 Vector3 = Float[Array, "3"]
 Matrix3 = Float[Array, "3 3"]
-# One value for each node or channel, or a single one: what travels along the path is batched by vmap.
-Scalars = Float[Array, "*batch"] | float
 Vectors = Float[Array, "*batch 3"]
 Matrices = Float[Array, "*batch 3 3"]
 Flag = Bool[Array, ""]

@@ -27,7 +27,8 @@ import numpy as np
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, Int
-from imubayes.inference.laplace_marginal import Linearised, ScaleMarginal, knowledge
+from imubayes.inference.laplace_marginal import ScaleMarginal, knowledge
+from imubayes.inference.parameter_fit import Linearised
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.scale_statistics import ScaleStatistics
 from imubayes.model.likelihood import has_heavy_tails, pseudo_values

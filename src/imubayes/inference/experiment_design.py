@@ -32,13 +32,8 @@ from imubayes.foundations.arrays import cholesky, solve_lower
 from imubayes.inference.candidate_runs import CandidateRun, NextRun, RunDesign, candidate_runs
 from imubayes.inference.fitted_model import Fit, evenly_spaced
 from imubayes.inference.identifiability import Contribution, ProcedureShare, WeakDirection
-from imubayes.inference.laplace_marginal import (
-    Linearised,
-    inverse_of_precision,
-    linearise,
-    precision_of,
-    whitened_jacobian,
-)
+from imubayes.inference.laplace_marginal import inverse_of_precision, precision_of, whitened_jacobian
+from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.model.bind import Model, bind
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived, evaluate_directions
 from imubayes.model.nodes_and_entries import KINDS

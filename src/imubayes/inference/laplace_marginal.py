@@ -21,18 +21,11 @@ import numpy as np
 
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, Scalar, cho_solve, cholesky, namespace, on_host
+from imubayes.inference.parameter_fit import Linearised
 from imubayes.inference.scale_statistics import MarginalSlope, ScaleStatistics, row_classes, scale_statistics
 from imubayes.model.likelihood import has_heavy_tails, log_normaliser, pseudo_values, whitened
 from imubayes.model.noise_covariance import group_sum, whiten, whitener
-from imubayes.model.problem import Problem, masked, predict_with_jacobian, prior_widths
-
-
-class Linearised(eqx.Module):
-    """The model about z: misfit e = y − f(z), shape (E,), and Jacobian ∂f/∂z, shape (E, P)."""
-
-    z: Float[Array, " P"]
-    misfit: Float[Array, " E"]
-    jacobian: Float[Array, "E P"]
+from imubayes.model.problem import Problem, masked, prior_widths
 
 
 class Knowledge(eqx.Module):
@@ -41,20 +34,6 @@ class Knowledge(eqx.Module):
     precision: Float[Array, "P P"]
     gradient: Float[Array, " P"]
     square: Scalar
-
-
-def linearised(problem: Problem, z: Float[Array, " P"]) -> Linearised:
-    """Return the model linearised about z, as a part of a compiled function."""
-    predicted, jacobian = predict_with_jacobian(problem, z)
-    return Linearised(z, problem.observations.value - predicted, jacobian)
-
-
-_linearised = kept(linearised)
-
-
-def linearise(problem: Problem, z: np.ndarray) -> Linearised:
-    """Return the model linearised about z, as arrays of NumPy."""
-    return on_host(_linearised(problem, np.asarray(z)))
 
 
 def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Knowledge:

@@ -367,7 +367,7 @@ def points_and_marginals(
 
 @kept
 def _log_densities(problem: Problem, misfit, z, h: Float[Array, "n H"]) -> Float[Array, " n"]:
-    """Return the log density at the mode of θ for several h: one compiled program for noise that is no sum of scales."""
+    """Return the log density at the mode of θ for several h, compiled: for correlated rows and heavy tails."""
 
     def at(scales):
         return -0.5 * (residuals_of(problem, misfit, z, scales) ** 2).sum() + log_normaliser(problem, scales)

@@ -16,7 +16,8 @@ import numpy as np
 
 from imubayes.effects.base import AmbientEffect
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.inference.laplace_marginal import inverse_of_precision, linearise, whitened_about
+from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_about
+from imubayes.inference.parameter_fit import linearise
 from imubayes.model.bind import Model, bind
 from imubayes.model.bound_effects import observability
 from imubayes.model.effect_registry import Registry

@@ -20,8 +20,9 @@ from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, WeighedProposal, weigh_tail
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
 from imubayes.inference.noise_scale_modes import NEGLIGIBLE, modes_of_scales, posterior_points
+from imubayes.inference.parameter_fit import fit_at
 from imubayes.inference.plausibility import implausible_estimates, unexplained_outputs
-from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, log_evidence, message
+from imubayes.inference.posterior_mode import Mode, find_mode, heights, log_evidence, message
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import Problem

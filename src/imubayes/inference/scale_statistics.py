@@ -14,6 +14,7 @@ None elsewhere, and the marginal is differentiated automatically.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import equinox as eqx
 import jax
@@ -68,7 +69,7 @@ class RowClasses:
     class_of : shape (E,), class of each row; K for one that is masked out.
     layers, entry : noise of the independent part, for one row of each class.
     shared : noise that the rows of a run and channel share.
-    cell_class, cell_group : shape (C,), class and place among `groups` of each cell; runs without shared noise have none.
+    cell_class, cell_group : shape (C,), class and place among `groups` of each cell; only of runs that share noise.
     cell_of : shape (E,), cell of each row; C where it has none.
     groups : shape (S,), runs and channels that share noise.
     """
@@ -146,7 +147,7 @@ class ScaleStatistics:
     ----------
     classes : of the rows.
     z : shape (P,), where the model is linearised.
-    jacobian, ordered : rows of the Jacobian (n, P) by classes, and the class of each; what is not stored is made of them.
+    jacobian, ordered : rows of the Jacobian (n, P) by classes, and the class of each.
     gram : shape (K, P²), sums of products of rows of the Jacobian; None where it is not stored.
     pulled : shape (K, P), JᵀE of each class; square, rows : shape (K,), sums of squared misfits, and number of rows.
     along, misfit, size : shapes (C, P), (C,), (C,), sums over each cell of the Jacobian, of the misfit, and of rows.
@@ -181,7 +182,7 @@ class ScaleStatistics:
         return float(fit - half - 0.5 * (known.square + known.log_determinant) - self._constant(h))
 
     def log_densities(self, h: np.ndarray) -> np.ndarray:
-        """Return log p(y, ẑ, h) at several noise scales (n, H) up to a constant, ẑ being θ of the linearisation; (n,)."""
+        """Return log p(y, ẑ, h) at noise scales (n, H) up to a constant, ẑ being θ of the linearisation; (n,)."""
         problem = self.problem
         values, prior = problem.hyper_priors.values(h), prior_widths(problem, h) ** -2
         square, log_determinant = self._square(values, prior)
@@ -308,7 +309,7 @@ def scale_statistics(
     order = order[classes.class_of[order] < classes.count]
     rows, of, e = jacobian[order], classes.class_of[order], misfit[order]
     begin = np.searchsorted(of, np.arange(classes.count + 1))
-    parts = [slice(*ends) for ends in zip(begin[:-1], begin[1:], strict=True)]
+    parts = [slice(*ends) for ends in pairwise(begin)]
     stored = classes.count * len(z) ** 2 <= min(_MOST_STORED, len(of) * len(z) ** 2)
     gram = np.stack([(rows[part].T @ rows[part]).reshape(-1) for part in parts]) if stored else None
     pulled = np.stack([rows[part].T @ e[part] for part in parts])

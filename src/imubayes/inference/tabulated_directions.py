@@ -19,7 +19,8 @@ import scipy  # loads its parts when they are first used
 import scipy.special
 
 from imubayes.foundations.arrays import Array, Float, cho_solve, cholesky, namespace, solve_lower
-from imubayes.inference.laplace_marginal import Linearised, knowledge, linearise
+from imubayes.inference.laplace_marginal import knowledge
+from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.inference.posterior_mode import Mode, heights
 from imubayes.model.problem import Problem, prior_widths
 

@@ -17,8 +17,9 @@ from imubayes.foundations.progress import counted
 from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Linearised, ScaleMarginal, curvature, linearise
-from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
+from imubayes.inference.laplace_marginal import ScaleMarginal, curvature
+from imubayes.inference.parameter_fit import Linearised, fit_at, linearise
+from imubayes.inference.posterior_mode import find_mode, mode_near
 from imubayes.loop.model_history import CrossValidation, GroupGain, HeldOutVerdict
 from imubayes.loop.warm_start import REFIT_LOSS
 from imubayes.model.bind import Model

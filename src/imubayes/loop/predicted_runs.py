@@ -21,6 +21,7 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Record
 from imubayes.foundations.tail_probabilities import normal_survival, t_survival
 from imubayes.inference import laplace_marginal as laplace
+from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.inference.fitted_model import Fit
 from imubayes.loop.joined_runs import JoinedRuns, joined_runs
 from imubayes.model.problem import Problem, prior_widths
@@ -237,7 +238,7 @@ class _OwnFit:
     left, slope : of the new entries and of the priors of what they alone know, (n + k,) and (n + k, k).
     """
 
-    about: laplace.Linearised
+    about: Linearised
     white: tuple[np.ndarray, np.ndarray, np.ndarray]
     left: np.ndarray
     slope: np.ndarray
@@ -251,7 +252,7 @@ def _with_own_unknowns(problem: Problem, z: np.ndarray, h: np.ndarray, own: np.n
     """Return the model where what new runs alone know, (P,) bool, fits them best, by Gauss–Newton steps."""
 
     def at(point: np.ndarray) -> _OwnFit:
-        about = laplace.linearise(problem, np.asarray(point))
+        about = linearise(problem, np.asarray(point))
         residual, jacobian, widths = white = laplace.whitened_about(problem, about, h)
         left = np.concatenate([residual[new], -point[own] / widths[own]])
         return _OwnFit(about, white, left, np.concatenate([jacobian[new][:, own], np.diag(1 / widths[own])]))
@@ -280,7 +281,7 @@ def _posterior_root(fit: Fit, joined: JoinedRuns, shared: np.ndarray, scales: np
     model, old = joined.model, fit.model
     h = model.hyper_layout.carried(old.hyper_layout, scales)
     widths = np.asarray(prior_widths(model.problem, np.asarray(h)))
-    about = laplace.linearise(old.problem, np.asarray(fit.z))
+    about = linearise(old.problem, np.asarray(fit.z))
     told = laplace.precision_of(old.problem, about, np.asarray(scales))
     places = [model.layout.index(name) for name in old.layout.names]
     precision = np.diag(widths**-2)

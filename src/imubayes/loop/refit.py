@@ -19,7 +19,7 @@ from imubayes.criticism.explanation_records import CoefficientEstimate
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Record, finite
 from imubayes.inference.fitted_model import Fit, Posterior
-from imubayes.inference.laplace_marginal import linearise
+from imubayes.inference.parameter_fit import linearise
 from imubayes.inference.run_fit import joint_fit
 from imubayes.loop.cross_validation import cross_validate, objection, observed_delta_chi2
 from imubayes.loop.model_history import CrossValidation

@@ -29,8 +29,9 @@ from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, on_host
 from imubayes.inference.conditional_precision import Conditional, conditional, conditional_precision
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Curvature, Linearised, inverse_of_precision
+from imubayes.inference.laplace_marginal import Curvature, inverse_of_precision
 from imubayes.inference.nested_laplace import weak_directions
+from imubayes.inference.parameter_fit import Linearised
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.tabulated_directions import TabulatedDirections
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived

@@ -27,7 +27,8 @@ from imubayes.foundations.records import Presented, Record
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.foundations.units import DAYS_PER_YEAR
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import inverse_of_precision, linearise, precision_of
+from imubayes.inference.laplace_marginal import inverse_of_precision, precision_of
+from imubayes.inference.parameter_fit import linearise
 from imubayes.inference.posterior_groups import in_units
 from imubayes.loop.joined_runs import JoinedCampaign, joined_campaign
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived

@@ -17,7 +17,8 @@ import numpy as np
 
 from imubayes.inference.experiment_design import NEAR, Components, components_near_zero
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Linearised, inverse_of_precision, linearise, whitened_jacobian
+from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_jacobian
+from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.model.problem import Problem
 from imubayes.parameters.declarations import Layout, Parameter
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform

@@ -60,7 +60,7 @@ def _describe(place: h5py.Group | h5py.Dataset, attributes: Mapping[str, Any]) -
 def _write(place: h5py.Group, group: Group, numbers: Iterator[int]) -> None:
     """Write a group: its dimensions, which are numbered through the file, as scales that its variables refer to."""
     _describe(place, group.attributes)
-    whole = {name: _stored(each) for name, each in (group.coordinates | group.variables).items()}
+    whole = {name: _stored(each) for name, each in {**group.coordinates, **group.variables}.items()}
     sizes = {
         dimension: size
         for each in whole.values()

@@ -100,12 +100,7 @@ def simulate(model: Model, seed: int, truth: Mapping[str, float] | None = None, 
         z=z,
         h=h,
         parameters=_in_units(model.layout, values) | _in_units(model.hyper_layout, hyper_values),
-        derived={
-            name.name: float(value)
-            for name, value in zip(
-                derived.names, evaluate_derived(derived.derivation, problem, z[None])[0], strict=True
-            )
-        },
+        derived=dict(zip([name.name for name in derived.names], quantities, strict=True)),
         offsets=offsets,
     )
 

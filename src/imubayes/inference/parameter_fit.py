@@ -1,0 +1,93 @@
+"""The parameters θ at given noise scales, and the model linearised about them: one compiled program of a model.
+
+Levenberg–Marquardt evaluates the model with its Jacobian once for each step, and returns the linearisation of the last
+one.  A first step that ends it gives the linearisation about the start, so that no other program differentiates the
+model.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.compiled.kept_programs import kept
+from imubayes.foundations.arrays import Array, Float, on_host
+from imubayes.inference.least_squares import GramCholesky, LeastSquares, minimise
+from imubayes.model.likelihood import least_squares_form
+from imubayes.model.noise_covariance import whiten
+from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
+
+_STEPS = 30
+_TOLERANCE = 1e-3
+# A tolerance that every first step is within.
+_ANY = 1e100
+# Levenberg–Marquardt begins with a damping of 1 on the scale of the squared residual.  The prior damps already, so the
+# residual is scaled up until the first step is Gauss–Newton's; a step that fails raises the damping as usual.
+_UNDAMPED = 1e3
+
+
+class Linearised(eqx.Module):
+    """The model about z: misfit e = y − f(z), shape (E,), and Jacobian ∂f/∂z, shape (E, P)."""
+
+    z: Float[Array, " P"]
+    misfit: Float[Array, " E"]
+    jacobian: Float[Array, "E P"]
+
+
+def linearised(problem: Problem, z: Float[Array, " P"]) -> Linearised:
+    """Return the model linearised about z, as a part of a compiled function."""
+    predicted, jacobian = predict_with_jacobian(problem, z)
+    return Linearised(z, problem.observations.value - predicted, jacobian)
+
+
+def linear_residual(problem: Problem, h: Float[Array, " H"]) -> Callable:
+    """Return the residual as a function of z, with the model linearised there as its second value.
+
+    To whoever takes its derivative the residual is the linear function about the point, whose Jacobian uses the
+    sparsity of the problem: one forward derivative per colour instead of one per parameter.
+    """
+    widths = prior_widths(problem, h)
+
+    def residual(z):
+        here = jax.lax.stop_gradient(z)
+        about = linearised(problem, here)
+        by, straight = least_squares_form(problem, h, about.misfit)
+        value = jnp.concatenate([whiten(problem, by, straight), here / widths])
+        slope = jnp.concatenate([-whiten(problem, by, about.jacobian), jnp.diag(1 / widths)])
+        return value + slope @ (z - here), about
+
+    return residual
+
+
+def fit_parameters(
+    problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"], tolerance: Float[Array, ""] | float = _TOLERANCE
+) -> LeastSquares:
+    """Return θ at given h, as a `LeastSquares` outcome with the model linearised there: Levenberg–Marquardt from z."""
+    residual = linear_residual(problem, h)
+
+    def undamped(z, _):
+        value, about = residual(z)
+        return _UNDAMPED * value, about
+
+    return minimise(undamped, z, tolerance=tolerance, most_steps=_STEPS, linear_solver=GramCholesky(), has_aux=True)
+
+
+_fit_parameters = kept(fit_parameters)
+
+
+def fitted_parameters(problem: Problem, z: np.ndarray, h: np.ndarray) -> LeastSquares:
+    """Return θ at given h, started from z: `fit_parameters` compiled, with arrays of NumPy."""
+    return on_host(_fit_parameters(problem, *map(np.asarray, (z, h, _TOLERANCE))))
+
+
+def fit_at(problem: Problem, z: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Return θ at given h, (P,), started from z."""
+    return fitted_parameters(problem, z, h).value
+
+
+def linearise(problem: Problem, z: np.ndarray) -> Linearised:
+    """Return the model linearised about z, as arrays of NumPy."""
+    found = _fit_parameters(problem, *map(np.asarray, (z, np.zeros(problem.size[1]), _ANY)))
+    return on_host(found.aux)
