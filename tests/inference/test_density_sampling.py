@@ -11,8 +11,8 @@ import pytest
 import imubayes
 from imubayes.foundations.errors import InputError
 from imubayes.inference.convergence import nested_r_hat
+from imubayes.inference.density_mode import differentiable, normal_about_mode
 from imubayes.inference.ensemble_sampling import Settings, without_strays
-from imubayes.inference.user_density import differentiable, normal_about_mode
 
 COVARIANCE = np.array([[4.0, 1.2], [1.2, 1.0]])
 MEAN = np.array([10.0, -3.0])

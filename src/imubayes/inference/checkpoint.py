@@ -121,6 +121,21 @@ class Checkpoint:
         return steps_in(self.path)
 
 
+def append(backend: "emcee.backends.HDFBackend", block: "emcee.backends.Backend") -> None:
+    """Append the steps of a block in memory to a backend, at once: one by one they take longer than sampling does."""
+    steps = block.iteration
+    backend.grow(steps, None)
+    with backend.open("a") as file:
+        group = file[backend.name]
+        taken = int(group.attrs["iteration"])
+        group["chain"][taken : taken + steps] = block.get_chain()
+        group["log_prob"][taken : taken + steps] = block.get_log_prob()
+        group["accepted"][:] += block.accepted
+        for place, value in enumerate(block.random_state):
+            group.attrs[f"random_state_{place}"] = value
+        group.attrs["iteration"] = taken + steps
+
+
 def steps_in(path: Path) -> int:
     """Return how many whole steps a checkpoint holds; 0 where there is none or it cannot be read."""
     try:
