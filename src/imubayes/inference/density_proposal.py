@@ -24,8 +24,9 @@ from imubayes.inference.user_function import CountedDensity
 
 # Draws whose importance weights judge a proposal, of all ensembles together, and refits of a mixture.
 _TRIAL, _ROUNDS = 4000, 5
-# A proposal that is taken less often is no help.
-_LEAST_ACCEPTANCE = 0.1
+# A proposal that is taken less often is no help; one below the second is judged by so many times the draws, since
+# chains are held against their weighted moments.
+_LEAST_ACCEPTANCE, _HARD, _MORE = 0.1, 0.5, 8
 # A chain from the stated starts goes on in as many steps while walkers are where the proposal nearly never comes, and
 # for so many times: they may not have arrived.
 _SCOUTED, _SCOUTS = 50, 4
@@ -35,8 +36,12 @@ _LAID_OUT, _LAYS = 100, 4
 _SETS = 8
 # A weight this many times the largest of all draws, and so large a share of walkers with one, is against a proposal.
 _BEYOND, _ASTRAY = 10.0, 0.01
+# Chains of fewer steps are not worth a search for a better proposal.
+_FEW = 80
 # Share of the budget of evaluations that the search may take.
-SEARCH_SHARE = 0.5
+_SEARCH_SHARE = 0.5
+# Sets of starts that are drawn, ever narrower: beside an edge in five directions one in 32 has a density.
+_NARROWER = 12
 
 
 @dataclass
@@ -116,6 +121,8 @@ class Search:
         count = math.ceil(max(_TRIAL, sum(map(len, self.starts))) / ensembles)
         weigher = weigh_tail if self._affords(10 * _TRIAL) else weigh
         found = weigher(self.density, proposal, ensembles, count, seed)
+        if found is not None and found.acceptance < _HARD and self._affords(_MORE * _TRIAL):
+            found = weigh(self.density, proposal, ensembles, _MORE * count, seed)
         bad = found is None or found.pareto_k > WORST_PARETO_K or found.acceptance < _LEAST_ACCEPTANCE
         return None if bad else found
 
@@ -130,14 +137,10 @@ class Search:
         return max(normal_length(size) * (2 / found.acceptance - 1) / walkers, STAYS * found.largest)
 
     def _spendable(self) -> float:
-        return SEARCH_SHARE * self.density.most - self.density.used
+        return _SEARCH_SHARE * self.density.most - self.density.used
 
     def _affords(self, evaluations: int) -> bool:
         return evaluations <= self._spendable()
-
-
-# Chains of fewer steps are not worth a search for a better proposal.
-_FEW = 80
 
 
 def agrees(found: WeighedProposal, points: np.ndarray, height: np.ndarray) -> bool:
@@ -173,7 +176,3 @@ def finite_starts(
         return []
     chosen = found[:needed] if len(found) >= needed else found[random.integers(len(found), size=needed)]
     return np.split(chosen, ensembles)
-
-
-# Draws from ever narrower distributions: a start beside an edge in five directions has one side in 32 in favour.
-_NARROWER = 12

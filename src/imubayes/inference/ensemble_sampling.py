@@ -28,6 +28,7 @@ from imubayes.inference.checkpoint import Checkpoint, append
 from imubayes.inference.convergence import MOST_DRAWS, STAYS, Convergence, diagnose, far_below, normal_length
 from imubayes.inference.gradient_moves import GradientMove
 from imubayes.inference.laplace_proposal import BatchedDensity, LaplaceMove, WeighedProposal
+from imubayes.inference.mixture_proposal import MixtureProposal
 
 if TYPE_CHECKING:
     import emcee
@@ -37,6 +38,8 @@ else:
 # Stretch and DE moves, the safety net for what is not Gaussian, take this share of the steps beside a Laplace proposal,
 # and the second beside gradients, which lead to no other mode.  DESnookerMove of emcee 3.1.6 is biased.
 _OTHERS_SHARE_LAPLACE, _OTHERS_SHARE = 0.04, 0.4
+# Beside a mixture that is mostly refused, as at the corner of hard edges, they free the walkers that it leaves there.
+_OTHERS_SHARE_MIXTURE = 0.3
 # Short steps of the Laplace move, and the share of them; where independent draws are mostly refused, half of all.
 # In ten steps two walkers of three take a short one: it frees those few from which independent draws rarely lead.
 _SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.1, 0.5
@@ -290,8 +293,15 @@ def _ensembles(
         move = LaplaceMove(weighed.proposal, _SHORT_STEP, short_share) if weighed is not None else gradients
         state = _state(number, start, settings, checkpoint)
         walkers, dimensions = start.shape
-        ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move), move, state))
+        share = _others_share(weighed) if weighed is not None else _OTHERS_SHARE
+        ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move, share), move, state))
     return ensembles
+
+
+def _others_share(weighed: WeighedProposal) -> float:
+    """Return the share of stretch and DE moves beside a proposal."""
+    hard = isinstance(weighed.proposal, MixtureProposal) and not _good(weighed)
+    return _OTHERS_SHARE_MIXTURE if hard else _OTHERS_SHARE_LAPLACE
 
 
 def _good(weighed: WeighedProposal | None) -> bool:
@@ -300,9 +310,13 @@ def _good(weighed: WeighedProposal | None) -> bool:
 
 
 def _sampler(
-    log_density: BatchedDensity, walkers: int, dimensions: int, move: LaplaceMove | GradientMove | None
+    log_density: BatchedDensity,
+    walkers: int,
+    dimensions: int,
+    move: LaplaceMove | GradientMove | None = None,
+    share: float = 1.0,
 ) -> "emcee.EnsembleSampler":
-    share = _OTHERS_SHARE if isinstance(move, GradientMove) else _OTHERS_SHARE_LAPLACE
+    """Return a sampler with a move, and this share of stretch and DE moves beside it."""
     moves = [(emcee.moves.StretchMove(), share / 2), (emcee.moves.DEMove(), share / 2)]
     if move is not None:
         moves.append((move, 1 - share))
@@ -324,7 +338,7 @@ def short_chain(
     log_density: BatchedDensity, start: np.ndarray, steps: int, seed: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return points (steps, walkers, D) and log densities (steps, walkers) of an ensemble without a proposal."""
-    sampler = _sampler(log_density, *start.shape, None)
+    sampler = _sampler(log_density, *start.shape)
     random = np.random.RandomState(np.random.SeedSequence(list(seed)).generate_state(4))
     sampler.run_mcmc(emcee.State(start, random_state=random.get_state()), steps, skip_initial_state_check=True)
     return np.asarray(sampler.get_chain()), np.asarray(sampler.get_log_prob())

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
-from scipy.special import fdtr, fdtrc, fdtri, gammaincc, gammainccinv, gammaincinv, gammaln, ndtr, ndtri
+from scipy.special import fdtr, fdtrc, fdtri, gammainc, gammaincc, gammainccinv, gammaincinv, gammaln, ndtr, ndtri
 
 from imubayes.inference.laplace_proposal import BatchedDensity, WeighedProposal, weigh
 
@@ -21,13 +21,15 @@ FREEDOM = 8.0
 """Degrees of freedom: heavier tails than those of posteriors of some tens of readings, and weights of a normal density
 below 3 in eight dimensions."""
 # Parts of a mixture, fewer where draws are few: so many draws a part for each dimension determine its covariance.
-_PARTS, _DRAWS_A_DIMENSION = 8, 20
+_PARTS, _DRAWS_A_DIMENSION = 16, 20
 # Steps of expectation–maximisation on one set of draws.
 _ITERATIONS = 20
 # No share of a part falls below this, of equal shares.
 _LEAST_SHARE = 0.05
 # A covariance is taken from weighted draws worth so many a dimension, and kept where they are worth less.
 _WORTH = 4.0
+# A refit that gains less in acceptance is the last.
+_GAIN = 1.02
 _TINY = 1e-300
 
 
@@ -102,7 +104,8 @@ class MixtureProposal:
     def _of_chi_square(self, square: np.ndarray) -> np.ndarray:
         """Return the squared radii of t distributed points from those of normal ones: the same quantile of each."""
         size = float(self.dimensions - 1)
-        below, above = 1 - _chi_square_beyond(size, square), np.maximum(_chi_square_beyond(size, square), _TINY)
+        below = gammainc(size / 2, square / 2)
+        above = np.maximum(gammaincc(size / 2, square / 2), _TINY)
         inner = fdtri(size, self.freedom, np.minimum(below, 0.5))
         outer = 1 / fdtri(self.freedom, size, np.minimum(above, 0.5))
         return size * np.where(below < 0.5, inner, outer)
@@ -189,11 +192,3 @@ def adapted(
             break
         best, judged = tried, found
     return best, judged
-
-
-# A refit that gains less in acceptance is the last.
-_GAIN = 1.02
-
-
-def _chi_square_beyond(size: float, square: np.ndarray) -> np.ndarray:
-    return gammaincc(size / 2, square / 2)
