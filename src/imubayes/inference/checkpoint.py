@@ -8,7 +8,7 @@ other data would look like an answer.
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import lazy_loader
@@ -126,12 +126,12 @@ def append(backend: "emcee.backends.HDFBackend", block: "emcee.backends.Backend"
     steps = block.iteration
     backend.grow(steps, None)
     with backend.open("a") as file:
-        group = file[backend.name]
+        group: Any = file[backend.name]
         taken = int(group.attrs["iteration"])
         group["chain"][taken : taken + steps] = block.get_chain()
         group["log_prob"][taken : taken + steps] = block.get_log_prob()
         group["accepted"][:] += block.accepted
-        for place, value in enumerate(block.random_state):
+        for place, value in enumerate(block.random_state or ()):
             group.attrs[f"random_state_{place}"] = value
         group.attrs["iteration"] = taken + steps
 

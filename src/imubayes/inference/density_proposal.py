@@ -45,7 +45,7 @@ _NARROWER = 12
 
 
 @dataclass
-class Search:
+class ProposalSearch:
     """The search for a proposal of one density.
 
     Attributes

@@ -13,8 +13,9 @@ from functools import cached_property
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
-from scipy.special import fdtr, fdtrc, fdtri, gammainc, gammaincc, gammainccinv, gammaincinv, gammaln, ndtr, ndtri
+from scipy.special import fdtri, gammainccinv, gammaincinv, gammaln, ndtri
 
+from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival, f_survival, normal_survival
 from imubayes.inference.laplace_proposal import BatchedDensity, WeighedProposal, weigh
 
 FREEDOM = 8.0
@@ -64,7 +65,7 @@ class MixtureProposal:
 
     def to_point(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the points of standard normal vectors, (n, D + 1), and the log density of the proposal, (n,)."""
-        part = np.minimum(np.searchsorted(np.cumsum(self.share), ndtr(normal[:, -1])), len(self.share) - 1)
+        part = np.minimum(np.searchsorted(np.cumsum(self.share), normal_survival(-normal[:, -1])), len(self.share) - 1)
         inner = normal[:, :-1]
         square = np.sum(inner**2, axis=1)
         stretched = inner * np.sqrt(self._of_chi_square(square) / np.maximum(square, _TINY))[:, None]
@@ -104,16 +105,15 @@ class MixtureProposal:
     def _of_chi_square(self, square: np.ndarray) -> np.ndarray:
         """Return the squared radii of t distributed points from those of normal ones: the same quantile of each."""
         size = float(self.dimensions - 1)
-        below = gammainc(size / 2, square / 2)
-        above = np.maximum(gammaincc(size / 2, square / 2), _TINY)
+        below, above = chi2_cdf(square, size), chi2_survival(square, size)
         inner = fdtri(size, self.freedom, np.minimum(below, 0.5))
         outer = 1 / fdtri(self.freedom, size, np.minimum(above, 0.5))
         return size * np.where(below < 0.5, inner, outer)
 
     def _to_chi_square(self, square: np.ndarray) -> np.ndarray:
         size = float(self.dimensions - 1)
-        below = fdtr(size, self.freedom, square / size)
-        above = np.maximum(fdtrc(size, self.freedom, square / size), _TINY)
+        ratio = np.maximum(square / size, _TINY)
+        below, above = f_survival(1 / ratio, self.freedom, size), f_survival(ratio, size, self.freedom)
         inner = 2 * gammaincinv(size / 2, np.minimum(below, 0.5))
         return np.where(below < 0.5, inner, 2 * gammainccinv(size / 2, np.minimum(above, 0.5)))
 

@@ -22,14 +22,14 @@ import numpy as np
 from arviz_base import from_dict
 
 from imubayes.foundations.errors import input_error
-from imubayes.foundations.progress import silent
+from imubayes.foundations.progress import Tell, silent
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import BLIND
 from imubayes.inference.density_mode import NormalProposal, differentiable, normal_about_mode
-from imubayes.inference.density_proposal import Search, finite_starts
+from imubayes.inference.density_proposal import ProposalSearch, finite_starts
 from imubayes.inference.ensemble_sampling import Chains, Settings, walkers_for
 from imubayes.inference.ensemble_sampling import sample as sample_ensembles
-from imubayes.inference.gradient_moves import gradient_move
+from imubayes.inference.gradient_moves import GradientMove, Single, gradient_move
 from imubayes.inference.laplace_proposal import WeighedProposal
 from imubayes.inference.user_function import CountedDensity, of_many_points
 
@@ -43,7 +43,7 @@ else:
 _OVERDISPERSION = 2.0
 # Without a proposal the starts are no draws of the target: 150 of these steps are left out as burn-in.
 _LEAST_STEPS = 400
-MOST_EVALUATIONS, MOST_WITH_GRADIENTS = 2_000_000, 40_000_000
+MOST_EVALUATIONS, MOST_WITH_GRADIENTS = 2_000_000, 100_000_000
 """Budgets of evaluations: of a function that is called, and of one that gradients lead through, compiled as a whole."""
 # Of so many steps the budget has to allow at least as many as judge a chain.
 _FEWEST_STEPS = 40
@@ -136,7 +136,7 @@ def sample(
     names : of the D parameters; ``x0``, ``x1``, … where none are given.
     settings : number of ensembles and walkers, seed, fewest and most steps.
     most_evaluations : budget of evaluations of the density at a point, with or without its gradient; a block of steps
-        may go beyond it.  None for 2 million, 40 million where gradients lead the chains.
+        may go beyond it.  None for 2 million, 100 million where gradients lead the chains.
     checkpoint : file in which the chains are kept; a temporary one where None.
     resume : continue the checkpoint.
     progress : called with a line on the steps done, how far the chains are from their goals, and the evaluations.
@@ -154,33 +154,61 @@ def sample(
     >>> normal.converged
     True
     """
-    settings, tell = settings or Settings(), progress or silent
+    settings = settings or Settings()
     centre = np.atleast_1d(np.asarray(start, dtype=float))
     widths = np.broadcast_to(np.asarray(scale, dtype=float), centre.shape)
     names = _checked_names(names, len(centre))
-    walkers = walkers_for(len(centre), settings)
-    most = _checked_budget(most_evaluations, walkers * settings.ensembles)
-    wide = NormalProposal(centre, np.diag(_OVERDISPERSION * widths))
-    random = np.random.default_rng([settings.seed, 1])
-    of_many = of_many_points(log_density, wide.to_point(random.normal(size=(walkers, len(centre))))[0], widths)
-    density, scaled = CountedDensity(of_many, most), differentiable(of_many, centre, widths)
-    starts = _checked_starts(finite_starts(density, wide, walkers, settings.ensembles, [settings.seed, 1]))
-    laplace = None if scaled is None else normal_about_mode(scaled, centre, widths, density.spend)
-    search = Search(density, starts, settings, tell)
-    weighed = search.proposal(laplace)
-    gradients = None
-    if weighed is None:
+    most = _checked_budget(most_evaluations, walkers_for(len(centre), settings) * settings.ensembles)
+    density, scaled = _counted(log_density, centre, widths, most, settings)
+    found = _begun(density, scaled, centre, widths, settings, progress or silent)
+    if found.gradients is not None and most_evaluations is None:
+        density.most = MOST_WITH_GRADIENTS
+    if found.weighed is None:
         settings = replace(settings, least_steps=settings.least_steps or _LEAST_STEPS)
-        gradients = None if scaled is None else gradient_move(scaled, centre, widths, density.spend)
-        density.most = MOST_WITH_GRADIENTS if gradients is not None and most_evaluations is None else most
-        starts = search.starts
-    else:
-        starts = _of_proposal(weighed, walkers, settings)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(checkpoint) if checkpoint is not None else Path(folder) / "checkpoint.h5"
-        file = _checkpoint(path, starts[0].shape, names, settings, resume)
-        chains = sample_ensembles(density, starts, names, settings, file, weighed, tell, gradients, density)
+        file = _checkpoint(path, found.starts[0].shape, names, settings, resume)
+        moves = found.weighed, progress, found.gradients
+        chains = sample_ensembles(density, found.starts, names, settings, file, *moves, density)
         return Samples(names, chains, density.used, density.most, _ended(chains, density, file.steps))
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """Where ensembles begin, and by which moves they go on: of a proposal, or along gradients where there is none."""
+
+    starts: list[np.ndarray]
+    weighed: WeighedProposal | None
+    gradients: GradientMove | None
+
+
+def _counted(
+    log_density: Callable[[Any], Any], centre: np.ndarray, widths: np.ndarray, most: int, settings: Settings
+) -> tuple[CountedDensity, Single | None]:
+    """Return the density of many points, counted, and that of one at (x − start)/scale where JAX differentiates it."""
+    random = np.random.default_rng([settings.seed, 1])
+    tried = centre + _OVERDISPERSION * widths * random.normal(size=(walkers_for(len(centre), settings), len(centre)))
+    of_many = of_many_points(log_density, tried, widths)
+    return CountedDensity(of_many, most), differentiable(of_many, centre, widths)
+
+
+def _begun(
+    density: CountedDensity,
+    scaled: Single | None,
+    centre: np.ndarray,
+    widths: np.ndarray,
+    settings: Settings,
+    tell: Tell,
+) -> _Begun:
+    walkers, wide = walkers_for(len(centre), settings), NormalProposal(centre, np.diag(_OVERDISPERSION * widths))
+    starts = _checked_starts(finite_starts(density, wide, walkers, settings.ensembles, [settings.seed, 1]))
+    laplace = None if scaled is None else normal_about_mode(scaled, centre, widths, density.spend)
+    search = ProposalSearch(density, starts, settings, tell)
+    weighed = search.proposal(laplace)
+    if weighed is not None:
+        return _Begun(_of_proposal(weighed, walkers, settings), weighed, None)
+    gradients = None if scaled is None else gradient_move(scaled, centre, widths, density.spend)
+    return _Begun(search.starts, None, gradients)
 
 
 def _ended(chains: Chains, density: CountedDensity, steps: int) -> str:
