@@ -119,13 +119,10 @@ def sample(
 ) -> Samples:
     """Sample a log density of your own by independent ensembles.
 
-    A function that JAX can differentiate, in double precision, is sampled from its mode and Laplace covariance, where
-    chains from the stated starts agree; otherwise from a mixture that is fitted to such chains, as of two modes or
-    beside a hard edge.  Where no proposal holds it, as of a funnel, Hamiltonian Monte Carlo follows the local geometry
-    of a JAX function, if `imubayes[gradient]` is installed, and stretch and differential-evolution moves that of
-    others.  The ensembles run until nested R̂ and the effective sample sizes of all parameters and of the log density
-    are sufficient, or the budget of evaluations is used up: the answer is not converged then, and its message says so.
-    A mode that no walker came near is not seen.
+    They have a proposal where JAX tells the mode, or from chains from the stated starts, which have to agree with it;
+    without one, Hamiltonian Monte Carlo follows a JAX function if `imubayes[gradient]` is installed.  They run until
+    nested R̂ and all effective sample sizes suffice, or the budget of evaluations is used up: then the answer is not
+    converged, and its message says so.  A mode that no walker came near is not seen.
 
     Parameters
     ----------
@@ -134,7 +131,7 @@ def sample(
     start : shape (D,), a point within the bulk of the density.
     scale : shape (D,) or one for all, the rough standard deviation of each parameter; it covers all modes that matter.
     names : of the D parameters; ``x0``, ``x1``, … where none are given.
-    settings : number of ensembles and walkers, seed, fewest and most steps.
+    settings : of the sampler.
     most_evaluations : budget of evaluations of the density at a point, with or without its gradient; a block of steps
         may go beyond it.  None for 2 million, 100 million where gradients lead the chains.
     checkpoint : file in which the chains are kept; a temporary one where None.
@@ -144,8 +141,7 @@ def sample(
     Raises
     ------
     InputError
-        for names that do not fit the start, a log density of another shape or not finite at any start, a budget that
-        allows no chain, and a checkpoint to be resumed that is missing, damaged or of other parameters or settings.
+        for names, a log density, a start, a budget or a checkpoint to be resumed that do not fit.
 
     Examples
     --------
@@ -154,15 +150,13 @@ def sample(
     >>> normal.converged
     True
     """
-    settings = settings or Settings()
+    settings, names = settings or Settings(), _checked_names(names, np.size(start))
     centre = np.atleast_1d(np.asarray(start, dtype=float))
     widths = np.broadcast_to(np.asarray(scale, dtype=float), centre.shape)
-    names = _checked_names(names, len(centre))
     most = _checked_budget(most_evaluations, walkers_for(len(centre), settings) * settings.ensembles)
     density, scaled = _counted(log_density, centre, widths, most, settings)
     found = _begun(density, scaled, centre, widths, settings, progress or silent)
-    if found.gradients is not None and most_evaluations is None:
-        density.most = MOST_WITH_GRADIENTS
+    density.most = MOST_WITH_GRADIENTS if found.gradients is not None and most_evaluations is None else most
     if found.weighed is None:
         settings = replace(settings, least_steps=settings.least_steps or _LEAST_STEPS)
     with tempfile.TemporaryDirectory() as folder:
