@@ -11,8 +11,11 @@ import pytest
 import imubayes
 from imubayes.foundations.errors import InputError
 from imubayes.inference.convergence import nested_r_hat
+from imubayes.inference.density_mode import NormalProposal, differentiable, normal_about_mode
+from imubayes.inference.density_proposal import agrees, finite_starts
 from imubayes.inference.ensemble_sampling import Settings, without_strays
-from imubayes.inference.user_density import differentiable, normal_about_mode
+from imubayes.inference.laplace_proposal import weigh
+from imubayes.inference.user_function import CountedDensity, of_many_points
 
 COVARIANCE = np.array([[4.0, 1.2], [1.2, 1.0]])
 MEAN = np.array([10.0, -3.0])
@@ -185,6 +188,155 @@ def test_two_modes_within_the_starts_are_both_sampled():
     assert found.converged, found.message
     assert 0.4 < np.mean(found.draws[:, 0] > 2.5) < 0.6
     assert "a mode that no walker came near" in found.blind_to
+
+
+def two_modes(point):
+    """Return the log density of modes 10 sd apart in five dimensions, of 0.3 and 0.7 of the mass; one point (5,)."""
+    first, rest = point[0], jnp.sum(point[1:] ** 2)
+    low, high = jnp.log(0.3) - 0.5 * (first + 5) ** 2, jnp.log(0.7) - 0.5 * (first - 5) ** 2
+    return jnp.logaddexp(low, high) - 0.5 * rest
+
+
+@pytest.mark.parametrize("start", [1.0, pytest.param(-2.0, marks=pytest.mark.slow)])
+def test_a_start_between_two_modes_finds_both_with_their_shares(start):
+    """From here Newton steps lead to one mode, whose normal distribution holds all that its own draws see."""
+    about = np.array([start, 0, 0, 0, 0]), np.full(5, 5.0)
+    batched = jax.jit(jax.vmap(two_modes))
+    laplace = normal_about_mode(differentiable(batched, *about), *about)
+    assert abs(laplace.centre[0]) == pytest.approx(5, abs=1e-3)
+    judged = weigh(lambda points: np.asarray(batched(points)), laplace, 4, 1000, 0)
+    assert judged.acceptance > 0.99
+    assert judged.largest < 2
+    found = imubayes.sample(batched, *about)
+    assert found.converged, found.message
+    assert np.mean(found.draws[:, 0] < 0) == pytest.approx(0.3, abs=0.02)
+
+
+def test_walkers_where_a_proposal_never_comes_are_against_it():
+    def density(points):
+        return -0.5 * (points**2).sum(axis=1)
+
+    found = weigh(density, NormalProposal(np.zeros(5), np.eye(5)), 4, 1000, 0)
+    walkers = np.random.default_rng(0).normal(size=(64, 5))
+    assert agrees(found, walkers, density(walkers))
+    # A second mode as high as the first, for three of them; where it is as low as the proposal they say nothing.
+    walkers[:3, 0] += 10
+    assert not agrees(found, walkers, np.where(walkers[:, 0] > 5, 0.0, density(walkers)))
+    assert agrees(found, walkers, density(walkers))
+
+
+def log_exponentials(points):
+    """Return the log density of independent exponentials, with a hard edge at zero."""
+    return jnp.where(jnp.all(points > 0, axis=1), -points.sum(axis=1), -jnp.inf)
+
+
+def test_starts_are_where_the_density_is():
+    """Beside an edge in five directions one start in thirty has a density; walkers do not leave the others."""
+    density = CountedDensity(lambda points: np.asarray(log_exponentials(points)), 10**6)
+    wide = NormalProposal(np.full(5, 0.01), 3 * np.eye(5))
+    starts = finite_starts(density, wide, 64, 4, [0])
+    assert [start.shape for start in starts] == 4 * [(64, 5)]
+    assert np.isfinite(density(np.concatenate(starts))).all()
+    assert len(np.unique(np.concatenate(starts), axis=0)) > 100
+    assert density.used < 20 * 256
+    assert finite_starts(CountedDensity(lambda points: np.full(len(points), -np.inf), 10**6), wide, 64, 4, [0]) == []
+
+
+@pytest.mark.slow
+def test_hard_edges_are_sampled():
+    found = imubayes.sample(jax.jit(log_exponentials), np.ones(5), 1.0)
+    assert found.converged, found.message
+    assert found.evaluations <= found.most_evaluations
+    np.testing.assert_allclose(found.draws.mean(axis=0), 1, atol=0.05)
+    np.testing.assert_allclose(found.draws.std(axis=0), 1, atol=0.07)
+    np.testing.assert_allclose(np.mean(found.draws < 0.0513, axis=0), 0.05, atol=0.01)
+
+
+def regression(seed=3, rows=46):
+    """Return the logarithms of seven measures of a shrub, collinear as those of mesquites are, and of its weight."""
+    random = np.random.default_rng(seed)
+    size = random.normal(size=(rows, 1))
+    measures = size + 0.3 * random.normal(size=(rows, 5))
+    design = np.concatenate([np.ones((rows, 1)), measures, random.integers(2, size=(rows, 1))], axis=1)
+    return design, design @ np.array([5.0, 0.4, 1.1, 0.4, 0.4, 0.1, -0.6]) + 0.33 * random.normal(size=rows)
+
+
+def test_a_regression_of_eight_parameters_with_a_flat_scatter_has_its_exact_posterior():
+    """Flat σ: coefficients are t distributed with n − p − 1 degrees of freedom about the least squares ones."""
+    design, observed = regression()
+    rows, columns = design.shape
+
+    def density(point):
+        away = (observed - design @ point[:-1]) / point[-1]
+        return jnp.where(point[-1] > 0, -0.5 * away @ away - rows * jnp.log(point[-1]), -jnp.inf)
+
+    normal = np.linalg.inv(design.T @ design)
+    exact = normal @ design.T @ observed
+    left = observed - design @ exact
+    freedom = rows - columns - 1
+    sd = np.sqrt(np.diag(normal) * (left @ left) / freedom * freedom / (freedom - 2))
+    start, scale = np.append(exact + sd, 0.4), np.append(sd, 0.05)
+    found = imubayes.sample(density, start, scale)
+    assert found.converged, found.message
+    assert found.evaluations < 300_000
+    np.testing.assert_allclose((found.draws[:, :-1].mean(axis=0) - exact) / sd, 0, atol=0.06)
+    np.testing.assert_allclose(found.draws[:, :-1].std(axis=0) / sd, 1, atol=0.05)
+
+
+def test_a_budget_that_is_used_up_is_said_and_is_no_convergence():
+    told = []
+
+    def spike_and_slab(points):
+        return np.logaddexp(-0.5 * (points**2).sum(axis=1), 46 - 0.5e4 * ((points - 3) ** 2).sum(axis=1))
+
+    found = imubayes.sample(spike_and_slab, np.zeros(10), most_evaluations=80_000, progress=told.append)
+    assert not found.converged
+    assert found.most_evaluations == 80_000
+    assert 70_000 < found.evaluations < 90_000
+    assert "the budget was used up" in found.message
+    assert "`most_evaluations`" in found.message
+    assert "of 80000 evaluations" in told[-1]
+    assert any("from the start" in line for line in told)
+    with pytest.raises(InputError, match="allow no chain"):
+        imubayes.sample(log_normal, [9.0, -2.0], most_evaluations=1000)
+
+
+def branching(point):
+    if point[0] < 0:
+        return -float("inf")
+    return -float(point[0] + 0.5 * point[1] ** 2)
+
+
+@pytest.mark.parametrize(
+    "single",
+    [
+        lambda point: -0.5 * (point[0] ** 2 + point[1] ** 2),
+        lambda point: -0.5 * jnp.sum(point**2),
+        lambda point: -0.5 * np.dot(point, point),
+        lambda point: next(-0.5 * (a * a + b * b) for a, b in [point]),
+        branching,
+    ],
+    ids=["indices", "sum", "numpy", "unpacked", "branches"],
+)
+def test_a_function_of_one_point_is_taken_as_such(single):
+    points = np.random.default_rng(0).normal(size=(64, 2)) + 1
+    many = of_many_points(single, points, np.ones(2))
+    np.testing.assert_allclose(many(points), [float(single(point)) for point in points], rtol=1e-6)
+    assert np.shape(many(points[:7])) == (7,)
+
+
+def test_a_function_of_one_point_is_sampled_and_its_own_errors_are_handed_on():
+    found = imubayes.sample(lambda point: -0.5 * ((point[0] - 1) ** 2 + point[1] ** 2), [0.0, 0.0])
+    assert found.converged, found.message
+    np.testing.assert_allclose(found.draws.mean(axis=0), [1, 0], atol=0.05)
+
+    def broken(points):
+        raise ZeroDivisionError("a fault of its own")
+
+    with pytest.raises(ZeroDivisionError, match="of its own"):
+        imubayes.sample(broken, [0.0, 0.0])
+    with pytest.raises(InputError, match=r"has shape \(64, 2\)"):
+        imubayes.sample(lambda points: -0.5 * points**2, [0.0, 0.0])
 
 
 def test_the_normal_about_a_mode_has_its_covariance():

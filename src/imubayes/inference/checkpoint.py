@@ -8,7 +8,7 @@ other data would look like an answer.
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import lazy_loader
@@ -119,6 +119,21 @@ class Checkpoint:
     def steps(self) -> int:
         """Number of whole steps of all ensembles."""
         return steps_in(self.path)
+
+
+def append(backend: "emcee.backends.HDFBackend", block: "emcee.backends.Backend") -> None:
+    """Append the steps of a block in memory to a backend, at once: one by one they take longer than sampling does."""
+    steps = block.iteration
+    backend.grow(steps, None)
+    with backend.open("a") as file:
+        group: Any = file[backend.name]
+        taken = int(group.attrs["iteration"])
+        group["chain"][taken : taken + steps] = block.get_chain()
+        group["log_prob"][taken : taken + steps] = block.get_log_prob()
+        group["accepted"][:] += block.accepted
+        for place, value in enumerate(block.random_state or ()):
+            group.attrs[f"random_state_{place}"] = value
+        group.attrs["iteration"] = taken + steps
 
 
 def steps_in(path: Path) -> int:

@@ -14,19 +14,21 @@ along it.  Such walkers are drawn anew in the burn-in, from those in the bulk of
 """
 
 import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import lazy_loader
 import numpy as np
 
 from imubayes.foundations.progress import duration, silent
-from imubayes.inference.checkpoint import Checkpoint
+from imubayes.inference.checkpoint import Checkpoint, append
 from imubayes.inference.convergence import MOST_DRAWS, STAYS, Convergence, diagnose, far_below, normal_length
 from imubayes.inference.gradient_moves import GradientMove
 from imubayes.inference.laplace_proposal import BatchedDensity, LaplaceMove, WeighedProposal
+from imubayes.inference.mixture_proposal import MixtureProposal
 
 if TYPE_CHECKING:
     import emcee
@@ -36,6 +38,8 @@ else:
 # Stretch and DE moves, the safety net for what is not Gaussian, take this share of the steps beside a Laplace proposal,
 # and the second beside gradients, which lead to no other mode.  DESnookerMove of emcee 3.1.6 is biased.
 _OTHERS_SHARE_LAPLACE, _OTHERS_SHARE = 0.04, 0.4
+# Beside a mixture that is mostly refused, as at the corner of hard edges, they free the walkers that it leaves there.
+_OTHERS_SHARE_MIXTURE = 0.3
 # Short steps of the Laplace move, and the share of them; where independent draws are mostly refused, half of all.
 # In ten steps two walkers of three take a short one: it frees those few from which independent draws rarely lead.
 _SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.1, 0.5
@@ -99,6 +103,19 @@ class Chains:
     diagnosis: Convergence
 
 
+@runtime_checkable
+class Budget(Protocol):
+    """How many evaluations of the log density are allowed."""
+
+    most: int
+    used: int
+
+    @property
+    def left(self) -> int:
+        """Evaluations that are left."""
+        ...
+
+
 def thinned(chains: Chains, most: int) -> Chains:
     """Return chains of a size that is practical to store, at most about `most` draws: every nth step, all walkers."""
     each = math.ceil(chains.log_density.size / min(most, max(_LEAST_KEPT, _MOST_STORED // chains.points.shape[-1])))
@@ -120,8 +137,9 @@ def sample(
     weighed: WeighedProposal | None = None,
     progress: Callable[[str], None] | None = None,
     gradients: GradientMove | None = None,
+    budget: Budget | None = None,
 ) -> Chains:
-    """Sample until converged, or until the longest chain allowed.
+    """Sample until converged, until the longest chain allowed, or until a budget of evaluations is used up.
 
     Parameters
     ----------
@@ -132,30 +150,55 @@ def sample(
     weighed : the Laplace proposal with its importance weights; None without one.
     progress : called with a line on the steps done, the time left, and how far the chains are from their goals.
     gradients : the move of most steps where there is no proposal; None for stretch and DE moves alone.
+    budget : of evaluations, which what counts them goes beyond by a block at most; None without a bound.
     """
     ensembles = _ensembles(log_density, starts, settings, checkpoint, weighed, gradients)
     walkers, dimensions = starts[0].shape
     least, most = _lengths(len(starts), walkers, dimensions, settings, weighed)
     settled = 0 if _good(weighed) else min(_SETTLING, burn_in(least, weighed))
     tell, clock, begun = progress or silent, time.monotonic(), checkpoint.steps
-    taken, mixing = begun, ""
+    taken, mixing, cost = begun, "", _Cost(budget, len(starts) * walkers)
     while True:
-        if taken >= least:
+        if taken >= least or (taken and not cost.affordable):
             chains = _judged(checkpoint, names, weighed)
             mixing = _mixing(chains.diagnosis, weighed)
-            if chains.diagnosis.settled or taken >= most:
+            if chains.diagnosis.settled or taken >= most or not cost.affordable:
                 return chains
             least = min(taken + _lacking(chains), most)
-        steps = min(max(_BLOCK, taken // 4), (least if taken < least else most) - taken)
+        steps = min(max(_BLOCK, taken // 4), (least if taken < least else most) - taken, max(cost.affordable, _BLOCK))
         if _WATCHED <= taken <= settled:
             _redraw_strays(ensembles, checkpoint)
         with checkpoint.block() as backends:
             for ensemble, backend in zip(ensembles, backends, strict=True):
                 ensemble.advance(steps, backend)
         taken += steps
+        cost.took(steps)
         each = (time.monotonic() - clock) / (taken - begun)
         left = f" of {least}, about {duration(each * (least - taken))} left" if taken < least else ""
-        tell(f"sampling: step {taken}{left}{mixing}")
+        tell(f"sampling: step {taken}{left}{mixing}{cost.words()}")
+
+
+class _Cost:
+    """What steps cost of a budget of evaluations, from those that were taken."""
+
+    def __init__(self, budget: Budget | None, each: int):
+        self._budget, self._each, self._steps = budget, float(each), 0
+        self._before = budget.used if budget is not None else 0
+
+    def took(self, steps: int) -> None:
+        """Learn what a step costs."""
+        self._steps += steps
+        if self._budget is not None:
+            self._each = max((self._budget.used - self._before) / self._steps, 1.0)
+
+    @property
+    def affordable(self) -> int:
+        """Further steps that the budget allows."""
+        return int(self._budget.left / self._each) if self._budget is not None else sys.maxsize
+
+    def words(self) -> str:
+        """Return what was used of the budget."""
+        return f"; {self._budget.used} of {self._budget.most} evaluations" if self._budget is not None else ""
 
 
 def _redraw_strays(ensembles: "Sequence[_Ensemble]", checkpoint: Checkpoint) -> None:
@@ -225,11 +268,14 @@ class _Ensemble:
 
     def advance(self, steps: int, backend: "emcee.backends.HDFBackend") -> None:
         """Take a block of steps into a backend."""
-        self.sampler.backend = backend
+        block = emcee.backends.Backend()
+        block.reset(*self.state.coords.shape)
+        self.sampler.backend = block
         if self.move is not None:
             self.move.forget()
         for state in self.sampler.sample(self.state, iterations=steps, skip_initial_state_check=True):
             self.state = state
+        append(backend, block)
 
 
 def _ensembles(
@@ -247,8 +293,15 @@ def _ensembles(
         move = LaplaceMove(weighed.proposal, _SHORT_STEP, short_share) if weighed is not None else gradients
         state = _state(number, start, settings, checkpoint)
         walkers, dimensions = start.shape
-        ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move), move, state))
+        share = _others_share(weighed) if weighed is not None else _OTHERS_SHARE
+        ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move, share), move, state))
     return ensembles
+
+
+def _others_share(weighed: WeighedProposal) -> float:
+    """Return the share of stretch and DE moves beside a proposal."""
+    hard = isinstance(weighed.proposal, MixtureProposal) and not _good(weighed)
+    return _OTHERS_SHARE_MIXTURE if hard else _OTHERS_SHARE_LAPLACE
 
 
 def _good(weighed: WeighedProposal | None) -> bool:
@@ -257,9 +310,13 @@ def _good(weighed: WeighedProposal | None) -> bool:
 
 
 def _sampler(
-    log_density: BatchedDensity, walkers: int, dimensions: int, move: LaplaceMove | GradientMove | None
+    log_density: BatchedDensity,
+    walkers: int,
+    dimensions: int,
+    move: LaplaceMove | GradientMove | None = None,
+    share: float = 1.0,
 ) -> "emcee.EnsembleSampler":
-    share = _OTHERS_SHARE if isinstance(move, GradientMove) else _OTHERS_SHARE_LAPLACE
+    """Return a sampler with a move, and this share of stretch and DE moves beside it."""
     moves = [(emcee.moves.StretchMove(), share / 2), (emcee.moves.DEMove(), share / 2)]
     if move is not None:
         moves.append((move, 1 - share))
@@ -275,6 +332,16 @@ def _state(number: int, start: np.ndarray, settings: Settings, checkpoint: Check
         return state
     random = np.random.RandomState(np.random.SeedSequence([settings.seed, number]).generate_state(4))
     return emcee.State(start, random_state=random.get_state())
+
+
+def short_chain(
+    log_density: BatchedDensity, start: np.ndarray, steps: int, seed: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (steps, walkers, D) and log densities (steps, walkers) of an ensemble without a proposal."""
+    sampler = _sampler(log_density, *start.shape)
+    random = np.random.RandomState(np.random.SeedSequence(list(seed)).generate_state(4))
+    sampler.run_mcmc(emcee.State(start, random_state=random.get_state()), steps, skip_initial_state_check=True)
+    return np.asarray(sampler.get_chain()), np.asarray(sampler.get_log_prob())
 
 
 def burn_in(steps: int, weighed: WeighedProposal | None) -> int:

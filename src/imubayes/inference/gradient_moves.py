@@ -40,9 +40,11 @@ class GradientMove:
     ----------
     scaled : log density at (x − start)/scale.
     start, scale : shape (D,).
+    spend : called with the number of evaluations of each step: those that are computed for all walkers, which is as
+        many for each as the longest search for a step size takes.
     """
 
-    def __init__(self, scaled: Single, start: np.ndarray, scale: np.ndarray):
+    def __init__(self, scaled: Single, start: np.ndarray, scale: np.ndarray, spend: Callable[[int], None]):
         step_size = importlib.import_module("blackjax.mcmc.composed.step_size")  # takes long, and is an extra
         kernel, metric = step_size.build_kernel(max_search_steps=_DOUBLINGS), jnp.ones(len(start))
 
@@ -50,10 +52,13 @@ class GradientMove:
             value = scaled(at)
             return jnp.where(jnp.isnan(value), -jnp.inf, value)
 
-        def transition(key: jax.Array, point: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        def transition(key: jax.Array, point: jax.Array) -> tuple[jax.Array, ...]:
             state, about = kernel(key, step_size.init((point - start) / scale, density), density, _STEP, metric, _LEAPS)
-            return start + scale * state.position, state.logdensity, about.is_accepted
+            # One trajectory more than the doublings tells that they suffice, and one is the transition.
+            tried = jnp.abs(about.step_index) + jnp.abs(about.reverse_step_index) + 5
+            return start + scale * state.position, state.logdensity, about.is_accepted, tried
 
+        self._spend = spend
         self._transitions = jax.jit(jax.vmap(transition))
 
     def forget(self) -> None:
@@ -64,10 +69,13 @@ class GradientMove:
         keys = jax.random.split(jax.random.key(model.random.randint(2**31)), len(state.coords))
         # What blackjax promotes is no concern of the caller, who may have it refused.
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-            points, height, accepted = map(np.asarray, self._transitions(keys, state.coords))
+            points, height, accepted, tried = map(np.asarray, self._transitions(keys, state.coords))
+        self._spend(int(tried.max()) * _LEAPS * len(tried))
         return emcee.moves.Move().update(state, emcee.State(points, log_prob=height), accepted), accepted
 
 
-def gradient_move(scaled: Single, start: np.ndarray, scale: np.ndarray) -> GradientMove | None:
+def gradient_move(
+    scaled: Single, start: np.ndarray, scale: np.ndarray, spend: Callable[[int], None]
+) -> GradientMove | None:
     """Return the move of a log density at (x − start)/scale; None without blackjax, of the extra `gradient`."""
-    return GradientMove(scaled, start, scale) if importlib.util.find_spec("blackjax") is not None else None
+    return GradientMove(scaled, start, scale, spend) if importlib.util.find_spec("blackjax") is not None else None

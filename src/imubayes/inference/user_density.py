@@ -1,14 +1,12 @@
 """Sampling of any log density with the sampler of the fit: independent ensembles that run until they agree.
 
-Where JAX can differentiate the density, the ensembles have the Laplace approximation about its mode as a proposal, if
-its importance weights show that it holds the posterior.  It does not where a mode is a spike that holds next to nothing
-(a funnel), a tail is heavy, or draws about the user's start find more mass elsewhere (a second mode).  There most steps
-are Hamiltonian Monte Carlo with a step size that follows the local geometry (`imubayes.inference.gradient_moves`), if
-blackjax is installed.
+The ensembles have a proposal, if its importance weights show that it holds the posterior and chains from the stated
+starts agree with it (`imubayes.inference.density_proposal`): the normal distribution about the mode where JAX tells it,
+or a mixture fitted to where such chains were, as of two modes or beside a hard edge.  Where neither holds, as of a
+funnel, most steps are Hamiltonian Monte Carlo with a step size that follows the local geometry
+(`imubayes.inference.gradient_moves`), if JAX can differentiate the density and blackjax is installed.
 
-Strongly correlated parameters make a ridge; starts of the right standard deviations without the correlations lie far
-off it, and walkers that begin there may never arrive.  A JAX function tells its gradient, so the mode is found by
-Newton steps and the correlations come with it.
+All evaluations of the density are counted, and a budget of them ends the sampling.
 """
 
 import hashlib
@@ -17,21 +15,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import jax
-import jax.numpy as jnp
 import lazy_loader
 import numpy as np
 from arviz_base import from_dict
 
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.progress import Tell, silent
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.convergence import BLIND, WORST_PARETO_K
+from imubayes.inference.convergence import BLIND
+from imubayes.inference.density_mode import NormalProposal, differentiable, normal_about_mode
+from imubayes.inference.density_proposal import ProposalSearch, finite_starts
 from imubayes.inference.ensemble_sampling import Chains, Settings, walkers_for
 from imubayes.inference.ensemble_sampling import sample as sample_ensembles
-from imubayes.inference.gradient_moves import Single, gradient_move
-from imubayes.inference.laplace_proposal import BatchedDensity, WeighedProposal, weigh, weigh_tail
+from imubayes.inference.gradient_moves import GradientMove, Single, gradient_move
+from imubayes.inference.laplace_proposal import WeighedProposal
+from imubayes.inference.user_function import CountedDensity, of_many_points
 
 if TYPE_CHECKING:
     import xarray
@@ -39,116 +39,14 @@ else:
     xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
 
 
-# Newton steps at most, and the decrement g·H⁻¹g below which a mode is found: a thousandth of a standard deviation.
-_NEWTON_STEPS, _DECREMENT = 100, 1e-6
-# Gradients are differenced over this share of the conditional standard deviation.
-_DIFFERENCE = 1e-3
-# Curvatures below this share of the largest are taken for this share: flat directions are not followed for ever.
-_FLAT = 1e-14
-
-
-@dataclass(frozen=True)
-class NormalProposal:
-    """A normal distribution as a proposal: point = centre + axes · standard normal.
-
-    Attributes
-    ----------
-    centre : shape (D,).
-    axes : shape (D, D), invertible.
-    """
-
-    centre: np.ndarray
-    axes: np.ndarray
-
-    @property
-    def dimensions(self) -> int:
-        """Number D of parameters."""
-        return len(self.centre)
-
-    def to_point(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the points of standard normal vectors, (n, D), and the log density of the proposal, (n,)."""
-        return self.centre + normal @ self.axes.T, self._density(normal)
-
-    def to_normal(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the standard normal vectors of points, (n, D), and the log density of the proposal, (n,)."""
-        normal = np.linalg.solve(self.axes, (points - self.centre).T).T
-        return normal, self._density(normal)
-
-    def _density(self, normal: np.ndarray) -> np.ndarray:
-        constant = 0.5 * self.dimensions * np.log(2 * np.pi) + np.linalg.slogdet(self.axes)[1]
-        return -0.5 * np.sum(normal**2, axis=1) - constant
-
-
-def normal_about_mode(scaled: Single, start: np.ndarray, scale: np.ndarray) -> NormalProposal | None:
-    """Return the Laplace approximation of a log density, from Newton steps with the absolute values of its curvatures.
-
-    None where no mode is found.
-
-    Parameters
-    ----------
-    scaled : log density at (x − start)/scale.
-    start, scale : shape (D,), where the search begins, and rough standard deviations.
-    """
-    whole = jax.jit(jax.vmap(jax.value_and_grad(scaled)))
-
-    def gradients(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        value, slope = whole(jnp.asarray(at))
-        return np.asarray(value), np.asarray(slope)
-
-    size = len(start)
-    at, apart = np.zeros(size), np.full(size, _DIFFERENCE)
-    for _ in range(_NEWTON_STEPS):
-        offsets = np.concatenate([np.zeros((1, size)), np.diag(apart), -np.diag(apart)])
-        value, slope = gradients(at + offsets)
-        if not (np.isfinite(value[0]) and np.all(np.isfinite(slope))):
-            return None
-        curvature = -(slope[1 : size + 1] - slope[size + 1 :]) / (2 * apart[:, None])
-        found, axes = np.linalg.eigh((curvature + curvature.T) / 2)
-        strength = np.maximum(np.abs(found), _FLAT * np.abs(found).max() or 1.0)
-        step = axes @ (axes.T @ slope[0] / strength)
-        if slope[0] @ step < _DECREMENT:
-            flat = found.min() <= _FLAT * found.max()
-            return None if flat else NormalProposal(start + scale * at, scale[:, None] * axes / np.sqrt(found))
-        shorter = at + 0.5 ** np.arange(2 * size + 1)[:, None] * step
-        heights = gradients(shorter)[0]
-        best = int(np.nanargmax(np.where(np.isfinite(heights), heights, -np.inf)))
-        if not heights[best] > value[0]:
-            return None
-        at = shorter[best]
-        apart = _DIFFERENCE / np.sqrt(np.maximum(np.abs(np.diag(curvature)), strength.max() * _FLAT))
-    return None
-
-
-def differentiable(log_density: BatchedDensity, start: np.ndarray, scale: np.ndarray) -> Single | None:
-    """Return the log density of one point (x − start)/scale, (D,); None where JAX cannot differentiate it.
-
-    None as well in single precision, where differences of gradients tell no curvature.
-    """
-
-    def single(scaled: jax.Array) -> jax.Array:
-        return jnp.asarray(log_density(jnp.asarray(start + scale * scaled)[None]))[0]  # pyright: ignore
-
-    if not jax.config.jax_enable_x64:
-        return None
-    try:
-        jax.make_jaxpr(jax.value_and_grad(single))(jnp.zeros(len(start)))
-    # Whatever the function does not take: it is of NumPy, it branches on values, it calls other programs.
-    except Exception:
-        return None
-    return single
-
-
 # Starts are wider than the target is said to be, so that a second mode nearby is met by one of the ensembles.
 _OVERDISPERSION = 2.0
-# Without a Laplace proposal the starts are no draws of the target: 150 of these steps are left out as burn-in.
+# Without a proposal the starts are no draws of the target: 150 of these steps are left out as burn-in.
 _LEAST_STEPS = 400
-# Walkers that give less than some effective draws in so many steps will mostly never do.
-_MOST_STEPS = 5000
-# Draws whose importance weights judge a proposal, of all ensembles together.
-_TRIAL = 4000
-# A proposal that is taken less often is no help, and one that misses this share of the mass, and more than so many
-# standard errors of it, is no measure.
-_LEAST_ACCEPTANCE, _MISSED, _ERRORS = 0.1, 0.05, 4.0
+MOST_EVALUATIONS, MOST_WITH_GRADIENTS = 2_000_000, 100_000_000
+"""Budgets of evaluations: of a function that is called, and of one that gradients lead through, compiled as a whole."""
+# Of so many steps the budget has to allow at least as many as judge a chain.
+_FEWEST_STEPS = 40
 
 
 @dataclass(frozen=True)
@@ -159,6 +57,9 @@ class Samples:
     ----------
     names : of the D parameters.
     chains : draws, log densities, acceptance and convergence, with burn-in removed.
+    evaluations : of the log density at one point, with or without its gradient, that this took.
+    most_evaluations : the budget of them.
+    ended : why the sampling ended without convergence, and what to do, in a sentence; empty where it converged.
 
     Examples
     --------
@@ -170,6 +71,9 @@ class Samples:
 
     names: tuple[str, ...]
     chains: Chains
+    evaluations: int
+    most_evaluations: int
+    ended: str = ""
 
     @property
     def draws(self) -> np.ndarray:
@@ -183,8 +87,8 @@ class Samples:
 
     @property
     def message(self) -> str:
-        """What did not converge, in a sentence; empty where all did."""
-        return self.chains.diagnosis.message
+        """What did not converge, why it ended and what to do, in sentences; empty where all did."""
+        return f"{self.chains.diagnosis.message} {self.ended}".strip()
 
     @property
     def blind_to(self) -> str:
@@ -202,41 +106,42 @@ class Samples:
 
 
 def sample(
-    log_density: BatchedDensity,
+    log_density: Callable[[Any], Any],
     start: np.ndarray | Sequence[float],
     scale: np.ndarray | Sequence[float] | float = 1.0,
     names: Sequence[str] = (),
     *,
     settings: Settings | None = None,
+    most_evaluations: int | None = None,
     checkpoint: str | Path | None = None,
     resume: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Samples:
-    """Sample a log density of your own by independent ensembles of stretch and differential-evolution moves.
+    """Sample a log density of your own by independent ensembles.
 
-    A function that JAX can differentiate, in double precision, is sampled from its mode and Laplace covariance, where
-    these hold it; where they do not, by Hamiltonian Monte Carlo that follows the local geometry, as of a funnel, if
-    `imubayes[gradient]` is installed.  The ensembles run until nested R̂ and the effective sample sizes of all
-    parameters and of the log density are sufficient, or `settings.most_steps` (5000 where it is 0 and there is no
-    proposal) is reached.  A mode that no walker came near is not seen.
+    They have a proposal where JAX tells the mode, or from chains from the stated starts, which have to agree with it;
+    without one, Hamiltonian Monte Carlo follows a JAX function if `imubayes[gradient]` is installed.  They run until
+    nested R̂ and all effective sample sizes suffice, or the budget of evaluations is used up: then the answer is not
+    converged, and its message says so.  A mode that no walker came near is not seen.
 
     Parameters
     ----------
-    log_density : points (n, D) → (n,), up to a constant; −∞ or NaN where the density is zero.  A JAX function of one
-        point becomes such a function by ``jax.jit(jax.vmap(function))``.
+    log_density : points (n, D) → (n,), or a point (D,) → a number, up to a constant; −∞ or NaN where the density is
+        zero.  A function of one point is vectorised, by JAX where JAX takes it, and called point by point otherwise.
     start : shape (D,), a point within the bulk of the density.
-    scale : shape (D,) or one for all, the rough standard deviation of each parameter.
+    scale : shape (D,) or one for all, the rough standard deviation of each parameter; it covers all modes that matter.
     names : of the D parameters; ``x0``, ``x1``, … where none are given.
-    settings : number of ensembles and walkers, seed, fewest and most steps.
+    settings : of the sampler.
+    most_evaluations : budget of evaluations of the density at a point, with or without its gradient; a block of steps
+        may go beyond it.  None for 2 million, 100 million where gradients lead the chains.
     checkpoint : file in which the chains are kept; a temporary one where None.
     resume : continue the checkpoint.
-    progress : called with a line on the steps done and how far the chains are from their goals.
+    progress : called with a line on the steps done, how far the chains are from their goals, and the evaluations.
 
     Raises
     ------
     InputError
-        for names that do not fit the start, a log density of another shape or not finite at any start, and a
-        checkpoint to be resumed that is missing, damaged or of other parameters or settings.
+        for names, a log density, a start, a budget or a checkpoint to be resumed that do not fit.
 
     Examples
     --------
@@ -245,59 +150,83 @@ def sample(
     >>> normal.converged
     True
     """
-    settings = settings or Settings()
+    settings, names = settings or Settings(), _checked_names(names, np.size(start))
     centre = np.atleast_1d(np.asarray(start, dtype=float))
     widths = np.broadcast_to(np.asarray(scale, dtype=float), centre.shape)
-    names = tuple(names) or tuple(f"x{place}" for place in range(len(centre)))
-    wide = NormalProposal(centre, np.diag(_OVERDISPERSION * widths))
-    _check(log_density, _starts(wide, None, settings)[0], names)
-    density, scaled = _without_nan(log_density), differentiable(log_density, centre, widths)
-    laplace = None if scaled is None else normal_about_mode(scaled, centre, widths)
-    weighed = _weighed(density, laplace, wide, settings)
-    gradients = None if weighed is not None or scaled is None else gradient_move(scaled, centre, widths)
-    starts = _starts(wide, weighed, settings)
-    settings = settings if weighed is not None else _of_some_length(settings)
+    most = _checked_budget(most_evaluations, walkers_for(len(centre), settings) * settings.ensembles)
+    density, scaled = _counted(log_density, centre, widths, most, settings)
+    found = _begun(density, scaled, centre, widths, settings, progress or silent)
+    density.most = MOST_WITH_GRADIENTS if found.gradients is not None and most_evaluations is None else most
+    if found.weighed is None:
+        settings = replace(settings, least_steps=settings.least_steps or _LEAST_STEPS)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(checkpoint) if checkpoint is not None else Path(folder) / "checkpoint.h5"
-        file = _checkpoint(path, starts[0].shape, names, settings, resume)
-        return Samples(names, sample_ensembles(density, starts, names, settings, file, weighed, progress, gradients))
+        file = _checkpoint(path, found.starts[0].shape, names, settings, resume)
+        moves = found.weighed, progress, found.gradients
+        chains = sample_ensembles(density, found.starts, names, settings, file, *moves, density)
+        return Samples(names, chains, density.used, density.most, _ended(chains, density, file.steps))
 
 
-def _of_some_length(settings: Settings) -> Settings:
-    """Return the settings with lengths for chains without a proposal where they state none."""
-    least = settings.least_steps or _LEAST_STEPS
-    return replace(settings, least_steps=least, most_steps=settings.most_steps or max(least, _MOST_STEPS))
+@dataclass(frozen=True)
+class _Begun:
+    """Where ensembles begin, and by which moves they go on: of a proposal, or along gradients where there is none."""
+
+    starts: list[np.ndarray]
+    weighed: WeighedProposal | None
+    gradients: GradientMove | None
 
 
-def _starts(wide: NormalProposal, weighed: WeighedProposal | None, settings: Settings) -> list[np.ndarray]:
-    """Return the first points of each ensemble, (walkers, D): about the start, or of a proposal by its weights.
+def _counted(
+    log_density: Callable[[Any], Any], centre: np.ndarray, widths: np.ndarray, most: int, settings: Settings
+) -> tuple[CountedDensity, Single | None]:
+    """Return the density of many points, counted, and that of one at (x − start)/scale where JAX differentiates it."""
+    random = np.random.default_rng([settings.seed, 1])
+    tried = centre + _OVERDISPERSION * widths * random.normal(size=(walkers_for(len(centre), settings), len(centre)))
+    of_many = of_many_points(log_density, tried, widths)
+    return CountedDensity(of_many, most), differentiable(of_many, centre, widths)
+
+
+def _begun(
+    density: CountedDensity,
+    scaled: Single | None,
+    centre: np.ndarray,
+    widths: np.ndarray,
+    settings: Settings,
+    tell: Tell,
+) -> _Begun:
+    walkers, wide = walkers_for(len(centre), settings), NormalProposal(centre, np.diag(_OVERDISPERSION * widths))
+    starts = _checked_starts(finite_starts(density, wide, walkers, settings.ensembles, [settings.seed, 1]))
+    laplace = None if scaled is None else normal_about_mode(scaled, centre, widths, density.spend)
+    search = ProposalSearch(density, starts, settings, tell)
+    weighed = search.proposal(laplace)
+    if weighed is not None:
+        return _Begun(_of_proposal(weighed, walkers, settings), weighed, None)
+    gradients = None if scaled is None else gradient_move(scaled, centre, widths, density.spend)
+    return _Begun(search.starts, None, gradients)
+
+
+def _ended(chains: Chains, density: CountedDensity, steps: int) -> str:
+    """Return why chains of so many steps ended without convergence, and what to do; empty where they converged."""
+    if chains.diagnosis.converged:
+        return ""
+    used = f"{density.used} evaluations of the log density, of a budget of {density.most}"
+    if density.left < density.used / steps:
+        remedy = "allow more by `most_evaluations`, or state a `start` and `scale` nearer to the density"
+        return f"It ended after {steps} steps as the budget was used up ({used}): {remedy}."
+    remedy = "allow more by `settings.most_steps`, or write the density in other parameters"
+    return (
+        f"It ended after {steps} steps, the most that settings or memory allow, or that would help ({used}): {remedy}."
+    )
+
+
+def _of_proposal(weighed: WeighedProposal, walkers: int, settings: Settings) -> list[np.ndarray]:
+    """Return the first points of each ensemble, (walkers, D), from a proposal by its weights.
 
     A walker that begins where a proposal is next to impossible would stay there for as long as its weight is large.
     """
-    walkers, random = walkers_for(wide.dimensions, settings), np.random.default_rng([settings.seed, 1])
-    if weighed is not None:
-        state = np.random.RandomState(random.integers(2**32, size=4))
-        return [weighed.resampled(ensemble, walkers, state) for ensemble in range(settings.ensembles)]
-    size = (settings.ensembles * walkers, wide.dimensions)
-    return np.split(wide.to_point(random.normal(size=size))[0], settings.ensembles)
-
-
-def _weighed(
-    density: BatchedDensity, laplace: NormalProposal | None, wide: NormalProposal, settings: Settings
-) -> WeighedProposal | None:
-    """Return the Laplace approximation with its weights; None where it does not hold the density."""
-    if laplace is None:
-        return None
-    count = max(_TRIAL, walkers_for(wide.dimensions, settings) * settings.ensembles) // settings.ensembles
-    weighed = weigh_tail(density, laplace, settings.ensembles, count, settings.seed)
-    about_start = weigh(density, wide, settings.ensembles, count, settings.seed)
-    if weighed is None or weighed.pareto_k > WORST_PARETO_K or weighed.acceptance < _LEAST_ACCEPTANCE:
-        return None
-    if about_start is not None:
-        excess = np.exp(about_start.log_mass - weighed.log_mass) - 1
-        if excess > max(_MISSED, _ERRORS * np.hypot(about_start.mass_error, weighed.mass_error)):
-            return None
-    return weighed
+    seed = np.random.default_rng([settings.seed, 2]).integers(2**32, size=4)
+    state = np.random.RandomState(seed)
+    return [weighed.resampled(ensemble, walkers, state) for ensemble in range(settings.ensembles)]
 
 
 def _checkpoint(
@@ -317,31 +246,31 @@ def _checkpoint(
     return file
 
 
-def _without_nan(log_density: BatchedDensity) -> BatchedDensity:
-    def density(points: np.ndarray) -> np.ndarray:
-        values = np.asarray(log_density(points))
-        return np.where(np.isnan(values), -np.inf, values)
-
-    return density
-
-
-def _check(log_density: BatchedDensity, points: np.ndarray, names: tuple[str, ...]) -> None:
-    """Raise InputError unless names and log density fit the points (n, D)."""
-    if len(names) != points.shape[1]:
-        what = f"{len(names)} names for {points.shape[1]} parameters"
+def _checked_names(names: Sequence[str], parameters: int) -> tuple[str, ...]:
+    """Return the names, made up where there are none; raise InputError where their number is another."""
+    given = tuple(names) or tuple(f"x{place}" for place in range(parameters))
+    if len(given) != parameters:
+        what = f"{len(given)} names for {parameters} parameters"
         raise input_error(what, "names", "one name per entry of `start`", "give as many names as parameters")
-    values = np.asarray(log_density(points))
-    if values.shape != points.shape[:1]:
-        raise input_error(
-            f"the log density of points {points.shape} has shape {values.shape}",
-            "log_density",
-            f"shape {points.shape[:1]}, one value per point",
-            "vectorise it: `jax.vmap(function)`, or a loop over the points",
-        )
-    if not np.isfinite(values).any():
+    return given
+
+
+def _checked_budget(most: int | None, walkers: int) -> int:
+    """Return the budget of evaluations; raise InputError where it does not allow a chain of so many walkers."""
+    given, fewest = MOST_EVALUATIONS if most is None else most, _FEWEST_STEPS * walkers
+    if given < fewest:
+        what = f"{given} evaluations allow no chain of {walkers} walkers"
+        raise input_error(what, "most_evaluations", f"at least {fewest}", "allow more evaluations")
+    return given
+
+
+def _checked_starts(starts: list[np.ndarray]) -> list[np.ndarray]:
+    """Return the starts; raise InputError where none was found."""
+    if not starts:
         raise input_error(
             "the log density is not finite at any starting point",
             "log_density, start, scale",
             "a start within the bulk of the density",
             "choose another start, or a smaller scale",
         )
+    return starts
