@@ -21,8 +21,8 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.records import Record
 from imubayes.foundations.tail_probabilities import normal_survival, t_survival
 from imubayes.inference import laplace_marginal as laplace
-from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.loop.joined_runs import JoinedRuns, joined_runs
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.noise.components import SharedNoise
