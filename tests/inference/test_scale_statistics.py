@@ -59,11 +59,12 @@ def test_precision_at_many_scales_is_that_at_each():
     statistics = ScaleMarginal(model.problem, about).statistics
     assert statistics is not None
     h = np.stack([scales(model, seed) for seed in range(5)])
-    precision, gradient = statistics.normal(h)
+    many = statistics.normal(h)
     for place, one in enumerate(h):
         alone = statistics.normal(one)
-        np.testing.assert_allclose(precision[place], alone[0], rtol=1e-12, atol=1e-9 * np.abs(alone[0]).max())
-        np.testing.assert_allclose(gradient[place], alone[1], rtol=1e-9, atol=1e-9 * np.abs(alone[1]).max())
+        for name in ("precision", "gradient", "square", "log_determinant"):
+            found, expected = getattr(many, name)[place], getattr(alone, name)
+            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
 def test_rows_of_different_variance_are_of_different_classes(monkeypatch):

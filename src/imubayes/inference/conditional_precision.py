@@ -105,7 +105,8 @@ Conditional = ScaleStatistics | PrecisionBlocks | ExactPrecision
 def conditional(of: Conditional, problem: Problem, h: Float[Array, "n H"]) -> tuple[np.ndarray, np.ndarray]:
     """Return precision (n, P, P) and gradient (n, P) of the log density of θ given each h, about the mode."""
     if isinstance(of, ScaleStatistics):
-        return of.normal(h)
+        given = of.normal(h)
+        return given.precision, given.gradient
     prior = prior_widths(problem, h) ** -2
     if isinstance(of, ExactPrecision):
         precision, gradient = _computed_anew(problem, of.about, h)

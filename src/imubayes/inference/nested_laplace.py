@@ -43,7 +43,7 @@ from imubayes.inference.tabulated_directions import (
 from imubayes.inference.tabulated_directions import to_normal as to_standard
 from imubayes.model.likelihood import log_normaliser, residuals_of
 from imubayes.model.noise_covariance import inverse_covariance, whitener
-from imubayes.model.problem import Problem, predict_many, prior_widths
+from imubayes.model.problem import Problem, hyper_prior_square, predict_many, prior_widths
 
 # A direction is weak where its posterior standard deviation exceeds this share of the prior's; below, a ridge is
 # straight.
@@ -62,7 +62,7 @@ _HOPELESS, _APART = 15.0, 0.1
 # Log density, relative to the mode, where the marginal is not finite.
 _NOWHERE = -200.0
 # Draws whose precisions are formed and factored together: as a whole those of 4000 take hundreds of megabytes.
-_AT_ONCE = 64
+_AT_ONCE = 128
 
 
 @dataclass(frozen=True)
@@ -310,11 +310,33 @@ def hyper_probes(h: np.ndarray, information: np.ndarray) -> HyperProbes:
     return HyperProbes(axes, deviation, knots, order < len(_PROBES), points.reshape(-1, len(axes)))
 
 
-def _given(approximation: NestedLaplace, problem: Problem, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return Cholesky factors of the precision of θ given each h, (n, P, P), and its whitened mean less ẑ, (n, P)."""
-    precision, gradient = conditional(approximation.blocks, problem, h)
+@dataclass(frozen=True)
+class _Given:
+    """The density of θ given each of n noise scales.
+
+    Attributes
+    ----------
+    factor : shape (n, P, P), Cholesky factors of the precision.
+    half : shape (n, P), whitened mean less ẑ.
+    at_mode : shape (n,), log p(y, ẑ, h) up to a constant; None where it does not come with them.
+    """
+
+    factor: np.ndarray
+    half: np.ndarray
+    at_mode: np.ndarray | None
+
+
+def _given(approximation: NestedLaplace, problem: Problem, h: np.ndarray) -> _Given:
+    of, at_mode = approximation.blocks, None
+    if isinstance(of, ScaleStatistics):
+        known = of.normal(h)
+        precision, gradient = known.precision, known.gradient
+        priors = np.array([float(hyper_prior_square(problem, each)) for each in h])
+        at_mode = -0.5 * (known.square + known.log_determinant + priors)
+    else:
+        precision, gradient = conditional(of, problem, h)
     factor = cholesky(precision)
-    return factor, _solved(factor, gradient)
+    return _Given(factor, _solved(factor, gradient), at_mode)
 
 
 def _solved(factor: np.ndarray, vectors: np.ndarray, transposed: bool = False) -> np.ndarray:
@@ -352,16 +374,13 @@ def points_and_marginals(
     """
     points, marginals, size = [], [], approximation.z.shape[0]
     for rows in _blocks(normal):
-        found, _, factor, half = _to_points(approximation, problem, rows)
-        given = approximation.blocks
-        density = (
-            given.log_densities(found[:, size:])
-            if isinstance(given, ScaleStatistics)
-            else np.asarray(_log_densities(problem, misfit, approximation.z, found[:, size:]))
-        )
-        log_determinant = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        found, _, given = _to_points(approximation, problem, rows)
+        density = given.at_mode
+        if density is None:
+            density = np.asarray(_log_densities(problem, misfit, approximation.z, found[:, size:]))
+        log_determinant = np.log(np.diagonal(given.factor, axis1=1, axis2=2)).sum(axis=1)
         points.append(found)
-        marginals.append(density + 0.5 * np.sum(half**2, axis=1) - log_determinant)
+        marginals.append(density + 0.5 * np.sum(given.half**2, axis=1) - log_determinant)
     return np.concatenate(points), np.concatenate(marginals)
 
 
@@ -380,17 +399,17 @@ def _blocks(rows: np.ndarray) -> list[np.ndarray]:
 
 
 def _to_points(approximation: NestedLaplace, problem: Problem, normal: np.ndarray):
-    """Return points and log density as `to_points`, and Cholesky factor and whitened mean of θ given h."""
+    """Return points and log density as `to_points`, and the density of θ given h."""
     size = approximation.z.shape[0]
     along = from_normal(approximation.along, normal[:, size:])
     h = approximation.scales(problem, approximation.h + along @ approximation.hyper_axes.T)
-    factor, half = _given(approximation, problem, h)
+    given = _given(approximation, problem, h)
     whitened, excess = normal[:, :size], 0.0
     if approximation.shape is not None:
-        whitened, excess = approximation.shape.shaped(factor, whitened)
-    delta = _solved(factor, half + whitened, transposed=True)
+        whitened, excess = approximation.shape.shaped(given.factor, whitened)
+    delta = _solved(given.factor, given.half + whitened, transposed=True)
     points = np.concatenate([approximation.z + delta + _bent(approximation, problem, delta), h], axis=1)
-    return points, _log_density(approximation, factor, whitened, along) + excess, factor, half
+    return points, _log_density(approximation, given.factor, whitened, along) + excess, given
 
 
 def to_normals(approximation: NestedLaplace, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -403,11 +422,12 @@ def _to_normals(approximation: NestedLaplace, problem: Problem, points: np.ndarr
     size = approximation.z.shape[0]
     z, h = points[:, :size], points[:, size:]
     along = _along(approximation, problem, h)
-    factor, half = _given(approximation, problem, h)
+    given = _given(approximation, problem, h)
+    factor = given.factor
     bent = z - approximation.z
     # The bend does not change the weak coordinates, so it is computed from the bent step and subtracted.
     step = bent - _bent(approximation, problem, bent)
-    whitened = np.einsum("nqp,nq->np", factor, step) - half
+    whitened = (np.swapaxes(factor, 1, 2) @ step[..., None])[..., 0] - given.half
     density = _log_density(approximation, factor, whitened, along)
     if approximation.shape is not None:
         whitened, excess = approximation.shape.normalised(factor, whitened)

@@ -15,17 +15,18 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, in_batches, namespace
+from imubayes.compiled.in_numpy import in_numpy
+from imubayes.foundations.arrays import Array, Float, in_batches
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.units import to_si
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.fitted_model import Fit, Posterior, evenly_spaced
 from imubayes.inference.run_fit import campaign_hash, model_hash
 from imubayes.model.bind import Model
-from imubayes.model.likelihood import entry_log_likelihood, has_heavy_tails
+from imubayes.model.likelihood import entry_log_likelihood
 from imubayes.model.noise_covariance import heavy_tailed, noise_distribution
 from imubayes.model.problem import Problem, predict_many
 from imubayes.parameters.priors import Normal
@@ -226,31 +227,20 @@ class Groups:
     attributes: Mapping[str, str | int]
 
 
-def _likelihoods(problem: Problem, predicted: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return noise scale, tail and log likelihood of every entry, (n, E) each, for draws of predictions and h in z."""
-    if has_heavy_tails(problem) or problem.timeline is not None:
-        both = np.concatenate([predicted, h], axis=1)
-        found = in_batches(lambda part: _compiled_likelihoods(problem, part), both, _BATCH)
-        deviation, tail, density = np.moveaxis(found, 1, 0)
-        return deviation, tail, density
-    found = [_likelihood(problem, *draw) for draw in zip(predicted, h, strict=True)]
-    deviation, tail, density = np.moveaxis(np.stack(found), 1, 0)
-    return deviation, tail, density
-
-
-def _likelihood(problem: Problem, predicted: Array, h: Array) -> Array:
-    pieces = entry_log_likelihood(problem, problem.observations.value - predicted, h)
-    law, xp = noise_distribution(problem, h), namespace(predicted, h)
-    own = xp.where(problem.observations.weight > 0, law.squared_scale, 0.0)
-    tail = xp.zeros_like(own) if law.tail is None else xp.broadcast_to(law.tail, own.shape)
-    return xp.stack([xp.sqrt(own), tail, pieces.entry])
-
-
-@kept
-def _compiled_likelihoods(problem: Problem, draws: Float[Array, "n EH"]) -> Float[Array, "n 3 E"]:
-    """Return what `_likelihood` does where each draw takes many steps: offsets under heavy tails, slow noise."""
+@in_numpy
+def _likelihoods(problem: Problem, draws: Float[Array, "n EH"]) -> Float[Array, "n 3 E"]:
+    """Return noise scale, tail and log likelihood of every entry, for draws of predictions and noise scales in z."""
     count = len(problem.observations.value)
-    return jax.vmap(lambda draw: _likelihood(problem, draw[:count], draw[count:]))(draws)
+
+    def of_draw(draw):
+        predicted, h = draw[:count], draw[count:]
+        pieces = entry_log_likelihood(problem, problem.observations.value - predicted, h)
+        law = noise_distribution(problem, h)
+        own = jnp.where(problem.observations.weight > 0, law.squared_scale, 0.0)
+        tail = jnp.zeros_like(own) if law.tail is None else jnp.broadcast_to(law.tail, own.shape)
+        return jnp.stack([jnp.sqrt(own), tail, pieces.entry])
+
+    return jax.vmap(of_draw)(draws)
 
 
 def in_units(model: Model, points: np.ndarray) -> np.ndarray:
@@ -349,7 +339,8 @@ def _predicted(problem: Problem, draws: np.ndarray, random: np.random.Generator)
     # A block at a time: of a large campaign each copy of all takes as much memory as the fit.
     for block in blocks:
         predicted = predict_many(problem, points[block, :size])
-        deviation, tail, density = _likelihoods(problem, predicted, points[block, size:])
+        both = np.concatenate([predicted, points[block, size:]], axis=1)
+        deviation, tail, density = np.moveaxis(in_batches(lambda part: _likelihoods(problem, part), both, _BATCH), 1, 0)
         alone = random.normal(size=predicted.shape) * heavy_tailed(tail, random)
         replicated[block] = predicted + deviation * alone
         entry[block] = rounded(density, np.array(_DENSITY_STEP))

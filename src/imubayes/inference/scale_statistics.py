@@ -51,8 +51,14 @@ class MarginalSlope:
 
 
 @dataclass(frozen=True)
-class _Normal:
-    """The normal density of θ about a linearisation: precision Λ, gradient b, and what the marginal is made of."""
+class NormalDensity:
+    """The normal density of θ about a linearisation, the prior included, for noise scales (…, H).
+
+    Attributes
+    ----------
+    precision, gradient : Λ, shape (…, P, P), and b, shape (…, P).
+    square, log_determinant : shape (…), the quadratic form q at ẑ, and log det Σ − log det π.
+    """
 
     precision: np.ndarray
     gradient: np.ndarray
@@ -166,11 +172,9 @@ class ScaleStatistics:
     misfit: np.ndarray
     size: np.ndarray
 
-    def normal(self, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return precision (…, P, P) and gradient (…, P) of θ at noise scales (…, H), the prior included."""
-        values = self.problem.hyper_priors.values(h)
-        known = self._known(values, prior_widths(self.problem, h) ** -2)
-        return known.precision, known.gradient
+    def normal(self, h: np.ndarray) -> NormalDensity:
+        """Return the density of θ at noise scales (…, H)."""
+        return self._known(self.problem.hyper_priors.values(h), prior_widths(self.problem, h) ** -2)
 
     def log_marginal(self, h: np.ndarray) -> float:
         """Return log p(y, h) with θ integrated out."""
@@ -180,14 +184,6 @@ class ScaleStatistics:
         half = np.log(np.diagonal(factor)).sum()
         fit = 0.5 * known.gradient @ cho_solve(factor, known.gradient)
         return float(fit - half - 0.5 * (known.square + known.log_determinant) - self._constant(h))
-
-    def log_densities(self, h: np.ndarray) -> np.ndarray:
-        """Return log p(y, ẑ, h) at noise scales (n, H) up to a constant, ẑ being θ of the linearisation; (n,)."""
-        problem = self.problem
-        values, prior = problem.hyper_priors.values(h), prior_widths(problem, h) ** -2
-        square, log_determinant = self._square(values, prior)
-        priors = np.array([float(hyper_prior_square(problem, each)) for each in h])
-        return -0.5 * (square + log_determinant + priors)
 
     def slope(self, h: np.ndarray) -> MarginalSlope:
         """Return log p(y, h) with θ integrated out, and its gradient."""
@@ -222,24 +218,18 @@ class ScaleStatistics:
         gradient = by_values * problem.hyper_priors.slopes(h) - self._prior_pull(h)
         return MarginalSlope(float(value), gradient)
 
-    def _known(self, values: np.ndarray, prior: np.ndarray) -> _Normal:
+    def _known(self, values: np.ndarray, prior: np.ndarray) -> NormalDensity:
         weight, shared = 1 / self.classes.variances(values), self.classes.shared_variances(values)
         along, misfit, size = self._of_groups(weight)
-        drawn = shared / (1 + shared * size)
+        gain = 1 + shared * size
+        drawn = shared / gain
         precision = self._weighted(weight) - np.swapaxes(along, -1, -2) @ (drawn[..., None] * along)
         count = np.arange(len(self.z))
         precision[..., count, count] += prior
         pulled = weight @ self.pulled - ((drawn * misfit)[..., None, :] @ along)[..., 0, :]
-        return _Normal(precision, pulled - prior * self.z, *self._square(values, prior))
-
-    def _square(self, values: np.ndarray, prior: np.ndarray) -> tuple[Scalars, Scalars]:
-        """Return the quadratic form at ẑ, prior included, and log det Σ − log det π; (…)."""
-        weight, shared = 1 / self.classes.variances(values), self.classes.shared_variances(values)
-        of_cell = weight[..., self.classes.cell_class]
-        misfit, size = self._summed(of_cell * self.misfit), self._summed(of_cell * self.size)
-        gain = 1 + shared * size
-        square = weight @ self.square - (shared / gain * misfit**2).sum(-1) + (prior * self.z**2).sum(-1)
-        return square, -np.log(weight) @ self.rows + np.log(gain).sum(-1) - np.log(prior).sum(-1)
+        square = weight @ self.square - (drawn * misfit**2).sum(-1) + (prior * self.z**2).sum(-1)
+        log_determinant = -np.log(weight) @ self.rows + np.log(gain).sum(-1) - np.log(prior).sum(-1)
+        return NormalDensity(precision, pulled - prior * self.z, square, log_determinant)
 
     def _of_groups(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the weighted sums of the Jacobian (…, S, P), the misfit (…, S), and the information (…, S)."""

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
+from imubayes.compiled.in_numpy import in_numpy
 from imubayes.effects.base import Effect, Order, RecordEffect, Stage
 from imubayes.foundations.arrays import Array, Float, Int, in_batches, on_device
 from imubayes.foundations.campaign_data import Channel, component_names
@@ -87,8 +87,8 @@ class DerivedFunction(eqx.Module):
         return unit_vectors(jnp.concatenate([*sensitive, axes_of_rotation(self.inputs, values)]))
 
 
-# One compiled function for draws, derivatives and directions, which share nearly all of it.
-@kept
+# One function for draws, derivatives and directions, which share nearly all of it; NumPy takes many draws together.
+@in_numpy
 def _derive_batch(
     derivation: DerivedFunction, problem: Problem, points: Float[Array, "n P"]
 ) -> tuple[Float[Array, "n D"], Float[Array, "n A 3"]]:

@@ -26,7 +26,7 @@ import numpy as np
 
 from imubayes.foundations.arrays import Array, Float, Int, Scalar, add_at, gammaln, namespace, scan, take
 from imubayes.model.nodes_and_entries import Timeline
-from imubayes.model.problem import Observations, Problem
+from imubayes.model.problem import Observations, Problem, evaluated, shared_variance_of, variance_of
 from imubayes.noise import components
 
 
@@ -336,9 +336,9 @@ def noise_distribution(problem: Problem, h: Float[Array, " H"]) -> NoiseDistribu
     own, tail, shared = 0.0 * observations.value, None, np.zeros(observations.members.shape[0])
     for layer in problem.noise:
         if issubclass(layer.noise, components.EntryNoise):
-            own = own + layer.entry_variances(values, observations.entry)
+            own = own + evaluated(layer, values, variance_of, observations.entry)
         elif issubclass(layer.noise, components.SharedNoise):
-            shared = shared + layer.shared_variances(values)
+            shared = shared + evaluated(layer, values, shared_variance_of)
         elif issubclass(layer.noise, components.TailNoise):
             here = take(layer.tails(values), observations.group)
             tail = here if tail is None else tail + here

@@ -344,6 +344,8 @@ def hyper_prior_square(problem: Problem, h: Float[Array, " H"]) -> Scalar:
 
 def prior_widths(problem: Problem, h: Float[Array, "*batch H"]) -> Float[Array, "*batch P"]:
     """Return the standard deviation of each z_θ: 1, or the learnt prior width over the stated one."""
+    if namespace(h, problem.spread_of) is np and not (problem.spread_of < problem.size[1]).any():
+        return np.ones((*h.shape[:-1], len(problem.spread_of)))
     values = problem.hyper_priors.values(h)
     xp = namespace(values, problem.spread_of)
     widths = take_last(xp.concatenate([values, xp.ones((*values.shape[:-1], 1))], axis=-1), problem.spread_of)

@@ -299,20 +299,22 @@ class Priors(eqx.Module):
 
     def values(self, z: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
         """Return SI values of a vector of z, or of many."""
-        return self._by_family(lambda prior, chosen: prior.value(chosen), z)
+        return _by_family(self, lambda prior, chosen: type(prior).value(prior, chosen), z)
 
     def slopes(self, z: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
         """Return the derivative of each value by its own z."""
-        return self._by_family(lambda prior, chosen: prior.slope(chosen), z)
+        return _by_family(self, lambda prior, chosen: type(prior).slope(prior, chosen), z)
 
-    def _by_family(self, function: Callable[[Prior, Array], Array], z: Array) -> Array:
-        if not self.families:
-            return z
-        sorted_z, parts, start = take_last(z, self.sorted_by_family), [], 0
-        for family, count in zip(self.families, self.counts, strict=True):
-            parts.append(function(family, sorted_z[..., start : start + count]))
-            start += count
-        return take_last(namespace(*parts).concatenate(parts, axis=-1), self.order)
+
+# Functions of their class are called here: bound to a module of Equinox they take longer to look up than to evaluate.
+def _by_family(priors: Priors, function: Callable[[Prior, Array], Array], z: Array) -> Array:
+    if not priors.families:
+        return z
+    sorted_z, parts, start = take_last(z, priors.sorted_by_family), [], 0
+    for family, count in zip(priors.families, priors.counts, strict=True):
+        parts.append(function(family, sorted_z[..., start : start + count]))
+        start += count
+    return take_last(namespace(*parts).concatenate(parts, axis=-1), priors.order)
 
 
 def prior_values(priors: Priors, z: Float[Array, "*batch P"]) -> np.ndarray:
