@@ -14,7 +14,9 @@ TUMBLE = np.array([[1, 0, 1, 0, 0], [1, 0, 0, 1, 0], [1, 0, 0, 0, 1], [0, 1, 0, 
 def posterior(design: np.ndarray, noise: float, prior: np.ndarray, seed: int = 0) -> tuple[np.ndarray, Draws]:
     """Return the precision in z of a linear model y = X β + ν, and draws of its posterior about 0."""
     precision = np.eye(len(prior)) + (design * prior).T @ (design * prior) / noise**2
-    draws = np.random.default_rng(seed).multivariate_normal(np.zeros(len(prior)), np.linalg.inv(precision), 4000)
+    inverse = np.linalg.inv(precision)
+    covariance = 0.5 * (inverse + inverse.T)  # symmetric to the last digit, whatever the processor's rounding
+    draws = np.random.default_rng(seed).multivariate_normal(np.zeros(len(prior)), covariance, 4000)
     return precision, Draws(tuple(f"x{n}" for n in range(len(prior))), ("1",) * len(prior), draws * prior)
 
 

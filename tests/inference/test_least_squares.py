@@ -7,7 +7,7 @@ import lineax as lx
 import numpy as np
 import pytest
 
-from imubayes.inference.posterior_mode import GramCholesky, covariance, minimise
+from imubayes.inference.least_squares import GramCholesky, covariance, minimise
 
 # One program instead of a hundred operations that are each compiled by themselves.
 solved = eqx.filter_jit(minimise)

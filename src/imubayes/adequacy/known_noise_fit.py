@@ -18,6 +18,7 @@ import numpy as np
 
 from imubayes.adequacy.adequacy_record import ChannelRms, KnownNoiseFit
 from imubayes.adequacy.known_noise import known_scales
+from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import INPUT_UNIT
 from imubayes.foundations.numerics import group_means
 from imubayes.foundations.units import to_si
@@ -102,7 +103,7 @@ def whitened_rows(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.nd
     return whitened_columns(problem, h, columns)
 
 
-def noise_sd(problem: Problem, h: np.ndarray) -> np.ndarray:
+def noise_sd(problem: Problem, h: Float[Array, " H"]) -> np.ndarray:
     """Return the standard deviation of the noise of every entry at scales h, (E,), output units."""
     return noise_deviation(problem, whitener(problem, h))
 

@@ -37,6 +37,11 @@ def normal_survival(z: Values) -> np.ndarray:
     return np.asarray(np.maximum(special.ndtr(-np.asarray(z, dtype=float)), LEAST_P))
 
 
+def normal_probability(z: Values) -> np.ndarray:
+    """Return Φ(z), the distribution function of the standard normal distribution, with no floor."""
+    return np.asarray(special.ndtr(np.asarray(z, dtype=float)))
+
+
 def error_complement(x: Values) -> np.ndarray:
     """Return erfc(x): twice the probability that a standard normal variable exceeds √2 x."""
     return np.asarray(special.erfc(np.asarray(x, dtype=float)))

@@ -172,14 +172,14 @@ def _small_and_correlated(problem: Problem) -> bool:
     return work <= _MOST_WORK and rows_correlate(problem)
 
 
-def run_means(problem: Problem, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def run_means(problem: Problem, h: Float[Array, " H"]) -> tuple[np.ndarray, np.ndarray]:
     """Return of the mean of each run and channel the precision within the run, and the variance its rows share."""
     precision = group_sum(whitener(problem, h).direction ** 2, problem.observations)
     return precision, noise_distribution(problem, h).shared_variance
 
 
 @np.errstate(divide="ignore")
-def mean_variances(problem: Problem, h: np.ndarray) -> np.ndarray:
+def mean_variances(problem: Problem, h: Float[Array, " H"]) -> np.ndarray:
     """Return the variance of the mean of each run and channel, shared variance included; ∞ where all is masked."""
     precision, shared = run_means(problem, h)
     return shared + 1 / precision
@@ -295,7 +295,7 @@ class InnovationScale:
         return (_log_innovation(problem, h) - self.at_mode) @ self.slope.T
 
 
-def innovation_scale(problem: Problem, h: np.ndarray) -> InnovationScale | None:
+def innovation_scale(problem: Problem, h: Float[Array, " H"]) -> InnovationScale | None:
     """Return the shear about the mode h; None where no rows are correlated."""
     if problem.timeline is not None or not rows_correlate(problem):
         return None

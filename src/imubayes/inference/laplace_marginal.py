@@ -13,7 +13,7 @@ The mode of h is found by quasi-Newton steps: the Hessian is computed once, by d
 from the steps.  When the steps have become short it is computed anew, and convergence is judged by that Hessian alone.
 """
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -22,7 +22,7 @@ import numpy as np
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, Scalar, cho_solve, cholesky, namespace, on_host
 from imubayes.inference.parameter_fit import Linearised
-from imubayes.inference.scale_statistics import MarginalSlope, ScaleStatistics, row_classes, scale_statistics
+from imubayes.inference.scale_statistics import ScaleStatistics, row_classes, scale_statistics
 from imubayes.model.likelihood import has_heavy_tails, log_normaliser, pseudo_values, whitened
 from imubayes.model.noise_covariance import group_sum, whiten, whitener
 from imubayes.model.problem import Problem, masked, prior_widths
@@ -61,23 +61,27 @@ def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Kno
     return Knowledge(precision, gradient, square)
 
 
-def precision_of(problem: Problem, about: Linearised, h: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+def precision_of(
+    problem: Problem, about: Linearised, h: Float[Array, " H"], chosen: np.ndarray | None = None
+) -> np.ndarray:
     """Return what chosen entries, (E,) bool, or all say of θ in z, without the prior; shape (P, P)."""
     some = problem if chosen is None else masked(problem, ~chosen)
     return knowledge(some, on_host(about), np.asarray(h)).precision
 
 
-def whitened_jacobian(problem: Problem, about: Linearised, h: np.ndarray) -> np.ndarray:
+def whitened_jacobian(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> np.ndarray:
     """Return Σ(h)^(−½) J: the products of its columns are the precision of θ in z, without the prior."""
     return whitened_columns(problem, h, about.jacobian)
 
 
-def whitened_columns(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def whitened_columns(problem: Problem, h: Float[Array, " H"], columns: np.ndarray) -> np.ndarray:
     """Return columns (E, …), in output units, whitened by the noise at scales h."""
     return whiten(problem, whitener(problem, np.asarray(h)), np.asarray(columns))
 
 
-def whitened_about(problem: Problem, about: Linearised, h: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def whitened_about(
+    problem: Problem, about: Linearised, h: Float[Array, " H"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,) at noise scales h."""
     h, about = np.asarray(h), on_host(about)
     by = whitener(problem, h)
@@ -154,15 +158,18 @@ class Curvature(eqx.Module):
     information: Float[Array, "H H"]
 
 
-@kept
-def _traced_slope(problem: Problem, about: Linearised, h: Float[Array, " H"]):
-    return jax.value_and_grad(log_marginal, argnums=2)(problem, about, h)
+@dataclass(frozen=True)
+class MarginalSlope:
+    """The Laplace marginal of h at a point: log p(y, h) and its gradient (H,)."""
+
+    value: float
+    gradient: np.ndarray
 
 
 @kept
-def _traced_gradients(problem: Problem, about: Linearised, points: Float[Array, "N H"]) -> Float[Array, "N H"]:
-    """Return the gradient of the Laplace marginal at several h, one after another in one call of compiled code."""
-    return jax.lax.map(lambda h: jax.grad(log_marginal, argnums=2)(problem, about, h), points)
+def _traced_slopes(problem: Problem, about: Linearised, points: Float[Array, "N H"]):
+    """Return the Laplace marginal and its gradient at several h, one after another in one call of compiled code."""
+    return jax.lax.map(lambda h: jax.value_and_grad(log_marginal, argnums=2)(problem, about, h), points)
 
 
 class ScaleMarginal:
@@ -183,35 +190,32 @@ class ScaleMarginal:
     @_SILENT
     def values(self, points: np.ndarray) -> np.ndarray:
         """Return log p(y, h) at several h, (n, H); shape (n,)."""
-        one: Callable[[np.ndarray], float] = (
-            self.statistics.log_marginal
-            if self.statistics is not None
-            else lambda h: float(log_marginal(self.problem, self.about, h))
-        )
-        return np.array([one(point) for point in points])
+        if self.statistics is not None:
+            return self.statistics.log_marginals(points)
+        return np.array([float(log_marginal(self.problem, self.about, point)) for point in points])
 
     @_SILENT
-    def slope(self, h: np.ndarray) -> MarginalSlope:
-        """Return value and gradient."""
+    def slopes(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return log p(y, h), (n,), and its gradient, (n, H), at several h, (n, H)."""
         if self.statistics is not None:
-            return self.statistics.slope(h)
-        value, gradient = _traced_slope(self.problem, self.about, h)
-        return MarginalSlope(float(value), np.asarray(gradient))
+            return self.statistics.slopes(points)
+        value, gradient = _traced_slopes(self.problem, self.about, points)
+        return np.asarray(value), np.asarray(gradient)
 
-    def curvature(self, h: np.ndarray) -> Curvature:
+    def slope(self, h: np.ndarray) -> MarginalSlope:
+        """Return value and gradient at one h, (H,)."""
+        value, gradient = self.slopes(h[None])
+        return MarginalSlope(float(value[0]), gradient[0])
+
+    def curvature(self, h: Float[Array, " H"]) -> Curvature:
         """Return value, gradient and negative Hessian, the latter by central differences of the gradient."""
         here, count = self.slope(h), len(h)
         if not count:
             return Curvature(here.value, here.gradient, np.zeros((0, 0)))
         apart = _APART * np.eye(count)
-        gradients = self._gradients(h + np.concatenate([apart, -apart]))
+        gradients = self.slopes(h + np.concatenate([apart, -apart]))[1]
         information = (gradients[count:] - gradients[:count]) / (2 * _APART)
         return Curvature(here.value, here.gradient, 0.5 * (information + information.T))
-
-    def _gradients(self, points: np.ndarray) -> np.ndarray:
-        if self.statistics is None:
-            return np.asarray(_traced_gradients(self.problem, self.about, points))
-        return np.stack([self.slope(point).gradient for point in points])
 
 
 def curvature(problem: Problem, about: Linearised, h: np.ndarray) -> Curvature:
@@ -222,7 +226,7 @@ def curvature(problem: Problem, about: Linearised, h: np.ndarray) -> Curvature:
 def climb(
     problem: Problem,
     about: Linearised,
-    h: np.ndarray,
+    h: Float[Array, " H"],
     information: np.ndarray | None = None,
     *,
     judged: bool = True,

@@ -331,8 +331,7 @@ def _given(approximation: NestedLaplace, problem: Problem, h: np.ndarray) -> _Gi
     if isinstance(of, ScaleStatistics):
         known = of.normal(h)
         precision, gradient = known.precision, known.gradient
-        priors = np.array([float(hyper_prior_square(problem, each)) for each in h])
-        at_mode = -0.5 * (known.square + known.log_determinant + priors)
+        at_mode = -0.5 * (known.square + known.log_determinant + hyper_prior_square(problem, h))
     else:
         precision, gradient = conditional(of, problem, h)
     factor = cholesky(precision)

@@ -77,17 +77,17 @@ def fit_parameters(
 _fit_parameters = kept(fit_parameters)
 
 
-def fitted_parameters(problem: Problem, z: np.ndarray, h: np.ndarray) -> LeastSquares:
+def fitted_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> LeastSquares:
     """Return θ at given h, started from z: `fit_parameters` compiled, with arrays of NumPy."""
     return on_host(_fit_parameters(problem, *map(np.asarray, (z, h, _TOLERANCE))))
 
 
-def fit_at(problem: Problem, z: np.ndarray, h: np.ndarray) -> np.ndarray:
+def fit_at(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> np.ndarray:
     """Return θ at given h, (P,), started from z."""
     return fitted_parameters(problem, z, h).value
 
 
-def linearise(problem: Problem, z: np.ndarray) -> Linearised:
+def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
     """Return the model linearised about z, as arrays of NumPy."""
     found = _fit_parameters(problem, *map(np.asarray, (z, np.zeros(problem.size[1]), _ANY)))
     return on_host(found.aux)

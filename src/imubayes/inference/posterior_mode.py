@@ -62,7 +62,7 @@ _LENGTHS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 
 
 @np.errstate(all="ignore")
-def gauss_newton(problem: Problem, about: Linearised, h: np.ndarray) -> Newton:
+def gauss_newton(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Newton:
     """Return the step to the mode of the linearised model, and the decrement."""
     known, prior_precision = knowledge(problem, about, h), prior_widths(problem, h) ** -2
     gradient = known.gradient - prior_precision * about.z
@@ -72,7 +72,7 @@ def gauss_newton(problem: Problem, about: Linearised, h: np.ndarray) -> Newton:
 
 
 @np.errstate(all="ignore")
-def heights(problem: Problem, z: Sequence[np.ndarray] | np.ndarray, h: np.ndarray) -> np.ndarray:
+def heights(problem: Problem, z: Sequence[np.ndarray] | np.ndarray, h: Float[Array, " H"]) -> np.ndarray:
     """Return the log density at several θ (n of shape P) and one h, −∞ where it is not finite; shape (n,)."""
     points, h = np.stack([np.asarray(point) for point in z]), np.asarray(h)
     misfits, known = problem.observations.value - predict_many(problem, points), log_normaliser(problem, h)
@@ -85,7 +85,7 @@ def heights(problem: Problem, z: Sequence[np.ndarray] | np.ndarray, h: np.ndarra
     return np.where(np.isfinite(found), found, -np.inf)
 
 
-def find_mode(problem: Problem, z: np.ndarray, h: np.ndarray) -> Mode:
+def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Mode:
     """Return the joint fit, started from z (P,) and h (H,)."""
     steps, settled, about, at, h = 0, False, None, None, np.asarray(h)
     if has_heavy_tails(problem):
@@ -106,7 +106,9 @@ def find_mode(problem: Problem, z: np.ndarray, h: np.ndarray) -> Mode:
     return _mode(about, h, at, decrement, steps + more, settled)
 
 
-def mode_near(problem: Problem, about: Linearised, h: np.ndarray, information: np.ndarray | None = None) -> Mode:
+def mode_near(
+    problem: Problem, about: Linearised, h: Float[Array, " H"], information: np.ndarray | None = None
+) -> Mode:
     """Return the joint fit from a place close to it: h in the linearised model and Gauss–Newton steps in turns.
 
     For a fit of nearly the same data, whose linearisation `about` is at hand: a step or two lead there, where

@@ -20,7 +20,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from imubayes.foundations.arrays import Scalars, cho_solve, cholesky
+from imubayes.foundations.arrays import Scalars, cho_solve, cholesky, solve_lower
 from imubayes.model.likelihood import has_heavy_tails
 from imubayes.model.noise_covariance import rows_correlate
 from imubayes.model.problem import (
@@ -40,14 +40,8 @@ from imubayes.noise.components import Entry, EntryNoise, SharedNoise
 _DIGITS, _PROBES = 10, 3
 # Above so many numbers in the statistics of all classes, products of rows are formed anew for each h.
 _MOST_STORED = 4_000_000
-
-
-@dataclass(frozen=True)
-class MarginalSlope:
-    """The Laplace marginal of h at a point: log p(y, h) and its gradient (H,)."""
-
-    value: float
-    gradient: np.ndarray
+# Noise scales whose precisions are formed together.
+_AT_ONCE = 64
 
 
 @dataclass(frozen=True)
@@ -176,47 +170,58 @@ class ScaleStatistics:
         """Return the density of θ at noise scales (…, H)."""
         return self._known(self.problem.hyper_priors.values(h), prior_widths(self.problem, h) ** -2)
 
-    def log_marginal(self, h: np.ndarray) -> float:
-        """Return log p(y, h) with θ integrated out."""
-        values = self.problem.hyper_priors.values(h)
-        known = self._known(values, prior_widths(self.problem, h) ** -2)
-        factor = cholesky(known.precision)
-        half = np.log(np.diagonal(factor)).sum()
-        fit = 0.5 * known.gradient @ cho_solve(factor, known.gradient)
-        return float(fit - half - 0.5 * (known.square + known.log_determinant) - self._constant(h))
+    def log_marginals(self, h: np.ndarray) -> np.ndarray:
+        """Return log p(y, h) with θ integrated out at several noise scales (n, H); shape (n,)."""
+        return np.concatenate([self._log_marginals(some) for some in _blocks(h)])
 
-    def slope(self, h: np.ndarray) -> MarginalSlope:
-        """Return log p(y, h) with θ integrated out, and its gradient."""
+    def _log_marginals(self, h: np.ndarray) -> np.ndarray:
+        known = self.normal(h)
+        factor = cholesky(known.precision)
+        pairs = zip(factor, known.gradient, strict=True)
+        half = np.stack([solve_lower(each, gradient) for each, gradient in pairs])
+        return self._value(h, known, factor, np.sum(half**2, axis=1))
+
+    def slopes(self, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return log p(y, h) with θ integrated out, (n,), and its gradient, (n, H), at noise scales (n, H)."""
+        parts = [self._slopes(some) for some in _blocks(h)]
+        return np.concatenate([value for value, _ in parts]), np.concatenate([gradient for _, gradient in parts])
+
+    def _slopes(self, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         problem, classes = self.problem, self.classes
         values, widths = problem.hyper_priors.values(h), prior_widths(problem, h)
         prior = widths**-2
         known = self._known(values, prior)
         factor = cholesky(known.precision)
-        if not np.isfinite(factor).all():
-            return MarginalSlope(np.nan, np.full(len(h), np.nan))
-        inverse = cho_solve(factor, np.eye(len(factor)))
-        step = inverse @ known.gradient
-        half = np.log(np.diagonal(factor)).sum()
-        value = 0.5 * known.gradient @ step - half - 0.5 * (known.square + known.log_determinant) - self._constant(h)
+        inverse = np.stack([cho_solve(each, np.eye(len(each))) for each in factor])
+        step = (inverse @ known.gradient[..., None])[..., 0]
+        value = self._value(h, known, factor, np.sum(known.gradient * step, axis=1))
 
         weight, shared = 1 / classes.variances(values), classes.shared_variances(values)
-        of_weight = -0.5 * (self.square + self._moments(inverse, step)) + self.pulled @ step + 0.5 * self.rows / weight
+        of_weight = (
+            -0.5 * (self.square + self._moments(inverse, step)) + step @ self.pulled.T + 0.5 * self.rows / weight
+        )
         along, misfit, size = self._of_groups(weight)
-        drawn, left = shared / (1 + shared * size), misfit - along @ step
+        drawn, left = shared / (1 + shared * size), misfit - (along @ step[..., None])[..., 0]
         spread = along @ inverse
-        mean_square = left**2 + np.sum(spread * along, axis=1)
+        mean_square = left**2 + np.sum(spread * along, axis=-1)
         group, cells = classes.cell_group, classes.cell_class
         of_cell = (
-            drawn[group]
-            * (left[group] * (self.misfit - self.along @ step) + np.sum(self.along * spread[group], axis=1))
-            - 0.5 * self.size * (drawn**2 * mean_square + drawn)[group]
+            drawn[:, group]
+            * (left[:, group] * (self.misfit - step @ self.along.T) + np.sum(self.along * spread[:, group], axis=-1))
+            - 0.5 * self.size * (drawn**2 * mean_square + drawn)[:, group]
         )
-        of_weight = of_weight + np.bincount(cells, of_cell, classes.count)
+        of_weight = of_weight + of_cell @ _one_hot(cells, classes.count)
         of_shared = 0.5 * (mean_square / (1 + shared * size) ** 2 - size / (1 + shared * size))
-        of_prior = 0.5 * (1 / prior - (self.z + step) ** 2 - np.diagonal(inverse))
+        of_prior = 0.5 * (1 / prior - (self.z + step) ** 2 - np.diagonal(inverse, axis1=1, axis2=2))
         by_values = self._by_values(values, -(weight**2) * of_weight, of_shared, of_prior * -2 * widths**-3)
-        gradient = by_values * problem.hyper_priors.slopes(h) - self._prior_pull(h)
-        return MarginalSlope(float(value), gradient)
+        return value, by_values * problem.hyper_priors.slopes(h) - self._prior_pull(h)
+
+    def _value(self, h: np.ndarray, known: NormalDensity, factor: np.ndarray, explained: np.ndarray) -> np.ndarray:
+        """Return log p(y, h), (n,), from bᵀΛ⁻¹b, (n,), which θ explains of the quadratic form at ẑ."""
+        half = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        constant = 0.5 * np.log(2 * np.pi) * (self.rows.sum() + h.shape[1])
+        square = known.square + hyper_prior_square(self.problem, h)
+        return 0.5 * (explained - square - known.log_determinant) - half - constant
 
     def _known(self, values: np.ndarray, prior: np.ndarray) -> NormalDensity:
         weight, shared = 1 / self.classes.variances(values), self.classes.shared_variances(values)
@@ -242,7 +247,7 @@ class ScaleStatistics:
         group, count = self.classes.cell_group, len(self.classes.groups)
         if np.array_equal(group, np.arange(count)):  # one class in each
             return of_cells
-        return of_cells @ (group[:, None] == np.arange(count)).astype(float)
+        return of_cells @ _one_hot(group, count)
 
     def _weighted(self, weight: np.ndarray) -> np.ndarray:
         """Return Σ p A, shape (…, P, P)."""
@@ -253,35 +258,40 @@ class ScaleStatistics:
         return self.jacobian.T @ (rows[..., None] * self.jacobian)
 
     def _moments(self, inverse: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Return the trace of A with Λ⁻¹ + δδᵀ of each class, (K,)."""
-        moment = inverse + np.outer(step, step)
+        """Return the trace of A with Λ⁻¹ + δδᵀ of each class, (n, K)."""
+        moment = inverse + step[:, :, None] * step[:, None, :]
         if self.gram is not None:
-            return self.gram @ moment.reshape(-1)
-        each = np.sum((self.jacobian @ moment) * self.jacobian, axis=1)
-        return np.bincount(self.ordered, each, self.classes.count)
+            return moment.reshape(len(step), -1) @ self.gram.T
+        each = np.sum((self.jacobian @ moment) * self.jacobian, axis=-1)
+        return np.stack([np.bincount(self.ordered, one, self.classes.count) for one in each])
 
     def _by_values(self, values: np.ndarray, of_own: np.ndarray, of_shared: np.ndarray, of_widths: np.ndarray):
-        """Return the derivative by the noise parameters in SI, (H,), from those by variances and prior widths."""
+        """Return the derivative by the noise parameters in SI, (n, H), from those by variances and prior widths."""
         problem, classes = self.problem, self.classes
-        found = np.zeros(len(values))
+        found, count = np.zeros(values.shape), values.shape[1]
         for layer in classes.layers:
             for place, slope in slopes_of(layer, values, variance_of, classes.entry):
-                np.add.at(found, place, slope * of_own)
+                found += (slope * of_own) @ _one_hot(place, count)
         for layer in classes.shared:
             for place, slope in slopes_of(layer, values, shared_variance_of):
-                np.add.at(found, place, slope * of_shared)
-        learnt = problem.spread_of < len(values)
-        np.add.at(found, problem.spread_of[learnt], of_widths[learnt] / problem.spread_unit[learnt])
+                found += (slope * of_shared) @ _one_hot(place, count)
+        learnt = problem.spread_of < count
+        if learnt.any():
+            found += (of_widths / problem.spread_unit)[:, learnt] @ _one_hot(problem.spread_of[learnt], count)
         return found
-
-    def _constant(self, h: np.ndarray) -> float:
-        """Return the part of the marginal that θ has no part in: half the square of the prior of h, and 2π."""
-        entries = self.rows.sum() + len(h)
-        return 0.5 * float(hyper_prior_square(self.problem, h)) + 0.5 * np.log(2 * np.pi) * entries
 
     def _prior_pull(self, h: np.ndarray) -> np.ndarray:
         correlation = self.problem.hyper_correlation
-        return h if correlation is None else correlation.pull(h)
+        return h if correlation is None else correlation.pull(h.T).T
+
+
+def _one_hot(places: np.ndarray, count: int) -> np.ndarray:
+    """Return the matrix (n, count) that sums what belongs to n places."""
+    return (np.asarray(places)[:, None] == np.arange(count)).astype(float)
+
+
+def _blocks(h: np.ndarray) -> list[np.ndarray]:
+    return np.split(h, range(_AT_ONCE, len(h), _AT_ONCE))
 
 
 def scale_statistics(

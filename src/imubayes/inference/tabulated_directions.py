@@ -13,12 +13,13 @@ the lower end and what is above it from the upper one, so that no digits are los
 """
 
 import equinox as eqx
-import jax.scipy.special
 import numpy as np
 import scipy  # loads its parts when they are first used
 import scipy.special
+from jax.scipy.special import ndtr, ndtri
 
 from imubayes.foundations.arrays import Array, Float, cho_solve, cholesky, namespace, solve_lower
+from imubayes.foundations.tail_probabilities import normal_probability
 from imubayes.inference.laplace_marginal import knowledge
 from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.inference.posterior_mode import Mode, heights
@@ -91,19 +92,19 @@ def tabulate(knots: np.ndarray, log_density: np.ndarray, scale: np.ndarray) -> T
 
 def from_normal(table: TabulatedDensity, normal: Float[Array, "*batch H"]) -> Float[Array, "*batch H"]:
     """Return the variables that standard normal ones stand for, by their distribution functions."""
-    xp, special = namespace(table.knots, normal), _special(table.knots, normal)
-    low = _quantile(table, special.ndtr(xp.minimum(normal, 0.0)))
-    high = -_quantile(_reflected(table), special.ndtr(-xp.maximum(normal, 0.0)))
+    xp = namespace(table.knots, normal)
+    probability = normal_probability if xp is np else ndtr
+    low = _quantile(table, probability(xp.minimum(normal, 0.0)))
+    high = -_quantile(_reflected(table), probability(-xp.maximum(normal, 0.0)))
     return xp.where(normal < 0, low, high)
 
 
 def to_normal(table: TabulatedDensity, value: Float[Array, "*batch H"]) -> Float[Array, "*batch H"]:
     """Return the standard normal variables that values stand for."""
-    xp, special = namespace(table.knots, value), _special(table.knots, value)
+    xp = namespace(table.knots, value)
+    quantile = scipy.special.ndtri if xp is np else ndtri
     below, above = _mass_below(table, value), _mass_below(_reflected(table), -value)
-    return xp.where(
-        below < above, special.ndtri(xp.maximum(below, _LEAST_MASS)), -special.ndtri(xp.maximum(above, _LEAST_MASS))
-    )
+    return xp.where(below < above, quantile(xp.maximum(below, _LEAST_MASS)), -quantile(xp.maximum(above, _LEAST_MASS)))
 
 
 def log_density(table: TabulatedDensity, value: Float[Array, "*batch H"]) -> Float[Array, "*batch H"]:
@@ -115,11 +116,6 @@ def log_density(table: TabulatedDensity, value: Float[Array, "*batch H"]) -> Flo
     within = heights[0] + (inside - knots[0]) / (knots[1] - knots[0]) * (heights[1] - heights[0])
     left = table.tails[:, 0] * xp.minimum(value - table.knots[:, 0], 0.0)
     return within + left - table.tails[:, 1] * xp.maximum(value - table.knots[:, -1], 0.0)
-
-
-def _special(*operands: Array):
-    """Return the distribution functions of the library that computes with these arrays."""
-    return scipy.special if namespace(*operands) is np else jax.scipy.special
 
 
 def _reflected(table: TabulatedDensity) -> TabulatedDensity:

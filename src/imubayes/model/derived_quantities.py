@@ -34,7 +34,7 @@ from imubayes.procedures.converter_temperature import NEAR_ONE_G
 # A relative slope is not determined by an input below this share of g.
 _LEAST_INPUT_G = 0.1
 # Batch size.
-_AT_ONCE = 500
+_AT_ONCE = 2000
 # Step of the central differences, in z.
 _APART = 1e-3
 

@@ -14,7 +14,7 @@ import equinox as eqx
 import numpy as np
 
 from imubayes.campaign.equipment import grade_of
-from imubayes.foundations.arrays import Array, Float, Scalar, cho_solve, namespace, solve_lower
+from imubayes.foundations.arrays import Array, Float, Scalars, cho_solve, namespace, solve_lower
 from imubayes.foundations.campaign_data import Campaign, Channel, Run, Table
 from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
 from imubayes.foundations.units import to_si
@@ -33,13 +33,13 @@ class HyperCorrelation(eqx.Module):
 
     root: Float[Array, "H H"]
 
-    def square(self, h: Float[Array, " H"]) -> Scalar:
+    def square(self, h: Float[Array, "*batch H"]) -> Scalars:
         """Return hᵀC⁻¹h + log det C: twice the negative logarithm of the density, up to a constant."""
-        independent = solve_lower(self.root, h)
-        return (independent**2).sum() + 2 * namespace(self.root).log(self.root.diagonal()).sum()
+        independent = solve_lower(self.root, h.T)
+        return (independent**2).sum(0) + 2 * namespace(self.root).log(self.root.diagonal()).sum()
 
     def pull(self, h: np.ndarray) -> np.ndarray:
-        """Return C⁻¹h, half the gradient of `square`."""
+        """Return C⁻¹h, half the gradient of `square`, of one column or of several, (H, …)."""
         return cho_solve(np.asarray(self.root), h)
 
     def coloured(self, independent: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from imubayes.foundations.arrays import (
     Bool,
     Float,
     Int,
-    Scalar,
+    Scalars,
     in_batches,
     namespace,
     on_device,
@@ -106,7 +106,7 @@ def evaluated(
 
 
 def slopes_of(
-    layer: NoiseLayer, h: Float[Array, " H"], quantity: Callable, *entries: Entry
+    layer: NoiseLayer, h: Float[Array, "*batch H"], quantity: Callable, *entries: Entry
 ) -> list[tuple[Array, Array]]:
     """Return the derivatives of a quantity of every entry by the values that it depends on.
 
@@ -337,7 +337,7 @@ def predict_with_jacobian(problem: Problem, z: Float[Array, " P"]) -> tuple[Floa
     return predicted, jnp.where(sparsity.reach, take(packed, sparsity.colour).T, 0.0)
 
 
-def hyper_prior_square(problem: Problem, h: Float[Array, " H"]) -> Scalar:
+def hyper_prior_square(problem: Problem, h: Float[Array, "*batch H"]) -> Scalars:
     """Return −2 log p(h), up to the constant H log 2π."""
     return (h**2).sum(-1) if problem.hyper_correlation is None else problem.hyper_correlation.square(h)
 

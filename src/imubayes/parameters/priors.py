@@ -21,7 +21,7 @@ from scipy import special
 
 from imubayes.foundations.arrays import Array, Float, Scalars, namespace
 from imubayes.foundations.errors import InputError, closest_first, input_error
-from imubayes.foundations.tail_probabilities import normal_survival
+from imubayes.foundations.tail_probabilities import error_complement, normal_survival
 from imubayes.foundations.units import NUMBER_AND_UNIT, same_dimension, to_si
 
 
@@ -65,7 +65,7 @@ Refuse = Callable[[str, str], InputError]  # what is wrong, what is allowed → 
 
 def _probability(z: Scalars) -> Scalars:
     """Return Φ(z)."""
-    return _traced_probability(z) if namespace(z) is jnp else 0.5 * special.erfc(-math.sqrt(0.5) * z)
+    return _traced_probability(z) if namespace(z) is jnp else 0.5 * error_complement(-math.sqrt(0.5) * z)
 
 
 def _density(z: Scalars) -> Scalars:
