@@ -56,6 +56,20 @@ def in_a_new_process(*args, **kwargs):
 VALUES = np.linspace(0.0, 1.0, 5)
 
 
+def test_a_program_compiled_ahead_is_the_one_that_is_called(folder):
+    kept_programs.compile_ahead(scaled, VALUES)
+    kept_programs.compile_ahead(scaled, VALUES)
+    found = scaled(VALUES)
+    assert TRACED == ["scaled"], "one program, traced once"
+    np.testing.assert_allclose(found["out"], np.cumsum(np.exp(VALUES)), rtol=1e-15)
+    assert not kept_programs._ahead
+    # What is kept already is not compiled again.
+    kept_programs.forget_programs()
+    kept_programs.compile_ahead(scaled, VALUES)
+    assert not kept_programs._ahead
+    assert TRACED == ["scaled"]
+
+
 def test_a_kept_program_is_not_traced_again_and_gives_the_same_bits(folder):
     first, again = in_a_new_process(VALUES, by=2.5), in_a_new_process(VALUES, by=2.5)
     assert TRACED == ["scaled"]

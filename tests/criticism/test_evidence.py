@@ -4,7 +4,6 @@ import itertools
 import math
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import linalg, stats
@@ -300,7 +299,7 @@ def in_time(correlation: float, factor: float, log_prior: float) -> RowCorrelati
     place = np.arange(RUNS * ROWS)
     first = place % ROWS == 0
     rho = np.where(first, 0.0, correlation)
-    series = Series(jnp.asarray(np.where(first, len(place), place - 1)), jnp.asarray(rho))
+    series = Series(np.where(first, len(place), place - 1), rho)
     log_variance = np.log1p(-(rho**2))
     return RowCorrelation(factor, log_prior, -0.5 * float(log_variance.sum()), np.exp(-0.5 * log_variance), series)
 

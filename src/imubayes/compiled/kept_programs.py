@@ -13,6 +13,7 @@ import itertools
 import os
 import pickle
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,6 +65,8 @@ class _Folder:
 
 
 _programs: dict[Any, _Program | None] = {}
+_ahead: dict[Any, Future[_Program | None]] = {}
+_threads = ThreadPoolExecutor(1, thread_name_prefix="compiling")
 
 
 def keep_programs(folder: Path | None, purpose: str = "") -> None:
@@ -110,12 +113,33 @@ class _Kept:
         leaves, tree = jax.tree.flatten((args, kwargs))
         key = (self.function, tree, tuple(map(kind_of, leaves)), config.trace_context())
         if key not in _programs:
-            _programs[key] = _found_or_made(self.function, leaves, tree)
+            ahead = _ahead.pop(key, None)
+            _programs[key] = _found_or_made(self.function, leaves, tree) if ahead is None else ahead.result()
         program = _programs[key]
         if program is None:
             return self.ordinary(*args, **kwargs)
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
         return _result(key, program, arrays, lambda: self(*args, **kwargs))
+
+    def ahead(self, *args: Any) -> None:
+        """Compile the program of a call in a thread, unless it is kept."""
+        if _Folder.place is None or not core.trace_state_clean() or jax.config.jax_disable_jit:
+            return
+        leaves, tree = jax.tree.flatten((args, {}))
+        key = (self.function, tree, tuple(map(kind_of, leaves)), config.trace_context())
+        if key in _programs or key in _ahead:
+            return
+        with suppress(NoIdentityError):
+            if not (_Folder.place / identity(self.function, slotted(leaves, tree))).exists():
+                _ahead[key] = _threads.submit(_found_or_made, self.function, leaves, tree)
+
+
+def compile_ahead(function: Callable, *args: Any) -> None:
+    """Compile a kept function for such arguments while the process goes on; a call of it then waits for the rest.
+
+    The compiler works without the interpreter's lock, so that two programs take little longer than one.
+    """
+    cast(_Kept, function).ahead(*args)
 
 
 def run_bound(key: tuple, function: Callable, arrays: list[Any], arguments: Callable[[], tuple]) -> Any:

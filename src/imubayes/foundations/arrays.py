@@ -79,7 +79,10 @@ __all__ = [
 
 def namespace(*operands: Any) -> Any:
     """Return `jax.numpy` where an operand is an array of JAX, also a traced one; else `numpy`."""
-    return jnp if any(isinstance(operand, jax.Array) for operand in operands) else np
+    for operand in operands:
+        if isinstance(operand, jax.Array):
+            return jnp
+    return np
 
 
 def take(values: Array, places: Int[Array, "..."]) -> Array:
@@ -160,6 +163,18 @@ def solve_lower(
         return values
     found, status = scipy.linalg.lapack.dtrtrs(factor.T, values, lower=0, trans=int(not transposed))
     return found if status == 0 else np.full(values.shape, np.nan)
+
+
+def solve_each(
+    factors: Float[Array, "n P P"], vectors: Float[Array, "n P"], transposed: bool = False
+) -> Float[Array, "n P"]:
+    """Return L⁻¹ · vector, or L⁻ᵀ · vector, for each of n lower triangular factors and vectors of NumPy."""
+    found, solve = np.empty_like(vectors), scipy.linalg.lapack.dtrtrs
+    if found.size:
+        for place, (factor, vector) in enumerate(zip(factors, vectors, strict=True)):
+            solved, status = solve(factor.T, vector, lower=0, trans=int(not transposed))
+            found[place] = solved if status == 0 else np.nan
+    return found
 
 
 def cho_solve(factor: Float[Array, "P P"], values: Float[Array, "P *columns"]) -> Float[Array, "P *columns"]:

@@ -21,7 +21,7 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, cholesky, solve_lower
+from imubayes.foundations.arrays import Array, Float, cholesky, solve_each, solve_lower
 from imubayes.inference.conditional_precision import (
     Conditional,
     InnovationScale,
@@ -335,12 +335,7 @@ def _given(approximation: NestedLaplace, problem: Problem, h: np.ndarray) -> _Gi
     else:
         precision, gradient = conditional(of, problem, h)
     factor = cholesky(precision)
-    return _Given(factor, _solved(factor, gradient), at_mode)
-
-
-def _solved(factor: np.ndarray, vectors: np.ndarray, transposed: bool = False) -> np.ndarray:
-    """Return L⁻¹ · vector, or L⁻ᵀ · vector, for each of n factors and vectors."""
-    return np.stack([solve_lower(each, vector, transposed) for each, vector in zip(factor, vectors, strict=True)])
+    return _Given(factor, solve_each(factor, gradient), at_mode)
 
 
 def _bent(approximation: NestedLaplace, problem: Problem, delta: np.ndarray) -> np.ndarray:
@@ -406,7 +401,7 @@ def _to_points(approximation: NestedLaplace, problem: Problem, normal: np.ndarra
     whitened, excess = normal[:, :size], 0.0
     if approximation.shape is not None:
         whitened, excess = approximation.shape.shaped(given.factor, whitened)
-    delta = _solved(given.factor, given.half + whitened, transposed=True)
+    delta = solve_each(given.factor, given.half + whitened, transposed=True)
     points = np.concatenate([approximation.z + delta + _bent(approximation, problem, delta), h], axis=1)
     return points, _log_density(approximation, given.factor, whitened, along) + excess, given
 

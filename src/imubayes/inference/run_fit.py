@@ -25,7 +25,7 @@ from imubayes.inference.plausibility import implausible_estimates, unexplained_o
 from imubayes.inference.posterior_mode import Mode, find_mode, heights, log_evidence, message
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import evaluate_derived
-from imubayes.model.problem import Problem
+from imubayes.model.problem import Problem, compile_predictions
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.
@@ -79,6 +79,7 @@ def joint_fit(
         if file is not None and resume:
             file.check()
         tell("fitting: mode")
+        compile_predictions(problem)
         mode, others = _best_start(problem, sampling, start, tell)
         fit = judged_fit(model, mode)
         if not fit.converged:

@@ -20,7 +20,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from imubayes.foundations.arrays import Scalars, cho_solve, cholesky, solve_lower
+from imubayes.foundations.arrays import Scalars, cho_solve, cholesky, solve_each
 from imubayes.model.likelihood import has_heavy_tails
 from imubayes.model.noise_covariance import rows_correlate
 from imubayes.model.problem import (
@@ -177,8 +177,7 @@ class ScaleStatistics:
     def _log_marginals(self, h: np.ndarray) -> np.ndarray:
         known = self.normal(h)
         factor = cholesky(known.precision)
-        pairs = zip(factor, known.gradient, strict=True)
-        half = np.stack([solve_lower(each, gradient) for each, gradient in pairs])
+        half = solve_each(factor, known.gradient)
         return self._value(h, known, factor, np.sum(half**2, axis=1))
 
     def slopes(self, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

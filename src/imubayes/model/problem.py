@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.compiled.kept_programs import kept
+from imubayes.compiled.kept_programs import compile_ahead, kept
 from imubayes.foundations.arrays import (
     Array,
     Bool,
@@ -304,6 +304,11 @@ def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "
 @kept
 def _predict_batch(problem: Problem, points: Float[Array, "n P"]) -> Float[Array, "n E"]:
     return jax.vmap(lambda z: predict(problem, z))(points)
+
+
+def compile_predictions(problem: Problem) -> None:
+    """Compile the program of `predict_many` while the process goes on."""
+    compile_ahead(_predict_batch, problem, np.zeros((_AT_ONCE, problem.size[0])))
 
 
 def predict_many(problem: Problem, points: np.ndarray) -> np.ndarray:
