@@ -79,7 +79,6 @@ def joint_fit(
         if file is not None and resume:
             file.check()
         tell("fitting: mode")
-        compile_predictions(problem)
         mode, others = _best_start(problem, sampling, start, tell)
         fit = judged_fit(model, mode)
         if not fit.converged:
@@ -194,6 +193,7 @@ def _best_start(
 ) -> tuple[Mode, list[np.ndarray]]:
     """Fit from the start and from draws of the prior; return the best, and other ends worth a look."""
     size, hyper_size = problem.size
+    compile_predictions(problem)
     z, h = start if start is not None else (np.zeros(size), np.zeros(hyper_size))
     mode = find_mode(problem, np.asarray(z), np.asarray(h))
     draws = _dispersed(size, sampling) if sampling is not None or start is None else []
