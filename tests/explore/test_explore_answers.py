@@ -17,7 +17,7 @@ import polars as pl
 import pytest
 from explore_client import framed, settled
 
-from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.api import add, diagnose
 from imubayes.cli.main import run
 from imubayes.criticism.evidence.free_forms import ChosenForm
@@ -28,6 +28,7 @@ from imubayes.explorer.linear_view import LinearView
 from imubayes.explorer.messages import Brush, PointsWanted
 from imubayes.explorer.point_table import PointTable, decimated
 from imubayes.explorer.session import Session
+from imubayes.inference.laplace_marginal import whitened_columns
 from imubayes.model.bind import Model
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import read_summary_and_residuals
@@ -217,7 +218,7 @@ def test_a_cause_that_is_no_line_is_previewed_as_it_acts(client, first, model):
         beyond = np.maximum(np.abs(signal) - told.shape["limit"] * channel.scale, 0.0)
         off, slope = off - share * np.sign(signal) * beyond, slope - share * (beyond > 0)
     columns = np.concatenate([off[:, None], point.jacobian * slope[:, None]], axis=1)
-    white, count = whitened_rows(view.fit.model.problem, point.h, columns), len(point.misfit)
+    white, count = whitened_columns(view.fit.model.problem, point.h, columns), len(point.misfit)
     widths = np.diag(point.left[count:] / -point.z)
     rows, right = (
         np.concatenate([white[:, 1:], widths]),

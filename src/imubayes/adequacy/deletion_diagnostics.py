@@ -31,8 +31,6 @@ from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, prior_widths
 
-_AT_ONCE = 16
-"""Columns that are divided by the covariance at once, so that one compiled program serves all."""
 _LEAST_FREEDOM = 5.0
 """Degrees of freedom of a channel below which it does not tell its noise."""
 

@@ -35,9 +35,6 @@ cannot be detected.  Numerical: a drift turns a servo table by 10⁶ times the n
 priors of the model speak against is 1e-10 of that; projections are accurate to some 1e-20.  Larger overlooks such
 effects."""
 
-_AT_ONCE = 16
-"""Columns that are whitened at once, so that one compiled program serves all."""
-
 
 @dataclass(frozen=True)
 class KnownNoisePoint:
@@ -96,11 +93,6 @@ class KnownNoisePoint:
                 rms, inside, assumed = (float(np.sqrt(np.mean(each**2))) for each in sizes)
                 found.append(ChannelRms(channel=channel.name, rms=rms, unit=unit, within=inside, noise=assumed))
         return tuple(found)
-
-
-def whitened_rows(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return columns (E, C) whitened by the noise at scales h."""
-    return whitened_columns(problem, h, columns)
 
 
 def noise_sd(problem: Problem, h: Float[Array, " H"]) -> np.ndarray:

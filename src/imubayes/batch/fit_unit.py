@@ -28,7 +28,6 @@ from imubayes.batch import group_moments as moments
 from imubayes.batch.batch_folder import BatchSettings, UnitSource
 from imubayes.batch.lanes import LANES, LaneMode, LaneStructure, Stacked, of_lane
 from imubayes.batch.posterior_table import Kind, Outcome, Quantities, UnitIdentity, UnitPosterior
-from imubayes.compiled.kept_programs import kept
 from imubayes.criticism.diagnose import judge
 from imubayes.foundations.arrays import Array, Float, on_host
 from imubayes.foundations.campaign_data import Campaign, channel_of_component
@@ -279,8 +278,6 @@ QUANTILES = (2.5, 25.0, 50.0, 75.0, 97.5)
 # Knots of the quadrature that gives the mean of a prior.
 _KNOTS = 64
 
-_whitened = kept(whitened)
-
 
 def bound_to(spec: ModelSpec, campaign: Campaign) -> Model:
     """Return a model bound to a campaign; files with the user's effects are read once a process."""
@@ -338,7 +335,7 @@ def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> U
         pareto_k=None if posterior.chains is None else posterior.chains.diagnosis.pareto_k,
         draws=_effective_draws(posterior),
         readings=readings,
-        chi2=float(np.sum(np.asarray(_whitened(problem, fit.mode.h, fit.mode.about.misfit)) ** 2)),
+        chi2=float(np.sum(whitened(problem, fit.mode.h, fit.mode.about.misfit) ** 2)),
         log_evidence=float(log_evidence(fit.mode)),
     )
     values = in_units(fit.model, posterior.points)

@@ -16,7 +16,6 @@ from statistics import NormalDist
 import numpy as np
 
 from imubayes.adequacy.known_noise import known_scales
-from imubayes.adequacy.known_noise_fit import whitened_rows
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis, inverse
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect
@@ -25,6 +24,7 @@ from imubayes.foundations.records import Record
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.laplace_marginal import whitened_columns
 from imubayes.model.problem import prior_widths
 from imubayes.parameters.declarations import prior_slopes
 from imubayes.responses.candidate_effects import candidate_responses
@@ -293,7 +293,7 @@ def discriminating_run(fitted: Fit, posterior: ExplanationPosterior, slot: Missi
     # The runs that are planned have the noise that is known of their channels.
     h = known_scales(extended)
     parts = [responses.jacobian, *(columns for columns, _ in members)]
-    white = whitened_rows(extended.model.problem, h, np.concatenate(parts, axis=1))
+    white = whitened_columns(extended.model.problem, h, np.concatenate(parts, axis=1))
     jacobian, *columns = np.split(white, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
     prior = np.diag(1 / np.asarray(prior_widths(extended.model.problem, h)))
     recorded = len(fitted.model.campaign.runs)

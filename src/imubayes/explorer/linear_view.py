@@ -17,7 +17,7 @@ from functools import cached_property
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import ExplainedFit
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.drawn_shape import DrawnCurve, drawn_shape, likest
@@ -31,6 +31,7 @@ from imubayes.explorer.messages import MovedEstimate, RankedCause, RowsRanking
 from imubayes.explorer.refit_ahead import Ahead, refitted, told_values
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import Tell
+from imubayes.inference.laplace_marginal import whitened_columns
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import derived_jacobian
 from imubayes.parameters.declarations import prior_slopes
@@ -202,7 +203,7 @@ class LinearView:
                 raise input_error(f"'{effect}' is no cause here", "preview", allowed, "choose one of the list")
             posterior = self.explained.posterior
             columns = posterior.columns_of(self.variants[effect], self.explained.responses)[1]
-            self._white[effect] = columns, whitened_rows(self.fit.model.problem, self.point.h, columns)
+            self._white[effect] = columns, whitened_columns(self.fit.model.problem, self.point.h, columns)
         return self._white[effect]
 
     def acting_linearly(self, effects: Sequence[str]) -> KnownNoisePoint:

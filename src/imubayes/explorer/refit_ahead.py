@@ -17,11 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.adequacy.known_noise import known_scales
-from imubayes.adequacy.known_noise_fit import KnownNoisePoint, whitened_rows
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnosis_record import ScreenedEffect
 from imubayes.effects.base import Effect
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import whitened_about
+from imubayes.inference.laplace_marginal import whitened_about, whitened_columns
 from imubayes.inference.parameter_fit import Linearised
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem, masked
@@ -162,7 +162,7 @@ def told_values(estimates: Sequence[ScreenedEffect]) -> dict[str, float]:
 
 
 def _white(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    return whitened_rows(problem, h, columns) if columns.shape[1] else columns
+    return whitened_columns(problem, h, columns) if columns.shape[1] else columns
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.adequacy.known_noise_fit import whitened_rows
 from imubayes.foundations.records import Record
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import inverse_of_precision
+from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_columns
 from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.problem import prior_widths
 from imubayes.qualification.budget_parts import Source, posterior_covariance
@@ -191,7 +190,7 @@ def exact_equipment(fit: Fit, effects: Sequence[str] = tuple(SOURCES)) -> ExactE
     joined = np.concatenate([responses.jacobian, np.reshape(columns, (len(columns), -1)).T], axis=1) if columns else (
         responses.jacobian
     )  # fmt: skip
-    rows = whitened_rows(problem, fit.h, joined)
+    rows = whitened_columns(problem, fit.h, joined)
     own, others = rows[:, :size], rows[:, size:]
     widths = np.asarray(prior_widths(problem, np.asarray(fit.h)))
     # By orthogonal projection: some parameters are known to 1e-8 of their prior, and differences of squares are not.

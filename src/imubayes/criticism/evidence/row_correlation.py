@@ -24,8 +24,6 @@ from imubayes.parameters.declarations import Parameter, prior_values
 
 _FACTORS = tuple(2.0**k for k in range(1, -6, -1))
 """Sizes over that as fitted.  Derived: at a factor √2 off, the evidence of a hundred rows falls by some nats only."""
-_AT_ONCE = 32
-"""Columns that are whitened at once, so that one compiled program serves all."""
 
 
 @dataclass(frozen=True, eq=False)
