@@ -1,4 +1,4 @@
-"""Tests run strict: double precision, no silent promotion of rank or type, shapes and types checked at every call."""
+"""Tests run strict: double precision, no silent promotion of rank or type, shapes and types checked."""
 
 import gc
 import os

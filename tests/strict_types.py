@@ -1,14 +1,17 @@
-"""Tests run strict: double precision, no silent promotion of rank or type, shapes and types checked at every call."""
+"""Tests run strict: double precision, no silent promotion of rank or type, shapes and types checked."""
 
+import functools
 import os
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import jax
+import jaxtyping
 from beartype import BeartypeConf, beartype
 from beartype.claw import beartype_packages
 from hypothesis import settings
-from jaxtyping import install_import_hook
 
 # An int stands where a float is asked for (PEP 484).
 CONFIGURATION = BeartypeConf(is_pep484_tower=True)
@@ -37,6 +40,40 @@ IMPORTED_FIRST = (
 )
 
 
+# Shapes are checked at the first calls of a function and at every hundredth later on: a check takes longer than most of
+# the functions, and some are called 100 000 times in a test.
+FIRST_CALLS, EVERY = 30, 100
+
+
+def _sampled(function: Callable, checked_function: Callable) -> Callable:
+    """Return a function that is checked at its first calls, and now and then later."""
+    calls = 0
+
+    @functools.wraps(function)
+    def called(*args, **kwargs):
+        nonlocal calls
+        calls += 1
+        return (checked_function if calls <= FIRST_CALLS or calls % EVERY == 0 else function)(*args, **kwargs)
+
+    return called
+
+
+def shaped(checked_item: Any = None, *, typechecker: Callable) -> Any:
+    """Decorate a function, or the constructor of a record, as `jaxtyping.jaxtyped` does, for a sample of its calls."""
+    if checked_item is None:
+        return functools.partial(shaped, typechecker=typechecker)
+    plain = checked_item.__init__ if isinstance(checked_item, type) else checked_item
+    decorated = _JAXTYPED(checked_item, typechecker=typechecker)
+    if not isinstance(decorated, type):
+        return _sampled(plain, decorated)
+    if decorated.__init__ is not plain:
+        decorated.__init__ = _sampled(plain, decorated.__init__)
+    return decorated
+
+
+_JAXTYPED = jaxtyping.jaxtyped
+
+
 def modules(source: Path, shaped: bool) -> tuple[str, ...]:
     """Return the modules below a folder that jaxtyping has to check, or those for which beartype is enough."""
     files = [file for file in sorted(source.rglob("*.py")) if file.stem != "__init__"]
@@ -62,5 +99,6 @@ def be_strict() -> None:
         import_module(package)
     # Beartype alone is a tenth of the cost where no shapes are declared.
     source = Path(__file__).parents[1] / "src"
-    install_import_hook(modules(source, shaped=True), "strict_types.checked")
+    jaxtyping.jaxtyped = shaped
+    jaxtyping.install_import_hook(modules(source, shaped=True), "strict_types.checked")
     beartype_packages(modules(source, shaped=False), conf=CONFIGURATION)

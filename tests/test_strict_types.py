@@ -3,10 +3,11 @@
 import jax.numpy as jnp
 import pytest
 from beartype.roar import BeartypeCallHintParamViolation
-from jaxtyping import TypeCheckError
+from jaxtyping import Float, TypeCheckError
 
-from imubayes.foundations.arrays import exponential
+from imubayes.foundations.arrays import Array, exponential
 from imubayes.foundations.units import to_si
+from strict_types import EVERY, FIRST_CALLS, checked, shaped
 
 
 def test_a_wrong_type_raises():
@@ -17,3 +18,17 @@ def test_a_wrong_type_raises():
 def test_a_wrong_shape_raises():
     with pytest.raises(TypeCheckError):
         exponential(jnp.zeros(2))
+
+
+def test_the_first_calls_are_checked_and_a_sample_of_those_that_follow():
+    @shaped(typechecker=checked)
+    def first(values: Float[Array, "n 3"]) -> float:
+        return values[0, 0]
+
+    refused = []
+    for call in range(1, 4 * EVERY + 1):
+        try:
+            first(jnp.zeros((2, 2)))
+        except TypeCheckError:
+            refused.append(call)
+    assert refused == [*range(1, FIRST_CALLS + 1), *range(EVERY, 4 * EVERY + 1, EVERY)]

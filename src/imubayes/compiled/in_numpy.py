@@ -30,7 +30,8 @@ from imubayes.compiled import kept_programs as compiled
 from imubayes.compiled import stored_programs as store
 from imubayes.compiled.numpy_primitives import NoNumpyError
 from imubayes.compiled.numpy_programs import LinearProgram, NumpyProgram, lowered
-from imubayes.compiled.program_identity import NoIdentityError, Slot, identity, sources_unchanged
+from imubayes.compiled.program_arguments import Arguments, filled, is_slot, slotted
+from imubayes.compiled.program_identity import NoIdentityError, identity, sources_unchanged
 
 MOST_STEPS = 200_000
 """Steps of all programs that a process holds, about 1 kB each: the signal paths of some dozen models."""
@@ -55,9 +56,7 @@ class _TracedFunction:
 
     def filled(self, results: list[np.ndarray]) -> Any:
         """Return the tree with the results in it."""
-        return jax.tree.map(
-            lambda leaf: results[leaf.number] if _is_slot(leaf) else leaf, self.skeleton, is_leaf=_is_slot
-        )
+        return filled(self.skeleton, results)
 
 
 MOST_VALUES = 40_000_000
@@ -82,12 +81,14 @@ class _InNumpy:
         self.function, self.otherwise = function, compiled.kept(function)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        leaves, tree = jax.tree.flatten((args, kwargs))
-        found = _traced(self.function, False, leaves, tree) if core.trace_state_clean() else None
+        if not core.trace_state_clean():
+            return self.otherwise(*args, **kwargs)
+        given = Arguments.of(args, kwargs)
+        found = _traced(self.function, False, given)
         if found is None:
             return self.otherwise(*args, **kwargs)
         with np.errstate(all="ignore"):
-            return found.filled(found.program(*_arrays(leaves)))
+            return found.filled(found.program(*map(np.asarray, given.arrays)))
 
 
 Pushed = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
@@ -100,12 +101,12 @@ def linearised_in_numpy(function: Callable[..., Any], *arguments: Any) -> Pushed
     ----------
     function : of a module, as for `in_numpy`; takes a vector last and returns one array.
     """
-    leaves, tree = jax.tree.flatten((arguments, {}))
-    found = _traced(function, True, leaves, tree)
+    given = Arguments.of(arguments, {})
+    found = _traced(function, True, given)
     if found is None:
         return None
     with np.errstate(all="ignore"):
-        (value, _), push = found.linear.at(*_arrays(leaves))
+        (value, _), push = found.linear.at(*map(np.asarray, given.arrays))
 
     def pushed(direction: np.ndarray) -> np.ndarray:
         with np.errstate(all="ignore"):
@@ -114,21 +115,13 @@ def linearised_in_numpy(function: Callable[..., Any], *arguments: Any) -> Pushed
     return value, pushed
 
 
-def _arrays(leaves: list[Any]) -> list[np.ndarray]:
-    return [np.asarray(leaf) for leaf in leaves if eqx.is_array(leaf)]
-
-
-def _is_slot(leaf: Any) -> bool:
-    return isinstance(leaf, Slot)
-
-
-def _traced(function: Callable, with_derivative: bool, leaves: list[Any], tree: Any) -> _TracedFunction | None:
+def _traced(function: Callable, with_derivative: bool, given: Arguments) -> _TracedFunction | None:
     """Return the program of a function for arguments like these; None where NumPy cannot evaluate it."""
-    key = (function, with_derivative, tree, tuple(map(compiled.kind_of, leaves)), config.trace_context())
+    key = (function, with_derivative, given.kinds, config.trace_context())
     if key in _programs:
         _programs[key] = _programs.pop(key)  # used last
         return _programs[key]
-    found = _found_or_traced(function, with_derivative, compiled.slotted(leaves, tree))
+    found = _found_or_traced(function, with_derivative, given.slotted())
     found = None if found is None or found.program.work > MOST_VALUES else found
     _programs[key] = found
     held = [0 if each is None else len(each.program.steps) for each in _programs.values()]
@@ -157,19 +150,17 @@ def _found_or_traced(function: Callable, with_derivative: bool, arguments: Any) 
 
 
 def _trace(function: Callable, with_derivative: bool, arguments: Any) -> _TracedFunction:
-    slots = [leaf for leaf in jax.tree.leaves(arguments, is_leaf=_is_slot) if _is_slot(leaf)]
+    slots = [leaf for leaf in jax.tree.leaves(arguments, is_leaf=is_slot) if is_slot(leaf)]
     returned: list[Any] = []
 
     def flat(*arrays):
-        args, kwargs = jax.tree.map(
-            lambda leaf: arrays[leaf.number] if _is_slot(leaf) else leaf, arguments, is_leaf=_is_slot
-        )
+        args, kwargs = filled(arguments, arrays)
         if with_derivative:
             found = jax.jvp(lambda last: function(*args[:-1], last), args[-1:], arrays[-1:])
         else:
             found = function(*args, **kwargs)
         leaves, tree = jax.tree.flatten(found)
-        returned.append(compiled.slotted(leaves, tree))
+        returned.append(slotted(leaves, tree))
         return tuple(leaf for leaf in leaves if eqx.is_array(leaf))
 
     like = [jax.ShapeDtypeStruct(slot.shape, slot.dtype, weak_type=slot.weak) for slot in slots]

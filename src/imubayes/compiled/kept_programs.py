@@ -9,7 +9,6 @@ A kept program cannot be differentiated or batched: only outermost functions are
 """
 
 import functools
-import itertools
 import os
 import pickle
 from collections.abc import Callable
@@ -25,7 +24,8 @@ from jax._src import config, core
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from imubayes.compiled import stored_programs as store
-from imubayes.compiled.program_identity import NoIdentityError, Slot, identity, sources_unchanged
+from imubayes.compiled.program_arguments import Arguments, filled, is_slot, slotted
+from imubayes.compiled.program_identity import NoIdentityError, identity, sources_unchanged
 
 SWITCH = "IMUBAYES_KEEP_PROGRAMS"
 """Environment variable; at 0 every process traces its programs anew."""
@@ -49,12 +49,12 @@ class _Program:
 
     @functools.cached_property
     def _returned(self) -> tuple[list[Any], Any]:
-        return jax.tree.flatten(self.skeleton, is_leaf=lambda leaf: isinstance(leaf, Slot))
+        return jax.tree.flatten(self.skeleton, is_leaf=is_slot)
 
     def __call__(self, arrays: list[Any]) -> Any:
         results = self.executable(*arrays)
         leaves, tree = self._returned
-        return tree.unflatten([results[leaf.number] if isinstance(leaf, Slot) else leaf for leaf in leaves])
+        return tree.unflatten([results[leaf.number] if is_slot(leaf) else leaf for leaf in leaves])
 
 
 class _Folder:
@@ -110,28 +110,27 @@ class _Kept:
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if _Folder.place is None or not core.trace_state_clean() or jax.config.jax_disable_jit:
             return self.ordinary(*args, **kwargs)
-        leaves, tree = jax.tree.flatten((args, kwargs))
-        key = (self.function, tree, tuple(map(kind_of, leaves)), config.trace_context())
+        given = Arguments.of(args, kwargs)
+        key = (self.function, given.kinds, config.trace_context())
         if key not in _programs:
             ahead = _ahead.pop(key, None)
-            _programs[key] = _found_or_made(self.function, leaves, tree) if ahead is None else ahead.result()
+            _programs[key] = _found_or_made(self.function, given) if ahead is None else ahead.result()
         program = _programs[key]
         if program is None:
             return self.ordinary(*args, **kwargs)
-        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-        return _result(key, program, arrays, lambda: self(*args, **kwargs))
+        return _result(key, program, given.arrays, lambda: self(*args, **kwargs))
 
     def ahead(self, *args: Any) -> None:
         """Compile the program of a call in a thread, unless it is kept."""
         if _Folder.place is None or not core.trace_state_clean() or jax.config.jax_disable_jit:
             return
-        leaves, tree = jax.tree.flatten((args, {}))
-        key = (self.function, tree, tuple(map(kind_of, leaves)), config.trace_context())
+        given = Arguments.of(args, {})
+        key = (self.function, given.kinds, config.trace_context())
         if key in _programs or key in _ahead:
             return
         with suppress(NoIdentityError):
-            if not (_Folder.place / identity(self.function, slotted(leaves, tree))).exists():
-                _ahead[key] = _threads.submit(_found_or_made, self.function, leaves, tree)
+            if not (_Folder.place / identity(self.function, given.slotted())).exists():
+                _ahead[key] = _threads.submit(_found_or_made, self.function, given)
 
 
 def compile_ahead(function: Callable, *args: Any) -> None:
@@ -154,9 +153,9 @@ def run_bound(key: tuple, function: Callable, arrays: list[Any], arguments: Call
     arguments : gives the arguments themselves, the first time.
     """
     if key not in _programs:
-        leaves, tree = jax.tree.flatten((arguments(), {}))
-        found = _found_or_made(function, leaves, tree) if _Folder.place is not None else None
-        _programs[key] = found or _compiled(function, slotted(leaves, tree), arrays, to_be_kept=False)
+        given = Arguments.of(arguments(), {})
+        found = _found_or_made(function, given) if _Folder.place is not None else None
+        _programs[key] = found or _compiled(function, given.slotted(), arrays, to_be_kept=False)
     program = _programs[key]
     assert program is not None
     return _result(key, program, arrays, lambda: run_bound(key, function, arrays, arguments))
@@ -173,23 +172,10 @@ def _result(key: Any, program: _Program, arrays: list[Any], again: Callable[[], 
         return again()
 
 
-def kind_of(leaf: Any) -> Any:
-    """Return what a program depends on: of an array shape and type, of anything else all of it."""
-    if eqx.is_array(leaf):
-        return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
-    return type(leaf), leaf
-
-
-def slotted(leaves: list[Any], tree: Any) -> Any:
-    """Return a tree with a `Slot` for each array."""
-    number = itertools.count()
-    return tree.unflatten([Slot.of(next(number), leaf) if eqx.is_array(leaf) else leaf for leaf in leaves])
-
-
-def _found_or_made(function: Callable, leaves: list[Any], tree: Any) -> _Program | None:
+def _found_or_made(function: Callable, given: Arguments) -> _Program | None:
     """Return the program of a function, from the folder or compiled now; None where it cannot be kept."""
     assert _Folder.place is not None
-    arguments, arrays = slotted(leaves, tree), [leaf for leaf in leaves if eqx.is_array(leaf)]
+    arguments = given.slotted()
     try:
         file = _Folder.place / identity(function, arguments)
     except NoIdentityError:
@@ -197,9 +183,9 @@ def _found_or_made(function: Callable, leaves: list[Any], tree: Any) -> _Program
     stored = (_Folder.preloading.read if _Folder.preloading is not None else store.read_program)(file)
     if stored is not None:
         return _Program(stored.executable, pickle.loads(stored.skeleton), file)
-    program = _compiled(function, arguments, arrays)
+    program = _compiled(function, arguments, given.arrays)
     if program is not None:
-        _write(file, program, len(arrays))
+        _write(file, program, len(given.arrays))
     return program
 
 
@@ -211,8 +197,8 @@ def _compiled(function: Callable, arguments: Any, arrays: list[Any], to_be_kept:
     returned: list[Any] = []
 
     def flat(*arrays):
-        filled = jax.tree.map(lambda leaf: arrays[leaf.number] if _is_slot(leaf) else leaf, arguments, is_leaf=_is_slot)
-        leaves, tree = jax.tree.flatten(function(*filled[0], **filled[1]))
+        args, kwargs = filled(arguments, arrays)
+        leaves, tree = jax.tree.flatten(function(*args, **kwargs))
         returned.append(slotted(leaves, tree))
         return tuple(leaf for leaf in leaves if eqx.is_array(leaf))
 
@@ -237,13 +223,9 @@ def _without_cache(lowered: jax.stages.Lowered) -> jax.stages.Compiled:
             reset_cache()
 
 
-def _is_slot(leaf: Any) -> bool:
-    return isinstance(leaf, Slot)
-
-
 def _write(file: Path, program: _Program, arguments: int) -> None:
     """Keep a program, where jaxlib can and the sources are still those that it was made of."""
-    results = sum(map(_is_slot, jax.tree.leaves(program.skeleton, is_leaf=_is_slot)))
+    results = sum(map(is_slot, jax.tree.leaves(program.skeleton, is_leaf=is_slot)))
     try:
         skeleton = pickle.dumps(program.skeleton)
     except (TypeError, AttributeError, pickle.PicklingError):
