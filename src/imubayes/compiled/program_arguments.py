@@ -33,12 +33,12 @@ class Kinds:
 
 
 @dataclass(frozen=True)
-class _Parts:
+class _Leaves:
     kinds: Kinds
     arrays: tuple[Any, ...]
 
 
-_modules: dict[int, tuple[weakref.ref, _Parts]] = {}
+_modules: dict[int, tuple[weakref.ref, _Leaves]] = {}
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def filled(skeleton: Any, arrays: Any) -> Any:
     return jax.tree.map(lambda leaf: arrays[leaf.number] if is_slot(leaf) else leaf, skeleton, is_leaf=is_slot)
 
 
-def _part(argument: Any) -> _Parts:
+def _part(argument: Any) -> _Leaves:
     if not isinstance(argument, eqx.Module):
         return _taken_apart(argument)
     place = id(argument)
@@ -101,9 +101,9 @@ def _forget(place: int, gone: weakref.ref) -> None:
         del _modules[place]
 
 
-def _taken_apart(argument: Any) -> _Parts:
+def _taken_apart(argument: Any) -> _Leaves:
     leaves, tree = jax.tree.flatten(argument)
-    return _Parts(Kinds(tree, leaves), tuple(leaf for leaf in leaves if eqx.is_array(leaf)))
+    return _Leaves(Kinds(tree, leaves), tuple(leaf for leaf in leaves if eqx.is_array(leaf)))
 
 
 def _kind_of(leaf: Any) -> Any:
