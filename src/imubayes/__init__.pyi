@@ -35,7 +35,7 @@ from .api import (
     report,
     selftest,
 )
-from .campaign import check_campaign, load_campaign
+from .campaign import build_campaign, check_campaign, load_campaign
 from .criticism.diagnosis_record import Diagnosis
 from .display.compare_report import compare
 from .effects.base import (
@@ -111,6 +111,7 @@ __all__ = [
     "apply",
     "bind",
     "budget",
+    "build_campaign",
     "capture",
     "check_campaign",
     "compare",

@@ -7,7 +7,8 @@ import pytest
 from tumble_files import NAMES, tumble_log
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.convert import convert, write_campaign
+from imubayes.campaign.campaign_writer import write_campaign
+from imubayes.campaign.convert import convert
 from imubayes.foundations.errors import InputError
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data"

@@ -4,6 +4,7 @@
 and `convert` makes campaigns of foreign recordings.
 """
 
+from imubayes.campaign.campaign_in_memory import build_campaign
 from imubayes.campaign.campaign_reader import (
     Inspection,
     check_campaign,
@@ -21,6 +22,7 @@ __all__ = [
     "Finding",
     "Inspection",
     "ModelFile",
+    "build_campaign",
     "check_campaign",
     "inspect_campaign",
     "load_campaign",

@@ -1,130 +1,98 @@
-"""Read a campaign folder as a `Campaign`, without saturated means, and a model file as a `ModelFile`.
+"""Read a campaign folder as a `Campaign`, and a model file as a `ModelFile`.
 
 All files are read before an error is raised: `inspect_campaign` returns every issue and finding together with the
 campaign, if valid; `load_campaign` raises all issues at once.  The raw log behind a run that was read can be streamed
 again for an evaluation of single samples.
-
-Means at the limit of their channel are left out, because they only say that the input was beyond.  A raw log shows its
-limit by samples that stay there.  A table of means shows it by equal outputs at different inputs, or by a mean without
-scatter that falls short of the line through the others, each at the extreme of the channel.  Means of samples near a
-limit are biased as well.
 """
 
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from imubayes.campaign import equipment as stated
 from imubayes.campaign.file_schemas import CampaignFile, Draft, ModelFile, RunEntry, draft_of
-from imubayes.campaign.physical_checks import LEAST_SPREAD
-from imubayes.campaign.reduction import clipping_note
+from imubayes.campaign.physical_checks import check_rows
 from imubayes.campaign.repeated_data import check_repeats
 from imubayes.campaign.run_reader import Equipment, Loaded, judge_rows, load_run
-from imubayes.campaign.run_tables import TableSource, lay_out, read_header
+from imubayes.campaign.run_tables import TableFile, TableSource, lay_out, read_header
 from imubayes.campaign.run_times import check_times
+from imubayes.campaign.saturated_rows import without_saturated_rows
 from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS, setup_findings
 from imubayes.campaign.setup_gate.remedies import Places
 from imubayes.campaign.stream_checks import LIKE_UNITS, SYMPTOMS, UNIT_FINDINGS, Finding
-from imubayes.campaign.toml_documents import Ledger, read_document
+from imubayes.campaign.toml_documents import Document, Ledger, read_document
 from imubayes.foundations.campaign_data import Campaign, Channel, Run, Site
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.units import STANDARD_GRAVITY
 from imubayes.procedures import PROCEDURES, procedure_named
 
-LEAST_ROWS = 5  # of a channel, to tell a limit
-EQUAL_OUTPUT = 1e-9  # of the range of the outputs
-OTHER_INPUT = 0.02  # of the range of the inputs
-SHORT_OF_LINE = 0.01  # of the range of the outputs; a coarse output without scatter at rest lies on the line
-NEAR_LIMIT_SD = 4.0  # a mean so near to the limit holds clipped samples
-
-
-def without_saturated_rows(loaded: Sequence[Loaded], files: Sequence[str], equipment: Equipment) -> None:
-    """Empty the cells of clipped means in every run, and note what was left out as a finding of the run.
-
-    Parameters
-    ----------
-    loaded : the runs, changed in place; free tumbles and runs that could not be loaded are left as they are.
-    files : the table of each.
-    """
-    runs = [each.run for each in loaded if each.run is not None and each.run.tumble is None]
-    if not runs:
-        return
-    for place, channel in enumerate(equipment.channels):
-        limits = tuple(_limits(runs, place, channel, equipment))
-        for each, file in zip(loaded, files, strict=True):
-            if limits and each.run is not None and each.run.tumble is None:
-                _leave_out(each, each.run, place, channel, limits, file)
-
-
-def _limits(runs: Sequence[Run], place: int, channel: Channel, equipment: Equipment) -> Iterator[float]:
-    """Yield the limits that the means of a channel show."""
-    observed = np.concatenate([run.observed[:, place] for run in runs])
-    stimulus = np.concatenate([_stimulus(run, channel, equipment) for run in runs])
-    known = np.isfinite(observed) & np.isfinite(stimulus)
-    if (
-        known.sum() < LEAST_ROWS
-        or np.ptp(observed[known]) == 0
-        or np.ptp(stimulus[known]) <= LEAST_SPREAD[channel.kind]
-    ):
-        return
-    steady = np.concatenate([(run.sample_sd[:, place] == 0) & (run.samples > 1) for run in runs])
-    steady = steady & (_scatter(runs, place) > 0)
-    for extreme, inward in ((float(observed[known].min()), 1.0), (float(observed[known].max()), -1.0)):
-        there = known & (np.abs(observed - extreme) <= EQUAL_OUTPUT * np.ptp(observed[known]))
-        others = known & ~there
-        apart = np.ptp(stimulus[there]) > OTHER_INPUT * np.ptp(stimulus[known])
-        short = inward * _beyond_line(stimulus, observed, others) > SHORT_OF_LINE * np.ptp(observed[known])
-        if apart or (there & steady & short).any():
-            yield extreme
-
-
-def _beyond_line(stimulus: np.ndarray, observed: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return by how much outputs exceed the straight line through the other rows, (R,); 0 where these give none."""
-    if others.sum() < LEAST_ROWS - 1 or np.ptp(stimulus[others]) == 0:
-        return np.zeros(len(observed))
-    slope, intercept = np.polyfit(stimulus[others], observed[others], 1)
-    return observed - (slope * stimulus + intercept)
-
-
-def _stimulus(run: Run, channel: Channel, equipment: Equipment) -> np.ndarray:
-    """Return the nominal input of a channel in each row, (R,); NaN where the procedure states none."""
-    table, mounting = equipment.tables.get(run.table or ""), equipment.mountings.get(run.mounting or "")
-    try:
-        stimulus = PROCEDURES[run.procedure].nominal_input(run, channel, equipment.site, table, mounting)
-    except InputError:
-        stimulus = None  # what the equipment lacks is told where the rows are judged
-    return np.full(run.rows, np.nan) if stimulus is None else stimulus
-
-
-def _scatter(runs: Sequence[Run], place: int) -> float:
-    """Return the median standard deviation of the samples of a channel; 0 where none is recorded."""
-    recorded = np.concatenate([run.sample_sd[:, place] for run in runs])
-    return float(np.median(recorded[np.isfinite(recorded)])) if np.isfinite(recorded).any() else 0.0
-
-
-def _leave_out(loaded: Loaded, run: Run, place: int, channel: Channel, limits: Sequence[float], file: str) -> None:
-    observed = run.observed[:, place]
-    margin = max(NEAR_LIMIT_SD * _scatter([run], place), EQUAL_OUTPUT * float(np.abs(limits).max()))
-    clipped = np.any([np.abs(observed - limit) <= margin for limit in limits], axis=0)
-    if not clipped.any():
-        return
-    what = clipping_note(channel.name, limits, int(clipped.sum()), run.rows, "means")
-    finding = Finding(
-        "saturated_channel", "warning", run.name, f"channel {what}", f"{file}, column '{channel.name}'",
-        "outputs within the range of the converter", "test within the range, or leave the cells empty",
-    )  # fmt: skip
-    empty = clipped[:, None] & (np.arange(run.observed.shape[1]) == place)
-    loaded.findings.append(finding)
-    observed, sample_sd = (np.where(empty, np.nan, values) for values in (run.observed, run.sample_sd))
-    loaded.run = replace(run, observed=observed, sample_sd=sample_sd)
-
-
 CAMPAIGN_FILE = "campaign.toml"
 TABLE_FILES = ("*.csv", "*.parquet", "*/*.csv", "*/*.parquet")
+
+
+class Tables(Protocol):
+    """The tables of the runs of a campaign: files of its folder, or what was handed over.
+
+    `folder` is empty where there is none.
+    """
+
+    @property
+    def folder(self) -> str: ...
+
+    def of(self, run: RunEntry) -> TableFile | None:
+        """Return the table of a run; None where there is none."""
+        ...
+
+    def place(self, run: RunEntry) -> str:
+        """Return where the table of a run is, for messages."""
+        ...
+
+    def check(self, run: RunEntry, index: int, ledger: Ledger) -> None:
+        """Add an issue where a run, the index-th, has no table."""
+        ...
+
+    def digest(self, entry: CampaignFile) -> str:
+        """Return the SHA-256 of the campaign and its tables."""
+        ...
+
+
+@dataclass(frozen=True)
+class _TablesOfFolder:
+    file: Path
+
+    @property
+    def folder(self) -> str:
+        return str(self.file.parent)
+
+    def _path(self, run: RunEntry) -> Path:
+        return self.file.parent / run.file
+
+    def of(self, run: RunEntry) -> TableFile | None:
+        return path if (path := self._path(run)).is_file() else None
+
+    def place(self, run: RunEntry) -> str:
+        return str(self._path(run))
+
+    def digest(self, entry: CampaignFile) -> str:
+        return source_digest([self.file, *map(self._path, entry.run)])
+
+    def check(self, run: RunEntry, index: int, ledger: Ledger) -> None:
+        path, root = self._path(run), self.file.parent
+        if path.is_file():
+            return
+        near = sorted(str(p.relative_to(root)) for pattern in TABLE_FILES for p in root.glob(pattern))
+        what = "is a folder" if path.is_dir() else "does not exist"
+        ledger.add(
+            f"the table '{run.file}' of run '{run.name}' {what}",
+            ("run", index, "file"),
+            closest_first(run.file, near) or "a CSV or Parquet file inside the campaign folder",
+            "correct the path (relative to campaign.toml), or supply the file",
+        )
 
 
 @dataclass(frozen=True)
@@ -169,12 +137,12 @@ def load_campaign(path: str | Path, *, judge_setup: bool = True) -> Campaign:
     return inspection.campaign
 
 
-def check_campaign(path: str | Path) -> tuple[Finding, ...]:
+def check_campaign(campaign: Campaign | str | Path) -> tuple[Finding, ...]:
     """Return the findings in the data of a campaign, errors and warnings alike; it raises for no fault of the data.
 
     Parameters
     ----------
-    path : the folder, or its `campaign.toml`.
+    campaign : a campaign in memory, a folder, or its `campaign.toml`.  The files of a folder are read again.
 
     Examples
     --------
@@ -182,7 +150,23 @@ def check_campaign(path: str | Path) -> tuple[Finding, ...]:
     >>> imubayes.check_campaign("data/accel-channel")
     ()
     """
-    return inspect_campaign(path).findings
+    if isinstance(campaign, Campaign) and not campaign.folder:
+        return _findings_in_memory(campaign)
+    return inspect_campaign(campaign.folder if isinstance(campaign, Campaign) else campaign).findings
+
+
+def _findings_in_memory(campaign: Campaign) -> tuple[Finding, ...]:
+    """Return the findings in the rows of runs, between runs, and about the set-up."""
+    tables = {run.name: f"run '{run.name}'" for run in campaign.runs}
+    found = [
+        *check_repeats(campaign.runs, [*tables.values()], campaign.channels),
+        *check_times(campaign.runs, [*tables.values()]),
+    ]
+    for run in campaign.runs:
+        table, mounting = campaign.tables.get(run.table or ""), campaign.mountings.get(run.mounting or "")
+        found += check_rows(run, campaign.channels, campaign.site, table, mounting, tables[run.name])
+    places = Places(campaign, Ledger(Path(f"campaign '{campaign.name}'")), tables, {run: run for run in tables})
+    return (*found, *setup_findings(campaign, places, ()))
 
 
 def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspection:
@@ -195,33 +179,46 @@ def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspectio
         document = read_document(file, CampaignFile)
     except InputError as error:
         return Inspection(None, error.issues, ())
+    return inspect_document(document, _TablesOfFolder(file), judge_setup=judge_setup)
+
+
+def inspect_document(document: Document[CampaignFile], tables: Tables, *, judge_setup: bool = True) -> Inspection:
+    """Return the campaign of a document and its tables, with all issues and findings.
+
+    Parameters
+    ----------
+    tables : of the runs.
+    judge_setup : as for `load_campaign`.
+    """
     draft, ledger = draft_of(document.content), document.ledger
     equipment = _equipment(draft, ledger)
     stated.refuse_reserved_names(draft.channels, draft.names["channel"], ledger)
     _check_accepted(document.entry, ledger)
-    _check_runs(draft, ledger)
+    _check_runs(draft, tables, ledger)
     judge = None if ledger.issues else equipment
-    loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
-    _judge_rows(loaded, list(draft.runs.values()), file.parent, judge)
+    loaded = [_load(tables.of(run), run, draft.names["channel"], judge) for run in draft.runs.values()]
+    _judge_rows(loaded, list(draft.runs.values()), tables, judge)
     findings = tuple(finding for result in loaded for finding in result.findings)
     issues = [*ledger.issues, *(issue for result in loaded for issue in result.issues)]
     if not judge_setup or not _await_the_gate(loaded, findings):
         issues += _problems(findings)
     if issues or document.entry is None:
         return Inspection(None, tuple(issues), findings)
-    campaign = _campaign(document.entry, equipment, loaded, findings, file)
+    campaign = _campaign(document.entry, equipment, loaded, findings, tables)
     if not judge_setup:
         return Inspection(campaign, (), findings)
-    return _with_setup(campaign, document.entry, findings, Places(document.entry, ledger))
+    where = {run.name: tables.place(run) for run in document.entry.run}
+    places = Places(campaign, ledger, where, {run.name: run.file for run in document.entry.run})
+    return _with_setup(campaign, document.entry, findings, places)
 
 
 def _judge_rows(
-    loaded: Sequence[Loaded], entries: Sequence[RunEntry], folder: Path, equipment: Equipment | None
+    loaded: Sequence[Loaded], entries: Sequence[RunEntry], tables: Tables, equipment: Equipment | None
 ) -> None:
     """Leave out what is clipped, which all runs together tell, and check what each run then holds."""
     if equipment is None:
         return
-    files = [str(folder / entry.file) for entry in entries]
+    files = [tables.place(entry) for entry in entries]
     without_saturated_rows(loaded, files, equipment)
     read = [(each, file) for each, file in zip(loaded, files, strict=True) if each.run is not None]
     runs, named = [each.run for each, _ in read if each.run is not None], [file for _, file in read]
@@ -315,7 +312,7 @@ def _equipment(draft: Draft, ledger: Ledger) -> Equipment:
 
 
 def _campaign(
-    entry: CampaignFile, equipment: Equipment, loaded: Sequence[Loaded], findings: Sequence[Finding], file: Path
+    entry: CampaignFile, equipment: Equipment, loaded: Sequence[Loaded], findings: Sequence[Finding], tables: Tables
 ) -> Campaign:
     runs = tuple(result.run for result in loaded if result.run is not None)
     channels, runs = stated.with_angles(equipment.channels, runs, equipment.tables)
@@ -328,20 +325,20 @@ def _campaign(
         equipment.mountings,
         runs,
         entry.unit.serial,
-        source_digest([file, *(file.parent / run.file for run in entry.run)]),
+        tables.digest(entry),
         (*entry.notes, *noise_notes, *(str(finding) for finding in findings)),
-        str(file.parent),
+        tables.folder,
         entry.unit.grade,
         None if (percent := entry.evaluation.delta_k_threshold_percent) is None else percent / 100,
     )
 
 
-def _load(file: Path, entry: RunEntry, names: Sequence[str], equipment: Equipment | None) -> Loaded:
-    # A missing file has been reported with the line that names it.
-    return load_run(file, entry, names, equipment) if file.is_file() else Loaded()
+def _load(file: TableFile | None, entry: RunEntry, names: Sequence[str], equipment: Equipment | None) -> Loaded:
+    # A missing table has been reported with the line that names it.
+    return Loaded() if file is None else load_run(file, entry, names, equipment)
 
 
-def _check_runs(draft: Draft, ledger: Ledger) -> None:
+def _check_runs(draft: Draft, tables: Tables, ledger: Ledger) -> None:
     stated.refuse_repeats({index: run.name for index, run in draft.runs.items()}, "run", ledger)
     for index, run in draft.runs.items():
         if run.procedure not in PROCEDURES:
@@ -352,7 +349,7 @@ def _check_runs(draft: Draft, ledger: Ledger) -> None:
                 "use one of the allowed procedures",
             )
         stated.check_references(run, index, draft.names, ledger)
-        _check_file(run, index, ledger)
+        tables.check(run, index, ledger)
     _check_gyros(draft, ledger)
     injected = [index for index, run in draft.runs.items() if procedure_named(run.procedure).injected]
     # An invalid channel entry may be the one with the key.
@@ -382,21 +379,6 @@ def _check_gyros(draft: Draft, ledger: Ledger) -> None:
                 'a [[channel]] of kind = "gyro"',
                 "add the gyro, or correct 'procedure'",
             )
-
-
-def _check_file(run: RunEntry, index: int, ledger: Ledger) -> None:
-    file = ledger.file.parent / run.file
-    if file.is_file():
-        return
-    root = ledger.file.parent
-    near = sorted(str(p.relative_to(root)) for pattern in TABLE_FILES for p in root.glob(pattern))
-    what = "is a folder" if file.is_dir() else "does not exist"
-    ledger.add(
-        f"the table '{run.file}' of run '{run.name}' {what}",
-        ("run", index, "file"),
-        closest_first(run.file, near) or "a CSV or Parquet file inside the campaign folder",
-        "correct the path (relative to campaign.toml), or supply the file",
-    )
 
 
 def _fill_noise(channels: Sequence[Channel], runs: Sequence[Run]) -> tuple[tuple[Channel, ...], list[str]]:

@@ -6,7 +6,6 @@ a free tumble, whose rotations are observations as well.  Columns are in the uni
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from imubayes.campaign.reduction.pose_table import reduce_means
 from imubayes.campaign.run_tables import (
     TEXT_COLUMNS,
     ColumnLayout,
+    TableFile,
     TableSource,
     lay_out,
     read_header,
@@ -201,7 +201,7 @@ class _Survey:
     limits: reduce.Limits
 
 
-def load_run(file: Path, entry: RunEntry, channel_names: Sequence[str], equipment: Equipment | None) -> Loaded:
+def load_run(file: TableFile, entry: RunEntry, channel_names: Sequence[str], equipment: Equipment | None) -> Loaded:
     """Read one run table; `judge_rows` checks what it holds.
 
     Parameters

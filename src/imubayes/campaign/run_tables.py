@@ -1,4 +1,4 @@
-"""Run tables: their columns, CSV and Parquet streams of any length in bounded memory, and faults of a CSV table.
+"""Run tables: their columns, streams of CSV, Parquet and of what is in memory, and faults of a CSV table.
 
 A `TableSource` can be read repeatedly.  Small tables are kept in memory after the first pass; large ones are read again
 from the file, batch by batch.  The fast CSV parser reports only that something is wrong; line, cell and reason are then
@@ -26,6 +26,21 @@ from imubayes.foundations.errors import InputError, Issue, closest_first, input_
 from imubayes.procedures import Procedure, Reduction
 
 TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
+
+
+@dataclass(frozen=True)
+class TableInMemory:
+    """The table of a run that was handed over as arrays or as a data frame; `name` is its place in messages."""
+
+    name: str
+    columns: pa.Table
+
+    def __str__(self) -> str:
+        return self.name
+
+
+TableFile = Path | TableInMemory
+"""Where the table of a run is read from."""
 
 
 def known_columns() -> tuple[str, ...]:
@@ -239,7 +254,7 @@ class RowBatch:
 class TableSource:
     """A run table that can be streamed repeatedly."""
 
-    def __init__(self, file: Path, layout: ColumnLayout):
+    def __init__(self, file: TableFile, layout: ColumnLayout):
         self.file = file
         self.layout = layout
         self._kept: list[RowBatch] | None = None
@@ -272,14 +287,14 @@ class TableSource:
         self._kept = kept
 
 
-def refuse_long(file: Path, columns: int) -> None:
+def refuse_long(file: TableFile, columns: int) -> None:
     """Raise InputError for a Parquet table that says of itself that so many of its columns do not fit in memory."""
-    if not is_csv(file):
+    if isinstance(file, Path) and not is_csv(file):
         with _parquet(file) as parquet:
             refuse_too_large(file, parquet.metadata.num_rows * columns)
 
 
-def refuse_too_large(file: Path, cells: int) -> None:
+def refuse_too_large(file: TableFile, cells: int) -> None:
     """Raise InputError for more cells than are held in memory."""
     if cells > MOST_CELLS:
         raise input_error(
@@ -290,12 +305,12 @@ def refuse_too_large(file: Path, cells: int) -> None:
         )
 
 
-def is_csv(file: Path) -> bool:
+def is_csv(file: TableFile) -> bool:
     """Return whether a table is text, as all files but .parquet and .pq are."""
-    return file.suffix.lower() not in (".parquet", ".pq")
+    return isinstance(file, Path) and file.suffix.lower() not in (".parquet", ".pq")
 
 
-def read_header(file: Path) -> tuple[str, ...]:
+def read_header(file: TableFile) -> tuple[str, ...]:
     """Return the column names of a table.
 
     Raises
@@ -303,6 +318,8 @@ def read_header(file: Path) -> tuple[str, ...]:
     InputError
         if the file is empty, truncated or not a table.
     """
+    if isinstance(file, TableInMemory):
+        return tuple(file.columns.column_names)
     if not is_csv(file):
         return tuple(_parquet(file).schema_arrow.names)
     try:
@@ -333,8 +350,12 @@ def _parquet(file: Path) -> pq.ParquetFile:
         raise _damaged(file, error) from None
 
 
-def _record_batches(file: Path, layout: ColumnLayout) -> Iterator[pa.RecordBatch]:
+def _record_batches(file: TableFile, layout: ColumnLayout) -> Iterator[pa.RecordBatch]:
     columns = [*layout.numbers, *layout.texts]
+    if isinstance(file, TableInMemory):
+        _refuse_wrong_types(file, file.columns.schema, layout)
+        yield from file.columns.select(columns).to_batches(max_chunksize=BATCH_ROWS)
+        return
     if is_csv(file):
         yield from _csv_batches(file, layout, columns)
         return
@@ -370,7 +391,7 @@ def _csv_batches(file: Path, layout: ColumnLayout, columns: list[str]) -> Iterat
         raise _unreadable(file, _first_line(error)) from None
 
 
-def _refuse_wrong_types(file: Path, schema: pa.Schema, layout: ColumnLayout) -> None:
+def _refuse_wrong_types(file: TableFile, schema: pa.Schema, layout: ColumnLayout) -> None:
     types = {name: schema.field(name).type for name in layout.numbers}
     refuse(
         Issue(

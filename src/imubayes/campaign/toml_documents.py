@@ -137,7 +137,11 @@ def read_document[Record: BaseModel](file: Path, record: type[Record]) -> Docume
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise _syntax_error(file, str(error)) from None
-    ledger = Ledger(file, key_lines(text))
+    return validated(content, record, Ledger(file, key_lines(text)))
+
+
+def validated[Record: BaseModel](content: dict[str, Any], record: type[Record], ledger: Ledger) -> Document[Record]:
+    """Return what a file, or a mapping with the keys of one, says; structural faults go to the ledger."""
     try:
         entry = record.model_validate(content)
     except ValidationError as error:

@@ -7,77 +7,22 @@ temporary folder, which is renamed at the end.
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.csv as pacsv
-import tomlkit
-
-from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
+from imubayes.campaign.campaign_writer import write_campaign
 from imubayes.campaign.convert.campaign_document import ConvertedCampaign, make_campaign
 from imubayes.campaign.convert.column_choice import ChosenTable, choose_tables
 from imubayes.campaign.convert.formats import open_recording
 from imubayes.campaign.convert.mapping_file import MAPPING_FILE, mapping_text, read_mapping
 from imubayes.campaign.convert.options import ConvertOptions, read_options
 from imubayes.campaign.convert.recorded_runs import recorded_runs
-from imubayes.campaign.convert.recording import BLOCK_ROWS
-from imubayes.foundations.errors import InputError, input_error
-from imubayes.foundations.files import new_folder, refuse_occupied
+from imubayes.foundations.errors import input_error
+from imubayes.foundations.files import refuse_occupied
 
-__all__ = ["ConvertOptions", "convert", "read_recordings", "write_campaign"]
-
-
-def write_campaign(
-    out: Path,
-    document: Mapping[str, Any],
-    tables: Mapping[str, Mapping[str, np.ndarray]],
-    check: bool = True,
-    came_from: Callable[[str], str] = lambda where: where,
-    beside: Mapping[str, str] | None = None,
-) -> None:
-    """Write `campaign.toml` and run tables into a new folder.
-
-    Parameters
-    ----------
-    out : the folder; must not exist, or be empty.
-    document : content of `campaign.toml`.
-    tables : path of a run table within the folder → its columns.
-    check : read the campaign back before it is moved into place.
-    came_from : place in the campaign → the place in its source, for errors.
-    beside : name of a further text file → its content.
-
-    Raises
-    ------
-    InputError
-        if the folder is not empty, or the campaign would not load.
-    """
-    refuse_occupied(out)
-    with new_folder(out) as draft:
-        for name, columns in tables.items():
-            (draft / name).parent.mkdir(parents=True, exist_ok=True)
-            _write_csv(draft / name, columns)
-        for name, text in {CAMPAIGN_FILE: tomlkit.dumps(document), **(beside or {})}.items():
-            (draft / name).write_text(text, encoding="utf-8")
-        issues = inspect_campaign(draft).issues if check else ()
-        if issues:
-            raise InputError(
-                replace(issue, where=came_from(issue.where.replace(str(draft), str(out)))) for issue in issues
-            )
-
-
-def _write_csv(file: Path, columns: Mapping[str, np.ndarray]) -> None:
-    rows = len(next(iter(columns.values())))
-    with file.open("wb") as stream:
-        stream.write((",".join(columns) + "\n").encode())
-        for first in range(0, rows, BLOCK_ROWS):
-            part = {name: np.ascontiguousarray(values[first : first + BLOCK_ROWS]) for name, values in columns.items()}
-            # A value that is not there is an empty cell.
-            arrays = {name: pa.array(values, from_pandas=True) for name, values in part.items()}
-            pacsv.write_csv(pa.table(arrays), stream, pacsv.WriteOptions(include_header=False))
+__all__ = ["ConvertOptions", "convert", "read_recordings"]
 
 
 @dataclass(frozen=True)

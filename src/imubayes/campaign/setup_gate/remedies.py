@@ -1,12 +1,11 @@
 """How every kind of set-up mistake is said: what is wrong, where it stands, and the line to write instead."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from imubayes.campaign.file_schemas import CampaignFile
 from imubayes.campaign.setup_gate import equipment_mistakes as bench
 from imubayes.campaign.setup_gate import reading_mistakes as reading
 from imubayes.campaign.setup_gate.search import Explanation
@@ -19,24 +18,37 @@ _COLUMN = {"temperature": "temperature_degC", "converter_temperature": "converte
 
 @dataclass(frozen=True)
 class Places:
-    """Where what a campaign says stands in its files."""
+    """Where a campaign says what it says.
 
-    entry: CampaignFile
+    Attributes
+    ----------
+    ledger : of the campaign file; without lines where there is none.
+    tables : run → its table, for messages.
+    files : run → its file, as the campaign states it.
+    """
+
+    campaign: Campaign
     ledger: Ledger
+    tables: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
 
     def table(self, run: str) -> str:
-        """Return the path of the table of a run."""
-        return str(self.ledger.file.parent / self.file(run))
+        """Return where the table of a run is."""
+        return self.tables.get(run, str(self.ledger.file))
 
     def file(self, run: str) -> str:
         """Return the file of a run as the campaign states it."""
-        return next((entry.file for entry in self.entry.run if entry.name == run), self.ledger.file.name)
+        return self.files.get(run, self.ledger.file.name)
 
     def line(self, section: str, name: str, key: str) -> str:
         """Return file, line and key of an entry of the campaign."""
-        named = {"table": self.entry.table, "mounting": self.entry.mounting, "channel": self.entry.channel}
-        members = [each.name for each in (self.entry.run if section == "run" else named[section])]
-        return self.ledger.where(section, members.index(name), key)
+        members = {
+            "run": [run.name for run in self.campaign.runs],
+            "channel": [channel.name for channel in self.campaign.channels],
+            "table": [*self.campaign.tables],
+            "mounting": [*self.campaign.mountings],
+        }
+        return self.ledger.where(section, members[section].index(name), key)
 
     def site(self, key: str) -> str:
         """Return file, line and key of an entry of the site."""
@@ -44,7 +56,8 @@ class Places:
 
     def zero(self, table: str) -> float:
         """Return the stated reading of the angle at the zero of a table, deg."""
-        return next((entry.zero_angle_deg for entry in self.entry.table if entry.name == table), 0.0)
+        found = self.campaign.tables.get(table)
+        return 0.0 if found is None else math.degrees(found.zero_angle)
 
     def column(self, mistake: bench.Mistake, column: str) -> str:
         """Return where a column of the runs concerned stands."""
