@@ -9,9 +9,10 @@ uncertainty and a statement of what the data did and did not determine.
 
 Public names, in four groups; everything else is private.
 
-- Data: `new`, `NewCampaign`, `capture`, `Captured`, `load_campaign`, `check_campaign`, `Campaign`, `to_si`,
-  `dimension`, `InputError`, `NotKept`.
-- Fit: `fit`, `load_model`, `bind`, `Model`, `Settings`, `sample`, `Samples`; an effect of one's own is a class on
+- Data: `new`, `NewCampaign`, `capture`, `Captured`, `load_campaign`, `build_campaign`, `check_campaign`, `Finding`,
+  `Campaign` with its `Site`, `Channel`, `Table`, `Mounting` and `Run`, `to_si`, `dimension`, `InputError`, `NotKept`.
+- Fit: `fit`, `load_model`, `build_model`, `ModelSpec`, `EffectSpec`, `bind`, `Model`, `Settings`, `sample`, `Samples`;
+  an effect of one's own is a class on
   `Effect`, `SignalEffect`, `RecordEffect`, `PlaceEffect` or `MotionEffect`, noise one on `Noise`, `EntryNoise`,
   `SharedNoise`, `SeriesNoise` or `TailNoise`, written with `parameter`, `option`, `time_constant`,
   `reference_temperature`, `Stage`, `Order`, `Decay`, `Play`, `Sample`, `Motion`, `Ambient`, `Experience`, `Entry`,

@@ -36,6 +36,7 @@ from .api import (
     selftest,
 )
 from .campaign import build_campaign, check_campaign, load_campaign
+from .campaign.stream_checks import Finding
 from .criticism.diagnosis_record import Diagnosis
 from .display.compare_report import compare
 from .effects.base import (
@@ -51,14 +52,14 @@ from .effects.base import (
 )
 from .explorer.start import explore
 from .foundations.arrays import Scalar, compose, cross, exponential, rotate, vector3
-from .foundations.campaign_data import Campaign
+from .foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from .foundations.errors import InputError, NotKept
 from .foundations.signal_path_state import Ambient, Experience, Motion, Sample
 from .foundations.units import dimension, to_si
 from .inference.ensemble_sampling import Settings
 from .inference.user_density import Samples, sample
 from .model.bind import Model, bind
-from .model.model_file import load_model
+from .model.model_file import EffectSpec, ModelSpec, build_model, load_model
 from .noise.components import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
 from .parameters.declarations import option, parameter, reference_temperature, time_constant
 from .results.folder_files import trust
@@ -70,21 +71,26 @@ __all__ = [
     "CalibratedInputs",
     "Campaign",
     "Captured",
+    "Channel",
     "ConformityStatement",
     "Decay",
     "Diagnosis",
     "Effect",
+    "EffectSpec",
     "Entry",
     "EntryNoise",
     "Experience",
+    "Finding",
     "GumBudget",
     "InputError",
     "InputQuantity",
     "KnownAnswer",
     "Model",
     "ModelChange",
+    "ModelSpec",
     "Motion",
     "MotionEffect",
+    "Mounting",
     "NavigationImpact",
     "NewCampaign",
     "Noise",
@@ -97,6 +103,7 @@ __all__ = [
     "Repeatability",
     "ReportSection",
     "Result",
+    "Run",
     "RunPrediction",
     "Sample",
     "Samples",
@@ -105,13 +112,16 @@ __all__ = [
     "Settings",
     "SharedNoise",
     "SignalEffect",
+    "Site",
     "Stage",
+    "Table",
     "TailNoise",
     "add",
     "apply",
     "bind",
     "budget",
     "build_campaign",
+    "build_model",
     "capture",
     "check_campaign",
     "compare",

@@ -11,6 +11,7 @@ import lazy_loader
 from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import Issue, refuse
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
@@ -71,6 +72,8 @@ def fit(
     declared = bound(campaign, model)
     load_seconds = time.perf_counter() - clock
     folder = Path(out) if out is not None else None
+    if folder is not None:
+        _refuse_in_memory(declared)
     checkpoint = folder / CHECKPOINT if folder is not None else None
     sampling = with_fields(settings or Settings(), seed=seed) if sample else None
     with claimed(folder, resume, replace), progress_of(progress) as tell:
@@ -86,6 +89,22 @@ def fit(
                 tell("uncertainty budgets")
                 report_budgets.keep_budgets(result)
     return result
+
+
+def _refuse_in_memory(model: Model) -> None:
+    """Raise where a result could not be read again, because its data or its effects are in no file."""
+    issues = [
+        Issue(
+            f"the effect '{member.__name__}' is defined in this session, and a result reads it from a file",
+            "out", "effect files of the model", "write the class to a file, and name it under 'files' of the model",
+        )
+        for member in model.spec.classes
+    ]  # fmt: skip
+    if not model.campaign.folder:
+        remedy = "give build_campaign a folder, which it writes; without out the result stays in memory"
+        what = f"the campaign '{model.campaign.name}' is in no folder, and a result reads its data again"
+        issues.append(Issue(what, "out", "a campaign of a folder", remedy))
+    refuse(issues)
 
 
 def load(folder: str | Path) -> Result:

@@ -165,7 +165,6 @@ def add(
     if diagnosis is None and before.folder is not None:
         diagnosis = changes.read_diagnosis(before.folder)
     files = tuple(word for word in effects if word.endswith(".py"))
-    _refuse_two_files_of_a_name((*before.fit.model.spec.files, *files))
     named, channels = _named(_words(effects), channels, diagnosis)
 
     def refit(tell: Callable[[str], None]) -> Refit:
@@ -319,20 +318,6 @@ def _keep_budgets_of(after: Result, refit: Refit) -> None:
     posterior = refit.fit.posterior
     if posterior is not None and posterior.chains is not None and not refit.objection:
         keep_budgets(after)
-
-
-def _refuse_two_files_of_a_name(files: Sequence[str]) -> None:
-    """Raise where a result folder, which has the files side by side, could not hold them."""
-    known: dict[str, Path] = {}
-    for file in map(Path, files):
-        other = known.setdefault(file.name, file)
-        if other.resolve() != file.resolve() and other.is_file():
-            raise input_error(
-                f"the model has another file '{file.name}' already",
-                str(file),
-                "files with names of their own",
-                "rename the new file, and the effect in it",
-            )
 
 
 def _named(

@@ -17,7 +17,7 @@ from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_document, l
 from imubayes.campaign.campaign_writer import write_campaign
 from imubayes.campaign.file_schemas import CampaignFile, RunEntry
 from imubayes.campaign.run_tables import TableFile, TableInMemory
-from imubayes.campaign.toml_documents import Ledger, validated
+from imubayes.campaign.toml_documents import Ledger, plain_content, validated
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, closest_first, input_error
 
@@ -85,7 +85,7 @@ def _document(content: Mapping[str, Any]) -> dict[str, Any]:
         what = f"the content of a campaign is of type {type(content).__name__}"
         remedy = "give a mapping; a campaign folder is read by imubayes.load_campaign"
         raise input_error(what, "content", f"a mapping with the keys of {CAMPAIGN_FILE}", remedy)
-    document = {"format": 1, **_plain(content)}
+    document = {"format": 1, **plain_content(content)}
     files: set[str] = set()
     for run in _named_runs(document):
         stem = file = re.sub(r"[^A-Za-z0-9_-]+", "-", str(run.get("name", ""))) or "run"
@@ -99,17 +99,6 @@ def _document(content: Mapping[str, Any]) -> dict[str, Any]:
 def _named_runs(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     runs = document.get("run", [])
     return [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
-
-
-def _plain(value: Any) -> Any:
-    """Return a value with arrays and tuples as lists, and numbers of NumPy as those of Python."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(member) for key, member in value.items() if member is not None}
-    if isinstance(value, list | tuple):
-        return [_plain(member) for member in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return str(value) if isinstance(value, Path) else value
 
 
 def _table(run: str, columns: Any) -> pa.Table:

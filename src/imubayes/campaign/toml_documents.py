@@ -8,10 +8,12 @@ inside of a multi-line value for a key.
 
 import re
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from imubayes.campaign.file_schemas import FORMS, PATTERNS
@@ -149,6 +151,17 @@ def validated[Record: BaseModel](content: dict[str, Any], record: type[Record], 
             _add_fault(ledger, record, content, fault)
         return Document(content, None, ledger)
     return Document(content, entry, ledger)
+
+
+def plain_content(value: Any) -> Any:
+    """Return content with arrays and tuples as lists, and numbers of NumPy as those of Python, as a file has them."""
+    if isinstance(value, Mapping):
+        return {str(key): plain_content(member) for key, member in value.items() if member is not None}
+    if isinstance(value, list | tuple):
+        return [plain_content(member) for member in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return str(value) if isinstance(value, Path) else value
 
 
 def _text(file: Path) -> str:

@@ -182,7 +182,8 @@ def model_hash(model: Model) -> str:
     sources = [Path(file).read_text() for file in model.spec.files]
     correlated = [repr((each.parameters, each.matrix)) for each in model.spec.correlations]
     aside = [each.model_dump_json() for each in model.spec.set_aside]
-    return _digest(*(text.encode() for text in (*listed, *correlated, *sources, *aside)))
+    classes = [repr(each) for each in model.spec.classes]
+    return _digest(*(text.encode() for text in (*listed, *correlated, *sources, *aside, *classes)))
 
 
 def _best_start(

@@ -13,6 +13,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -34,11 +35,24 @@ from imubayes.model.likelihood import log_density
 from imubayes.model.model_file import EffectSpec, ModelSpec, SingleRunEffect
 from imubayes.model.nominal_response import is_independent
 from imubayes.model.parameter_priors import HyperCorrelation, hyper_correlation, stated_uncertainty
-from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity, placed, signal_path, values_of
+from imubayes.model.problem import (
+    NoiseLayer,
+    Observations,
+    Problem,
+    Sparsity,
+    placed,
+    predict,
+    predict_with_jacobian,
+    signal_path,
+    values_of,
+)
 from imubayes.model.set_aside import without
 from imubayes.noise.components import Entry, EntryNoise, Noise, SlowNoise
 from imubayes.parameters.declarations import Layout, Priors
 from imubayes.procedures import PROCEDURES
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 def build_problem(assembly: Assembly, hyper_correlation: HyperCorrelation | None = None) -> Problem:
@@ -155,20 +169,21 @@ def _noise_layer(effect: binding.BoundEffect, assembly: Assembly) -> NoiseLayer:
     return NoiseLayer(member, places, acts.astype(float))
 
 
-def dry_run(problem: Problem, effects: Sequence[binding.BoundEffect], files: Sequence[str]) -> None:
+def dry_run(problem: Problem, effects: Sequence[binding.BoundEffect], spec: ModelSpec) -> None:
     """Trace the signal path and the log density without computing them.
 
     Parameters
     ----------
     problem, effects : the model with the user's effects.
-    files : where these are defined.
+    spec : names the files, or the classes, that define these.
 
     Raises
     ------
     InputError
         where a user-defined class raises, or does not return one real number; names file, line and cause.
     """
-    own = [effect.effect_class for effect in effects if _is_own(effect, files)]
+    files = spec.files
+    own = [effect.effect_class for effect in effects if effect.effect_class in spec.classes or _is_own(effect, files)]
     if not own:
         return
     try:
@@ -184,7 +199,7 @@ def dry_run(problem: Problem, effects: Sequence[binding.BoundEffect], files: Seq
         names = ", ".join(member.__name__ for member in own)
         raise input_error(
             f"an effect of the user cannot be evaluated: {type(error).__name__}: {_short(error)}",
-            line or f"{', '.join(files)}: {names}",
+            line or f"{', '.join(files) or 'class'}: {names}",
             "methods as their base class describes them, written with jax.numpy, for one sample, returning what "
             "they are given, changed",
             "mend the class; a choice that depends on a value is jnp.where, not if",
@@ -282,6 +297,37 @@ class Model:
         )
         return replace(self.spec, effects=tuple(known))
 
+    def predict(self, z: Float[Array, " D"]) -> Float[Array, " E"]:
+        """Return the predicted outputs of all entries, in the order of `outputs`; closing rotations in rad.
+
+        A pure function of z, as `log_density`.
+
+        Parameters
+        ----------
+        z : shape (D,), in the order of `parameter_names`.
+        """
+        return predict(self.problem, z[: len(self.layout)])
+
+    def jacobian(self, z: Float[Array, " D"]) -> Float[Array, "E P"]:
+        """Return the derivatives of `predict` with respect to the parameters θ, the first P components of z.
+
+        Parameters that affect no common entry share one derivative, so that this costs less than `jax.jacfwd`.
+        """
+        return predict_with_jacobian(self.problem, z[: len(self.layout)])[1]
+
+    @property
+    def outputs(self) -> "pl.DataFrame":
+        """Run, row (from 1), channel and observed value of every entry, a table of E rows."""
+        import polars as pl
+
+        runs = np.array([run.name for run in self.campaign.runs])
+        entries = self.entries
+        columns = {
+            "run": runs[entries.run], "row": entries.row + 1, "channel": self.output_names[entries.channel],
+            "observed": entries.value,
+        }  # fmt: skip
+        return pl.DataFrame(columns)
+
     def log_density(self, z: Float[Array, " D"]) -> Scalar:
         """Return log p(y, z), the joint log density of data and parameters; normalised in y and z.
 
@@ -333,7 +379,7 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, 
     _refuse_unknown_procedures(campaign)
     campaign = without(campaign, spec.set_aside, spec.where)
     new_files = registry is None
-    registry = (registry or Registry()).with_files(spec.files)
+    registry = (registry or Registry()).with_files(spec.files).with_classes(spec.classes)
     spec = _with_implied(with_noise_priors(spec, campaign, registry), campaign, registry)
     nodes, entries = nodes_and_entries.join_nodes(campaign), nodes_and_entries.join_entries(campaign)
     grouping = Grouping(campaign, nodes, entries)
@@ -342,7 +388,7 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, 
     assembly = assemble(effects, grouping)
     problem = placed(build_problem(assembly, hyper_correlation(spec.correlations, assembly.hyper_layout)))
     if new_files:
-        dry_run(problem, effects, spec.files)
+        dry_run(problem, effects, spec)
     layouts = assembly.layout, assembly.hyper_layout
     return Model(spec, registry, campaign, *layouts, problem, nodes, entries, assembly, left_out)
 

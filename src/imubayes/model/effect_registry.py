@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeGuard
 
 from imubayes.effects import EFFECTS, Effect
 from imubayes.effects.base import MotionEffect
@@ -56,22 +57,62 @@ class Registry:
 
     def with_files(self, files: Iterable[str | Path]) -> "Registry":
         """Return the registry with the effects that Python files define."""
-        effects = dict(self.effects)
-        for file in files:
-            for member in _members_of(Path(file)):
-                if member.name in effects:
-                    raise input_error(
-                        f"the effect '{member.name}' exists already",
-                        str(file),
-                        "a name that neither `imubayes effects` lists nor another file of the model defines",
-                        "give the new effect a name of its own",
-                    )
-                effects[member.name] = member
-        return Registry(effects)
+        registry, by_name = self, dict[str, Path]()
+        for file in map(Path, files):
+            other = by_name.setdefault(file.name, file)
+            if other.resolve() != file.resolve():
+                raise input_error(
+                    f"two effect files are named '{file.name}'", f"{other} and {file}",
+                    "files of different names: a result keeps them beside each other", "rename one of them",
+                )  # fmt: skip
+            for member in _members_of(file):
+                registry = registry._with(member, str(file))
+        return registry
+
+    def with_classes(self, classes: Iterable[type]) -> "Registry":
+        """Return the registry with effects that are defined in this session; those that it has already are passed over.
+
+        Raises
+        ------
+        InputError
+            for a class that is no effect, or has the name of another.
+        """
+        registry = self
+        for member in classes:
+            where = f"class {member.__name__}"
+            if not _is_effect(member):
+                raise input_error(
+                    f"the class {member.__name__} is no effect with a name and parameters", where, _CLASSES,
+                    "derive it from one of these",
+                )  # fmt: skip
+            if registry.effects.get(member.name) is not member:
+                registry = registry._with(member, where)
+        return registry
+
+    def _with(self, member: EffectClass, where: str) -> "Registry":
+        if member.name in self.effects:
+            raise input_error(
+                f"the effect '{member.name}' exists already",
+                where,
+                "a name that neither `imubayes effects` lists nor another file of the model defines",
+                "give the new effect a name of its own",
+            )
+        return Registry({**self.effects, member.name: member})
 
     def without_files(self) -> "Registry":
         """Return the registry without what files define: for a model that names its files itself."""
         return Registry({name: known for name, known in self.effects.items() if not known.__module__.startswith(_USER)})
+
+
+_CLASSES = (
+    "classes derived from SignalEffect, RecordEffect, MotionEffect, PlaceEffect, EntryNoise, SharedNoise, SeriesNoise "
+    "or TailNoise that have a name and parameters"
+)
+
+
+def _is_effect(member: type) -> TypeGuard[EffectClass]:
+    named = issubclass(member, Effect | Noise) and isinstance(getattr(member, "name", None), str)
+    return named and bool(declared_parameters(member))
 
 
 def names_in(file: str | Path) -> tuple[str, ...]:
@@ -84,8 +125,7 @@ def _members_of(file: Path) -> list[EffectClass]:
         return input_error(
             what,
             str(file),
-            "a Python file with classes derived from SignalEffect, RecordEffect, MotionEffect, PlaceEffect, "
-            "EntryNoise, SharedNoise, SeriesNoise or TailNoise that have a name and parameters",
+            f"a Python file with {_CLASSES}",
             "mend the file, or take it out of the model's 'files'",
         )
 
@@ -111,7 +151,7 @@ def _members_of(file: Path) -> list[EffectClass]:
     if not found:
         raise refuse("the file defines no effect")
     for member in found:
-        if not isinstance(getattr(member, "name", None), str) or not declared_parameters(member):
+        if not _is_effect(member):
             raise refuse(f"the class {member.__name__} has no name or no parameter")
     return found
 

@@ -1,6 +1,6 @@
-"""A model file becomes a `ModelSpec`, a list of effects with their settings; and which effect files may run.
+"""A model file, or a mapping like one, becomes a `ModelSpec`; and which effect files may run.
 
-The specification is what the file says, free of the file.
+The specification is a list of effects with their settings.
 
 Effect files are code.  A model file that the user names runs with its effect files.  What comes along with something
 else, a result folder or a test plan, runs only if the user has said that he trusts it: its SHA-256 is remembered then,
@@ -10,15 +10,17 @@ so that a changed file is another one.  What has run in this process may run in 
 import hashlib
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
 from imubayes.campaign.campaign_reader import read_model_file
 from imubayes.campaign.file_schemas import ModelFile
+from imubayes.campaign.toml_documents import Ledger, plain_content, validated
 from imubayes.foundations.campaign_data import SetAside
-from imubayes.foundations.errors import Issue, refuse
+from imubayes.foundations.errors import Issue, input_error, refuse
 from imubayes.foundations.files import only_writer, write_text
 from imubayes.foundations.records import Record
 from imubayes.foundations.shipped_examples import model_file
@@ -101,7 +103,7 @@ class ModelSpec:
     `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all inputs, as a ratio; None for
     that of the campaign.  `correlations` are those of the priors of noise parameters.  `noise_priors` is the noise
     of the unit from its static records, which takes the place of the model's own once bound to a campaign.  `set_aside`
-    are readings that are left out.
+    are readings that are left out.  `classes` are effects of the user that are defined in this session and in no file.
     """
 
     name: str
@@ -112,6 +114,7 @@ class ModelSpec:
     correlations: tuple[PriorCorrelation, ...] = ()
     noise_priors: "ModelSpec | None" = None
     set_aside: tuple[SetAside, ...] = ()
+    classes: tuple[type, ...] = ()
 
 
 _FILE = "trusted.json"
@@ -190,6 +193,52 @@ def read_model(path: str | Path) -> ModelSpec:
     """
     path = model_file(path)
     return spec_of_file(read_model_file(path), path)
+
+
+def build_model(content: Mapping[str, Any]) -> ModelSpec:
+    """Return a model of a mapping with the keys of a model file.
+
+    Parameters
+    ----------
+    content : keys and values of a model file (`imubayes schema model`).  An effect under `effect` is a mapping, a name,
+        or a class of one's own; the `name` of a mapping may be a class as well.  `format` is not needed; paths are
+        from the working directory.
+
+    Raises
+    ------
+    InputError
+        with everything that is wrong with the content.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> bias = {"name": "accel_bias", "prior": {"bias": "normal(0, 2 mg)"}}
+    >>> spec = imubayes.build_model({"name": "bench", "effect": ["mounting_error", bias, "white_noise"]})
+    >>> [effect.name for effect in spec.effects]
+    ['mounting_error', 'accel_bias', 'white_noise']
+    """
+    if not isinstance(content, Mapping):
+        what = f"the content of a model is of type {type(content).__name__}"
+        remedy = "give a mapping; a model file is read by imubayes.load_model"
+        raise input_error(what, "content", "a mapping with the keys of a model file", remedy)
+    document, classes = {"format": 1, **plain_content(content)}, dict[type, None]()
+    effects = document.get("effect")
+    if isinstance(effects, list):
+        document["effect"] = [_named(each, classes) for each in effects]
+    made = validated(document, ModelFile, Ledger(Path("content")))
+    made.ledger.stop_if_any()
+    assert made.entry is not None
+    return replace(spec_of_file(made.entry, Path("content")), classes=tuple(classes))
+
+
+def _named(effect: Any, classes: dict[type, None]) -> Any:
+    """Return an effect of a mapping as a file has it, and note the class that it is."""
+    entry = effect if isinstance(effect, dict) else {"name": effect}
+    member = entry.get("name")
+    if not isinstance(member, type):
+        return entry
+    classes[member] = None
+    return {**entry, "name": getattr(member, "name", member.__name__)}
 
 
 def spec_of_file(file: ModelFile, path: Path) -> ModelSpec:
