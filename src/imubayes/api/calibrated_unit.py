@@ -12,6 +12,7 @@ import polars as pl
 from imubayes.display.onboard.formats import ExportOptions, write_constants
 from imubayes.display.progress import progress_of
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.records import several
 from imubayes.noise_analysis.noise_record import of_record
 from imubayes.qualification.onboard import Format
 from imubayes.qualification.onboard.constants import onboard_constants as constants_of
@@ -40,7 +41,7 @@ report_files: Any = lazy_loader.load("imubayes.display.qualification.report_file
 
 def apply(
     result: Result | str | Path,
-    readings: pl.DataFrame | str | Path,
+    readings: Any,
     *,
     temperatures: Mapping[str, float] | None = None,
     nothing_across: bool = False,
@@ -50,8 +51,9 @@ def apply(
     Parameters
     ----------
     result : a fit of the unit, or its folder.
-    readings : a table, or a CSV or Parquet file: a column per channel in output units, and
-        `converter_temperature_degC` and `temperature_degC` where the model depends on them.
+    readings : a data frame (Polars, pandas, Arrow), a mapping of names to arrays, or a CSV or Parquet file: a column
+        per channel in output units, and `converter_temperature_degC` and `temperature_degC` where the model depends on
+        them.
     temperatures : `temperature` and `converter_temperature` of all rows, °C, where no column gives them.
     nothing_across : whether there was no input across the axes of the channels.  What it may do is in the uncertainty
         otherwise.
@@ -71,9 +73,23 @@ def apply(
     ['ax', 'converter_temperature_degC', 'ax_g', 'ax_calibration_sd_g', 'ax_sd_g']
     """
     found = opened(result)
-    table, where = (readings, "readings") if isinstance(readings, pl.DataFrame) else (
-        read_readings(Path(readings)), str(readings))  # fmt: skip
+    if isinstance(readings, str | Path):
+        table, where = read_readings(Path(readings)), str(readings)
+    else:
+        table, where = _frame(readings), "readings"
     return inputs_along_axes(found, table, where, temperatures=temperatures, nothing_across=nothing_across)
+
+
+def _frame(readings: Any) -> pl.DataFrame:
+    if not (isinstance(readings, Mapping) or hasattr(readings, "__arrow_c_stream__")):
+        allowed = "a data frame, a mapping of names to arrays, or a CSV or Parquet file"
+        what = f"the readings are of type {type(readings).__name__}"
+        raise input_error(what, "readings", allowed, "hand over one of these")
+    try:
+        return readings if isinstance(readings, pl.DataFrame) else pl.DataFrame(readings)
+    except (pl.exceptions.PolarsError, TypeError, ValueError) as error:
+        allowed = "columns of numbers of equal length"
+        raise input_error(f"the readings are no table: {error}", "readings", allowed, "correct the columns") from None
 
 
 def correct(
@@ -231,9 +247,9 @@ def report(
     specification: str | Path | None = None,
     *,
     certificate: str | Path | None = None,
-    annexes: Sequence[str] | None = None,
+    annexes: str | Sequence[str] | None = None,
     sections: Sequence[Callable[[QualificationReport], ReportSection]] = (),
-    out: Sequence[str | Path] = (),
+    out: str | Path | Sequence[str | Path] = (),
     progress: Callable[[str], None] | None = None,
 ) -> QualificationReport:
     """Return the uncertainty report of a result as a record, and write it as page, PDF or JSON.
@@ -262,10 +278,10 @@ def report(
     >>> found.accepted
     True
     """
-    files = [Path(file) for file in out]
+    files = [Path(file) for file in several(out)]
     # The record alone needs nothing that draws.
     with progress_of(progress) as tell, report_files.places_held(files) if files else nullcontext():
-        chosen = report_files.known_annexes(annexes) if files else None
+        chosen = report_files.known_annexes(None if annexes is None else several(annexes)) if files else None
         tell("evaluating the posterior")
         found = report_of(result, specification, certificate)
         if sections:

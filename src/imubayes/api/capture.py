@@ -12,6 +12,7 @@ from imubayes.campaign.capture import UNTIL, Guidance, GuidedCapture, Wanted
 from imubayes.campaign.convert import read_recordings
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import refuse_existing, refuse_occupied
+from imubayes.foundations.records import several
 
 STANDARD_INPUT = "-"
 
@@ -42,7 +43,7 @@ class Captured:
 def capture(
     folder: str | Path,
     source: str | Path,
-    until: Sequence[str] = UNTIL,
+    until: str | Sequence[str] = UNTIL,
     *,
     patience: float = 60.0,
     show: Callable[[Guidance, Sequence[Wanted]], None] = lambda step, wanted: None,
@@ -78,7 +79,7 @@ def capture(
     folder = Path(folder)
     refuse_occupied(folder)
     with _file_of(source, folder) as (file, ended):
-        guide, last = GuidedCapture(file, until, options), None
+        guide, last = GuidedCapture(file, several(until), options), None
         try:
             for last in guide.follow(ended, patience):
                 show(last, guide.wanted)

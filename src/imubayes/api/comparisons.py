@@ -7,6 +7,7 @@ from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.records import several
 from imubayes.qualification.conformity import resolved_limits
 from imubayes.qualification.repeatability import NextDue, Repeatability, next_due, repeatability_of
 from imubayes.qualification.specification import read_specification
@@ -19,7 +20,7 @@ def predict(
     result: Result | str | Path,
     campaign: Campaign | str | Path,
     *,
-    changed: Sequence[str] = (),
+    changed: str | Sequence[str] = (),
     any_unit: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> RunPrediction:
@@ -50,14 +51,14 @@ def predict(
         tell("reading the fit")
         read = opened(result)
         loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
-        return prediction(read, loaded, tuple(changed), any_unit, tell)
+        return prediction(read, loaded, several(changed), any_unit, tell)
 
 
 def repeatability(
     first: Result | str | Path,
     second: Result | str | Path,
     *,
-    changed: Sequence[str] = (),
+    changed: str | Sequence[str] = (),
     any_unit: bool = False,
     limits: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
@@ -87,7 +88,8 @@ def repeatability(
     """
     with progress_of(progress) as tell:
         one, other = opened(first), opened(second)
-        found = repeatability_of(one.fit, other.fit, (broad_scales(one), broad_scales(other)), changed, any_unit, tell)
+        scales = broad_scales(one), broad_scales(other)
+        found = repeatability_of(one.fit, other.fit, scales, several(changed), any_unit, tell)
         return found if limits is None else found.model_copy(update={"due": _due(found, other, Path(limits))})
 
 

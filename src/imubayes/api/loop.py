@@ -12,6 +12,7 @@ from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error, kept_if_possible
 from imubayes.foundations.files import refuse_existing
+from imubayes.foundations.records import several
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted_model import Fit
@@ -77,7 +78,7 @@ def plant(
     model: ModelSpec | str | Path | None = None,
     *,
     result: Result | str | Path | None = None,
-    effects: Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
     size: Size | None = None,
     draws: int = 20,
     seed: int = 0,
@@ -117,14 +118,14 @@ def plant(
         else:
             tell("fitting")
             fitted = joint_fit(bound(campaign, model), None, progress=tell)
-        return plant_effects(fitted, effects, size or Size(), draws, seed, tell)
+        return plant_effects(fitted, None if effects is None else several(effects), size or Size(), draws, seed, tell)
 
 
 def add(
     result: Result | str | Path,
-    effects: Sequence[str] = (),
+    effects: str | Sequence[str] = (),
     out: str | Path | None = None,
-    channels: Sequence[str] | None = None,
+    channels: str | Sequence[str] | None = None,
     *,
     diagnosis: Diagnosis | None = None,
     sample: bool = False,
@@ -164,18 +165,19 @@ def add(
     before = opened(result)
     if diagnosis is None and before.folder is not None:
         diagnosis = changes.read_diagnosis(before.folder)
-    files = tuple(word for word in effects if word.endswith(".py"))
-    named, channels = _named(_words(effects), channels, diagnosis)
+    words = several(effects)
+    files = tuple(word for word in words if word.endswith(".py"))
+    named, acting_on = _named(_words(words), None if channels is None else several(channels), diagnosis)
 
     def refit(tell: Callable[[str], None]) -> Refit:
-        return refit_with(before.fit, named, channels, diagnosis, tell, files)
+        return refit_with(before.fit, named, acting_on, diagnosis, tell, files)
 
     return _changed(before, refit, out, diagnosis, Settings(seed=seed) if sample else None, seed, progress)
 
 
 def remove(
     result: Result | str | Path,
-    effects: Sequence[str],
+    effects: str | Sequence[str],
     out: str | Path | None = None,
     *,
     sample: bool = False,
@@ -208,7 +210,7 @@ def remove(
     True
     """
     before = opened(result)
-    words, parent = _words(effects), before.folder
+    words, parent = _words(several(effects)), before.folder
     if not words:
         raise input_error("no effect is named", "remove", "effects of the model", "name one")
     stay = [each.name for each in before.fit.model.spec.effects if each.name not in words]

@@ -17,6 +17,7 @@ from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Grade
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import new_folder, refuse_existing, refuse_occupied, write_text
+from imubayes.foundations.records import several
 from imubayes.inference.proposed_effects import EffectProposal, propose_effects
 from imubayes.model.shown_grade import shown_grade
 from imubayes.procedures import PROCEDURES, procedure_named
@@ -53,7 +54,7 @@ class NewCampaign:
 
 def new(
     folder: str | Path,
-    recordings: Sequence[str | Path] = (),
+    recordings: str | Path | Sequence[str | Path] = (),
     *,
     mapping: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
@@ -85,7 +86,7 @@ def new(
         if recordings:
             refuse_occupied(folder)
             tell("reading the recording")
-            read = read_recordings(recordings, folder.name, mapping, **options)
+            read = read_recordings(several(recordings), folder.name, mapping, **options)
             read.write(folder)
             file = folder / CAMPAIGN_FILE
             write_text(file, commented_campaign(file.read_text(encoding="utf-8")))

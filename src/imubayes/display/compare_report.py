@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 from markupsafe import Markup
@@ -37,6 +37,7 @@ from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, kept_if_possible, refuse
 from imubayes.foundations.files import write_json, write_text
 from imubayes.foundations.progress import Tell, counted
+from imubayes.foundations.records import several
 from imubayes.model.model_file import read_model
 from imubayes.procedures import classical
 from imubayes.qualification.temperature_range import ThermalModel, thermal_model
@@ -44,6 +45,9 @@ from imubayes.results.folder_files import CAPTIONS, FIGURES, MODEL, PAGE, POSTER
 from imubayes.results.history_tree import campaign_of
 from imubayes.results.stored_tables import draws_of, read_summary_and_residuals
 from imubayes.results.summary import Summary
+
+if TYPE_CHECKING:
+    from imubayes.results.result import Result
 
 FIRST = 5
 """Number of figures that are shown unfolded."""
@@ -135,9 +139,9 @@ class Comparison:
 
 
 def compare(
-    folder: str | Path,
-    parameters: Sequence[str] | None = None,
-    runs: Sequence[str] | None = None,
+    result: "Result | str | Path",
+    parameters: str | Sequence[str] | None = None,
+    runs: str | Sequence[str] | None = None,
     *,
     every: bool = False,
     progress: Tell | None = None,
@@ -146,7 +150,7 @@ def compare(
 
     Parameters
     ----------
-    folder : as written by the fit.
+    result : a result that has a folder, or the folder.
     parameters : for a corner plot; with `every` the mounting angles and scale factors that tell most where None.
     runs : that have a figure of their own, or ``("all",)``; with `every` the six that fit worst where None.
     every : draw all figures, not only the five that matter most and those asked for.
@@ -164,7 +168,7 @@ def compare(
     >>> found.page.name
     'compare.html'
     """
-    folder = Path(folder)
+    folder, parameters, runs = _folder_of(result), several(parameters), several(runs)
     summary, read = read_summary_and_residuals(folder)
     residuals = read.table
     _refuse_non_finite(residuals, folder)
@@ -190,6 +194,15 @@ def compare(
         write_text(page, comparison_page(title, tables, [f"{name}.png" for name in ranked], captions, notes))
         made = tuple(drawn)
     return Comparison(folder, made, captions, summary, notes, page, classical_estimates)
+
+
+def _folder_of(result: "Result | str | Path") -> Path:
+    if isinstance(result, str | Path):
+        return Path(result)
+    if result.folder is None:
+        remedy = "fit with out=FOLDER"
+        raise input_error("the result is in no folder", "result", "a result that has a folder, or the folder", remedy)
+    return result.folder
 
 
 def _thermal(folder: Path, summary: Summary, draws: Mapping[str, Any]) -> ThermalModel | None:

@@ -5,8 +5,10 @@ Records stand below what displays them: `imubayes.display.representations` regis
 """
 
 import math
+from collections.abc import Iterable
 from functools import singledispatch
 from importlib import import_module
+from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
@@ -72,3 +74,13 @@ class Presented:
     def _repr_html_(self) -> str | None:
         _learn_displays()
         return html_of(self)
+
+
+def several[Item: str | Path](given: Item | Iterable[Item] | None) -> tuple[Item, ...]:
+    """Return the members of an argument that takes one value or several; none of None.
+
+    A text is one value: iterated over, it would be its letters.
+    """
+    if given is None:
+        return ()
+    return (given,) if isinstance(given, str | Path) else tuple(given)
