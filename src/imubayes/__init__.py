@@ -12,18 +12,19 @@ Public names, in four groups; everything else is private.
 - Data: `new`, `NewCampaign`, `capture`, `Captured`, `load_campaign`, `build_campaign`, `check_campaign`, `Finding`,
   `Campaign` with its `Site`, `Channel`, `Table`, `Mounting` and `Run`, `to_si`, `dimension`, `InputError`, `NotKept`.
 - Fit: `fit`, `load_model`, `build_model`, `ModelSpec`, `EffectSpec`, `bind`, `Model`, `Settings`, `sample`, `Samples`;
-  an effect of one's own is a class on
-  `Effect`, `SignalEffect`, `RecordEffect`, `PlaceEffect` or `MotionEffect`, noise one on `Noise`, `EntryNoise`,
-  `SharedNoise`, `SeriesNoise` or `TailNoise`, written with `parameter`, `option`, `time_constant`,
-  `reference_temperature`, `Stage`, `Order`, `Decay`, `Play`, `Sample`, `Motion`, `Ambient`, `Experience`, `Entry`,
-  `Scalar`, `vector3`, `compose`, `cross`, `exponential`, `rotate`; `trust` lets effect files run that came along.
+  an effect of one's own is a class on `Effect`, `SignalEffect`, `RecordEffect`, `PlaceEffect` or `MotionEffect`, noise
+  one on `Noise`, `EntryNoise`, `SharedNoise`, `SeriesNoise` or `TailNoise`, written with `parameter`, `option`,
+  `time_constant`, `reference_temperature`, `Stage`, `Order`, `Decay`, `Play`, `Sample`, `Motion`, `Ambient`,
+  `Experience`, `Entry`, `Scalar`, `vector3`, `compose`, `cross`, `exponential`, `rotate`; `trust` lets effect files run
+  that came along.
 - Loop: `compare`, `diagnose`, `Diagnosis`, `add`, `refit`, `remove`, `ModelChange`, `history`, `export`, `plant`,
   `explore`; `predict`, `RunPrediction` for runs that were not fitted; `repeatability`, `Repeatability` for two
   calibrations.
-- Results: `load`, `read_result`, `Result`, `report`, `ReportSection`, `apply`, `CalibratedInputs`,
-  `navigation_impact`, `NavigationImpact`; an equation of one's
-  own: `propagate`, `Propagated`, `InputQuantity`, `budget`, `GumBudget`, `conformity`, `ConformityStatement`;
-  `selftest`, `KnownAnswer` for the known answers that an installation reproduces.
+- Results: `load`, `read_result`, `Result`, `report`, `ReportSection`, `apply`, `CalibratedInputs`, `correct`,
+  `CorrectedRecording`, `onboard_constants`, `export_constants`, `navigation_impact`, `NavigationImpact`; an archive of
+  units: `fit_archive`, `load_archive_fit`, `ArchiveFit`; an equation of one's own: `propagate`, `Propagated`,
+  `InputQuantity`, `budget`, `GumBudget`, `conformity`, `ConformityStatement`; `selftest`, `KnownAnswer` for the known
+  answers that an installation reproduces.
 """
 
 import lazy_loader

@@ -18,14 +18,8 @@ from test_run_batch import assert_same_tables, toy_executor
 
 from imubayes.batch.fit_chunk import fit_chunk, in_process
 from imubayes.batch.posterior_table import read_parameters, read_units
-from imubayes.batch.run_batch import (
-    ChunkTask,
-    FittedChunk,
-    cluster_workers,
-    local_workers,
-    on_client,
-    run_batch,
-)
+from imubayes.batch.run_batch import ChunkTask, FittedChunk, run_batch
+from imubayes.batch.workers import cluster_workers, local_workers, on_client
 from imubayes.foundations.errors import InputError
 
 HERE = Path(__file__).parent

@@ -1,3 +1,4 @@
+from .archives import ArchiveFit, fit_archive, load_archive_fit
 from .calibrated_unit import (
     CalibratedInputs,
     CorrectedRecording,
@@ -28,6 +29,7 @@ from .own_equation import (
 )
 
 __all__ = [
+    "ArchiveFit",
     "CalibratedInputs",
     "Captured",
     "ConformityStatement",
@@ -54,8 +56,10 @@ __all__ = [
     "export",
     "export_constants",
     "fit",
+    "fit_archive",
     "history",
     "load",
+    "load_archive_fit",
     "navigation_impact",
     "new",
     "onboard_constants",

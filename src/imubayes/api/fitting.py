@@ -72,9 +72,7 @@ def fit(
     declared = bound(campaign, model)
     load_seconds = time.perf_counter() - clock
     folder = Path(out) if out is not None else None
-    if folder is not None:
-        _refuse_in_memory(declared)
-    checkpoint = folder / CHECKPOINT if folder is not None else None
+    checkpoint = _checkpoint(declared, folder)
     sampling = with_fields(settings or Settings(), seed=seed) if sample else None
     with claimed(folder, resume, replace), progress_of(progress) as tell:
         if until_digits is not None:
@@ -91,8 +89,10 @@ def fit(
     return result
 
 
-def _refuse_in_memory(model: Model) -> None:
-    """Raise where a result could not be read again, because its data or its effects are in no file."""
+def _checkpoint(model: Model, folder: Path | None) -> Path | None:
+    """Return the file that sampling is resumed from; raise where data or effects are in no file to read again."""
+    if folder is None:
+        return None
     issues = [
         Issue(
             f"the effect '{member.__name__}' is defined in this session, and a result reads it from a file",
@@ -105,6 +105,7 @@ def _refuse_in_memory(model: Model) -> None:
         what = f"the campaign '{model.campaign.name}' is in no folder, and a result reads its data again"
         issues.append(Issue(what, "out", "a campaign of a folder", remedy))
     refuse(issues)
+    return folder / CHECKPOINT
 
 
 def load(folder: str | Path) -> Result:

@@ -5,20 +5,15 @@
 folders as one Parquet dataset.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import cyclopts
 
 from imubayes.cli.session import Flag, Json, Trust, progress, show, start_jax, trusting
-from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
     import polars as pl
-
-    from imubayes.batch.run_batch import Executor
 
 
 batch = cyclopts.App(
@@ -77,10 +72,11 @@ def fit_all(
     from imubayes.batch.batch_folder import BatchSettings
     from imubayes.batch.posterior_table import read_outcomes
     from imubayes.batch.run_batch import run_batch
+    from imubayes.batch.workers import executor_of
     from imubayes.display.batch_report import batch_json, batch_report, progress_text
 
     settings = BatchSettings(sample, diagnose, seed)
-    with progress() as tell, executor(workers, scheduler) as execute:
+    with progress() as tell, executor_of(workers, scheduler) as execute:
         tell("listing the campaigns")
         state = run_batch(
             archive, model, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
@@ -88,42 +84,6 @@ def fit_all(
     units = read_outcomes(out, state.key)
     show(lambda: batch_json(state, units, state.key), lambda: batch_report(state, units, out), as_json)
     return 1 if (units["status"] != "fitted").any() else 0
-
-
-@contextmanager
-def executor(workers: int | None, scheduler: str | None) -> Iterator["Executor"]:
-    """Give what fits the chunks: this process, local workers, or those of a scheduler.
-
-    Raises
-    ------
-    InputError
-        where both are asked for, the number of workers is not positive, or Dask is not installed.
-    """
-    from imubayes.batch.fit_chunk import fit_chunk, in_process
-
-    if workers is None and scheduler is None:
-        yield in_process
-        return
-    if (workers is not None and scheduler is not None) or (workers is not None and workers < 1):
-        raise input_error(
-            "workers cannot be started", "--workers, --scheduler", "--workers N with N ≥ 1, or --scheduler ADDRESS",
-            "give one of the two",
-        )  # fmt: skip
-    try:
-        from imubayes.batch.run_batch import cluster_workers, local_workers
-    except ModuleNotFoundError as error:
-        raise input_error(
-            f"the package '{error.name}' is not installed",
-            "--workers, --scheduler",
-            "",
-            "pip install imubayes[cluster]",
-        ) from error
-    if scheduler is not None:
-        with cluster_workers(scheduler, fit_chunk) as execute:
-            yield execute
-    else:
-        with local_workers(workers or 1, fit_chunk) as execute:
-            yield execute
 
 
 def _of_one_model(results: Path, model_hash: str | None) -> tuple[Path, str | None]:

@@ -7,17 +7,13 @@ and reported at once.
 User-defined effects are evaluated abstractly, by shapes and types alone, before anything is fitted.
 """
 
-import sys
-import traceback
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+import polars as pl
 
 from imubayes.compiled.jax_settings import clear_if_crowded, prepare_jax
 from imubayes.effects.base import MotionEffect, Stage
@@ -28,6 +24,7 @@ from imubayes.foundations.errors import InputError, Issue, closest_first, input_
 from imubayes.model import bound_effects as binding
 from imubayes.model import nodes_and_entries
 from imubayes.model.assembly import Assembly, assemble
+from imubayes.model.dry_run import dry_run
 from imubayes.model.effect_registry import EffectClass, Registry, with_noise_priors
 from imubayes.model.grouping import Grouping, colour_columns
 from imubayes.model.integrated_outputs import bind_servos, bind_transitions
@@ -43,16 +40,11 @@ from imubayes.model.problem import (
     placed,
     predict,
     predict_with_jacobian,
-    signal_path,
-    values_of,
 )
 from imubayes.model.set_aside import without
 from imubayes.noise.components import Entry, EntryNoise, Noise, SlowNoise
 from imubayes.parameters.declarations import Layout, Priors
 from imubayes.procedures import PROCEDURES
-
-if TYPE_CHECKING:
-    import polars as pl
 
 
 def build_problem(assembly: Assembly, hyper_correlation: HyperCorrelation | None = None) -> Problem:
@@ -169,64 +161,6 @@ def _noise_layer(effect: binding.BoundEffect, assembly: Assembly) -> NoiseLayer:
     return NoiseLayer(member, places, acts.astype(float))
 
 
-def dry_run(problem: Problem, effects: Sequence[binding.BoundEffect], spec: ModelSpec) -> None:
-    """Trace the signal path and the log density without computing them.
-
-    Parameters
-    ----------
-    problem, effects : the model with the user's effects.
-    spec : names the files, or the classes, that define these.
-
-    Raises
-    ------
-    InputError
-        where a user-defined class raises, or does not return one real number; names file, line and cause.
-    """
-    files = spec.files
-    own = [effect.effect_class for effect in effects if effect.effect_class in spec.classes or _is_own(effect, files)]
-    if not own:
-        return
-    try:
-        path = jax.eval_shape(lambda z: signal_path(problem, values_of(problem, z)), _like(problem.size[0]))
-        nodes = len(problem.nodes.stand)
-        for kind, channels in problem.channels.items():
-            found, wanted = path.signal[kind], (nodes, len(channels.scale))
-            if found.shape != wanted or not jnp.issubdtype(found.dtype, jnp.floating):
-                raise TypeError(f"the signal of a sample must be one real number, not {found.dtype}{found.shape[2:]}")
-        jax.eval_shape(lambda z, h: log_density(problem, z, h), *map(_like, problem.size))
-    except (Exception, SystemExit) as error:
-        line = _line(error, files)
-        names = ", ".join(member.__name__ for member in own)
-        raise input_error(
-            f"an effect of the user cannot be evaluated: {type(error).__name__}: {_short(error)}",
-            line or f"{', '.join(files) or 'class'}: {names}",
-            "methods as their base class describes them, written with jax.numpy, for one sample, returning what "
-            "they are given, changed",
-            "mend the class; a choice that depends on a value is jnp.where, not if",
-        ) from error
-
-
-def _like(size: int) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct((size,), jnp.zeros(0).dtype)
-
-
-def _is_own(effect: binding.BoundEffect, files: Sequence[str]) -> bool:
-    module = getattr(sys.modules.get(effect.effect_class.__module__), "__file__", None)
-    return module is not None and any(Path(module) == Path(file) for file in files)
-
-
-def _line(error: BaseException, files: Sequence[str]) -> str:
-    """Return file, line and method of the last step in a file of the user; empty where there is none."""
-    own = {str(Path(file).resolve()) for file in files}
-    steps = [frame for frame in traceback.extract_tb(error.__traceback__) if str(Path(frame.filename).resolve()) in own]
-    return f"{steps[-1].filename}:{steps[-1].lineno}, in {steps[-1].name}" if steps else ""
-
-
-def _short(error: BaseException) -> str:
-    text = str(error).strip()
-    return text.splitlines()[0] if text else "no message"
-
-
 # Unknowns of the procedures themselves, added whether or not the model file lists them.
 _IMPLIED_BY_POSES, _IMPLIED_BY_TURNS = ("pose_attitude",), ("tumble_heading", "rotation_closure")
 _IMPLIED_BY_SERVO = ("servo_start",)
@@ -316,10 +250,8 @@ class Model:
         return predict_with_jacobian(self.problem, z[: len(self.layout)])[1]
 
     @property
-    def outputs(self) -> "pl.DataFrame":
+    def outputs(self) -> pl.DataFrame:
         """Run, row (from 1), channel and observed value of every entry, a table of E rows."""
-        import polars as pl
-
         runs = np.array([run.name for run in self.campaign.runs])
         entries = self.entries
         columns = {

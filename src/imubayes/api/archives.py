@@ -1,0 +1,136 @@
+"""Fit every campaign of an archive with one model, and ask all units at once."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import polars as pl
+
+from imubayes.batch.batch_folder import BatchSettings, Sampling
+from imubayes.batch.changes import Trends, trends
+from imubayes.batch.parameter_population import Populations, populations
+from imubayes.batch.pooled_discovery import PooledDiscovery, pooled_discovery
+from imubayes.batch.posterior_table import chosen_model, read_parameters, read_units
+from imubayes.batch.run_batch import run_batch
+from imubayes.batch.unit_scores import complete_scores
+from imubayes.batch.workers import executor_of
+from imubayes.display.batch_report import progress_text
+from imubayes.display.progress import progress_of
+
+
+@dataclass(frozen=True)
+class ArchiveFit:
+    """The fits of all units of an archive, as a results folder keeps them.
+
+    Attributes
+    ----------
+    folder : the results folder.
+    model : hash of model, settings and code.
+    """
+
+    folder: Path
+    model: str
+
+    @cached_property
+    def units(self) -> pl.DataFrame:
+        """A row for each campaign: unit, date, status with its reason, convergence, χ², posterior."""
+        return read_units(self.folder, self.model)
+
+    @cached_property
+    def parameters(self) -> pl.DataFrame:
+        """A row for each campaign and parameter: mean, sd and quantiles in the unit of the parameter."""
+        return read_parameters(self.folder, self.model)
+
+    def population(self) -> Populations:
+        """Return mean and spread of every parameter over the units, and the units that are unlike the others."""
+        return populations(self.parameters, self.units)[0]
+
+    def given_population(self) -> pl.DataFrame:
+        """Return the estimates of every unit with the population as prior."""
+        return populations(self.parameters, self.units)[1]
+
+    def trends(self) -> Trends:
+        """Return trends over dates and serial numbers, and drifts between calibrations of one unit."""
+        return trends(self.parameters, self.units)[0]
+
+    def diagnose(self, progress: Callable[[str], None] | None = None) -> PooledDiscovery:
+        """Return the effects that the model lacks, with the evidence of all units added up.
+
+        Raises
+        ------
+        InputError
+            where no campaign has an estimate, and for effect files that are not trusted.
+        """
+        with progress_of(progress) as tell:
+            scores = complete_scores(self.folder, self.model, lambda done, all_: tell(f"scores of {done} of {all_}"))
+            tell("adding up the evidence")
+            return pooled_discovery(scores.table, self.units)
+
+
+def fit_archive(
+    archive: str | Path,
+    model: str | Path,
+    out: str | Path,
+    *,
+    sample: Sampling = "none",
+    diagnose: bool = False,
+    seed: int = 0,
+    retry: bool = False,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> ArchiveFit:
+    """Fit every campaign of an archive, or of a folder of campaigns, that has no result yet.
+
+    An interrupted batch goes on when it is called again.  A campaign that cannot be fitted is a row with its reason.
+
+    Parameters
+    ----------
+    archive : archive, or folder with campaign folders.
+    model : model file, or the name of a shipped model.
+    out : results folder.
+    sample : units whose posterior is sampled: all, none, or flagged, those whose importance weights put the Laplace
+        approximation in doubt.
+    diagnose : whether each fit is diagnosed.
+    seed : of the sampler.
+    retry : whether campaigns without estimates are tried again, not only those whose files have changed.
+    workers, scheduler : number of local worker processes, or address of a Dask scheduler; in this process where neither
+        is given.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for a place without campaigns, a model that cannot be read, or a results folder that is in use.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> fits = imubayes.fit_archive("data/unit-archive", "models/accel-channel.toml", "results/units")
+    >>> fits.units["status"].unique().to_list()
+    ['fitted']
+    """
+    settings = BatchSettings(sample, diagnose, seed)
+    with progress_of(progress) as tell, executor_of(workers, scheduler) as execute:
+        tell("listing the campaigns")
+        state = run_batch(
+            archive, model, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
+        )
+    return ArchiveFit(Path(out), state.key)
+
+
+def load_archive_fit(folder: str | Path, model: str | None = None) -> ArchiveFit:
+    """Return the fits that a results folder of a batch holds.
+
+    Parameters
+    ----------
+    folder : as written by `fit_archive` or `imubayes batch`.
+    model : hash of the model, or its beginning; the only one where None.
+
+    Raises
+    ------
+    InputError
+        where there is no such model, or several and none is named.
+    """
+    return ArchiveFit(Path(folder), chosen_model(folder, model))
