@@ -81,7 +81,7 @@ data: $(READY)
 
 lock: | $(UV)
 	$(COMPILE) .requirements/uv.in -o .requirements/uv.txt
-	$(COMPILE) pyproject.toml --extra plots --extra pdf --extra gradient --extra cluster --extra notebook --extra explore --extra recordings --extra test .requirements/build.in -o .requirements/main+test.txt
+	$(COMPILE) pyproject.toml --extra pdf --extra gradient --extra cluster --extra notebook --extra explore --extra recordings --extra test .requirements/build.in -o .requirements/main+test.txt
 	$(COMPILE) pyproject.toml --extra bench -c .requirements/main+test.txt -o .requirements/bench.txt
 	$(COMPILE) pyproject.toml --extra docs -c .requirements/main+test.txt -o .requirements/docs.txt
 

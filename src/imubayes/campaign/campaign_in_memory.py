@@ -5,7 +5,7 @@ Keys, units and checks are those of a campaign folder, of which one can be writt
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from imubayes.foundations.errors import InputError, closest_first, input_error
 _COLUMNS = "a data frame, or a mapping of column names to one-dimensional arrays of equal length"
 
 
-def build_campaign(content: Mapping[str, Any], runs: Mapping[str, Any], folder: str | Path | None = None) -> Campaign:
+def build_campaign(content: Any, runs: Any, folder: str | Path | None = None) -> Campaign:
     """Return a campaign of arrays or data frames, checked as a campaign folder is.
 
     Parameters
@@ -62,11 +62,14 @@ def build_campaign(content: Mapping[str, Any], runs: Mapping[str, Any], folder: 
     >>> campaign.runs[0].rows
     8
     """
+    if not isinstance(runs, Mapping):
+        what = f"the columns of the runs are of type {type(runs).__name__}"
+        raise input_error(what, "runs", f"a mapping of names of runs to {_COLUMNS}", "give such a mapping")
     document, tables = _document(content), {}
     for run in _named_runs(document):
         if (name := str(run.get("name", ""))) in runs:
             tables[name] = TableInMemory(f"columns of run '{name}'", _table(name, runs[name]))
-    _refuse_unused(runs, tables)
+    _refuse_unused(runs, [str(run.get("name", "")) for run in _named_runs(document)])
     if folder is not None:
         place = Path(folder)
         write_campaign(place, document, {run["file"]: _columns(tables[run["name"]]) for run in document["run"]
@@ -79,7 +82,7 @@ def build_campaign(content: Mapping[str, Any], runs: Mapping[str, Any], folder: 
     return inspection.campaign
 
 
-def _document(content: Mapping[str, Any]) -> dict[str, Any]:
+def _document(content: Any) -> dict[str, Any]:
     """Return the content as a file has it, with the keys that only a file needs."""
     if not isinstance(content, Mapping):
         what = f"the content of a campaign is of type {type(content).__name__}"
@@ -132,12 +135,12 @@ def _array(values: Any, where: str) -> pa.Array:
     return array.cast(pa.float64()) if pa.types.is_floating(array.type) else array
 
 
-def _refuse_unused(runs: Mapping[str, Any], tables: Mapping[str, TableInMemory]) -> None:
-    unused = [str(name) for name in runs if name not in tables]
+def _refuse_unused(runs: Mapping[str, Any], known: Sequence[str]) -> None:
+    unused = [str(name) for name in runs if name not in known]
     if unused:
         raise input_error(
             f"there is no run '{unused[0]}' in the content", f"runs['{unused[0]}']",
-            closest_first(unused[0], tables), "give it an entry under 'run', or leave its columns out",
+            closest_first(unused[0], known), "give it an entry under 'run', or leave its columns out",
         )  # fmt: skip
 
 

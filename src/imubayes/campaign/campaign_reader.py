@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -35,6 +35,7 @@ CAMPAIGN_FILE = "campaign.toml"
 TABLE_FILES = ("*.csv", "*.parquet", "*/*.csv", "*/*.parquet")
 
 
+@runtime_checkable
 class Tables(Protocol):
     """The tables of the runs of a campaign: files of its folder, or what was handed over.
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TypeGuard
 
 from imubayes.effects import EFFECTS, Effect
-from imubayes.effects.base import MotionEffect
+from imubayes.effects.base import MotionEffect, Stage
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.model.model_file import EffectSpec, ModelSpec, note_run
@@ -82,7 +82,7 @@ class Registry:
             where = f"class {member.__name__}"
             if not _is_effect(member):
                 raise input_error(
-                    f"the class {member.__name__} is no effect with a name and parameters", where, _CLASSES,
+                    f"the class {member.__name__} is no effect with a name, a stage and parameters", where, _CLASSES,
                     "derive it from one of these",
                 )  # fmt: skip
             if registry.effects.get(member.name) is not member:
@@ -106,13 +106,14 @@ class Registry:
 
 _CLASSES = (
     "classes derived from SignalEffect, RecordEffect, MotionEffect, PlaceEffect, EntryNoise, SharedNoise, SeriesNoise "
-    "or TailNoise that have a name and parameters"
+    "or TailNoise that have a name, parameters and, but for noise, a stage of the signal path"
 )
 
 
 def _is_effect(member: type) -> TypeGuard[EffectClass]:
     named = issubclass(member, Effect | Noise) and isinstance(getattr(member, "name", None), str)
-    return named and bool(declared_parameters(member))
+    placed = not issubclass(member, Effect) or isinstance(getattr(member, "stage", None), Stage)
+    return named and placed and bool(declared_parameters(member))
 
 
 def names_in(file: str | Path) -> tuple[str, ...]:
@@ -152,7 +153,7 @@ def _members_of(file: Path) -> list[EffectClass]:
         raise refuse("the file defines no effect")
     for member in found:
         if not _is_effect(member):
-            raise refuse(f"the class {member.__name__} has no name or no parameter")
+            raise refuse(f"the class {member.__name__} has no name, no stage or no parameter")
     return found
 
 

@@ -195,7 +195,7 @@ def read_model(path: str | Path) -> ModelSpec:
     return spec_of_file(read_model_file(path), path)
 
 
-def build_model(content: Mapping[str, Any]) -> ModelSpec:
+def build_model(content: Any) -> ModelSpec:
     """Return a model of a mapping with the keys of a model file.
 
     Parameters
