@@ -1,6 +1,9 @@
 """imubayes as a library: campaigns of arrays and data frames, models of mappings and classes, one value for several."""
 
 import copy
+import re
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -13,6 +16,7 @@ import pytest
 
 import imubayes
 from imubayes import Scalar, parameter
+from imubayes.procedures import PROCEDURES
 
 ANGLE = np.arange(0.0, 360.0, 15.0)
 BIAS, QUADRATIC = 0.7e-3, 300e-6
@@ -27,6 +31,12 @@ CONTENT: dict[str, Any] = {
     "mounting": [{"name": "flat", "preset": "aligned", "uncertainty_arcmin": 5.0}],
     "run": [{"name": "tumble", "procedure": "dividing_head", "table": "head", "mounting": "flat"}],
 }  # fmt: skip
+DATA = Path(__file__).parents[1] / "data"
+# Of all procedures together.
+SHIPPED = (
+    "centrifuge", "desk-imu", "full-qualification", "geographic-tumble", "multi-axis-table", "rotation-modulation",
+    "servo-table", "static-record",
+)  # fmt: skip
 EFFECTS = ["mounting_error", "accel_bias", "accel_scale_factor", "white_noise"]
 
 
@@ -173,7 +183,8 @@ def test_a_model_that_cannot_be_is_refused(campaign, content, words):
 
 def test_two_effect_files_of_one_name_are_refused(campaign, tmp_path):
     source = "import imubayes\nclass {0}(imubayes.SignalEffect):\n    name = '{0}'\n    kinds = ('accelerometer',)\n"
-    source += "    stage = imubayes.Stage.SENSOR\n    c: imubayes.Scalar = imubayes.parameter('ug', 'normal(0, 1 ug)', (1, 2), 'a bias')\n"
+    source += "    stage = imubayes.Stage.SENSOR\n"
+    source += "    c: imubayes.Scalar = imubayes.parameter('ug', 'normal(0, 1 ug)', (1, 2), 'a bias')\n"
     files = [tmp_path / folder / "own.py" for folder in "ab"]
     for file in files:
         file.parent.mkdir()
@@ -181,3 +192,39 @@ def test_two_effect_files_of_one_name_are_refused(campaign, tmp_path):
     spec = imubayes.build_model({"name": "bench", "effect": EFFECTS})
     with pytest.raises(imubayes.InputError, match=r"two effect files are named 'own\.py'"):
         imubayes.bind(imubayes.ModelSpec(spec.name, spec.effects, tuple(map(str, files))), campaign)
+
+
+def test_the_page_about_the_library_runs_as_written():
+    page = Path(__file__).parents[1] / "src" / "docs" / "how-to" / "library.md"
+    cells = re.findall(r"^```\{code-cell\} ipython3\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
+    code = [re.sub(r"^:tags:.*$", "", cell, flags=re.MULTILINE) for cell in cells]
+    names: dict[str, Any] = {"__name__": "page"}
+    for cell in code:
+        if "docs_session" not in cell:
+            exec(compile(cell, str(page), "exec"), names)
+    assert names["found"].sd < 10
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_campaign_is_that_of_its_columns(name):
+    """All procedures, from means and raw logs alike."""
+    folder = DATA / name
+    content = tomllib.loads((folder / "campaign.toml").read_text())
+    files = {run["name"]: folder / run["file"] for run in content["run"]}
+    runs = {
+        run: pl.read_parquet(file) if file.suffix == ".parquet" else pl.read_csv(file, infer_schema_length=None)
+        for run, file in files.items()
+    }
+    found, expected = imubayes.build_campaign(content, runs), imubayes.load_campaign(folder)
+    assert [vars(channel)["noise"] for channel in found.channels] == [
+        vars(channel)["noise"] for channel in expected.channels
+    ]
+    for run, other in zip(found.runs, expected.runs, strict=True):
+        np.testing.assert_array_equal(run.observed, other.observed)
+        for covariate, values in other.covariates.items():
+            np.testing.assert_array_equal(run.covariates[covariate], values)
+
+
+def test_the_shipped_campaigns_have_all_procedures():
+    contents = [tomllib.loads((DATA / name / "campaign.toml").read_text()) for name in SHIPPED]
+    assert {run["procedure"] for content in contents for run in content["run"]} >= set(PROCEDURES)

@@ -106,11 +106,11 @@ def limits_of(columns: dict[str, np.ndarray], limit: float) -> dict[str, tuple[f
 
 
 def test_turns_in_which_a_gyro_is_clipped_are_left_out() -> None:
-    whole = reduce_tumble(tumble_log()[0], channels(), GRAVITY, None, Path("log.csv")).tumble
+    whole = reduce_tumble(tumble_log()[0], channels(), GRAVITY, None, "log.csv").tumble
     fastest = np.sort(np.abs(whole.readings[:, :, 3:]).max(axis=(1, 2)))
     limit = float(0.5 * (fastest[-3] + fastest[-4]))
     columns = clipped_tumble(limit)
-    reduced = reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"), limits_of(columns, limit))
+    reduced = reduce_tumble(columns, channels(), GRAVITY, None, "log.csv", limits_of(columns, limit))
     kept = np.abs(whole.readings[:, :, 3:]).max(axis=(1, 2)) < limit
     # A sample may be clipped where the mean of its step is not.
     assert set(reduced.tumble.start) <= set(whole.start[kept])
@@ -125,4 +125,4 @@ def test_turns_in_which_a_gyro_is_clipped_are_left_out() -> None:
 def test_a_tumble_clipped_throughout_is_refused() -> None:
     columns = clipped_tumble(0.05)
     with pytest.raises(InputError, match="clipped in every transition"):
-        reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"), limits_of(columns, 0.05))
+        reduce_tumble(columns, channels(), GRAVITY, None, "log.csv", limits_of(columns, 0.05))

@@ -1,7 +1,5 @@
 """No rest that was still is excluded; one that was not is, where there are degrees of freedom to tell."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -15,7 +13,7 @@ from imubayes.campaign.reduction.static_poses import rotation_over
 
 
 def reduced(made: Recording, columns: dict[str, np.ndarray] | None = None) -> ReducedTumble:
-    return reduce_tumble(columns or made.columns(), channels(), GRAVITY, None, Path("log.csv"))
+    return reduce_tumble(columns or made.columns(), channels(), GRAVITY, None, "log.csv")
 
 
 def excluded(rests: int, seeds: range) -> list[int]:

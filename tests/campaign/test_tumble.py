@@ -29,7 +29,7 @@ DESK = Path(__file__).parents[2] / "data" / "desk-imu"
 
 def test_poses_and_rows() -> None:
     columns, attitude = tumble_log()
-    reduced = reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"))
+    reduced = reduce_tumble(columns, channels(), GRAVITY, None, "log.csv")
     tumble = reduced.tumble
     assert len(tumble.flagged) == 16
     assert not tumble.flagged.any()
@@ -47,7 +47,7 @@ def test_gravity_is_carried_from_pose_to_pose() -> None:
     columns, attitude = tumble_log(noise=False)
     force = np.stack([columns[name] for name in NAMES[:3]], axis=1)
     columns |= dict(zip(NAMES, (force + 1e-4 * np.random.default_rng(1).normal(size=force.shape)).T, strict=False))
-    reduced = reduce_tumble(columns, channels(), GRAVITY, 9.0, Path("log.csv"))
+    reduced = reduce_tumble(columns, channels(), GRAVITY, 9.0, "log.csv")
     tumble = reduced.tumble
     middle = np.searchsorted(columns["time_s"], reduced.numbers["time_s"])
     true = attitude[middle]
@@ -67,7 +67,7 @@ def test_gravity_is_carried_from_pose_to_pose() -> None:
 
 def test_disturbed_pose_is_flagged_and_bridged() -> None:
     columns, _ = tumble_log(twist_in=5)
-    reduced = reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"))
+    reduced = reduce_tumble(columns, channels(), GRAVITY, None, "log.csv")
     assert list(np.flatnonzero(reduced.tumble.flagged)) == [5]
     assert list(reduced.tumble.pose) == [pose for pose in range(16) if pose != 5]
     assert len(reduced.numbers["samples"]) == 15
@@ -119,10 +119,10 @@ def test_steps_are_short_when_fast() -> None:
 def test_wrong_units_are_named() -> None:
     columns, _ = tumble_log()
     in_g = columns | {name: columns[name] / GRAVITY for name in NAMES[:3]}
-    names = [f.name for f in reduce_tumble(in_g, channels(), GRAVITY, None, Path("log.csv")).findings]
+    names = [f.name for f in reduce_tumble(in_g, channels(), GRAVITY, None, "log.csv").findings]
     assert names == ["acceleration_unit"]
     in_degrees = columns | {name: np.rad2deg(columns[name]) / 57.3**2 for name in NAMES[3:]}
-    names = [f.name for f in reduce_tumble(in_degrees, channels(), GRAVITY, None, Path("log.csv")).findings]
+    names = [f.name for f in reduce_tumble(in_degrees, channels(), GRAVITY, None, "log.csv").findings]
     assert names == ["rate_unit"]
 
 
@@ -130,7 +130,7 @@ def test_wrong_units_are_named() -> None:
 def test_a_wrong_range_of_the_gyros_is_told_from_exchanged_axes(factor: float, severity: str) -> None:
     columns, _ = tumble_log()
     scaled = columns | {name: factor * columns[name] for name in NAMES[3:]}
-    [finding] = reduce_tumble(scaled, channels(), GRAVITY, None, Path("log.csv")).findings
+    [finding] = reduce_tumble(scaled, channels(), GRAVITY, None, "log.csv").findings
     assert (finding.name, finding.severity) == ("scale_far_from_nominal", severity)
     told = finding.what.partition("with the rates ")[2].split()[0]
     assert float(told) == pytest.approx(1 / factor, rel=0.02)
@@ -144,7 +144,7 @@ def test_a_scale_factor_that_full_turns_add_up_is_no_finding() -> None:
         made.rest()
     columns = made.columns(errors=False)
     scaled = columns | {name: 1.06 * columns[name] for name in NAMES[3:]}
-    assert reduce_tumble(scaled, channels(), GRAVITY, None, Path("log.csv")).findings == ()
+    assert reduce_tumble(scaled, channels(), GRAVITY, None, "log.csv").findings == ()
 
 
 @pytest.fixture(scope="module")

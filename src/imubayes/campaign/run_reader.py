@@ -356,7 +356,7 @@ def _segment_tracker(source: TableSource) -> reduce.SegmentTracker | None:
 def _load_tumble(
     source: TableSource, entry: RunEntry, equipment: Equipment, limits: reduce.Limits
 ) -> tuple[Run, list[Finding]]:
-    where, gravity, channels = source.file, equipment.site.gravity, equipment.channels
+    where, gravity, channels = str(source.file), equipment.site.gravity, equipment.channels
     if source.layout.reduced:
         reduced = reduce_means(source.whole(), channels, gravity, where)
     else:

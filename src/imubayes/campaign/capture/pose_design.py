@@ -9,7 +9,6 @@ poses are enough to tell it.  Correlation between gyros and accelerometers is le
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -98,7 +97,7 @@ def design_of(campaign: Campaign, interval: float) -> PoseDesign:
     run, gravity = campaign.runs[0], campaign.site.gravity
     tumble = run.tumble
     assert tumble is not None
-    force, rate = body_vectors(run.observed, campaign.channels, Path())
+    force, rate = body_vectors(run.observed, campaign.channels, "")
     sd = run.sample_sd / [abs(channel.scale_si) for channel in campaign.channels]
     by_kind = {
         kind: np.sqrt(np.mean(sd[:, [channel.kind == kind for channel in campaign.channels]] ** 2, axis=1))
@@ -129,7 +128,7 @@ def _turns(tumble: Tumble, campaign: Campaign, bias: np.ndarray, up: np.ndarray)
     row = {int(pose): place for place, pose in enumerate(tumble.pose)}
     for start, step, readings in zip(tumble.start, tumble.step, tumble.readings, strict=True):
         used = step > 0
-        _, rate = body_vectors(readings[used], campaign.channels, Path())
+        _, rate = body_vectors(readings[used], campaign.channels, "")
         yield (rate - bias) * step[used, None], step[used], up[row[int(start)]]
 
 

@@ -8,7 +8,6 @@ run are built.  The gyro and accelerometer axes are checked for consistency, whi
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import scipy  # loads its parts when they are first used
@@ -32,7 +31,7 @@ _USUAL, _OTHER_RANGE = 1.1, 1.5
 
 
 def check_axes(
-    recording: static.Recording, poses: Sequence[static.Pose], channels: Sequence[Channel], file: Path
+    recording: static.Recording, poses: Sequence[static.Pose], channels: Sequence[Channel], file: str
 ) -> list[Finding]:
     """Compare gravity propagated by the gyros from pose to pose with the accelerometer observations.
 
@@ -57,7 +56,7 @@ def check_axes(
         names = ", ".join(f"'{channels[index].name}'" for index in trials[best])
         what += f"; with {names} reversed it is {np.rad2deg(angles[best]):.2g} deg"
         remedy = f"check the sign of input_axis of {names}"
-        return [Finding("sign_reversed", "warning", "", what, str(file), allowed, remedy)]
+        return [Finding("sign_reversed", "warning", "", what, file, allowed, remedy)]
     factor, rest = _common_factor(recording, poses)
     if rest < _BETTER * angle:
         what += f"; with the rates {factor:.3g} times as large it is {np.rad2deg(rest):.2g} deg"
@@ -65,10 +64,10 @@ def check_axes(
         remedy = f"correct unit, range or scale of the gyros; or the times, which may be {factor:.3g} times as long"
         far = max(factor, 1 / factor)
         severity = "error" if far > _OTHER_RANGE else "warning"
-        named = Finding("scale_far_from_nominal", severity, "", what, str(file), allowed, remedy)
+        named = Finding("scale_far_from_nominal", severity, "", what, file, allowed, remedy)
         return [named] if far > _USUAL else []
     remedy = "check input_axis of all channels: axes may be exchanged, or more than one reversed"
-    return [Finding("axes_do_not_fit", "warning", "", what, str(file), allowed, remedy)]
+    return [Finding("axes_do_not_fit", "warning", "", what, file, allowed, remedy)]
 
 
 def _common_factor(recording: static.Recording, poses: Sequence[static.Pose]) -> tuple[float, float]:
@@ -95,7 +94,7 @@ def propagation_error(recording: static.Recording, poses: Sequence[static.Pose])
 
 
 def _with_reversed(
-    recording: static.Recording, channels: Sequence[Channel], indices: Sequence[int], file: Path
+    recording: static.Recording, channels: Sequence[Channel], indices: Sequence[int], file: str
 ) -> static.Recording:
     sign = np.ones(len(channels))
     sign[list(indices)] = -1.0
@@ -135,7 +134,7 @@ def reduce_tumble(
     channels: Sequence[Channel],
     gravity: float,
     initial_seconds: float | None,
-    file: Path,
+    file: str,
     limits: Limits | None = None,
 ) -> ReducedTumble:
     """Reduce the raw log of a free tumble.
@@ -159,7 +158,7 @@ def reduce_tumble(
     if len(detection.poses) < LEAST_POSES:
         raise input_error(
             f"{len(detection.poses)} static poses were found in the recording",
-            str(file),
+            file,
             f"{LEAST_POSES} or more poses, each held still for two seconds; 20 are recommended",
             "record more poses, or state the length of the initial rest as initial_rest_s",
         )
@@ -198,7 +197,7 @@ def _without_clipped(
     channels: Sequence[Channel],
     clipped: np.ndarray,
     limits: Limits,
-    file: Path,
+    file: str,
 ) -> tuple[Tumble, tuple[str, ...]]:
     """Return the tumble without the transitions in which a gyro is clipped, and notes on these.
 
@@ -212,7 +211,7 @@ def _without_clipped(
         names = ", ".join(f"'{channels[index].name}'" for index in gyros if spoilt[:, index].any())
         raise input_error(
             f"{names}: clipped in every transition between the poses",
-            str(file),
+            file,
             "turns within the range of the gyros",
             "turn more slowly, or choose a larger range",
         )
@@ -366,7 +365,7 @@ def one_axis_note(means: np.ndarray) -> list[str]:
     ]
 
 
-def wrong_acceleration_unit(means: np.ndarray, gravity: float, file: Path) -> list[Finding]:
+def wrong_acceleration_unit(means: np.ndarray, gravity: float, file: str) -> list[Finding]:
     """Return a finding where |f| of static poses, shape (n, 3) in m/s², is far from g."""
     slope = float(np.median(np.linalg.norm(means, axis=1))) / gravity
     if static.LEAST_G < slope < static.MOST_G:
@@ -380,7 +379,7 @@ def wrong_acceleration_unit(means: np.ndarray, gravity: float, file: Path) -> li
     ]  # fmt: skip
 
 
-def _findings(recording: static.Recording, detection: Detection, gravity: float, file: Path) -> list[Finding]:
+def _findings(recording: static.Recording, detection: Detection, gravity: float, file: str) -> list[Finding]:
     """Return findings of a wrong unit: |f| far from g, or gyro angles far from the changes of attitude."""
     means = static.pose_means(recording.force, detection.poses)
     found, shares = wrong_acceleration_unit(means, gravity, file), []

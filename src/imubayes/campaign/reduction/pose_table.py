@@ -5,7 +5,6 @@ them.  A row may be one face of six, or one of a thousand attitudes.
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +22,7 @@ LEAST_APART = 10.0  # deg between some two poses
 
 
 def reduce_means(
-    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], gravity: float, file: Path
+    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], gravity: float, file: str
 ) -> ReducedTumble:
     """Return the poses of a table of means.
 
@@ -47,7 +46,7 @@ def reduce_means(
     if complete.sum() < LEAST_MEANS:
         raise input_error(
             f"the table holds {int(complete.sum())} complete poses",
-            str(file),
+            file,
             f"{LEAST_MEANS} or more poses; 9 determine bias, scale factor and misalignment, 20 are recommended",
             "record more poses",
         )
@@ -77,7 +76,7 @@ def reduce_means(
     )
 
 
-def _refuse_turning(rate: np.ndarray, file: Path) -> None:
+def _refuse_turning(rate: np.ndarray, file: str) -> None:
     """Raise InputError where rows, with rates (n, 3) in rad/s, are no poses at rest."""
     if not len(rate):
         return
@@ -87,18 +86,18 @@ def _refuse_turning(rate: np.ndarray, file: Path) -> None:
         what = f"differ by up to {np.degrees(about):.3g}" if about > _AT_REST else f"are about {np.degrees(size):.3g}"
         raise input_error(
             f"the rates of the rows {what} deg/s: these are no static poses",
-            str(file),
+            file,
             f"means of poses at rest, or the raw log of a free tumble; rates within {np.degrees(_AT_REST):.3g} deg/s",
             "correct the procedure of the run, or give the raw log: the poses are found in it",
         )
 
 
-def _refuse_one_attitude(force: np.ndarray, file: Path) -> None:
+def _refuse_one_attitude(force: np.ndarray, file: str) -> None:
     apart = float(np.rad2deg(angle_between(force, force[:1]).max()))
     if not apart > LEAST_APART:
         raise input_error(
             f"the {len(force)} poses are all of one attitude, within {apart:.2g} deg",
-            str(file),
+            file,
             "poses in different attitudes, each with |f| = g",
             "turn the unit from pose to pose, or correct the procedure of the run",
         )

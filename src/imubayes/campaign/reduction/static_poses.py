@@ -16,7 +16,6 @@ second instead of every sample.
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import scipy  # loads its parts when they are first used
@@ -318,7 +317,7 @@ class Recording:
 
 
 def record(
-    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], initial_seconds: float | None, file: Path
+    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], initial_seconds: float | None, file: str
 ) -> Recording:
     """Return the log with nominal calibration, gyro bias removed.
 
@@ -337,7 +336,7 @@ def record(
     readings = np.stack([numbers.get(c.name, np.full(len(time), np.nan)) for c in channels], axis=1)
     if len(time) < LEAST_ROWS or (used := np.isfinite(readings).all(axis=1)).sum() < LEAST_ROWS:
         what = f"the recording has fewer than {LEAST_ROWS} complete rows"
-        raise input_error(what, str(file), "a raw log", "record for longer")
+        raise input_error(what, file, "a raw log", "record for longer")
     time, readings = time[used], readings[used]
     force, rate = body_vectors(readings, channels, file)
     turns = spans_space(channels, "gyro")
@@ -419,7 +418,7 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def body_vectors(
-    readings: np.ndarray, channels: Sequence[Channel], file: Path, sign: np.ndarray | float = 1.0
+    readings: np.ndarray, channels: Sequence[Channel], file: str, sign: np.ndarray | float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return nominal force and rate in body axes, (N, 3) each; `sign`, shape (C,), is −1 for a reversed channel.
 
