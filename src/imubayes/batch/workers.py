@@ -95,17 +95,17 @@ def on_client(client: "Client", fit: Callable[[ChunkTask], FittedChunk]) -> Exec
         for future in results:
             task = tasks_of.pop(future)
             found = _fitted(future)
-            killed = isinstance(found, distributed.KilledWorker)
-            if killed and len(task.sources) == 1:
-                suspects.append(task)
-            elif killed:
-                submit(_halves(task))
+            if not isinstance(found, tuple):
+                if len(task.sources) == 1:
+                    suspects.append(task)
+                else:
+                    submit(_halves(task))
             submit(islice(waiting, max(0, _wanted(client) - len(tasks_of))))
-            if not killed:
+            if isinstance(found, tuple):
                 yield found
         for task in suspects:
             found = _fitted(submitted(task))
-            yield _died(task, found) if isinstance(found, distributed.KilledWorker) else found
+            yield found if isinstance(found, tuple) else _died(task, found)
 
     return execute
 

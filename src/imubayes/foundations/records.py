@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from functools import singledispatch
 from importlib import import_module
 from pathlib import Path
+from typing import cast
 
 from pydantic import BaseModel, ConfigDict
 
@@ -83,4 +84,4 @@ def several[Item: str | Path](given: Item | Iterable[Item] | None) -> tuple[Item
     """
     if given is None:
         return ()
-    return (given,) if isinstance(given, str | Path) else tuple(given)
+    return (cast(Item, given),) if isinstance(given, str | Path) else tuple(given)

@@ -188,7 +188,7 @@ def _extension(
     before: Fit, spec: ModelSpec, registry: Registry, shape: Mapping[str, float], hints: Mapping[str, float]
 ) -> ChangedModel:
     old, model = before.model, bind(spec, before.model.campaign, registry)
-    dry_run(model.problem, model.assembly.effects, spec.files)
+    dry_run(model.problem, model.assembly.effects, spec)
     null, new = model.layout.carried(old.layout, before.z, null_point(model)), new_in(model.layout, old.layout)
     h = model.hyper_layout.carried(old.hyper_layout, before.h)
     for place in np.flatnonzero(new).tolist():
