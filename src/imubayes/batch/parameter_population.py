@@ -22,6 +22,7 @@ import polars as pl
 
 from imubayes.batch.population import Population, ShrunkUnits, UnitPosteriors, population, shrunk
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.quantity_names import QuantityName
 from imubayes.foundations.records import Record, finite
 from imubayes.model.effect_registry import Registry
 from imubayes.model.model_file import EffectSpec, ModelSpec
@@ -304,13 +305,13 @@ def next_unit_model(spec: ModelSpec, found: Populations, name: str = "") -> tupl
 
 def _channels(effect: EffectSpec, known: Mapping[str, ParameterPopulation]) -> list[str]:
     """Return the channels that an effect has parameters on in the batch."""
-    labels = (key.removeprefix(f"{effect.name}.").partition("[")[2][:-1] for key in _own(effect.name, known))
-    found = dict.fromkeys(label for label in labels if label and "," not in label)
+    labels = (QuantityName.of(key).labels for key in _own(effect.name, known))
+    found = dict.fromkeys(each[0] for each in labels if len(each) == 1)
     return [label for label in found if effect.channels is None or label in effect.channels]
 
 
 def _own(name: str, known: Mapping[str, ParameterPopulation]) -> Sequence[str]:
-    return [key for key in known if key.startswith(f"{name}.")]
+    return [key for key in known if QuantityName.of(key).effect == name]
 
 
 def _with_priors(
@@ -336,5 +337,6 @@ def _fields(
     name: str, channel: str, known: Mapping[str, ParameterPopulation]
 ) -> Iterator[tuple[str, ParameterPopulation]]:
     for key in _own(name, known):
-        if key.endswith(f"[{channel}]"):
-            yield key.removeprefix(f"{name}.").partition("[")[0], known[key]
+        parts = QuantityName.of(key)
+        if parts.labels == (channel,):
+            yield parts.parameter, known[key]

@@ -20,6 +20,7 @@ from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, pretty, significant, value_and_sd
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
+from imubayes.foundations.quantity_names import SCALE_FACTOR, QuantityName, family_of, name_of
 from imubayes.foundations.records import finite
 from imubayes.procedures import classical
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, compared_probability
@@ -50,13 +51,13 @@ def of_prediction(campaign: Campaign, residuals: pl.DataFrame, summary: Summary)
     """Return the classical estimates of the outputs that a fit predicts."""
     offsets = {
         channel.name: next(
-            (p.mean or 0.0 for p in summary.parameters if p.name == f"run_scatter.tau[{channel.name}]"), 0.0
+            (p.mean or 0.0 for p in summary.parameters if p.name == name_of("run_scatter.tau", channel.name)), 0.0
         )
         for channel in campaign.channels
     }
     plain = classical_values(with_outputs(campaign, residuals, {}))
     shifted = classical_values(with_outputs(campaign, residuals, offsets))
-    effects = {p.name.partition(".")[0] for p in summary.parameters}
+    effects = {QuantityName.of(p.name).effect for p in summary.parameters}
     thermal = any("temperature" in name or "converter" in name for name in effects)
     return OfPrediction(
         plain,
@@ -295,7 +296,7 @@ def _joint_cells(compared: ComparedEstimate) -> tuple[Cell, Cell, Cell, Cell]:
     if joint is None or joint.mean is None:
         return Cell(""), Cell(""), Cell(""), Cell("")
     value, sd = value_and_sd(joint.mean, joint.sd)
-    relative = joint.name.startswith("scale_factor[")
+    relative = family_of(joint.name) == SCALE_FACTOR
     text = _size(compared.difference, joint, relative)
     because = [f"{name}: {_size(added, joint, relative)}" for name, added in compared.causes]
     if angle is not None and abs(angle.ppm) >= 1:

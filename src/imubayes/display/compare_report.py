@@ -37,6 +37,7 @@ from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, kept_if_possible, refuse
 from imubayes.foundations.files import write_json, write_text
 from imubayes.foundations.progress import Tell, counted
+from imubayes.foundations.quantity_names import family_of
 from imubayes.foundations.records import several
 from imubayes.model.model_file import read_model
 from imubayes.procedures import classical
@@ -300,7 +301,7 @@ def _checked(summary: Summary, folder: Path, parameters: Sequence[str]) -> list[
     issues = []
     for name in dict.fromkeys(parameters):
         # A family stands for its members: gyro_scale_factor.scale for [gx], [gy], [gz].
-        own = [name] if name in known else [member for member in known if member.partition("[")[0] == name]
+        own = [name] if name in known else [member for member in known if family_of(member) == name]
         members += own
         if not own:
             where = f"{folder / 'summary.json'}, option --parameters"

@@ -13,6 +13,7 @@ from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.fit_cautions import worst_first
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import Covariate
+from imubayes.foundations.quantity_names import MOUNTING_ANGLE, SCALE_FACTOR, QuantityName, family_of, name_of
 from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.results.summary import Quantity, Summary
 
@@ -202,17 +203,17 @@ def _least_determined(summary: Summary) -> list[str]:
 
 def _angles(derived: Sequence[Quantity]) -> list[str]:
     """Return the mounting angles, only the inclined axes where there are any."""
-    angles = [entry for entry in derived if entry.name.startswith("mounting_angle[") and entry.mean is not None]
+    angles = [entry for entry in derived if family_of(entry.name) == MOUNTING_ANGLE and entry.mean is not None]
     inclined = [entry for entry in angles if 10 < abs(entry.mean or 0.0) % 90 < 80]
     return [entry.name for entry in inclined or angles]
 
 
 def _scale_of(angle: str) -> str:
-    return f"scale_factor[{angle.partition('[')[2].partition(',')[0]}]"
+    return name_of(SCALE_FACTOR, QuantityName.of(angle).first)
 
 
 def _is_scale(name: str) -> bool:
-    return name.startswith("scale_factor[")
+    return family_of(name) == SCALE_FACTOR
 
 
 def _from_data(entry: Quantity) -> float:

@@ -13,6 +13,7 @@ from imubayes.adequacy.adequacy_record import NoiseComparison, NoiseViolation
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, percent, pretty, relation, significant, value_and_sd
 from imubayes.foundations.campaign_data import SetAside
+from imubayes.foundations.quantity_names import SCALE_FACTOR, family_of
 from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival
 from imubayes.inference.identifiability import ImplausibleEstimate, PriorConflict, UnexplainedOutput
 from imubayes.model.model_file import GRAVITY, SingleRunEffect, UncertainEquipment
@@ -191,7 +192,7 @@ def _gravity_text(summary: Summary) -> str:
     scales = [
         (each.sd / abs(each.mean) * 1e6, each.name)
         for each in summary.derived
-        if each.name.startswith("scale_factor[") and each.unit.endswith(_PER_FORCE) and each.mean and each.sd
+        if family_of(each.name) == SCALE_FACTOR and each.unit.endswith(_PER_FORCE) and each.mean and each.sd
     ]
     own, name = min(scales, default=(math.inf, ""))
     whole = math.hypot(own, size)

@@ -11,6 +11,7 @@ from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.fit_cautions import SIGNIFICANT, alarm_of, chi2_text, share_of_freedom, tail
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.quantity_names import MOUNTING_ANGLE, family_of
 from imubayes.inference.candidate_runs import RunDesign, TemperatureProfile
 from imubayes.inference.identifiability import Contribution, WeakDirection
 from imubayes.results import summary as records
@@ -150,9 +151,9 @@ def _leading_contributions(summary: records.Summary) -> list[Contribution]:
         return -abs(round(math.sin(2 * math.radians(mean[contribution.quantity] or 0.0)), 1))
 
     found = sorted(summary.contributions, key=gain)
-    angles = sorted((c for c in found if c.quantity.startswith("mounting_angle[")), key=inclination)
+    angles = sorted((c for c in found if family_of(c.quantity) == MOUNTING_ANGLE), key=inclination)
     sums = {each.name for each in summary.combinations if not each.standard}
-    others = [c for c in found if not c.quantity.startswith("mounting_angle[") and c.quantity not in sums]
+    others = [c for c in found if not family_of(c.quantity) == MOUNTING_ANGLE and c.quantity not in sums]
     return [*angles[:_MOST_CONTRIBUTIONS], *others[:_MOST_CONTRIBUTIONS]]
 
 

@@ -19,6 +19,7 @@ from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, rounded, significant
 from imubayes.display.onboard.kalibr import noise_yaml
 from imubayes.foundations.files import write_text
+from imubayes.foundations.quantity_names import name_of
 from imubayes.noise_analysis.described_band import Cause, Gap
 from imubayes.noise_analysis.noise_record import ChannelNoise, NoiseDensity, StaticNoise, TermRecord
 from imubayes.noise_analysis.noise_terms import NoiseTerm
@@ -126,7 +127,7 @@ def _correlation(channel: ChannelNoise) -> list[str]:
     names = []
     for term in channel.correlated_terms:
         effect, parameter = ("gauss_markov_noise", "time") if term == _TIME else _EFFECTS[NoiseTerm(term)][:2]
-        names.append(f"{effect}.{parameter}[{channel.channel}]")
+        names.append(name_of(f"{effect}.{parameter}", channel.channel))
     if len(names) < 2:
         return []
     rows = [f"    [{_numbers(row)}]," for row in channel.correlation]

@@ -16,6 +16,7 @@ from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.fit_quality_tables import NOT_DETERMINED, more
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.foundations.campaign_data import channel_of_component
+from imubayes.foundations.quantity_names import AXIS_ANGLE, QuantityName, family_of
 from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.results.summary import ParameterSummary, Quantity, Summary, channel_units, in_output_units
 
@@ -32,9 +33,7 @@ def parameter_sheet(summary: Summary, most: int | None = None, nuisance: bool = 
 def scale_and_angle_sheet(summary: Summary) -> Sheet:
     """Return the derived quantities but for angles between axes and the vectors of the input axes."""
     own = [
-        entry
-        for entry in summary.derived
-        if not entry.repeats_misalignments and not entry.name.startswith("axis_angle[")
+        entry for entry in summary.derived if not entry.repeats_misalignments and family_of(entry.name) != AXIS_ANGLE
     ]
     return _quantities(summary, own, "Derived quantities", None, nuisance=False).changed(dividers=frozenset())
 
@@ -67,7 +66,7 @@ def _quantities(
     entries = [entry for entry in everything if nuisance or not is_nuisance(entry)]
     sampling = any(map(_unsettled, entries))
     chosen = _chosen(entries, most)
-    families = [entry.name.partition("[")[0].partition(".")[0] for entry in chosen]
+    families = [QuantityName.of(entry.name).effect for entry in chosen]
     dividers = frozenset(place for place in range(1, len(chosen)) if families[place] != families[place - 1])
     note = (_note(entries, len(everything) - len(entries)) + more(len(entries) - len(chosen))).strip()
     head = ("name", "estimate", "sd", summary.interval, "unit", "from data", *(("R-hat", "ESS") if sampling else ()))

@@ -14,6 +14,7 @@ from imubayes.explorer.edited_model import prior_text
 from imubayes.explorer.messages import ShownTable, shown_table
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import closest_first, input_error
+from imubayes.foundations.quantity_names import INPUT_AXIS, name_of
 from imubayes.foundations.records import Record
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import draws_of
@@ -122,7 +123,7 @@ def axis_frames(result: Result) -> tuple[AxisFrame, ...]:
     used = list(dict.fromkeys(run.mounting for run in campaign.runs if run.mounting is not None))
     frames = [("body", np.eye(3), np.zeros((size, 3)))]
     for name in used:
-        turned = [draws.get(f"mounting_error.{axis}[{name}]", np.zeros(size)) for axis in "xyz"]
+        turned = [draws.get(name_of(f"mounting_error.{axis}", name), np.zeros(size)) for axis in "xyz"]
         frames.append((name, campaign.mountings[name].body_to_table, np.radians(np.stack(turned, axis=1) / 3600)))
     return tuple(
         AxisFrame(
@@ -135,7 +136,7 @@ def axis_frames(result: Result) -> tuple[AxisFrame, ...]:
 
 def _drawn(channel: Channel, draws: Mapping[str, np.ndarray], size: int) -> np.ndarray:
     """Return the draws of an axis in body axes, (S, 3)."""
-    found = [draws.get(f"input_axis[{channel.name},{axis}]") for axis in "xyz"]
+    found = [draws.get(name_of(INPUT_AXIS, channel.name, axis)) for axis in "xyz"]
     told = [each for each in found if each is not None]
     return np.stack(told, axis=1) if len(told) == 3 else np.tile(channel.axes[0], (size, 1))
 

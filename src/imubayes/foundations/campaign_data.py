@@ -2,8 +2,7 @@
 
 A `Campaign` is one unit's set of runs.  A `Run` holds rows: each row is the mean of `samples` raw samples taken while
 the stimulus was what the covariates say.  These are plain frozen records of NumPy arrays; files and units are the
-business of `imubayes.campaign`, pictures and datasheet units of `imubayes.display`.  Names of the components of input
-axes, `input_axis[channel,component]`, are written and read here alone.
+business of `imubayes.campaign`, pictures and datasheet units of `imubayes.display`.
 
 A unit has a grade, to which default priors belong.  The default prior of a parameter is that of a tactical or
 navigation-grade unit.  Where coarser units are met with larger errors, the parameter declares the widths for these:
@@ -22,6 +21,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from imubayes.foundations.earth import table_to_local, towards
+from imubayes.foundations.quantity_names import INPUT_AXIS, QuantityName, name_of
 from imubayes.foundations.records import Record
 
 Grade = Literal["consumer", "industrial", "tactical", "navigation"]
@@ -330,14 +330,14 @@ class Campaign:
 
 
 COMPONENTS = ("x", "y", "z")
-_START = "input_axis["
 
 
 def component_names(channel: str) -> tuple[str, ...]:
     """Return the names of the three components of a channel's input axis."""
-    return tuple(f"{_START}{channel},{component}]" for component in COMPONENTS)
+    return tuple(name_of(INPUT_AXIS, channel, component) for component in COMPONENTS)
 
 
 def channel_of_component(name: str) -> str | None:
     """Return the channel where a derived quantity is a component of its input axis; None of any other quantity."""
-    return name.removeprefix(_START).rpartition(",")[0] if name.startswith(_START) else None
+    parts = QuantityName.of(name)
+    return parts.first if parts.family == INPUT_AXIS else None

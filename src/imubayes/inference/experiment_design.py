@@ -29,6 +29,7 @@ import numpy as np
 
 from imubayes.effects.base import Effect, Stage
 from imubayes.foundations.arrays import cholesky, solve_lower
+from imubayes.foundations.quantity_names import AXIS_ANGLE, MOUNTING_ANGLE, QuantityName
 from imubayes.inference.candidate_runs import CandidateRun, NextRun, RunDesign, candidate_runs
 from imubayes.inference.fitted_model import Fit, evenly_spaced
 from imubayes.inference.identifiability import Contribution, ProcedureShare, WeakDirection
@@ -112,13 +113,13 @@ def _pairs(fit: Fit) -> dict[str, tuple[int, int]]:
     mountings: dict[str, int] = {}
     found = {}
     for quantity in fit.derived.names:
-        family, _, label = quantity.name.removesuffix("]").partition("[")
+        name = QuantityName.of(quantity.name)
         # Mountings stand in the order in which the angles of the first channel name them.
-        if family == "mounting_angle":
-            channel, mounting = label.split(",", 1)
+        if name.family == MOUNTING_ANGLE:
+            channel, mounting = name.labels
             found[quantity.name] = place[channel], len(channels) + mountings.setdefault(mounting, len(mountings))
-        elif family == "axis_angle":
-            first, second = label.split(",", 1)
+        elif name.family == AXIS_ANGLE:
+            first, second = name.labels
             found[quantity.name] = place[first], place[second]
     return found
 

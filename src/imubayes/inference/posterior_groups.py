@@ -21,6 +21,7 @@ import numpy as np
 from imubayes.compiled.in_numpy import in_numpy
 from imubayes.foundations.arrays import Array, Float, in_batches
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.quantity_names import QuantityName
 from imubayes.foundations.units import to_si
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.fitted_model import Fit, Posterior, evenly_spaced
@@ -188,11 +189,9 @@ def _derived(fit: Fit) -> dict[str, Members]:
     """Return the variables of derived quantities, by family."""
     found: dict[str, Members] = {}
     for column, quantity in enumerate(fit.derived.names):
-        family, _, label = quantity.name.removesuffix("]").partition("[")
-        kinds = _DERIVED_LABELS[family]
-        # Names of channels have no comma; those of mountings and runs, which come second, may.
-        members = found.setdefault(family, Members(family, kinds))
-        members.append(column, tuple(label.split(",", len(kinds) - 1)), quantity.unit)
+        name = QuantityName.of(quantity.name)
+        members = found.setdefault(name.family, Members(name.family, _DERIVED_LABELS[name.family]))
+        members.append(column, name.labels, quantity.unit)
     return found
 
 

@@ -16,6 +16,7 @@ from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.explanation_records import CoefficientEstimate
 from imubayes.effects.thermometer import TemperatureOffset
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes.foundations.quantity_names import QuantityName
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import heights
 from imubayes.loop.refit import Refit, refit_changed, require_fit
@@ -245,7 +246,7 @@ def _covariate_of(name: str, registry: Registry) -> str | None:
 
 def _among(block: PriorCorrelation, names: Collection[str]) -> PriorCorrelation | None:
     """Return a correlation of the parameters of these effects alone; None where it correlates none."""
-    places = [place for place, name in enumerate(block.parameters) if name.partition(".")[0] in names]
+    places = [place for place, name in enumerate(block.parameters) if QuantityName.of(name).effect in names]
     if len(places) < 2:
         return None
     matrix = tuple(tuple(block.matrix[row][column] for column in places) for row in places)

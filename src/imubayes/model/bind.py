@@ -21,6 +21,7 @@ from imubayes.effects.thermometer import TemperatureOffset
 from imubayes.foundations.arrays import Array, Float, Scalar
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
+from imubayes.foundations.quantity_names import name_of
 from imubayes.model import bound_effects as binding
 from imubayes.model import nodes_and_entries
 from imubayes.model.assembly import Assembly, assemble
@@ -107,7 +108,7 @@ def _learnt_prior_widths(assembly: Assembly) -> tuple[np.ndarray, np.ndarray]:
         if spread:
             names = dict(zip(effect.per_of(parameter.field), parameter.label, strict=True))
             label = ",".join(names[axis] for axis in effect.per_of(spread))
-            spread_of[index] = hyper.index(f"{parameter.effect}.{spread}[{label}]")
+            spread_of[index] = hyper.index(name_of(f"{parameter.effect}.{spread}", label))
             unit[index] = parameter.prior.sd()
     return spread_of, unit
 

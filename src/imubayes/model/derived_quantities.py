@@ -13,6 +13,7 @@ from imubayes.compiled.in_numpy import in_numpy
 from imubayes.effects.base import Effect, Order, RecordEffect, Stage
 from imubayes.foundations.arrays import Array, Float, Int, in_batches, on_device
 from imubayes.foundations.campaign_data import Channel, component_names
+from imubayes.foundations.quantity_names import AXIS_ANGLE, DELTA_K, MOUNTING_ANGLE, SCALE_FACTOR, name_of
 from imubayes.foundations.units import to_si
 from imubayes.model.assembly import Assembly
 from imubayes.model.bound_effects import BoundEffect
@@ -143,7 +144,7 @@ def derived_quantities(assembly: Assembly) -> DerivedQuantities:
         pairs[kind] = np.array(couples, dtype=int).reshape(-1, 2)
         rows = _thermal_comparisons(assembly, channels, thermal) if kind == "accelerometer" else []
         for column, place, _ in rows:
-            name = f"delta_k[{channels[column].name},{campaign.runs[thermal.runs[place]].name}]"
+            name = name_of(DELTA_K, channels[column].name, campaign.runs[thermal.runs[place]].name)
             thermal_names.append(DerivedQuantity(name, "%", to_si("%")))
         thermal_pairs[kind] = np.array(rows, dtype=int).reshape(-1, 3)
     names += thermal_names
@@ -181,13 +182,13 @@ def _quantities_of_kind(
 ) -> list[DerivedQuantity]:
     """Return scale factors, input axes, mounting angles and angles between the axes of the channels of one kind."""
     scales = [
-        DerivedQuantity(f"scale_factor[{c.name}]", f"{c.output_unit} per {c.per}", 1 / to_si(c.per, gravity))
+        DerivedQuantity(name_of(SCALE_FACTOR, c.name), f"{c.output_unit} per {c.per}", 1 / to_si(c.per, gravity))
         for c in channels
     ]
     axes = [name for c in channels if c.name in tilted for name in component_names(c.name)]
     vectors = [DerivedQuantity(name, "1", 1.0) for name in axes]
-    angles = [f"mounting_angle[{channel.name},{mounting}]" for channel in channels for mounting in mountings]
-    angles += [f"axis_angle[{','.join(sorted((channels[i].name, channels[j].name)))}]" for i, j in couples]
+    angles = [name_of(MOUNTING_ANGLE, channel.name, mounting) for channel in channels for mounting in mountings]
+    angles += [name_of(AXIS_ANGLE, *sorted((channels[i].name, channels[j].name))) for i, j in couples]
     return scales + vectors + [DerivedQuantity(name, "deg", to_si("deg")) for name in angles]
 
 

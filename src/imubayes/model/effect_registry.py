@@ -16,6 +16,7 @@ from imubayes.effects import EFFECTS, Effect
 from imubayes.effects.base import MotionEffect, Stage
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, closest_first, input_error
+from imubayes.foundations.quantity_names import QuantityName
 from imubayes.model.model_file import EffectSpec, ModelSpec, note_run
 from imubayes.noise import NOISES, Noise
 from imubayes.parameters.declarations import declared_parameters
@@ -172,7 +173,7 @@ def with_noise_priors(spec: ModelSpec, campaign: Campaign, registry: Registry) -
     blocks = (
         block
         for block in spec.noise_priors.correlations
-        if all(name.rsplit("[", 1)[-1].rstrip("]") in names for name in block.parameters)
+        if all(QuantityName.of(name).label in names for name in block.parameters)
     )
     correlations = (*spec.correlations, *blocks)
     return replace(spec, effects=(*own, *given), correlations=correlations, noise_priors=None)

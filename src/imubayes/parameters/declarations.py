@@ -19,6 +19,7 @@ import numpy as np
 
 from imubayes.foundations.arrays import Array, Float, Int, namespace, on_host, take_last
 from imubayes.foundations.campaign_data import Grade, graded_prior
+from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.units import with_output_unit
 from imubayes.parameters.priors import Prior
 
@@ -213,7 +214,7 @@ class Parameter:
     @cached_property
     def name(self) -> str:
         """The full name, as in model files, on the command line and in results."""
-        return f"{self.effect}.{self.field}[{','.join(self.label)}]"
+        return name_of(f"{self.effect}.{self.field}", *self.label)
 
     @property
     def prior_sd(self) -> float:

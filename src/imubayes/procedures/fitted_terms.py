@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.quantity_names import MOUNTING_ANGLE, SCALE_FACTOR, name_of
 from imubayes.foundations.units import to_si
 from imubayes.procedures import textbook
 from imubayes.procedures.kinematics import AXES, felt, row_means, serial_stimulus
@@ -408,6 +409,6 @@ def projected_scale_factors(campaign: Campaign, runs: Sequence[Run]) -> Iterator
     for mounting, run in {run.mounting: run for run in runs if run.mounting is not None}.items():
         for channel in campaign.of_kind("gyro"):
             if abs(float(textbook.along_table(run, campaign, channel.axes[0])[2])) > LEAST_COSINE:
-                place, unit = f"[{channel.name},{mounting}]", f"{channel.output_unit} per {channel.per}"
-                scale = f"scale_factor[{channel.name}]"
-                yield ProjectedScaleFactor(f"k′{place}", unit, scale, f"mounting_angle{place}")
+                unit, labels = f"{channel.output_unit} per {channel.per}", (channel.name, mounting)
+                scale, angle = name_of(SCALE_FACTOR, channel.name), name_of(MOUNTING_ANGLE, *labels)
+                yield ProjectedScaleFactor(name_of("k′", *labels), unit, scale, angle)

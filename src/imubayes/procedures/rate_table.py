@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Run
+from imubayes.foundations.quantity_names import MOUNTING_ANGLE, name_of
 from imubayes.foundations.units import to_si
 from imubayes.procedures import fitted_terms, textbook
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, whole_turns
@@ -126,7 +127,7 @@ def _line(series: RateSeries) -> list[TextbookResult]:
     """Return k′, F₀ and the scale factor."""
     channel, fitted, seated = series.channel, series.fitted, series.seated
     factor, unit = to_si(channel.per), f"{channel.output_unit} per {channel.per}"
-    angle, nominal = f"mounting_angle[{seated.of}]", float(np.degrees(np.arccos(series.cosine)))
+    angle, nominal = name_of(MOUNTING_ANGLE, seated.of), float(np.degrees(np.arccos(series.cosine)))
     k, sd = series.scale
     scale = series.evaluation.estimate("scale_factor", k * factor, sd * factor, unit, "k = k′/cos θ")
     # The mean of two static records, by which every output is corrected, shifts the intercept.

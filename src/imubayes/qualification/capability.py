@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from imubayes.campaign.toml_documents import Ledger
+from imubayes.foundations.quantity_names import QuantityName
 from imubayes.qualification.budget_parts import BudgetLine, QuantityBudget
 from imubayes.qualification.certificate import CapabilityEntry, CapabilityFloor
 from imubayes.qualification.conformity import resolved_limits
@@ -73,8 +74,8 @@ def _of_the_same(unit: TestedUnit, floors: Mapping[str, float]) -> dict[str, flo
     """Return floors with those of the quantities that are the same in another unit, or with another zero or sign."""
     found, draws = dict(floors), unit.quantities.draws
     for name, floor in floors.items():
-        label, own = name.partition("[")[2], draws[name] - draws[name].mean()
-        for other in (each for each in draws if each.partition("[")[2] == label and each not in unit.lengths):
+        labels, own = QuantityName.of(name).labels, draws[name] - draws[name].mean()
+        for other in (each for each in draws if QuantityName.of(each).labels == labels and each not in unit.lengths):
             values = draws[other] - draws[other].mean()
             slope = float(values @ own) / (float(own @ own) or 1.0)
             if other != name and np.std(values - slope * own) < _SAME * np.std(values):

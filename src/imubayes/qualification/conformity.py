@@ -20,6 +20,7 @@ import numpy as np
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.errors import InputError, closest_first
+from imubayes.foundations.quantity_names import QuantityName, family_of
 from imubayes.foundations.units import same_dimension, to_si
 from imubayes.qualification import decision_rules as rules
 from imubayes.qualification.coverage import Coverage, coverage_of
@@ -93,8 +94,8 @@ def resolved_limits(
     for place, entry in enumerate(file.limit):
         names = _members(entry.quantity, unit.quantities.entries)
         if not names:
-            families = dict.fromkeys(name.partition("[")[0] for name in unit.quantities.entries)
-            options = unit.quantities.entries if "[" in entry.quantity else families
+            families = dict.fromkeys(family_of(name) for name in unit.quantities.entries)
+            options = unit.quantities.entries if QuantityName.of(entry.quantity).labels else families
             ledger.add(
                 f"the result has no quantity '{entry.quantity}'",
                 (*path, place, "quantity"),
@@ -119,7 +120,7 @@ def _members(asked: str, entries: Mapping[str, Quantity]) -> list[str]:
     equipment, and has limits where it is named in full.
     """
     sums = {name for name, line in entries.items() if isinstance(line, CombinationSummary) and not line.standard}
-    return [name for name in entries if asked == name or (asked == name.partition("[")[0] and name not in sums)]
+    return [name for name in entries if asked == name or (asked == family_of(name) and name not in sums)]
 
 
 def _check_temperatures(entry: LimitEntry, place: int, ledger: Ledger, unit: TestedUnit) -> None:

@@ -18,6 +18,7 @@ import tomlkit
 
 from imubayes.campaign import load_campaign
 from imubayes.foundations.progress import Tell, silent
+from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.records import Record
 from imubayes.inference.run_fit import joint_fit
 from imubayes.inference.user_density import sample
@@ -228,7 +229,7 @@ def _constructed() -> Iterator[KnownAnswer]:
     fitted, draws = dict(zip(found.model.parameter_names, found.z, strict=False)), found.posterior.points
     off, wide = [], []
     for axis in _UNIT:
-        names = [f"{name}[{axis.name}]" for name in _NAMES[axis.kind.name]]
+        names = [name_of(name, axis.name) for name in _NAMES[axis.kind.name]]
         for name, value, width, u in zip(names, axis.stated, axis.kind.width, sds[axis.name], strict=True):
             off.append(abs(fitted[name] * width - value) / u)
             wide.append(abs(draws[:, found.model.parameter_names.index(name)].std() * width / u - 1))

@@ -23,6 +23,7 @@ from typing import Literal
 import numpy as np
 
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.quantity_names import INPUT_AXIS, QuantityName, family_of
 from imubayes.foundations.records import Presented, Record
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.foundations.units import DAYS_PER_YEAR
@@ -190,7 +191,7 @@ def _normal(fit: Fit, scales: np.ndarray) -> _Normal:
         derived = evaluate_derived(fit.derived.derivation, problem, fit.z[None])[0]
         gradients = derived_jacobian(fit.derived.derivation, problem, fit.z)
         for name, value, gradient in zip(fit.derived.names, derived.tolist(), gradients, strict=True):
-            if not name.name.startswith("input_axis["):
+            if family_of(name.name) != INPUT_AXIS:
                 found[name.name] = _Quantity(value, name.unit, gradient, False)
     own = {parameter.name: parameter for parameter in layout.parameters}
     return _Normal(fit.z, layout.names, precision, inverse_of_precision(precision), widths, own, found)
@@ -291,7 +292,7 @@ def _is_lasting(name: str, one: _Normal, lasting: set[str], together: JoinedCamp
     """Return whether a quantity is of the same thing in both: a parameter, or what is derived for what stayed."""
     if one.quantities[name].is_parameter:
         return name in lasting
-    label = name.partition("[")[2].removesuffix("]").split(",")
+    label = QuantityName.of(name).labels
     runs = {run.name for run in together.campaign.runs}
     return not any(part in together.changed or part in runs for part in label)
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from imubayes.foundations.errors import InputError
+from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.records import Record, finite
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import expected_deviations
@@ -131,10 +132,10 @@ def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, budge
         if found.name in draws
     }
     return combinations | {
-        f"{quantity.key}[{found.label}]": budget.FunctionOfQuantities(found.draws, found.members, found.length)
+        name_of(quantity.key, found.label): budget.FunctionOfQuantities(found.draws, found.members, found.length)
         for quantity in STANDARD_QUANTITIES
         for found in draws_of_standard(quantity, unit)
-        if f"{quantity.key}[{found.label}]" in draws
+        if name_of(quantity.key, found.label) in draws
     }
 
 

@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.foundations.quantity_names import MOUNTING_ANGLE, QuantityName, family_of, name_of
 from imubayes.parameters.priors import Normal
 from imubayes.qualification import report_record as record
 from imubayes.qualification.coverage import Coverage
@@ -80,7 +81,7 @@ def _estimate(result: Result, unit: TestedUnit | None, line: records.Quantity, s
         line.quantities[0] if isinstance(line, records.CombinationSummary) else line.name,
     )
     outputs = {channel.name: channel.output_unit for channel in campaign.channels}
-    channel = member.partition("[")[2].removesuffix("]").partition(",")[0]
+    channel = QuantityName.of(member).first
     if unit is None:
         numbers: dict[str, Any] = {"withheld": "not_converged"}
     elif line.name in unit.quantities.draws:
@@ -125,7 +126,7 @@ def mounting_angles(result: Result, unit: TestedUnit | None) -> tuple[record.Mou
     lines = {line.name: line for line in result.summary.derived}
     for channel in campaign.channels:
         for mounting in campaign.mountings.values():
-            name = f"mounting_angle[{channel.name},{mounting.name}]"
+            name = name_of(MOUNTING_ANGLE, channel.name, mounting.name)
             line = lines.get(name)
             if line is None:
                 continue
@@ -183,7 +184,7 @@ def _named(quantity: StandardQuantity) -> dict[str, Any]:
 
 
 def _of_standard(quantity: StandardQuantity, found: StandardDraws, unit: TestedUnit) -> record.StandardEstimate:
-    own = f"{quantity.key}[{found.label}]"
+    own = name_of(quantity.key, found.label)
     known = own if own in unit.quantities.draws else found.members[0]
     return record.StandardEstimate(
         name=own,
@@ -265,7 +266,7 @@ def _screened(quantity: StandardQuantity, diagnosis: Diagnosis | None) -> tuple[
     found: dict[str, record.ScreenedCoefficient] = {}
     for line in diagnosis.ranking:
         for each in line.coefficients if line.effect in quantity.effects else ():
-            own = each.name.partition("[")[0] == quantity.family and each.name not in found
+            own = family_of(each.name) == quantity.family and each.name not in found
             if own and each.value is not None and each.sd is not None:
                 found[each.name] = record.ScreenedCoefficient(
                     name=each.name, value=each.value, standard_uncertainty=each.sd, unit=each.unit
@@ -279,7 +280,7 @@ def thermal_linearity(result: Result, unit: TestedUnit | None) -> tuple[record.T
     for line in result.summary.derived:
         if line.within is None:
             continue
-        channel, _, run = line.name.removeprefix("delta_k[").removesuffix("]").partition(",")
+        channel, run = QuantityName.of(line.name).labels
         within = None
         if unit is not None and line.name in unit.quantities.draws:
             marginal = unit.quantities.marginal(line.name)

@@ -8,6 +8,7 @@ import polars as pl
 import scipy  # loads its parts when they are first used
 
 from imubayes.foundations.campaign_data import Campaign, Channel
+from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import to_si
 from imubayes.qualification.conformity import ConformityOfQuantity
@@ -199,7 +200,7 @@ _SHAPES: dict[str, dict[str, Callable[[np.ndarray], np.ndarray]]] = {
 def _error(unit: TestedUnit, channel: Channel, along: np.ndarray) -> np.ndarray | None:
     """Return the error at inputs (n,) along the input axis, (S, n) as `_SHAPES` says; None without its parameters."""
     draws = thinned(unit.quantities.draws, _MOST_DRAWS)
-    shapes = {f"{family}[{channel.name}]": shape for family, shape in _SHAPES[channel.kind].items()}
+    shapes = {name_of(family, channel.name): shape for family, shape in _SHAPES[channel.kind].items()}
     parts = [draws[name][:, None] * shape(along)[None, :] for name, shape in shapes.items() if name in draws]
     return np.sum(parts, axis=0) if parts else None
 
@@ -228,7 +229,10 @@ def _over_input(unit: TestedUnit, channel: Channel, limits: Sequence[ConformityO
 def _over_temperature(
     unit: TestedUnit, channel: Channel, span: tuple[float, float], limits: Sequence[ConformityOfQuantity]
 ) -> _Drawn | None:
-    draws, name = thinned(unit.quantities.draws, _MOST_DRAWS), f"{_PREFIX[channel.kind]}_bias.bias[{channel.name}]"
+    draws, name = (
+        thinned(unit.quantities.draws, _MOST_DRAWS),
+        name_of(f"{_PREFIX[channel.kind]}_bias.bias", channel.name),
+    )
     if name not in draws:
         return None
     x, values = course_over_range(name, unit.quantities.entries[name].unit, draws, unit.thermal, span)
@@ -262,7 +266,9 @@ def _envelope(
     """Return the error that limits of bias and of relative scale factor (ppm) allow together, at inputs (n,)."""
     of = {found.limit.quantity.name: found.limit.tolerance for found in limits}
     prefix, per_input = _PREFIX[channel.kind], 3600.0 if channel.kind == "gyro" else 1e6
-    constant, slope = (of.get(f"{prefix}_{each}[{channel.name}]") for each in ("bias.bias", "scale_factor.scale"))
+    constant, slope = (
+        of.get(name_of(f"{prefix}_{each}", channel.name)) for each in ("bias.bias", "scale_factor.scale")
+    )
     if constant is None or slope is None:
         return []
     ends = np.stack([slope.lower * 1e-6 * per_input * along, slope.upper * 1e-6 * per_input * along])

@@ -22,6 +22,7 @@ from typing import Literal
 import numpy as np
 
 from imubayes.foundations.campaign_data import Channel
+from imubayes.foundations.quantity_names import AXIS_ANGLE, QuantityName, name_of
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import to_si
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
@@ -191,7 +192,7 @@ def of_family(family: str, factor: float = 1.0) -> Source:
     """Return the source of a quantity that is a parameter of each channel, times a factor."""
 
     def draws(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
-        name = f"{family}[{channel.name}]"
+        name = name_of(family, channel.name)
         known = unit.quantities
         if name not in known.draws:
             return []
@@ -204,7 +205,7 @@ def _total_angle(*families: str) -> Source:
     """Return the source of the angle between true and nominal input axis."""
 
     def draws(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
-        names = tuple(f"{family}[{channel.name}]" for family in families)
+        names = tuple(name_of(family, channel.name) for family in families)
         if not all(name in unit.quantities.draws for name in names):
             return []
         size = np.sqrt(sum(unit.quantities.draws[name] ** 2 for name in names))
@@ -218,7 +219,11 @@ def _spread_over_runs(family: str) -> Source:
 
     def draws(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
         known = unit.quantities
-        names = tuple(name for name in known.draws if name.startswith(f"{family}[{channel.name},"))
+        parts = {name: QuantityName.of(name) for name in known.draws}
+        names = tuple(
+            name for name, each in parts.items()
+            if each.family == family and len(each.labels) > 1 and each.first == channel.name
+        )  # fmt: skip
         if len(names) < 2:
             return []
         spread = np.std(np.stack([known.draws[name] for name in names]), axis=0, ddof=1)
@@ -231,7 +236,7 @@ def _at_the_input(family: str, unit_name: str) -> Source:
     """Return the source of a quantity that the model has in output units, in units of the input."""
 
     def draws(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
-        name = f"{family}[{channel.name}]"
+        name = name_of(family, channel.name)
         if name not in unit.quantities.draws:
             return []
         factor = 1 / abs(channel.scale_si) / to_si(unit_name, unit.gravity)
@@ -244,7 +249,7 @@ def _non_orthogonality(unit: UnitUnderTest, channel: Channel) -> list[StandardDr
     """Return the angle of a channel's axis to those of later channels of its kind, less its nominal value."""
     known, found = unit.quantities, []
     for other in unit.channels:
-        name = f"axis_angle[{channel.name},{other.name}]"
+        name = name_of(AXIS_ANGLE, channel.name, other.name)
         if name in known.draws:
             nominal = np.degrees(np.arccos(np.clip(channel.axes[0] @ other.axes[0], -1, 1)))
             apart = (known.draws[name] - nominal) * _ARCSEC_PER_DEGREE
@@ -261,9 +266,9 @@ def _response_error(
     """
     known = unit.quantities.draws
     terms = {
-        f"gyro_scale_asymmetry.asymmetry[{channel.name}]": np.abs(input_),
-        f"gyro_scale_quadratic.quadratic[{channel.name}]": input_**2,
-        f"gyro_scale_cubic.cubic[{channel.name}]": input_**3,
+        name_of("gyro_scale_asymmetry.asymmetry", channel.name): np.abs(input_),
+        name_of("gyro_scale_quadratic.quadratic", channel.name): input_**2,
+        name_of("gyro_scale_cubic.cubic", channel.name): input_**3,
     }
     found = {name: shape for name, shape in terms.items() if name in known}
     if not found:
@@ -422,9 +427,8 @@ STANDARD_QUANTITIES: tuple[StandardQuantity, ...] = (
 
 def standard_symbol(name: str) -> tuple[str, str]:
     """Return symbol and label of a quantity: those of the standards where they know it, else its family."""
-    family, _, label = name.partition("[")
-    known = _symbols().get(family, family)
-    return known, label.removesuffix("]")
+    parts = QuantityName.of(name)
+    return _symbols().get(parts.family, parts.family), parts.label
 
 
 @cache

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
+from imubayes.foundations.quantity_names import QuantityName, family_of, name_of
 from imubayes.foundations.units import STANDARD_GRAVITY, to_si
 from imubayes.model.model_file import ModelSpec
 
@@ -86,9 +87,11 @@ def thermal_model(
 
 def depends_on_temperature(name: str, draws: Mapping[str, np.ndarray]) -> bool:
     """Tell whether a quantity has thermal terms among the draws."""
-    family, _, label = name.partition("[")
-    found = FAMILIES.get(family)
-    return found is not None and any(f"{effect}.{parameter}[{label}" in draws for effect, parameter, _ in found.terms)
+    parts = QuantityName.of(name)
+    found = FAMILIES.get(parts.family)
+    return found is not None and any(
+        name_of(f"{effect}.{parameter}", *parts.labels) in draws for effect, parameter, _ in found.terms
+    )
 
 
 def course_over_range(
@@ -112,10 +115,10 @@ def over_range(
     model : of the thermal terms.
     span : lowest and highest temperature, °C.
     """
-    family, _, label = name.partition("[")
-    found = FAMILIES.get(family)
+    parts = QuantityName.of(name)
+    found = FAMILIES.get(parts.family)
     own = draws[name][:, None]
-    terms = [] if found is None else [(e, f"{e}.{p}[{label}", power) for e, p, power in found.terms]
+    terms = [] if found is None else [(e, name_of(f"{e}.{p}", *parts.labels), power) for e, p, power in found.terms]
     terms = [(effect, term, power) for effect, term, power in terms if term in draws]
     if found is None or not terms:
         return own
@@ -147,7 +150,7 @@ def branches_over_range(
     There is one branch where nothing depends on what was before; else that of cooling follows that of warming.
     """
     values = over_range(name, unit, draws, model, span)
-    if FAMILIES.get(name.partition("[")[0], _NO_TERMS).kind != "bias":
+    if FAMILIES.get(family_of(name), _NO_TERMS).kind != "bias":
         return values
     to_unit = 1 / to_si(unit, STANDARD_GRAVITY)
     scatter = np.sqrt(sum((each**2 for each in _repeatability(name, draws, model)), np.zeros(len(values))))
@@ -159,10 +162,11 @@ def branches_over_range(
 
 def _parameter(name: str, effect: str, parameter: str, draws: Mapping[str, np.ndarray]) -> str | None:
     """Return the name of an effect's parameter of the sensor and channel of a quantity, where the model has it."""
-    family, _, label = name.partition("[")
-    sensor = family.partition("_")[0]
+    parts = QuantityName.of(name)
+    sensor = parts.family.partition("_")[0]
     effect = effect if effect == _SCATTER else f"{sensor}_{effect}"
-    return next((each for end in (label, "all]") if (each := f"{effect}.{parameter}[{end}") in draws), None)
+    shared = (parts.labels, ("all",))
+    return next((each for end in shared if (each := name_of(f"{effect}.{parameter}", *end)) in draws), None)
 
 
 def _half_widths(
@@ -189,6 +193,6 @@ def _repeatability(name: str, draws: Mapping[str, np.ndarray], model: ThermalMod
     spread, scatter = _parameter(name, "run_bias", "spread", draws), _parameter(name, _SCATTER, "tau", draws)
     if spread is not None:
         yield draws[spread] * to_si(model.units[spread], STANDARD_GRAVITY)
-    scale = model.scale.get(name.partition("[")[2].removesuffix("]"))
+    scale = model.scale.get(QuantityName.of(name).label)
     if scatter is not None and scale is not None:
         yield draws[scatter] / abs(scale)

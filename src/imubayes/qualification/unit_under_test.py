@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import polars as pl
 
+from imubayes.foundations.quantity_names import name_of
 from imubayes.inference.identifiability import WEAK_SHARE
 from imubayes.qualification.coverage import Coverage, KnownUncertainty, coverage_of, coverage_of_length
 from imubayes.qualification.marginal import Marginal
@@ -141,7 +142,7 @@ def with_standards(unit: UnitUnderTest) -> tuple[PosteriorQuantities, dict[str, 
         for found in draws_of_standard(quantity, unit):
             if len(found.members) == 1 and np.array_equal(found.draws, known.draws[found.members[0]], equal_nan=True):
                 continue
-            name = f"{quantity.key}[{found.label}]"
+            name = name_of(quantity.key, found.label)
             share = determined_share([known.entries[member] for member in found.members])
             if found.length:
                 means = [float(np.nanmean(known.draws[member])) for member in found.members]

@@ -15,6 +15,7 @@ import polars as pl
 import polars.selectors as cs
 
 from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.quantity_names import family_of
 from imubayes.results.folder_files import AGAIN, POSTERIOR, RESIDUALS, SUMMARY, checked, damaged, read_record
 from imubayes.results.summary import RunSummary, Summary
 
@@ -56,7 +57,7 @@ def draws_of(
     data = own.to_dataset() if isinstance(own, xarray.DataTree) else own
     wanted = list(dict.fromkeys(names))
     found: dict[str, np.ndarray] = {}
-    for variable in dict.fromkeys(name.partition("[")[0] for name in wanted):
+    for variable in dict.fromkeys(family_of(name) for name in wanted):
         if variable in data.data_vars:
             found |= _members(variable, data[variable])
     return {name: found[name] for name in wanted if name in found}

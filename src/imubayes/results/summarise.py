@@ -20,6 +20,7 @@ from imubayes.adequacy.known_noise import compare_with_known
 from imubayes.adequacy.known_noise_fit import fit_at_known_noise
 from imubayes.adequacy.noise_tests import NoiseJudgement, judged_noise_in, projected
 from imubayes.adequacy.projection import Projection
+from imubayes.foundations.quantity_names import DELTA_K, MOUNTING_ANGLE, SCALE_FACTOR, QuantityName, family_of
 from imubayes.foundations.records import finite
 from imubayes.inference import identifiability
 from imubayes.inference.determined_combinations import (
@@ -271,7 +272,7 @@ def _derived(fit: Fit) -> tuple[records.DerivedSummary, ...]:
 
 def _conformance(fit: Fit, quantity: DerivedQuantity, draws: np.ndarray | None) -> records.Conformance | None:
     """Return how probably a Δk is below the threshold up to which the 1 g line applies; None for other quantities."""
-    if not quantity.name.startswith("delta_k["):
+    if family_of(quantity.name) != DELTA_K:
         return None
     stated = (fit.model.spec.delta_k_threshold, fit.model.campaign.delta_k_threshold, THRESHOLD)
     threshold = 100 * next(each for each in stated if each is not None)
@@ -288,11 +289,12 @@ def _weak(fit: Fit, precision: np.ndarray) -> list[identifiability.WeakDirection
     spread = np.sum(directions * np.linalg.solve(precision, directions), axis=0)
     along = 1 - spread / np.maximum(np.sum(directions**2, axis=0), 1e-300)
     names = [name.name for name in fit.derived.names]
+    parts = [QuantityName.of(name) for name in names]
     pairs = [
         (i, j)
-        for i, first in enumerate(names)
-        for j, second in enumerate(names)
-        if first.startswith("scale_factor[") and second.startswith(f"mounting_angle[{first[13:-1]},")
+        for i, first in enumerate(parts)
+        for j, second in enumerate(parts)
+        if first.family == SCALE_FACTOR and second.family == MOUNTING_ANGLE and first.first == second.first
     ]
     hidden = np.array([parameter.nuisance for parameter in model.layout.parameters])
     shown = {name for name, hide in zip(model.layout.names, hidden, strict=True) if not hide}

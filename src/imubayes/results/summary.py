@@ -12,6 +12,7 @@ import numpy as np
 from imubayes.adequacy.adequacy_record import DoubtedRun, KnownNoiseFit, NoiseComparison, NoiseViolation
 from imubayes.campaign.equipment import ANGLE, ANGLE_UNIT
 from imubayes.foundations.campaign_data import SetAside, channel_of_component
+from imubayes.foundations.quantity_names import SCALE_FACTOR, QuantityName, family_of
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import with_output_unit
 from imubayes.inference.candidate_runs import NextRun
@@ -270,7 +271,7 @@ class Summary(Record):
 
 def channel_units(summary: Summary) -> dict[str, tuple[str, str]]:
     """Return the units of output and input of each channel, which its scale factor has."""
-    scales = [entry for entry in summary.derived if entry.name.startswith("scale_factor[")]
+    scales = [entry for entry in summary.derived if family_of(entry.name) == SCALE_FACTOR]
     parts = [(entry.name[len("scale_factor[") : -1], entry.unit.rpartition(" per ")) for entry in scales]
     return {channel: (output, per) for channel, (output, _, per) in parts}
 
@@ -286,7 +287,7 @@ def in_output_units(summary: Summary) -> Summary:
     units[ANGLE] = ANGLE_UNIT
 
     def shown[Line: Quantity](line: Line, name: str) -> Line:
-        label = name.partition("[")[2].removesuffix("]").split(",")
+        label = QuantityName.of(name).labels
         output = next((units[part] for part in label if part in units), common)
         return line.model_copy(update={"unit": with_output_unit(line.unit, output)})
 

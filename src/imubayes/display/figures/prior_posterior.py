@@ -20,6 +20,7 @@ from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.numbers_and_labels import concise, pretty, significant
 from imubayes.display.quantity_tables import is_nuisance
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.quantity_names import name_of
 from imubayes.qualification.temperature_range import ThermalModel, course_over_range, depends_on_temperature
 from imubayes.results.summary import Quantity, Summary, in_output_units
 
@@ -176,7 +177,7 @@ def thermal_courses(
         return {}
     found: dict[str, list[ThermalCourse | None]] = {}
     for channel in campaign.channels:
-        names = [f"{family}[{channel.name}]" for family in _OVER_TEMPERATURE.get(channel.kind, ())]
+        names = [name_of(family, channel.name) for family in _OVER_TEMPERATURE.get(channel.kind, ())]
         if any(name in draws and depends_on_temperature(name, draws) for name in names):
             found[channel.name] = [_course(name, draws, thermal, (low, high)) for name in names]
     return dict(list(found.items())[: style.MOST_PANELS])

@@ -26,6 +26,7 @@ from imubayes.display.numbers_and_labels import (
 )
 from imubayes.foundations.files import refuse_occupied, write_text
 from imubayes.foundations.progress import Tell
+from imubayes.foundations.quantity_names import family_of
 from imubayes.foundations.units import DAYS_PER_YEAR
 from imubayes.loop.predicted_runs import ShiftedEstimate
 from imubayes.qualification.repeatability import MOST_INTERVALS, ComparedQuantity, Repeatability
@@ -97,7 +98,7 @@ def _predicted_lines(prediction: RunPrediction) -> Iterator[str]:
         yield f"Not the equipment of the fit, although named alike: {listed(found.changed)}."
     if found.elsewhere:
         yield "The site is another one: its gravity, level and heading have their priors."
-    own = list(dict.fromkeys(name.partition("[")[0] for name in found.unknowns))
+    own = list(dict.fromkeys(family_of(name) for name in found.unknowns))
     if own:
         yield f"Fitted of the new runs alone, by their priors: {listed(own)} ({counted(len(found.unknowns), 'value')})."
 

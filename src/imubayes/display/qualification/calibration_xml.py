@@ -24,6 +24,7 @@ from imubayes.display.qualification.certificate_pages import all_statements
 from imubayes.display.qualification.exact_tables import omissions
 from imubayes.display.qualification.words import limits_text, value_text
 from imubayes.foundations.errors import Issue, refuse
+from imubayes.foundations.quantity_names import name_of
 from imubayes.qualification.certificate import Certificate, Party
 from imubayes.qualification.decision_rules import Outcome
 from imubayes.qualification.report_record import QualificationReport, StandardEstimate
@@ -182,7 +183,7 @@ def _measured(parent: ElementTree.Element, report: QualificationReport, block: C
     _text(result, "name", f"Quantities of unit {report.subject.serial or report.subject.campaign}")
     left_out = [each for each in report.standards if each.d_si is None or each.withheld is not None]
     if left_out:
-        named = ", ".join(f"{each.symbol}[{each.label}] in {each.unit}" for each in left_out)
+        named = ", ".join(f"{name_of(each.symbol, each.label)} in {each.unit}" for each in left_out)
         _text(result, "description", f"Without a D-SI unit or withheld, and left out here: {named}.")
     method = _child(_child(result, "usedMethods"), "usedMethod")
     _text(method, "name", block.method or report.provenance.model)

@@ -7,6 +7,7 @@ from typing import Literal
 from imubayes.display.fit_quality_tables import members_text
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, ratio_text, significant
+from imubayes.foundations.quantity_names import QuantityName
 from imubayes.qualification.report_record import QualificationReport, ReportedEstimate
 from imubayes.qualification.taken_as_exact import OMITTED, ExactInput
 
@@ -57,7 +58,7 @@ def included_table(report: QualificationReport) -> Sheet | None:
                 _named(each),
                 f"{significant(each.size, 2)} {pretty(each.unit)}",
                 "stated" if each.stated else "assumed",
-                Cell(f"{symbols[name]}[{name.partition('[')[2]}", formula=True),
+                Cell(str(QuantityName(symbols[name], QuantityName.of(name).labels)), formula=True),
                 f"{significant(u / ratio, 2)} → {significant(u, 2)}",
                 pretty(budgets[name].unit),
             )

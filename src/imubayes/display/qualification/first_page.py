@@ -6,6 +6,7 @@ from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import counted, pretty, significant
 from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Banner
+from imubayes.foundations.quantity_names import family_of
 from imubayes.qualification import report_record as record
 
 
@@ -135,7 +136,7 @@ def limits_table(
 
 
 def _symbol(limit: record.LimitOutcome) -> Cell:
-    return Cell(limit.symbol or limit.name, formula=limit.symbol not in ("", limit.name.partition("[")[0]))
+    return Cell(limit.symbol or limit.name, formula=limit.symbol not in ("", family_of(limit.name)))
 
 
 def components_of(report: record.QualificationReport) -> dict[str, str]:
@@ -163,7 +164,7 @@ def rules_text(limits: Sequence[record.LimitOutcome]) -> list[str]:
     """Return each decision rule with the limits that it was applied to, a sentence each."""
     groups: dict[str, list[str]] = {}
     for limit in limits:
-        symbol = limit.symbol or limit.name.partition("[")[0]
+        symbol = limit.symbol or family_of(limit.name)
         groups.setdefault(f"{words.rule_text(limit)} ({words.RULE_MEANS[limit.rule]})", []).append(symbol)
     return [
         f"Decision rule: {rule}, for {', '.join(dict.fromkeys(symbols))} ({len(symbols)} limits)."

@@ -8,6 +8,7 @@ from imubayes.display.numbers_and_labels import NO_NUMBER, percent, pretty, roun
 from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, without_empty_columns
 from imubayes.foundations.campaign_data import channel_of_component
+from imubayes.foundations.quantity_names import QuantityName, name_of
 from imubayes.inference.identifiability import ProcedureShare
 from imubayes.qualification import report_record as record
 
@@ -58,7 +59,7 @@ def _determined_together(report: record.QualificationReport) -> str:
     """Return the quantities of the standards that are members of standard combinations; empty for none."""
     members = {name for found in report.combinations if found.standard for name in found.quantities}
     named = [each for each in report.standards if members & set(each.members)]
-    return words.enumerated([f"{each.symbol}[{each.label}]" for each in named]) if named else ""
+    return words.enumerated([name_of(each.symbol, each.label) for each in named]) if named else ""
 
 
 def _standard_table(standard: str, own: Sequence[record.StandardEstimate], note: str) -> Sheet:
@@ -87,7 +88,7 @@ def _not_estimated(lines: Sequence[record.NotEstimated]) -> Sheet:
     rows = []
     for each in lines:
         screened = "; ".join(
-            f"{c.name.partition('[')[2].removesuffix(']')}: "
+            f"{QuantityName.of(c.name).label}: "
             f"{words.beside(*value_and_sd(c.value, c.standard_uncertainty))} {pretty(c.unit)}"
             for c in each.screened[:1]
         )
@@ -200,8 +201,8 @@ def combination_section(combinations: Sequence[record.ReportedCombination], omit
 
 def _with_minus(symbol: str) -> str:
     """Return a symbol with minus signs in its sum, D_II−D_SS; its label keeps its hyphens."""
-    total, bracket, label = symbol.partition("[")
-    return total.replace("-", "−") + bracket + label
+    name = QuantityName.of(symbol)
+    return str(QuantityName(name.family.replace("-", "−"), name.labels))
 
 
 def _determined_together_by(found: record.ReportedCombination) -> str:

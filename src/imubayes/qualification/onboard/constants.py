@@ -12,6 +12,7 @@ import numpy as np
 
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.records import finite
 from imubayes.inference.identifiability import WEAK_SHARE, from_data
 from imubayes.inference.run_fit import campaign_hash, model_hash
@@ -157,13 +158,13 @@ def _triad(
     powers = np.array([f",{i},{j}" if i or j else "" for i, j in grid.powers])
     count = len(response.zero)
     return _Triad(
-        _Block(tuple(f"M[{axis},{name}]" for axis in _AXES for name in names), "1", mixing.reshape(count, -1)),
+        _Block(tuple(name_of("M", axis, name) for axis in _AXES for name in names), "1", mixing.reshape(count, -1)),
         _Block(
-            tuple(f"bias[{name}{power}]" for name in names for power in powers[bias_terms]),
+            tuple(name_of("bias", name + power) for name in names for power in powers[bias_terms]),
             _UNITS[kind], response.zero[:, :, bias_terms].reshape(count, -1),
         ),
         _Block(
-            tuple(f"gain[{name}{power}]" for name in names for power in powers[gain_terms]),
+            tuple(name_of("gain", name + power) for name in names for power in powers[gain_terms]),
             "1", relative[:, :, gain_terms].reshape(count, -1),
         ),
         _sensitivity(kind, mixing @ response.by_force, like),
@@ -176,7 +177,7 @@ def _sensitivity(kind: str, found: np.ndarray, like: _Triad | None) -> _Block | 
     absent = not np.abs(found).any() if like is None else like.g_sensitivity is None
     if kind != "gyro" or absent:
         return None
-    names = tuple(f"A[{row},{column}]" for row in _AXES for column in _AXES)
+    names = tuple(name_of("A", row, column) for row in _AXES for column in _AXES)
     return _Block(names, "rad/s per m/s^2", found.reshape(len(found), -1))
 
 

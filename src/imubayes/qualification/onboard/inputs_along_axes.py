@@ -22,6 +22,7 @@ from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
+from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.model_file import UncertainEquipment
@@ -119,7 +120,7 @@ def inputs_along_axes(
     incomplete = np.zeros(readings.height, dtype=bool)
     for channel in channels:
         place, scale = campaign.of_kind(channel.kind).index(channel), abs(channel.scale_si)
-        white = sigmas.get(f"white_noise.sigma[{channel.name}]", 0.0) / scale / np.sqrt(samples)
+        white = sigmas.get(name_of("white_noise.sigma", channel.name), 0.0) / scale / np.sqrt(samples)
         shared = math.hypot(noise.run_sd[channel.name], correction.left_in_sd(left_in, channel)) / scale
         found, own = mean[channel.kind][:, place], np.hypot(spread[channel.kind][:, place], shared)
         columns += _columns(channel, campaign.site.gravity, found, own, white)

@@ -18,6 +18,7 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.quantity_names import QuantityName, family_of, name_of
 from imubayes.noise_analysis.noise_record import NoiseDensity, StaticNoise
 from imubayes.qualification.onboard.record import OnboardConstants, ThermalPolynomial, TriadConstants
 from imubayes.qualification.onboard.response import NEGLIGIBLE
@@ -58,9 +59,9 @@ def refuse_other_unit(noise: StaticNoise, campaign: Campaign, where: str) -> Non
 def of_fit(result: Result, constants: OnboardConstants, rate: float | None) -> dict[str, NoiseDensity]:
     """Return the noise that a fit knows: white noise of one sample at a rate in Hz, a random walk where it has one."""
     walks = {
-        line.name[len("random_walk_noise.k[") : -1]: line.mean
+        QuantityName.of(line.name).label: line.mean
         for line in result.summary.parameters
-        if line.name.startswith("random_walk_noise.k[") and line.mean is not None
+        if family_of(line.name) == "random_walk_noise.k" and line.mean is not None
     }
     return {triad.kind: of_triad(triad, walks, rate) for triad in constants.triads}
 
@@ -153,7 +154,7 @@ def along_axes(triad: TriadConstants) -> bool:
 
 
 def _names(triad: TriadConstants) -> np.ndarray:
-    return np.array([[f"M[{axis},{name}]" for name in triad.channels] for axis in "xyz"])
+    return np.array([[name_of("M", axis, name) for name in triad.channels] for axis in "xyz"])
 
 
 def _deviations(constants: OnboardConstants, names: list[str]) -> np.ndarray:

@@ -25,6 +25,7 @@ from scipy.linalg import block_diag
 from imubayes.foundations.earth import earth_rate, normal_gravity
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.numerics import cross_matrices
+from imubayes.foundations.quantity_names import QuantityName, name_of
 from imubayes.foundations.records import Record
 from imubayes.qualification.onboard.record import OnboardConstants, TriadConstants
 
@@ -245,11 +246,11 @@ def _input_errors(constants: OnboardConstants, motion: MissionMotion, warmer: fl
             inputs = inputs + motion.body_force @ np.array(triad.g_sensitivity).T
             for row, name in enumerate("xyz"):
                 for column, of in enumerate("xyz"):
-                    found[:, row, places[f"A[{name},{of}]"]] = -motion.body_force[:, column]
+                    found[:, row, places[name_of("A", name, of)]] = -motion.body_force[:, column]
         channels = inputs @ np.linalg.pinv(matrix).T
         for place, channel in enumerate(triad.channels):
             for row, name in enumerate("xyz"):
-                found[:, rows.start + row, places[f"M[{name},{channel}]"]] = channels[:, place]
+                found[:, rows.start + row, places[name_of("M", name, channel)]] = channels[:, place]
             for kind, terms, size in (
                 ("bias", triad.bias.terms, np.ones(len(channels))),
                 ("gain", triad.gain.terms, channels[:, place]),
@@ -329,8 +330,8 @@ def _drivers(constants: OnboardConstants, motion: MissionMotion, warmer: float) 
     kinds = {channel: triad.kind for triad in constants.triads for channel in triad.channels}
     source = []
     for constant in constants.constants:
-        letter, _, of = constant.name.rstrip("]").partition("[")
-        channel = of.partition(",")[2 if letter == "M" else 0]
+        name = QuantityName.of(constant.name)
+        letter, channel = name.family, name.labels[1 if name.family == "M" else 0]
         source.append((kinds.get(channel, "gyro"), _SOURCES[letter]))
     columns, roots = [_input_errors(constants, motion, warmer)], [np.array(constants.covariance)]
     for triad in constants.triads:

@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from imubayes.foundations.quantity_names import name_of
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import BIAS_CONVENTION
 from imubayes.inference.identifiability import WeakDirection
@@ -276,7 +277,7 @@ def measurement_covariances(constants: OnboardConstants, triad: TriadConstants) 
     matrix = np.array(triad.matrix)
     noise = matrix @ np.diag(np.square(triad.sample_noise)) @ matrix.T
     places = {constant.name: place for place, constant in enumerate(constants.constants)}
-    chosen = [places[f"bias[{name}]"] for name in triad.channels]
+    chosen = [places[name_of("bias", name)] for name in triad.channels]
     biases = np.array(constants.covariance)[np.ix_(chosen, chosen)]
     return noise, matrix @ (biases + np.diag(np.square(triad.run_offset))) @ matrix.T
 
