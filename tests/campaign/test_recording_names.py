@@ -93,10 +93,10 @@ def test_a_table_of_another_width_without_names_is_refused(tmp_path: Path, width
 
 
 def test_a_stated_time_hides_no_named_channel(tmp_path: Path) -> None:
-    file = table(tmp_path / "log", " ".join(("ustime", *NAMES)), np.c_[np.arange(5.0), VALUES[:, :6]])
+    file = table(tmp_path / "log", " ".join(("ustime", *NAMES)), np.c_[1000 * np.arange(5.0), VALUES[:, :6]])
     columns, _ = read(file, columns={"time_s": "ustime"}, time_unit="us", sample_rate_hz=None)
     assert set(columns) == {"time_s", *NAMES}
-    np.testing.assert_allclose(columns["time_s"], 1e-6 * np.arange(5))
+    np.testing.assert_allclose(columns["time_s"], 1e-3 * np.arange(5))
     renamed = table(tmp_path / "other", " ".join(("first", *NAMES[1:])), VALUES[:, :6])
     assert set(read(renamed, columns={"ax": "first"})[0]) == {"time_s", *NAMES}
     # Channels that are stated and no others: a unit with fewer.

@@ -292,6 +292,7 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
         return run, _check_counts(numbers, source, entry)
     assert survey.blocks is not None
     where = str(source.file)
+    reduce.refuse_impossible_rate(survey.blocks.interval, where)
     found = check_log(survey.blocks, entry.name, where)
     rows = reduce.reduce_log(
         source, reduction, survey.rows, survey.blocks, survey.labelled, survey.limits, bench, entry.transitions

@@ -15,10 +15,11 @@ import scipy  # loads its parts when they are first used
 from imubayes.campaign.convert.column_choice import ChosenTable
 from imubayes.campaign.convert.column_names import CLOCK, COUNTER, DATE, SIX, TIME, TIME_UNITS
 from imubayes.campaign.convert.options import ConvertOptions
+from imubayes.campaign.reduction.log_survey import MOST_HZ, USUAL_HZ
 from imubayes.foundations.errors import input_error
 
 _RATES = {unit: factor for unit, factor in TIME_UNITS.items() if unit in ("s", "ms", "us", "ns", "d")}
-_USUAL_HZ = (0.6, 5000.0)  # sampling rates of inertial units
+_LEAST_HZ = 1e-3  # below which the unit of the time is wrong
 _WHOLE_SECOND = 0.99
 _EPOCH = (1e9, 3e9)  # s since 1970 of recordings from 2001 to 2065
 # The fifth is that of microseconds in ms; the others are a day and a week.
@@ -75,6 +76,7 @@ def read_clock(
     clock = _clock(table, values, filled, options)
     if clock is None:
         return None
+    _refuse_impossible(clock, f"{table.topic.where}, column of the time")
     again, times = _held([values[name][clock.keep] for name in SIX if name in values])
     if times >= _LEAST_HELD:
         remain = len(clock.time) - int(again.sum())
@@ -87,6 +89,24 @@ def read_clock(
         )
         return _without(clock, frozen, note)
     return clock
+
+
+def _refuse_impossible(clock: Clock, where: str) -> None:
+    """Raise InputError for a sampling rate that no inertial unit has, with the unit of time that gives a usual one."""
+    step = _mean_step(clock.time)
+    rate = 1 / step if step > 0 else 0.0
+    other = [] if clock.unit not in _RATES or not rate else _usual_units(step / _RATES[clock.unit])
+    fast, slow = rate > MOST_HZ, 0 < rate < _LEAST_HZ
+    if not (fast or (slow and other)):
+        return
+    rates = [f"{1 / (step / _RATES[clock.unit] * _RATES[unit]):.4g} Hz in {unit}" for unit in other]
+    stated = f"in {clock.unit}, as stated" if clock.unit else "as stated"
+    raise input_error(
+        f"the sampling rate is {rate:.4g} Hz {stated}",
+        where,
+        ", ".join(rates) or f"at most {MOST_HZ:g} Hz",
+        f"state the unit of the time, such as --time-unit {other[0]}" if other else "correct the time or the rate",
+    )
 
 
 def _without(clock: Clock, rows: np.ndarray, note: str) -> Clock:
@@ -186,10 +206,16 @@ def _mean_step(time: np.ndarray) -> float:
     return float(np.mean(step[step <= 50 * np.quantile(step, 0.95)])) if len(step) else 0.0
 
 
+def _usual_units(step: float) -> list[str]:
+    """Return the units of time in which a mean step gives a usual sampling rate."""
+    rates = {unit: 1 / (step * factor) for unit, factor in _RATES.items()} if step else {}
+    return [unit for unit, rate in rates.items() if USUAL_HZ[0] <= rate <= USUAL_HZ[1]]
+
+
 def _unit_of_step(step: float, whole: bool, where: str) -> tuple[str, str]:
     """Return the only unit in which a mean step gives a usual sampling rate, and that in words."""
     rates = {unit: 1 / (step * factor) for unit, factor in _RATES.items()} if step else {}
-    usual = [unit for unit, rate in rates.items() if _USUAL_HZ[0] <= rate <= _USUAL_HZ[1]]
+    usual = _usual_units(step)
     if len(usual) > 1 and whole and step < _WHOLE_SECOND:  # seconds would have a fraction
         usual = [unit for unit in usual if unit != "s"]
     if len(usual) == 1:

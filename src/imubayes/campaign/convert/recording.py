@@ -6,14 +6,19 @@ a long record never is in memory as a whole.  `formats` has one module for each 
 conversion knows this interface alone.
 """
 
+import io
+import logging
 import tempfile
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from imubayes.campaign.file_schemas import ABSURD
 from imubayes.foundations.errors import InputError, closest_first, input_error
 
 BLOCK_ROWS = 1 << 16
@@ -120,15 +125,107 @@ class SourceRecording(ABC):
 
 def read_columns(recording: SourceRecording, topic: Topic, positions: Sequence[int]) -> np.ndarray:
     """Return columns of a topic, shape (N, columns), kept on the disk and not in memory."""
+    if not positions:
+        allowed = "one column of numbers or more"
+        raise input_error(f"{described(topic)} has no column of numbers", topic.where, allowed, "record it again")
     with tempfile.TemporaryFile() as spool:
         rows = 0
         for block in recording.blocks(topic, positions):
             spool.write(np.ascontiguousarray(block, dtype=np.float64).data)
             rows += len(block)
+            refuse_expansion(recording.file, 8 * rows * len(positions))
         spool.flush()
         if rows == 0:
             raise input_error(f"{described(topic)} has no rows", topic.where, "one row or more", "record it again")
         return np.memmap(spool, dtype=np.float64, mode="r", shape=(rows, len(positions)))
+
+
+MOST_EXPANSION, LEAST_LIMIT = 200, 1 << 28
+"""Bytes of numbers for one byte of a file, and the bytes that any file may hold: noise compresses tenfold at most."""
+
+
+def refuse_expansion(file: Path, size: int) -> None:
+    """Raise InputError where a file holds, or says that it holds, far more numbers than its size can be."""
+    own = sum(part.stat().st_size for part in (file.rglob("*") if file.is_dir() else (file,)) if part.is_file())
+    most = max(LEAST_LIMIT, MOST_EXPANSION * own)
+    if size > most:
+        raise input_error(
+            f"the file of {own:.3g} bytes expands to {size:.3g} bytes of numbers", str(file),
+            f"at most {most:.3g} bytes: recorded noise does not compress so far",
+            "export the recording again, not compressed, or a shorter part of it",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RecordingKind:
+    """A kind of recordings, and what opens one.
+
+    Attributes
+    ----------
+    name : of the kind, for messages.
+    fits : whether a file that begins so is of the kind.
+    reader : opens it.
+    package : the package of an extra that the reader needs; empty where there is none.
+    """
+
+    name: str
+    fits: Callable[[bytes], bool]
+    reader: Callable[[Path], SourceRecording]
+    package: str = ""
+
+
+class ForeignRecording(SourceRecording):
+    """A recording whose reader may fail in any way, and print: a failure is one error that names the file.
+
+    Readers of other projects raise whatever a damaged byte leads to.
+    """
+
+    def __init__(self, file: Path, kind: RecordingKind) -> None:
+        self.file, self.kind, self._absurd = file, kind, 0
+        with self._reading():
+            self.reader = kind.reader(file)
+        self.file = self.reader.file
+
+    def topics(self) -> tuple[Topic, ...]:
+        """Return what the file holds."""
+        with self._reading():
+            return self.reader.topics()
+
+    def blocks(self, topic: Topic, positions: Sequence[int]) -> Iterator[np.ndarray]:
+        """Yield rows of some columns."""
+        blocks, self._absurd = self.reader.blocks(topic, positions), 0
+        while True:
+            # Around each step alone: in between, others print.
+            with self._reading():
+                block = next(blocks, None)
+            if block is None:
+                return
+            absurd = np.abs(block) > ABSURD
+            self._absurd += int(absurd.sum())
+            yield np.where(absurd, np.nan, block) if absurd.any() else block
+
+    def notes(self) -> tuple[str, ...]:
+        """Return what was left out while the blocks were read, in words."""
+        absurd = f"{self.file.name}: {self._absurd} numbers above {ABSURD:g} are left out"
+        return (*self.reader.notes(), *((absurd,) if self._absurd else ()))
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        level, printed = logging.root.manager.disable, io.StringIO()
+        logging.disable(logging.CRITICAL)
+        try:
+            with warnings.catch_warnings(action="ignore"), redirect_stdout(printed), redirect_stderr(printed):
+                yield
+        except InputError:
+            raise
+        except ModuleNotFoundError as error:
+            if not self.kind.package:
+                raise
+            raise _needs_package(self.file, self.kind) from error
+        except Exception as error:
+            raise _damaged(self.file, self.kind.name, error) from error
+        finally:
+            logging.disable(level)
 
 
 def described(topic: Topic) -> str:
@@ -136,17 +233,15 @@ def described(topic: Topic) -> str:
     return f"topic '{topic.name}'" if topic.name else "the table"
 
 
-def damaged(file: Path, kind: str, error: Exception) -> InputError:
-    """Return the error of a file that is of a kind and cannot be read."""
+def _damaged(file: Path, kind: str, error: Exception) -> InputError:
     why = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
     return input_error(
         f"the {kind} file cannot be read: {why}", str(file), f"a whole {kind} file", "copy or record the file again"
     )
 
 
-def needs_package(file: Path, kind: str, package: str) -> InputError:
-    """Return the error of a format whose package is not installed."""
+def _needs_package(file: Path, kind: RecordingKind) -> InputError:
     return input_error(
-        f"{kind} files need the package '{package}'", str(file), f"pip install {package}",
+        f"{kind.name} files need the package '{kind.package}'", str(file), f"pip install {kind.package}",
         "install it, or pip install 'imubayes[recordings]' for all formats",
     )  # fmt: skip

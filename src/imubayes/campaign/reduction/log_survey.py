@@ -11,12 +11,14 @@ noise, and a remainder of a transient is detected down to what the windows resol
 uncertainty of the mean.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imubayes.campaign.run_tables import RowBatch
+from imubayes.foundations.errors import input_error
 
 BLOCK_SECONDS = 0.1
 MOST_BLOCKS = 1 << 16
@@ -107,6 +109,21 @@ class BlockBuilder:
             merged = _merge_pairs(_join(self._parts))
             self._parts, self._blocks = [merged], len(merged["start"])
             self._length *= 2
+
+
+MOST_HZ, USUAL_HZ = 2e5, (0.6, 5000.0)
+"""Sampling rate that no inertial unit exceeds, and usual ones."""
+
+
+def refuse_impossible_rate(interval: float | None, where: str) -> None:
+    """Raise InputError for a log whose times are not in seconds, or do not increase."""
+    if interval is None or interval >= 1 / MOST_HZ:
+        return
+    rate = 1 / interval if interval > 0 else math.inf
+    factor = next((each for each in (1e3, 1e6, 1e9) if USUAL_HZ[0] <= rate / each <= USUAL_HZ[1]), None)
+    remedy = "correct the times" if factor is None else f"multiply the column by {factor:g}: {rate / factor:.4g} Hz"
+    what = f"the sampling rate is {rate:.4g} Hz" if interval > 0 else "most times do not increase"
+    raise input_error(what, f"{where}, column 'time_s'", f"seconds: at most {MOST_HZ:g} Hz", remedy)
 
 
 def sampling_interval(time: np.ndarray | None) -> float | None:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy  # loads its parts when they are first used
 
+from imubayes.campaign.reduction.log_survey import refuse_impossible_rate
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
 
@@ -341,6 +342,7 @@ def record(
     force, rate = body_vectors(readings, channels, file)
     turns = spans_space(channels, "gyro")
     interval = float(np.median(np.diff(time)))
+    refuse_impossible_rate(interval, file)
     initial = initial_rest(force, interval, initial_seconds)
     if initial_seconds is None and turns:
         # The accelerometers do not see a first turn about the vertical.

@@ -1,6 +1,5 @@
 """The formats of recordings, one module each; the content of a file decides, never its name."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 from imubayes.campaign.convert.formats import (
@@ -15,7 +14,7 @@ from imubayes.campaign.convert.formats import (
     ulog,
 )
 from imubayes.campaign.convert.formats.text import TextRecording
-from imubayes.campaign.convert.recording import SourceRecording
+from imubayes.campaign.convert.recording import ForeignRecording, RecordingKind, SourceRecording
 from imubayes.foundations.errors import closest_first, input_error
 
 _HEAD = 4096
@@ -30,19 +29,29 @@ _ELSEWHERE = (
     (b"\xd0\xcf\x11\xe0", "a spreadsheet", "save the sheet as CSV"),
 )
 
-_BY_CONTENT: tuple[tuple[str, Callable[[bytes], bool], Callable[[Path], SourceRecording]], ...] = (
-    ("Parquet", lambda head: head.startswith(parquet.MAGIC), parquet.ParquetRecording),
-    ("NumPy .npy", lambda head: head.startswith(arrays.MAGIC), arrays.read_npy),
-    ("NumPy .npz", lambda head: head.startswith(b"PK\x03\x04") and b".npy" in head, arrays.read_npz),
-    ("HDF5", lambda head: matlab_and_hdf5.HDF_MAGIC in (head[:8], head[512:520]), matlab_and_hdf5.read_hdf5),
-    ("PX4 ULog", lambda head: head.startswith(ulog.MAGIC), ulog.ULogRecording),
-    ("ROS bag", lambda head: head.startswith(ros_bag.MAGICS), ros_bag.RosBag),
-    ("ArduPilot DataFlash", lambda head: head.startswith(dataflash.MAGICS), dataflash.DataFlashLog),
-    ("TDMS", lambda head: head.startswith(tdms.MAGIC), tdms.TdmsRecording),
-    ("MDF", lambda head: head.startswith(mdf.MAGIC), mdf.MdfRecording),
-    ("NovAtel RAWIMU", novatel.is_rawimu, novatel.RawImuLog),
-    ("MATLAB", lambda head: head.startswith(matlab_and_hdf5.MATLAB_MAGIC), matlab_and_hdf5.read_matlab),
+_ROS_BAG = RecordingKind("ROS bag", lambda head: head.startswith(ros_bag.MAGICS), ros_bag.RosBag, "rosbags")
+KINDS = (
+    RecordingKind("Parquet", lambda head: head.startswith(parquet.MAGIC), parquet.ParquetRecording),
+    RecordingKind("NumPy .npy", lambda head: head.startswith(arrays.MAGIC), arrays.read_npy),
+    RecordingKind("NumPy .npz", lambda head: head.startswith(b"PK\x03\x04") and b".npy" in head, arrays.read_npz),
+    RecordingKind(
+        "HDF5", lambda head: matlab_and_hdf5.HDF_MAGIC in (head[:8], head[512:520]), matlab_and_hdf5.read_hdf5
+    ),
+    RecordingKind("PX4 ULog", lambda head: head.startswith(ulog.MAGIC), ulog.ULogRecording, "pyulog"),
+    _ROS_BAG,
+    RecordingKind(
+        "ArduPilot DataFlash", lambda head: head.startswith(dataflash.MAGICS), dataflash.DataFlashLog, "pymavlink"
+    ),
+    RecordingKind("TDMS", lambda head: head.startswith(tdms.MAGIC), tdms.TdmsRecording, "npTDMS"),
+    RecordingKind("MDF", lambda head: head.startswith(mdf.MAGIC), mdf.MdfRecording, "asammdf"),
+    RecordingKind("NovAtel RAWIMU", novatel.is_rawimu, novatel.RawImuLog),
+    RecordingKind("MATLAB", lambda head: head.startswith(matlab_and_hdf5.MATLAB_MAGIC), matlab_and_hdf5.read_matlab),
 )
+"""The kinds that the beginning of a file tells; any other file is a text table."""
+
+
+def _text(delimiter: str | None) -> RecordingKind:
+    return RecordingKind("text", lambda head: True, lambda file: TextRecording(file, delimiter))
 
 
 def open_recording(file: Path, delimiter: str | None = None) -> SourceRecording:
@@ -65,28 +74,28 @@ def open_recording(file: Path, delimiter: str | None = None) -> SourceRecording:
         return _of_folder(file, delimiter)
     with file.open("rb") as stream:
         head = stream.read(_HEAD)
-    for _, fits, reader in _BY_CONTENT:
-        if fits(head):
-            return reader(file)
+    for kind in KINDS:
+        if kind.fits(head):
+            return ForeignRecording(file, kind)
     for sign, kind, remedy in _ELSEWHERE:
         if head.startswith(sign):
             what = f"the file is {kind}, which is not decoded here"
             raise input_error(what, str(file), "a text table of it, or another format", remedy)
     if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff", b"\x1f\x8b", b"BZh", b"\xfd7zXZ")):
-        kinds = ", ".join(name for name, _, _ in _BY_CONTENT)
+        kinds = ", ".join(kind.name for kind in KINDS)
         raise input_error(
             "the file is of no known kind", str(file), f"text tables, {kinds}", "export the recording as one of these"
         )
-    return TextRecording(file, delimiter)
+    return ForeignRecording(file, _text(delimiter))
 
 
 def _of_folder(folder: Path, delimiter: str | None) -> SourceRecording:
     """Return the recording of a folder: a ROS 2 bag, or the only file that an EuRoC folder has."""
     if (folder / ros_bag.FOLDER_FILE).is_file():
-        return ros_bag.RosBag(folder)
+        return ForeignRecording(folder, _ROS_BAG)
     for inside in ("data.csv", "imu0/data.csv", "mav0/imu0/data.csv"):
         if (folder / inside).is_file():
-            return TextRecording(folder / inside, delimiter)
+            return ForeignRecording(folder / inside, _text(delimiter))
     files = ", ".join(sorted(path.name for path in folder.iterdir())[:12])
     raise input_error(
         f"'{folder}' is a folder", str(folder), f"a ROS 2 bag, an EuRoC folder, or a file: {files}", "name the file"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, refuse_expansion
 from imubayes.foundations.errors import input_error
 
 MAGIC = b"\x93NUMPY"
@@ -94,10 +94,7 @@ class ArrayRecording(SourceRecording):
         """Yield rows of a topic."""
         parts = [self._tables[topic.name][place][1] for place in positions]
         for first in range(0, parts[0].rows, BLOCK_ROWS):
-            try:
-                yield np.stack([part.read(slice(first, first + BLOCK_ROWS)) for part in parts], axis=1)
-            except OSError as error:
-                raise damaged(self.file, "array", error) from None
+            yield np.stack([part.read(slice(first, first + BLOCK_ROWS)) for part in parts], axis=1)
 
 
 def _vectors(usable: Mapping[str, Any]) -> dict[tuple[str, int], list[str]]:
@@ -125,16 +122,12 @@ def _numeric(value: Any) -> bool:
 
 def read_npy(file: Path) -> ArrayRecording:
     """Return the recording of a `.npy` file, mapped and not loaded."""
-    try:
-        return ArrayRecording(file, {"": np.load(file, mmap_mode="r", allow_pickle=False)})
-    except (OSError, ValueError) as error:
-        raise damaged(file, "NumPy", error) from None
+    return ArrayRecording(file, {"": np.load(file, mmap_mode="r", allow_pickle=False)})
 
 
 def read_npz(file: Path) -> ArrayRecording:
-    """Return the recording of a `.npz` file."""
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            return ArrayRecording(file, {name: archive[name] for name in archive.files})
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise damaged(file, "NumPy", error) from None
+    """Return the recording of a `.npz` file, whose arrays are loaded."""
+    with zipfile.ZipFile(file) as archive:
+        refuse_expansion(file, sum(member.file_size for member in archive.infolist()))
+    with file.open("rb") as stream, np.load(stream, allow_pickle=False) as loaded:
+        return ArrayRecording(file, {name: loaded[name] for name in loaded.files})

@@ -1,5 +1,6 @@
 """ArduPilot DataFlash logs, binary and text, by pymavlink."""
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 from imubayes.foundations.errors import ExtraPackage
 
 MAGICS = (b"\xa3\x95\x80", b"FMT, ", b"FMT,")
@@ -56,14 +57,11 @@ class DataFlashLog(SourceRecording):
             yield np.array(rows)
 
     def _messages(self, *kinds: str) -> Iterator[Any]:
-        try:
-            with closing((reader.DFReader_binary if self._binary else reader.DFReader_text)(str(self.file))) as opened:
-                while (message := opened.recv_match(type=list(kinds or _SENSORS))) is not None:
-                    yield message
-        except ModuleNotFoundError:
-            raise needs_package(self.file, "ArduPilot DataFlash", "pymavlink") from None
-        except Exception as error:  # pymavlink raises whatever a damaged byte leads to
-            raise damaged(self.file, "DataFlash", error) from None
+        # Its other indexer is written in C, and prints past Python.
+        os.environ["PYMAVLINK_FAST_INDEX"] = "0"
+        with closing((reader.DFReader_binary if self._binary else reader.DFReader_text)(str(self.file))) as opened:
+            while (message := opened.recv_match(type=list(kinds or _SENSORS))) is not None:
+                yield message
 
 
 def _unit(field: str) -> str:

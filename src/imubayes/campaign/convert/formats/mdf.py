@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 from imubayes.foundations.errors import ExtraPackage
 
 MAGIC = b"MDF     "
@@ -58,12 +58,7 @@ class MdfRecording(SourceRecording):
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        try:
-            opened = asammdf.MDF(str(self.file))
-        except ModuleNotFoundError:
-            raise needs_package(self.file, "MDF", "asammdf") from None
-        except Exception as error:  # asammdf raises whatever a damaged byte leads to
-            raise damaged(self.file, "MDF", error) from None
+        opened = asammdf.MDF(str(self.file))
         try:
             yield opened
         finally:

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 
 MAGIC = b"PAR1"
 
@@ -29,17 +29,11 @@ class ParquetRecording(SourceRecording):
         """Yield rows; a timestamp is in seconds."""
         names = [topic.columns[place].name for place in positions]
         with self._opened() as table:
-            try:
-                for batch in table.iter_batches(batch_size=BLOCK_ROWS, columns=list(dict.fromkeys(names))):
-                    yield np.stack([_numbers(batch.column(name)) for name in names], axis=1)
-            except (pa.ArrowException, OSError) as error:
-                raise damaged(self.file, "Parquet", error) from None
+            for batch in table.iter_batches(batch_size=BLOCK_ROWS, columns=list(dict.fromkeys(names))):
+                yield np.stack([_numbers(batch.column(name)) for name in names], axis=1)
 
     def _opened(self) -> pq.ParquetFile:
-        try:
-            return pq.ParquetFile(self.file, pre_buffer=False)
-        except (pa.ArrowException, OSError) as error:
-            raise damaged(self.file, "Parquet", error) from None
+        return pq.ParquetFile(self.file, pre_buffer=False)
 
 
 def _readable(kind: pa.DataType) -> bool:

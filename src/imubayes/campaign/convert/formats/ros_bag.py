@@ -2,13 +2,12 @@
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 from imubayes.foundations.errors import ExtraPackage
 
 MAGICS = (b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0")
@@ -26,12 +25,8 @@ class RosBag(SourceRecording):
     """A bag: one topic for each topic of ROS whose messages hold numbers."""
 
     def __init__(self, file: Path) -> None:
-        self.file = file
-        try:
-            self._reader = highlevel.AnyReader
-            self._types = typesys.get_typestore(typesys.Stores.LATEST)
-        except ModuleNotFoundError:
-            raise needs_package(file, "ROS bag", "rosbags") from None
+        self.file, self._reader = file, highlevel.AnyReader
+        self._types = typesys.get_typestore(typesys.Stores.LATEST)
 
     def topics(self) -> tuple[Topic, ...]:
         """Return the topics, with the fields of their first message."""
@@ -61,20 +56,11 @@ class RosBag(SourceRecording):
             yield np.array(rows)
 
     def _messages(self, bag: Any, connections: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        try:
-            for connection, arrival, raw in bag.messages(connections=connections):
-                yield arrival, bag.deserialize(raw, connection.msgtype)
-        except (KeyError, ValueError) as error:
-            raise damaged(self.file, "ROS bag", error) from None
+        for connection, arrival, raw in bag.messages(connections=connections):
+            yield arrival, bag.deserialize(raw, connection.msgtype)
 
-    @contextmanager
-    def _opened(self) -> Iterator[Any]:
-        with ExitStack() as stack:
-            try:
-                bag = stack.enter_context(self._reader([self.file], default_typestore=self._types))
-            except Exception as error:  # a bag of another storage, or damaged
-                raise damaged(self.file, "ROS bag", error) from None
-            yield bag
+    def _opened(self) -> Any:
+        return self._reader([self.file], default_typestore=self._types)
 
 
 def _leaves(message: Any, path: str = "") -> Iterator[tuple[str, float]]:

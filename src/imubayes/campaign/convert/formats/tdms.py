@@ -1,6 +1,5 @@
 """LabVIEW TDMS files, by npTDMS."""
 
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 from imubayes.foundations.errors import ExtraPackage
 
 MAGIC = b"TDSm"
@@ -48,13 +47,8 @@ class TdmsRecording(SourceRecording):
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        try:
-            with self.file.open("rb") as stream, nptdms.TdmsFile.open(stream) as content:
-                yield content
-        except ModuleNotFoundError:
-            raise needs_package(self.file, "TDMS", "npTDMS") from None
-        except (ValueError, KeyError, EOFError, OSError, struct.error) as error:
-            raise damaged(self.file, "TDMS", error) from None
+        with self.file.open("rb") as stream, nptdms.TdmsFile.open(stream) as content:
+            yield content
 
 
 def _unit(channel: Any) -> str:

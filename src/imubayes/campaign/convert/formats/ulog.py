@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic, damaged, needs_package
+from imubayes.campaign.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 from imubayes.foundations.errors import ExtraPackage
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -23,12 +23,7 @@ class ULogRecording(SourceRecording):
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        try:
-            content = pyulog.ULog(str(file))
-        except ModuleNotFoundError:
-            raise needs_package(file, "ULog", "pyulog") from None
-        except Exception as error:  # pyulog raises whatever a damaged byte leads to
-            raise damaged(file, "ULog", error) from None
+        content = pyulog.ULog(str(file))
         several = {data.name for data in content.data_list if data.multi_id}
         self._data = {
             f"{data.name}.{data.multi_id}" if data.name in several else data.name: data for data in content.data_list
