@@ -72,18 +72,18 @@ def test_one_file_a_face(tmp_path: Path) -> None:
 def test_accelerometers_alone_are_a_tumble_without_turns() -> None:
     columns, _ = tumble_log()
     alone = {name: columns[name] for name in ("time_s", *NAMES[:3])}
-    reduced = reduce_tumble(alone, channels()[:3], GRAVITY, None, Path("log.csv"))
+    reduced = reduce_tumble(alone, channels()[:3], GRAVITY, None, "log.csv")
     assert len(reduced.tumble.flagged) == 16
     assert len(reduced.tumble.start) == 0
-    whole = reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"))
+    whole = reduce_tumble(columns, channels(), GRAVITY, None, "log.csv")
     np.testing.assert_allclose(reduced.numbers["az"], whole.numbers["az"], atol=2e-3)
     with pytest.raises(InputError, match="three accelerometers in different directions"):
-        reduce_tumble(alone, channels()[:2], GRAVITY, None, Path("log.csv"))
+        reduce_tumble(alone, channels()[:2], GRAVITY, None, "log.csv")
 
 
 def test_a_turn_with_a_gap_is_left_out() -> None:
     columns, _ = tumble_log()
-    whole = reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"))
+    whole = reduce_tumble(columns, channels(), GRAVITY, None, "log.csv")
     moving = np.flatnonzero(np.linalg.norm([columns[name] for name in NAMES[3:]], axis=0) > 1.0)
     middle = moving[np.searchsorted(moving, moving[0] + 50)]
     for missing, left_out in ((40, True), (3, False)):
@@ -91,7 +91,7 @@ def test_a_turn_with_a_gap_is_left_out() -> None:
             np.arange(len(columns["time_s"])) >= middle - 20 + missing
         )
         cut = {name: values[keep] for name, values in columns.items()}
-        reduced = reduce_tumble(cut, channels(), GRAVITY, None, Path("log.csv"))
+        reduced = reduce_tumble(cut, channels(), GRAVITY, None, "log.csv")
         assert not reduced.tumble.flagged.any()
         assert len(reduced.tumble.start) == len(whole.tumble.start) - left_out
         told = [note for note in reduced.notes if "turn from pose 0 to pose 1 is left out: 0.41 s are missing" in note]

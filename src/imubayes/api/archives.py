@@ -27,6 +27,13 @@ class ArchiveFit:
     ----------
     folder : the results folder.
     model : hash of model, settings and code.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> fits = imubayes.fit_archive("campaigns", "accel-channel", "results/units")
+    >>> fits.parameters.filter(parameter="converter_gain_drift.slope[ax]")["unit"].len()
+    1
     """
 
     folder: Path
@@ -107,8 +114,8 @@ def fit_archive(
     Examples
     --------
     >>> import imubayes
-    >>> fits = imubayes.fit_archive("data/unit-archive", "models/accel-channel.toml", "results/units")
-    >>> fits.units["status"].unique().to_list()
+    >>> fits = imubayes.fit_archive("campaigns", "accel-channel", "results/units")
+    >>> fits.units["status"].to_list()
     ['fitted']
     """
     settings = BatchSettings(sample, diagnose, seed)
@@ -132,5 +139,13 @@ def load_archive_fit(folder: str | Path, model: str | None = None) -> ArchiveFit
     ------
     InputError
         where there is no such model, or several and none is named.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.fit_archive("campaigns", "accel-channel", "results/units").units.height
+    1
+    >>> imubayes.load_archive_fit("results/units").units.height
+    1
     """
     return ArchiveFit(Path(folder), chosen_model(folder, model))

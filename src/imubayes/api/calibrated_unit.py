@@ -116,6 +116,15 @@ def correct(
     ------
     InputError
         for a result without a posterior, and a recording that cannot be read or lacks what the model needs.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> try:
+    ...     imubayes.correct("results/accel-channel", "data/accel-channel", "corrected.csv", run="ramp-1g")
+    ... except imubayes.InputError as error:
+    ...     print(error.issues[0].what)
+    neither the gyros nor the accelerometers of the unit span three axes
     """
     with progress_of(progress) as tell:
         tell("reading the fit")
@@ -136,6 +145,15 @@ def onboard_constants(result: Result | str | Path) -> OnboardConstants:
     ------
     InputError
         for a result without a posterior, and a unit whose channels do not span three axes.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> try:
+    ...     imubayes.onboard_constants("results/accel-channel")
+    ... except imubayes.InputError as error:
+    ...     print(error.issues[0].what)
+    neither the gyros nor the accelerometers of the unit span three axes
     """
     return constants_of(opened(result))
 
@@ -168,6 +186,15 @@ def export_constants(
     ------
     InputError
         where the format cannot hold the constants or needs what is not known, and for the noise of another unit.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> try:
+    ...     imubayes.export_constants("results/accel-channel", "constants.json")
+    ... except imubayes.InputError as error:
+    ...     print(error.issues[0].what)
+    neither the gyros nor the accelerometers of the unit span three axes
     """
     found = opened(result)
     constants = constants_of(found)

@@ -89,6 +89,12 @@ class Finding:
     severity : ``error`` or ``warning``.
     run : name of the run.
     what, where, allowed, remedy : as in `Issue`.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> [finding.name for finding in imubayes.check_campaign("data/accel-channel")]
+    []
     """
 
     name: str

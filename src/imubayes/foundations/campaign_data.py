@@ -56,6 +56,13 @@ class Site:
     """Where the test was made: latitude in rad, height in m, gravity and its standard uncertainty in m/s².
 
     The uncertainty is 0 where gravity is exact, and None where it is not stated.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> campaign = imubayes.load_campaign("data/accel-channel")
+    >>> round(campaign.site.height)
+    400
     """
 
     latitude: float
@@ -82,6 +89,13 @@ class Channel:
     offset : nominal output at zero input, output units.
     noise : standard deviation of one raw sample, output units, or None where nothing is known.
     current_per_acceleration : sensor current in A per m/s², or None; for injected currents.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> campaign = imubayes.load_campaign("data/accel-channel")
+    >>> campaign.channels[0].scale, campaign.channels[0].per
+    (20000.0, 'g')
     """
 
     name: str
@@ -120,6 +134,13 @@ class Table:
     azimuth_known : whether the azimuth was stated; if not, it is 0.
 
     All uncertainties are one sigma; 0 is exact.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> campaign = imubayes.load_campaign("data/accel-channel")
+    >>> round(campaign.tables["plate"].elevation, 4)  # a vertical axis, in rad
+    1.5708
     """
 
     name: str
@@ -176,7 +197,15 @@ class Table:
 
 @dataclass(frozen=True)
 class Mounting:
-    """How the unit sits on a table: nominal body_to_table (3, 3), seat uncertainty per angle in rad, 0 exact."""
+    """How the unit sits on a table: nominal body_to_table (3, 3), seat uncertainty per angle in rad, 0 exact.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> campaign = imubayes.load_campaign("data/accel-channel")
+    >>> campaign.mountings["up"].body_to_table[2].tolist()  # body x is up
+    [1.0, 0.0, 0.0]
+    """
 
     name: str
     body_to_table: np.ndarray
@@ -235,6 +264,14 @@ class Run:
         these temperatures, °C; None or 0 where they are exact.
     turn_uncertainty : standard uncertainty of the angle of each row that turns, rad, where it is a turn from rest to
         rest; None where rows are at constant rates.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> campaign = imubayes.load_campaign("data/accel-channel")
+    >>> run = campaign.runs[0]
+    >>> run.procedure, run.observed.shape == (run.rows, len(campaign.channels))
+    ('thermal_ramp', True)
     """
 
     name: str

@@ -39,6 +39,13 @@ class EffectSpec:
     options : fixed settings of the effect.
     optional : drop it where no run can show it or the unit lacks the channel, instead of refusing the model.
     where : file and key, for errors.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> bias = imubayes.load_model("accel-channel").effects[1]
+    >>> bias.name, dict(bias.prior)
+    ('accel_bias', {'bias': 'normal(0, 1000 ug)'})
     """
 
     name: str
@@ -104,6 +111,12 @@ class ModelSpec:
     that of the campaign.  `correlations` are those of the priors of noise parameters.  `noise_priors` is the noise
     of the unit from its static records, which takes the place of the model's own once bound to a campaign.  `set_aside`
     are readings that are left out.  `classes` are effects of the user that are defined in this session and in no file.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> imubayes.load_model("accel-channel").name
+    'accel-channel'
     """
 
     name: str

@@ -60,6 +60,12 @@ class CorrectedRecording:
     uncorrected : effects of the model that are left in, with the size that they may have.
     lacking : channels of the unit that the recording lacks.
     exact : what the model takes as exact of site and equipment; the systematic uncertainty contains it nevertheless.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> sorted(imubayes.CorrectedRecording.__annotations__)[:3]
+    ['exact', 'kinds', 'lacking']
     """
 
     kinds: tuple[str, ...]
