@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign.reduction import BlockSurvey
+from imubayes.campaign.reduction import BlockSurvey, turning_span
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table
 from imubayes.procedures import PROCEDURES
@@ -22,6 +22,31 @@ LEAST_SPREAD = {"gyro": 0.05 * DEGREE, "accelerometer": 0.5}  # of the input, ra
 FOLLOWS = 0.9  # least squared correlation for a slope to be used
 _RATE_FACTORS = {1 / DEGREE: "rad/s for deg/s", 3600.0: "deg/h for deg/s", 3600 / DEGREE: "rad/s for deg/h"}
 _ACCELERATION_FACTORS = {9.80665: "g and m/s² exchanged", 1000.0: "g and mg exchanged"}
+
+
+def check_rest(blocks: BlockSurvey, run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
+    """Check the raw log of a unit at rest: gyros that change by levels turn, whatever gravity says."""
+    if run.procedure != "static_record":
+        return []
+    turned = {}
+    for channel in channels:
+        if channel.kind != "gyro" or channel.name not in blocks.mean:
+            continue
+        span = turning_span((blocks.mean[channel.name] - channel.offset) / channel.scale_si)
+        if span:
+            turned[channel.name] = span
+    if not turned:
+        return []
+    name, span = max(turned.items(), key=lambda item: item[1])
+    return [
+        Finding(
+            "turns_at_rest", "error", run.name,
+            f"{', '.join(turned)} turn{'s' if len(turned) == 1 else ''} in a {run.procedure}, by up to "
+            f"{span / DEGREE:.4g} deg/s",
+            f"{where}, column '{name}'", "a unit at rest from the first row to the last",
+            "of a rate table: procedure = \"rate_table\" with the column table_rate_deg_s; else keep the rows at rest",
+        )
+    ]  # fmt: skip
 
 
 def check_log(blocks: BlockSurvey, run: str, where: str) -> list[Finding]:

@@ -12,7 +12,7 @@ import numpy as np
 from imubayes.campaign import reduction as reduce
 from imubayes.campaign.equipment import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.file_schemas import RunEntry
-from imubayes.campaign.physical_checks import check_log, check_rows
+from imubayes.campaign.physical_checks import check_log, check_rest, check_rows
 from imubayes.campaign.reduction.free_tumble import reduce_tumble
 from imubayes.campaign.reduction.pose_table import reduce_means
 from imubayes.campaign.run_tables import (
@@ -301,7 +301,8 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     attitude = _attitude(source, entry, equipment, rows.first)
     found += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
     found += [_unsettled(entry, where, rows.unsettled)] if rows.unsettled else []
-    return build_run(entry, numbers, equipment.channels, gravity, rows.notes, attitude=attitude), found
+    run = build_run(entry, numbers, equipment.channels, gravity, rows.notes, attitude=attitude)
+    return run, [*found, *check_rest(survey.blocks, run, equipment.channels, where)]
 
 
 def _refuse_transitions(source: TableSource, entry: RunEntry, reduction: Reduction, survey: _Survey) -> None:

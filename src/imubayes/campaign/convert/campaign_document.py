@@ -23,8 +23,9 @@ from imubayes.campaign.convert.recorded_runs import Columns, RecordedRun, still_
 from imubayes.campaign.convert.stand import LEVEL, PUT_ANYHOW, Stand, lying, on_table
 from imubayes.campaign.convert.stated_turns import BODY_TO_TABLE, TURN_TABLE, StatedTurns, find_stated_turns
 from imubayes.campaign.convert.unit_evidence import Units, find_units
+from imubayes.campaign.reduction import turning_span
 from imubayes.foundations.earth import normal_gravity
-from imubayes.foundations.errors import input_error
+from imubayes.foundations.errors import InputError, input_error
 from imubayes.foundations.units import to_si
 from imubayes.procedures import procedure_named
 
@@ -35,6 +36,7 @@ _WARMED = 10.0  # degC over which a rest is a temperature test
 _STATIC, _RAMP = "static_record", "thermal_ramp"
 _AT_REST = (_STATIC, _RAMP)
 _ON_TABLE = "rate_table"
+_BLOCKS, _SAMPLES = 3000, 10  # most blocks of a record, and fewest samples of one
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     notes = [f"converted from {source}", *(note for run in runs for note in run.notes)]
     channels = _channels(longest.columns, stated, gravity, notes, source)
     turns = _turns(runs, channels, options, source)
-    procedure, why = _procedure(longest, options, source)
+    procedure, why = _procedure(longest, _rates(longest, channels), options, source)
     guesses = {**longest.guesses, **units.guesses, "procedure": why}
     guesses = {key: evidence for key, evidence in guesses.items() if evidence}
     stated = replace(stated, procedure=procedure, time_unit=longest.time_unit or options.time_unit)
@@ -188,8 +190,8 @@ def _run(label: str, procedure: str, options: ConvertOptions) -> dict[str, Any]:
     return run
 
 
-def _procedure(run: RecordedRun, options: ConvertOptions, where: str) -> tuple[str, str]:
-    """Return the procedure, and why it was taken where it was not stated."""
+def _procedure(run: RecordedRun, rates: np.ndarray, options: ConvertOptions, where: str) -> tuple[str, str]:
+    """Return the procedure, and why it was taken where it was not stated; the rates of the gyros are in rad/s."""
     if options.procedure:
         return options.procedure, ""
     table_rate = run.columns.get(TABLE_RATE, np.zeros(1))
@@ -205,12 +207,35 @@ def _procedure(run: RecordedRun, options: ConvertOptions, where: str) -> tuple[s
         )  # fmt: skip
     if not seconds:
         return "free_tumble", ""
+    if options.turn_deg is None and (turning := _turning(rates)):
+        raise _turns_about_the_vertical(run, turning, where)
     warmth = run.columns.get(TEMPERATURE, np.zeros(1))
     warmth = warmth[np.isfinite(warmth)]
     warmed = float(np.ptp(warmth)) if len(warmth) else 0.0
     if warmed > _WARMED:
         return _RAMP, f"{seconds:.4g} s in one attitude, over {warmed:.3g} degC"
     return _STATIC, f"{seconds:.4g} s in one attitude"
+
+
+def _turning(rates: np.ndarray) -> float:
+    """Return how fast gyros turn at levels of rate, rad/s, by their rates (N, G); 0 of a unit at rest."""
+    parts = np.array_split(rates, max(1, min(_BLOCKS, len(rates) // _SAMPLES)))
+    means = np.array([np.nanmean(part, axis=0) for part in parts])
+    return max((turning_span(rate) for rate in means.T), default=0.0)
+
+
+def _turns_about_the_vertical(run: RecordedRun, turning: float, where: str) -> InputError:
+    """Return the error of a unit that turns while gravity stays: a table, whose rate is not read."""
+    what = f"the gyros turn by up to {math.degrees(turning):.4g} deg/s while gravity stays in one direction"
+    allowed = f"the rate of the table, --column {TABLE_RATE}=NAME; or turns from rest to rest, --turn-deg 360"
+    if not run.followers:
+        return input_error(what, where, allowed, "state the column of the rate, or the angle of the turns")
+    first = run.followers[0]
+    followed = f"column '{first.column}' is not read, and {first.channel} follows it by a factor of {first.slope:.4g}"
+    return input_error(
+        f"{what}; {followed}", where, allowed,
+        f"if it is the rate in deg/s: --column {TABLE_RATE}='{first.column}'",
+    )  # fmt: skip
 
 
 def _site(options: ConvertOptions, notes: list[str]) -> dict[str, float]:

@@ -38,6 +38,7 @@ _LEAST_COUNTED, _COUNTED = 5, 0.9  # steps of a running number, and the share of
 _PROBED, _LEAST_PROBED = 20_000, 100  # rows
 _MOST_UNITS, _IDENTITIES = 6, range(2, 7)  # in one file
 _ALTERNATING = 0.4  # of the change from one row to the next, over several
+_FOLLOWS = 0.99  # correlation of a gyro with the rate that drives it, noise and other axes included
 _MEAN_AND_SCATTER = (np.nanmean, np.nanstd)
 
 
@@ -53,6 +54,7 @@ class RecordedRun:
     guesses : option → why its value was taken.
     time_unit : in which times were recorded; empty where they were made from a rate or words.
     means : whether each row is the mean of a pose.
+    followers : columns that are not read and follow a gyro.
     """
 
     columns: Columns
@@ -61,6 +63,22 @@ class RecordedRun:
     guesses: dict[str, str]
     time_unit: str = ""
     means: bool = False
+    followers: tuple["Follower", ...] = ()
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A column that is not read and follows a gyro: it may be the rate of the table.
+
+    Attributes
+    ----------
+    column, channel : their names; the number of the column where it has none.
+    slope : of the gyro over the column, in recorded units.
+    """
+
+    column: str
+    channel: str
+    slope: float
 
 
 def recorded_runs(tables: Sequence[ChosenTable], options: ConvertOptions) -> tuple[RecordedRun, ...]:
@@ -139,11 +157,41 @@ def _part(table: ChosenTable, options: ConvertOptions, values: Columns) -> Recor
     guesses = {"columns": table.evidence} if table.evidence else {}
     kept, beside = _beside(others, filled if clock is None else clock.keep, units)
     left = (*table.left, *table.recording.notes(), *signed, *mixed, *void, *beside)
+    followers = _followers(table, values)
     if clock is None:
-        return RecordedRun(kept, units, (note, *left), guesses)
+        return RecordedRun(kept, units, (note, *left), guesses, followers=followers)
     return RecordedRun(
-        {TIME: clock.time, **kept}, units, (note, *left, *clock.notes), guesses | _time_guess(clock), clock.unit
+        {TIME: clock.time, **kept},
+        units,
+        (note, *left, *clock.notes),
+        guesses | _time_guess(clock),
+        clock.unit,
+        followers=followers,
     )
+
+
+def _followers(table: ChosenTable, values: Columns) -> tuple[Follower, ...]:
+    """Return the columns that are not read and follow a gyro, the closest first; none where the rate is read."""
+    columns, gyros = table.topic.columns, [name for name in GYROS if name in values]
+    used = {column.position for column in table.columns.values()}
+    unread = [place for place, own in enumerate(columns) if place not in used and own.unit != "text"]
+    if TABLE_RATE in table.columns or not gyros or not unread:
+        return ()
+    step = max(1, len(values[gyros[0]]) // _PROBED)
+    others = read_columns(table.recording, table.topic, unread)[::step]
+    found = []
+    for place, other in zip(unread, others.T, strict=True):
+        for name in gyros:
+            rate = values[name][::step]
+            both = np.isfinite(rate) & np.isfinite(other)
+            if both.sum() < _LEAST_PROBED or np.ptp(other[both]) == 0 or np.ptp(rate[both]) == 0:
+                continue
+            covariance = np.cov(other[both], rate[both])
+            correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+            if abs(correlation) > _FOLLOWS:
+                own = columns[place].name or str(place + 1)
+                found.append((abs(correlation), Follower(own, name, float(covariance[0, 1] / covariance[0, 0]))))
+    return tuple(follower for _, follower in sorted(found, key=lambda each: -each[0]))
 
 
 def _mixed_units(table: ChosenTable, values: Columns) -> tuple[str, ...]:

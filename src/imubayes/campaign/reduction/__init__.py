@@ -8,7 +8,13 @@ left out.  Memory does not grow with the length of the log.
 
 from imubayes.campaign.reduction.constant_spans import BenchSettings, Span, UnsettledLevel, constant_spans
 from imubayes.campaign.reduction.log_reduction import Limits, Rows, SegmentTracker, clipping_note, reduce_log
-from imubayes.campaign.reduction.log_survey import BlockBuilder, BlockSurvey, refuse_impossible_rate, sampling_interval
+from imubayes.campaign.reduction.log_survey import (
+    BlockBuilder,
+    BlockSurvey,
+    refuse_impossible_rate,
+    sampling_interval,
+    turning_span,
+)
 
 __all__ = [
     "BenchSettings",
@@ -24,4 +30,5 @@ __all__ = [
     "reduce_log",
     "refuse_impossible_rate",
     "sampling_interval",
+    "turning_span",
 ]

@@ -111,6 +111,29 @@ class BlockBuilder:
             self._length *= 2
 
 
+_LEVELS, _TURNS, _AWAY, _LEAST_BLOCKS = 20.0, math.radians(0.5), 0.05, 20
+_NO_BIAS = math.radians(30.0)  # the largest zero-rate output of data sheets is 20 deg/s
+
+
+def turning_span(rate: np.ndarray) -> float:
+    """Return how fast a gyro turns at levels of rate, as on a table; 0 of noise, drift, a bias, a knock or a small step.
+
+    A turn about the vertical leaves gravity where it is, so that only a gyro shows it.
+
+    Parameters
+    ----------
+    rate : means of successive blocks of a gyro, rad/s, shape (B,); NaN where there is none.
+    """
+    rate = rate[np.isfinite(rate)]
+    if len(rate) < _LEAST_BLOCKS:
+        return 0.0
+    change, off = np.abs(np.diff(rate)), np.abs(rate - np.median(rate))
+    usual = float(np.median(change))
+    away = float(np.mean(off > max(_TURNS, _LEVELS * usual)))
+    turns = (change.max() > _LEVELS * usual and away > _AWAY) or abs(np.median(rate)) > _NO_BIAS
+    return float(np.abs(rate).max()) if turns else 0.0
+
+
 MOST_HZ, USUAL_HZ = 2e5, (0.6, 5000.0)
 """Sampling rate that no inertial unit exceeds, and usual ones."""
 
