@@ -116,7 +116,7 @@ _NO_BIAS = math.radians(30.0)  # the largest zero-rate output of data sheets is 
 
 
 def turning_span(rate: np.ndarray) -> float:
-    """Return how fast a gyro turns at levels of rate, as on a table; 0 of noise, drift, a bias, a knock or a small step.
+    """Return how fast a gyro turns at levels of rate, as on a table; 0 of noise, drift, a bias, a knock or a step.
 
     A turn about the vertical leaves gravity where it is, so that only a gyro shows it.
 
