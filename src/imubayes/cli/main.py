@@ -22,6 +22,7 @@ from imubayes.cli.examples import demo, example
 from imubayes.cli.explore import explore
 from imubayes.cli.fit import classical, compare, fit, predict
 from imubayes.cli.loop import add, diagnose, history, plant, refit, remove
+from imubayes.cli.session import numbers_apart
 from imubayes.foundations.errors import InputError, Issue, NotKept, closest_first
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
@@ -117,7 +118,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status."""
     try:
         with _telling_what_is_not_kept():
-            status = app(arguments, exit_on_error=False, print_error=False)
+            words = list(sys.argv[1:] if arguments is None else arguments)
+            status = app(numbers_apart(words), exit_on_error=False, print_error=False)
             sys.stdout.flush()
     except InputError as error:
         return _refuse(*error.issues)

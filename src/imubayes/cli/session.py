@@ -4,8 +4,9 @@ Computing commands start with double precision, a persistent compilation cache a
 """
 
 import json
+import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -77,3 +78,35 @@ def progress(text: str = "loading") -> AbstractContextManager[Callable[[str], No
     Enter it before what takes long to import, and print nothing to standard error within.
     """
     return terminal_progress(text=text)
+
+
+_OF_AXES = ("--accel-scale", "--accel-offset", "--gyro-scale", "--gyro-offset")
+"""Options of one number, or of one for each axis."""
+
+
+def numbers_apart(words: Sequence[str]) -> list[str]:
+    """Return the words of a command line with the option before each number of an axis.
+
+    People write `--gyro-offset 24800 40600 41140`, or `24800,40600,41140`.
+    """
+    left, apart = list(words), list[str]()
+    while left:
+        name, equals, first = left.pop(0).partition("=")
+        if name not in _OF_AXES:
+            apart.append(f"{name}{equals}{first}")
+            continue
+        given = [first] if equals else []
+        while left and len(given) < 3 and _numbers(left[0]):
+            given.append(left.pop(0))
+        numbers = [number for word in given for number in _numbers(word) or [word]]
+        apart += [f"{name}={number}" for number in numbers] or [name]
+    return apart
+
+
+def _numbers(word: str) -> list[str]:
+    """Return the numbers of a word, which commas separate; none where it is anything else."""
+    parts = word.strip("[]()").split(",")
+    try:
+        return parts if all(math.isfinite(float(part)) for part in parts) else []
+    except ValueError:
+        return []
