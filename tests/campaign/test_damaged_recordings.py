@@ -15,7 +15,7 @@ from imubayes.campaign import inspect_campaign
 from imubayes.campaign.convert import read_recordings, recording
 from imubayes.campaign.convert.formats import KINDS
 from imubayes.cli.main import run
-from imubayes.foundations.errors import InputError
+from imubayes.foundations.errors import InputError, Issue
 
 CASES = Path(__file__).parents[2].parent / "shared" / "cases" / "rel" / "readers"
 LIMIT, ZEROS = 1 << 20, 1 << 18
@@ -31,12 +31,13 @@ def packed_text(folder: Path) -> Path:
 
 def understood(file: Path) -> bool:
     """Whether a file is read; False where it is refused with an error in four parts that names it."""
+    refused: tuple[Issue, ...] = ()
     try:
         read_recordings([file], gravity_m_s2=9.8, latitude_deg=50)
     except InputError as error:
-        assert all(issue.what and issue.remedy and file.name.partition(".")[0] in issue.where for issue in error.issues)
-        return False
-    return True
+        refused = error.issues
+    assert all(issue.what and issue.remedy and file.name.partition(".")[0] in issue.where for issue in refused)
+    return not refused
 
 
 @pytest.mark.parametrize("write", [*WRITERS, packed_text], ids=lambda write: write.__name__)

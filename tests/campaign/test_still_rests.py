@@ -114,3 +114,16 @@ def test_a_drift_of_the_bias_is_no_rotation() -> None:
     start, spell = round(100 * HZ), round(HZ)
     columns["gz"][start : start + spell] += np.deg2rad(8.0)
     assert list(np.flatnonzero(reduced(made, columns).tumble.flagged)) == [0]
+
+
+@pytest.mark.parametrize(("poses", "disturbed"), [(40, 2), (300, 3), (3000, 30), (3000, 0)])
+def test_disturbed_poses_are_told_among_any_number(poses: int, disturbed: int) -> None:
+    random = np.random.default_rng(poses)
+    force = random.normal(size=(poses, 3))
+    force *= GRAVITY / np.linalg.norm(force, axis=1, keepdims=True)
+    force = force * [1.003, 0.998, 1.001] + [0.2, -0.1, 0.15] + random.normal(0, 0.01, force.shape)
+    wrong = random.choice(poses, disturbed, replace=False)
+    force[wrong] *= 1.05
+    found = fit_magnitude(force, GRAVITY, 0.01)
+    assert np.flatnonzero(found.outliers).tolist() == sorted(wrong.tolist())
+    np.testing.assert_allclose(found.offset, [0.2, -0.1, 0.15], atol=0.05 / np.sqrt(poses))

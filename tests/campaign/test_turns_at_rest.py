@@ -16,7 +16,7 @@ def table_log(column: str, factor: float = 1.0, levels: tuple[float, ...] = (0, 
     """A seat on a vertical axis: levels of 6 s with ramps of 1 s; `factor` is the unit of the column per deg/s."""
     random, rate, before = np.random.default_rng(5), [], 0.0
     for level in levels:
-        rate += [*np.linspace(before, level, RATE_HZ, endpoint=False), *[level] * (6 * RATE_HZ)]
+        rate += [*np.linspace(before, level, RATE_HZ, endpoint=False), *np.full(6 * RATE_HZ, level)]
         before = level
     turning = np.array(rate, dtype=float)
     gyros = np.outer(turning, [0.01, -0.02, 1.008]) + [0.5, -0.3, 0.2] + random.normal(0, 0.08, (len(turning), 3))

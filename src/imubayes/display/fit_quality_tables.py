@@ -153,7 +153,7 @@ def _leading_contributions(summary: records.Summary) -> list[Contribution]:
     found = sorted(summary.contributions, key=gain)
     angles = sorted((c for c in found if family_of(c.quantity) == MOUNTING_ANGLE), key=inclination)
     sums = {each.name for each in summary.combinations if not each.standard}
-    others = [c for c in found if not family_of(c.quantity) == MOUNTING_ANGLE and c.quantity not in sums]
+    others = [c for c in found if family_of(c.quantity) != MOUNTING_ANGLE and c.quantity not in sums]
     return [*angles[:_MOST_CONTRIBUTIONS], *others[:_MOST_CONTRIBUTIONS]]
 
 

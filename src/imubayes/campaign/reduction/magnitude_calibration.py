@@ -9,8 +9,8 @@ their degrees of freedom; the scatter is theirs, or that within the poses where 
 leaves out misalignments, which are no scatter: fewer than 12 poses are not judged.
 """
 
+import math
 from dataclasses import dataclass
-from math import comb
 
 import numpy as np
 import scipy  # loads its parts when they are first used
@@ -23,6 +23,8 @@ MOST_DISTURBED = 1 / 3
 ALL = 9
 # Of the best told direction: with less a pose would be levelled by noise.
 _LEAST_TOLD = 0.01
+# Numbers of disturbed poses that are all tried, and the logarithm of the least level that a double holds.
+_EVERY, _LEAST_LOG = 40, -690.0
 LEAST_FREEDOM = 2  # of the others, to judge one
 LEAST_TO_JUDGE = ALL + LEAST_FREEDOM + 1
 
@@ -95,13 +97,27 @@ def _outliers(values: np.ndarray, force: np.ndarray, gravity: float, scatter: np
     """
     most = min(int(MOST_DISTURBED * len(force)), len(force) - ALL - LEAST_FREEDOM)
     found = np.zeros(len(force), dtype=bool)
-    for sizes in (range(most, 0, -1), range(most + 1)):
+    sizes = _sizes(most)
+    for ordered in (sizes[:0:-1], sizes):
         contradiction = np.abs(_residual(values, force, gravity))
-        for size in sizes:
+        for size in ordered:
             left = np.argsort(np.argsort(-contradiction)) < size
             contradiction, excluded = _judged(values, force, gravity, scatter, left)
             found = left if excluded and size > found.sum() else found
+    # Between the sizes that were tried.
+    while (size := int(found.sum()) + 1) <= most and size not in sizes:
+        left = np.argsort(np.argsort(-_judged(values, force, gravity, scatter, found)[0])) < size
+        if not _judged(values, force, gravity, scatter, left)[1]:
+            break
+        found = left
     return found
+
+
+def _sizes(most: int) -> list[int]:
+    """Return numbers of poses from 0 to `most`: each of the first, then in steps of a tenth."""
+    every = min(most, _EVERY)
+    steps = math.ceil(math.log(max(most, 1) / every) / math.log(1.1)) if every else 0
+    return sorted({*range(every + 1), *(min(most, round(every * 1.1**step)) for step in range(steps + 1))})
 
 
 def _judged(
@@ -116,7 +132,9 @@ def _judged(
     leverage = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
     deviation = np.abs(_residual(values, force, gravity))
     count, size = len(force), int(left.sum())
-    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / comb(count, size), count - size - ALL)
+    sets = math.lgamma(count + 1) - math.lgamma(size + 1) - math.lgamma(count - size + 1)
+    level = math.exp(max(math.log(FALSE_ALARM / 2) - sets, _LEAST_LOG))
+    limit = scipy.stats.t.isf(level, count - size - ALL)
     allowed = limit * np.maximum(spread, scatter) * np.sqrt(1 + leverage)
     own = np.maximum(np.where(left, 1 + leverage, 1 - leverage), 1e-9)
     return deviation / np.sqrt(own), bool((deviation > allowed)[left].all())
