@@ -19,7 +19,8 @@ def table_log(column: str, factor: float = 1.0, levels: tuple[float, ...] = (0, 
         rate += [*np.linspace(before, level, RATE_HZ, endpoint=False), *np.full(6 * RATE_HZ, level)]
         before = level
     turning = np.array(rate, dtype=float)
-    gyros = np.outer(turning, [0.01, -0.02, 1.008]) + [0.5, -0.3, 0.2] + random.normal(0, 0.08, (len(turning), 3))
+    noise, bias = random.normal(0, 0.08, (len(turning), 3)), np.array([0.5, -0.3, 0.2])
+    gyros = np.outer(turning, [0.01, -0.02, 1.008]) + bias + noise
     force = np.array([0.2, -0.1, GRAVITY]) + random.normal(0, 0.02, (len(turning), 3))
     return _text(column, turning * factor, gyros, force)
 

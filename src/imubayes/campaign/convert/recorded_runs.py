@@ -184,13 +184,15 @@ def _followers(table: ChosenTable, values: Columns) -> tuple[Follower, ...]:
         for name in gyros:
             rate = values[name][::step]
             both = np.isfinite(rate) & np.isfinite(other)
-            if both.sum() < _LEAST_PROBED or np.ptp(other[both]) == 0 or np.ptp(rate[both]) == 0:
+            size = np.array([np.std(values[both]) if both.any() else 0.0 for values in (other, rate)])
+            if both.sum() < _LEAST_PROBED or not (size > 0).all():
                 continue
-            covariance = np.cov(other[both], rate[both])
-            correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+            correlation = float(
+                np.mean(np.prod([v[both] - v[both].mean() for v in (other, rate)], axis=0) / size.prod())
+            )
             if abs(correlation) > _FOLLOWS:
                 own = columns[place].name or str(place + 1)
-                found.append((abs(correlation), Follower(own, name, float(covariance[0, 1] / covariance[0, 0]))))
+                found.append((abs(correlation), Follower(own, name, float(correlation * size[1] / size[0]))))
     return tuple(follower for _, follower in sorted(found, key=lambda each: -each[0]))
 
 
