@@ -279,11 +279,16 @@ def _without_sign(line: str, separator: str | None) -> str:
 
 
 def _tags(sample: Sequence[Sequence[str]]) -> dict[str, tuple[CellKind, ...]]:
-    """Return the first words of lines that say what they hold, with the kinds of their cells behind the word."""
+    """Return the first words of lines that say what they hold, with the kinds of their cells behind the word.
+
+    One word alone, in every line, says it where it names a sensor.
+    """
     rows = [row for row in sample if len(row) > 2]
     words = [row[0] for row in rows]
     tags = dict.fromkeys(words)
-    if not 2 <= len(tags) <= _MOST_TAGS or any(is_number(word) or not word[:1].isalpha() for word in words):
+    if not 1 <= len(tags) <= _MOST_TAGS or any(is_number(word) or not word[:1].isalpha() for word in words):
+        return {}
+    if len(tags) == 1 and (len(rows) < len(sample) or len(rows) < _FEW or role_of(f"{words[0]}[0]") is None):
         return {}
     return {
         tag: tuple(
