@@ -225,3 +225,17 @@ def test_names_that_were_taken_for_others() -> None:
         assert role is not None
         assert (role.target, role.unit, role.unknown) == (*expected, "")
     assert role_of("GPS TFlags") is None
+
+
+def test_one_tag_in_every_line_is_the_sensor(tmp_path: Path) -> None:
+    rest = np.random.default_rng(2).normal([0.05, -0.002, 0.98], 0.005, (300, 3))
+    lines = [f"acc {2061 + 12 * place} " + " ".join(f"{value:.6f}" for value in row) for place, row in enumerate(rest)]
+    (tmp_path / "face.txt").write_text("\n".join(lines) + "\n")
+    read = read_recordings([tmp_path / "face.txt"], gravity_m_s2=9.81, latitude_deg=50)
+    columns = next(iter(read.campaign.tables.values()))
+    np.testing.assert_allclose(np.stack([columns[name] for name in ("ax", "ay", "az")], axis=1), rest, atol=1e-6)
+    np.testing.assert_allclose(columns["time_s"], 0.012 * np.arange(300), atol=1e-9)
+    # A word that names no sensor is none, and is asked about as before.
+    (tmp_path / "other.txt").write_text("\n".join(line.replace("acc", "row") for line in lines) + "\n")
+    with pytest.raises(InputError, match="text stands before or between its numbers"):
+        read_recordings([tmp_path / "other.txt"], gravity_m_s2=9.81, latitude_deg=50)

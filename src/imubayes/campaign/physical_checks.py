@@ -26,7 +26,7 @@ _ACCELERATION_FACTORS = {9.80665: "g and m/s² exchanged", 1000.0: "g and mg exc
 
 def check_rest(blocks: BlockSurvey, run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
     """Check the raw log of a unit at rest: gyros that change by levels turn, whatever gravity says."""
-    if run.procedure != "static_record":
+    if not PROCEDURES[run.procedure].at_rest:
         return []
     turned = {}
     for channel in channels:

@@ -199,6 +199,7 @@ class Procedure:
     by_direction : whether rows give the directions of the axes (`i_axis`, `o_axis`) instead of angles.
     rate_recorded : whether the table rate is recorded (0 if absent); False if another instrument measures it.
     injected : whether a current replaces the accelerometer at the converter input.
+    at_rest : whether the unit rests from the first sample to the last.
     driven : whether a gyro drives the table, whose angle is then the observation.
     abscissae : covariates for the abscissa of figures; the first that varies is used.
     row_name : name of a row in figures.
@@ -219,6 +220,7 @@ class Procedure:
     by_direction: bool = False
     rate_recorded: bool = True
     injected: bool = False
+    at_rest: bool = False
     driven: bool = False
     abscissae: tuple[str, ...] = ("time",)
     row_name: str = "row"

@@ -188,6 +188,7 @@ STATIC_RECORD = Procedure(
     reference="IEEE Std 952, annex C; IEEE Std 1293, static record for noise analysis",
     columns=(("time_s",),),
     reduction=Reduction.BLOCKS,
+    at_rest=True,
     abscissae=("time",),
     row_name="block",
     plan=PlanRules(("hours",), (), 0.0, _planned_rows),

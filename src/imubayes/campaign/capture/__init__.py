@@ -21,6 +21,7 @@ from imubayes.campaign.convert import read_recordings
 from imubayes.campaign.convert.column_choice import TRIPLES, ChosenTable
 from imubayes.campaign.convert.column_names import TIME
 from imubayes.campaign.convert.formats.text import TextRecording
+from imubayes.campaign.convert.recording import ForeignRecording
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE
 from imubayes.foundations.errors import InputError, closest_first, input_error
 from imubayes.foundations.units import NUMBER_AND_UNIT, same_dimension, to_si
@@ -159,10 +160,7 @@ class GuidedCapture:
         """Find columns, units and clock as `convert` does."""
         read = read_recordings([self._part], "capture", **self._options)
         table = next(table for table in read.tables if "a" in table.kinds)
-        recording = table.recording
-        if not isinstance(recording, TextRecording):
-            what = "the recording is not text"
-            raise input_error(what, str(self.file), "lines of numbers", "record it whole, and convert it")
+        recording = self._text(table)
         columns = next(iter(read.campaign.tables.values()))
         names = [name for kind in ("a", "g") for name in TRIPLES[kind] if name in columns]
         self._names = [name for name in names if name in table.columns] if len(names) == 6 else names[:3]
@@ -176,6 +174,14 @@ class GuidedCapture:
         self._watch = RestWatch(self._interval, least)
         self._table, self._recording = table, recording
         self._clock_step, self._last = float("nan"), float("nan")
+
+    def _text(self, table: ChosenTable) -> TextRecording:
+        recording = table.recording
+        recording = recording.reader if isinstance(recording, ForeignRecording) else recording
+        if isinstance(recording, TextRecording):
+            return recording
+        what = "the recording is not text"
+        raise input_error(what, str(self.file), "lines of numbers", "record it whole, and convert it")
 
     def _nominal(
         self, document: Mapping[str, Any], table: ChosenTable, gravity: float

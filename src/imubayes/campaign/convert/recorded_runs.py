@@ -173,27 +173,37 @@ def _part(table: ChosenTable, options: ConvertOptions, values: Columns) -> Recor
 def _followers(table: ChosenTable, values: Columns) -> tuple[Follower, ...]:
     """Return the columns that are not read and follow a gyro, the closest first; none where the rate is read."""
     columns, gyros = table.topic.columns, [name for name in GYROS if name in values]
-    used = {column.position for column in table.columns.values()}
-    unread = [place for place, own in enumerate(columns) if place not in used and own.unit != "text"]
-    if TABLE_RATE in table.columns or not gyros or not unread:
+    unread = [] if TABLE_RATE in table.columns else _unread(table)
+    if not gyros or not unread:
         return ()
     step = max(1, len(values[gyros[0]]) // _PROBED)
     others = read_columns(table.recording, table.topic, unread)[::step]
-    found = []
-    for place, other in zip(unread, others.T, strict=True):
-        for name in gyros:
-            rate = values[name][::step]
-            both = np.isfinite(rate) & np.isfinite(other)
-            size = np.array([np.std(values[both]) if both.any() else 0.0 for values in (other, rate)])
-            if both.sum() < _LEAST_PROBED or not (size > 0).all():
-                continue
-            correlation = float(
-                np.mean(np.prod([v[both] - v[both].mean() for v in (other, rate)], axis=0) / size.prod())
-            )
-            if abs(correlation) > _FOLLOWS:
-                own = columns[place].name or str(place + 1)
-                found.append((abs(correlation), Follower(own, name, float(correlation * size[1] / size[0]))))
-    return tuple(follower for _, follower in sorted(found, key=lambda each: -each[0]))
+    pairs = [
+        (columns[place].name or str(place + 1), name, *_regressed(other, values[name][::step]))
+        for place, other in zip(unread, others.T, strict=True)
+        for name in gyros
+    ]
+    closest = sorted((each for each in pairs if each[2] > _FOLLOWS), key=lambda each: -each[2])
+    return tuple(Follower(column, name, slope) for column, name, _, slope in closest)
+
+
+def _unread(table: ChosenTable) -> list[int]:
+    """Return the columns of numbers that are not read."""
+    used = {column.position for column in table.columns.values()}
+    return [place for place, own in enumerate(table.topic.columns) if place not in used and own.unit != "text"]
+
+
+def _regressed(other: np.ndarray, rate: np.ndarray) -> tuple[float, float]:
+    """Return the size of the correlation of two columns, (N,) each, and the slope of the second over the first."""
+    both = np.isfinite(rate) & np.isfinite(other)
+    if both.sum() < _LEAST_PROBED:
+        return 0.0, 0.0
+    first, second = other[both] - other[both].mean(), rate[both] - rate[both].mean()
+    size = float(np.std(first)), float(np.std(second))
+    if not min(size) > 0:
+        return 0.0, 0.0
+    correlation = float(np.mean((first / size[0]) * (second / size[1])))
+    return abs(correlation), correlation * size[1] / size[0]
 
 
 def _mixed_units(table: ChosenTable, values: Columns) -> tuple[str, ...]:

@@ -181,7 +181,7 @@ class ForeignRecording(SourceRecording):
     """
 
     def __init__(self, file: Path, kind: RecordingKind) -> None:
-        self.file, self.kind, self._absurd = file, kind, 0
+        self.file, self.kind = file, kind
         with self._reading():
             self.reader = kind.reader(file)
         self.file = self.reader.file
@@ -193,21 +193,20 @@ class ForeignRecording(SourceRecording):
 
     def blocks(self, topic: Topic, positions: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield rows of some columns."""
-        blocks, self._absurd = self.reader.blocks(topic, positions), 0
+        blocks = self.reader.blocks(topic, positions)
         while True:
             # Around each step alone: in between, others print.
             with self._reading():
                 block = next(blocks, None)
             if block is None:
                 return
+            # What no instrument reads is an error at its place, as infinity is, before its square overflows.
             absurd = np.abs(block) > ABSURD
-            self._absurd += int(absurd.sum())
-            yield np.where(absurd, np.nan, block) if absurd.any() else block
+            yield np.where(absurd, np.copysign(np.inf, block), block) if absurd.any() else block
 
     def notes(self) -> tuple[str, ...]:
         """Return what was left out while the blocks were read, in words."""
-        absurd = f"{self.file.name}: {self._absurd} numbers above {ABSURD:g} are left out"
-        return (*self.reader.notes(), *((absurd,) if self._absurd else ()))
+        return self.reader.notes()
 
     @contextmanager
     def _reading(self) -> Iterator[None]:

@@ -278,6 +278,11 @@ def _without_sign(line: str, separator: str | None) -> str:
     return line[sign.end() :]
 
 
+def _names_a_sensor(words: Sequence[str], lines: int) -> bool:
+    """Tell whether the one first word of all of some lines is that of a sensor."""
+    return lines >= _FEW and len(words) == lines and role_of(f"{words[0]}[0]") is not None
+
+
 def _tags(sample: Sequence[Sequence[str]]) -> dict[str, tuple[CellKind, ...]]:
     """Return the first words of lines that say what they hold, with the kinds of their cells behind the word.
 
@@ -288,7 +293,7 @@ def _tags(sample: Sequence[Sequence[str]]) -> dict[str, tuple[CellKind, ...]]:
     tags = dict.fromkeys(words)
     if not 1 <= len(tags) <= _MOST_TAGS or any(is_number(word) or not word[:1].isalpha() for word in words):
         return {}
-    if len(tags) == 1 and (len(rows) < len(sample) or len(rows) < _FEW or role_of(f"{words[0]}[0]") is None):
+    if len(tags) == 1 and not _names_a_sensor(words, len(sample)):
         return {}
     return {
         tag: tuple(
