@@ -278,6 +278,10 @@ def _without_sign(line: str, separator: str | None) -> str:
     return line[sign.end() :]
 
 
+def _is_word(cell: str) -> bool:
+    return cell[:1].isalpha() and not is_number(cell)
+
+
 def _names_a_sensor(words: Sequence[str], lines: int) -> bool:
     """Tell whether the one first word of all of some lines is that of a sensor."""
     return lines >= _FEW and len(words) == lines and role_of(f"{words[0]}[0]") is not None
@@ -291,7 +295,7 @@ def _tags(sample: Sequence[Sequence[str]]) -> dict[str, tuple[CellKind, ...]]:
     rows = [row for row in sample if len(row) > 2]
     words = [row[0] for row in rows]
     tags = dict.fromkeys(words)
-    if not 1 <= len(tags) <= _MOST_TAGS or any(is_number(word) or not word[:1].isalpha() for word in words):
+    if not 1 <= len(tags) <= _MOST_TAGS or not all(map(_is_word, words)):
         return {}
     if len(tags) == 1 and not _names_a_sensor(words, len(sample)):
         return {}
