@@ -13,7 +13,7 @@ from imubayes.inference.proposed_effects import FURTHER, SENSORS, STATION, Effec
 from imubayes.model.effect_registry import Registry
 from imubayes.model.model_file import EffectSpec
 from imubayes.parameters.declarations import declared_parameters
-from imubayes.procedures import Procedure
+from imubayes.procedures import PROCEDURES, Procedure
 
 _OF_CAMPAIGN = {
     "site": {
@@ -104,10 +104,12 @@ def commented_model(name: str, proposal: EffectProposal, runs: int) -> str:
         "format = 1",
         f"name = {tomlkit.item(name).as_string()}",
     ]
+    purposes = (effect for procedure in PROCEDURES.values() for effect in procedure.purposes)
+    further = tuple(dict.fromkeys((*FURTHER, *purposes)))
     parts = (
         ("equipment and station, with the uncertainties that campaign.toml states", (*of_equipment(), *STATION)),
         ("the sensors", SENSORS),
-        ("further effects that these runs determine beside all others", FURTHER),
+        ("further effects that these runs determine beside all others", further),
     )
     rest = {effect for _, effects in parts for effect in effects}
     for title, effects in (*parts, ("noise", None)):

@@ -6,7 +6,8 @@ equipment and station are uncertain of is always part of the model.  Bias, scale
 these runs tell anything of them, or the others depend on them: to leave out a scale factor that one attitude does not
 tell would make the bias look too well known.
 Further effects are where the runs determine every coefficient, beside all others, and tell it from bias, scale factor
-and misalignment: of six faces K0 and K2 have hardly more than a sum.
+and misalignment: of six faces K0 and K2 have hardly more than a sum.  Those that a procedure of the runs is made for
+are where the runs determine any coefficient: without them the first fit would fail.
 """
 
 from collections.abc import Sequence
@@ -22,6 +23,7 @@ from imubayes.model.bind import Model, bind
 from imubayes.model.bound_effects import observability
 from imubayes.model.effect_registry import Registry
 from imubayes.model.model_file import GRAVITY, EffectSpec, ModelSpec
+from imubayes.procedures import PROCEDURES
 
 STATION = ("station_heading", "station_level", "reference_alignment", "reference_scale_factor", "reference_bias",
            "injection_error")  # fmt: skip
@@ -85,19 +87,26 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
         where not even noise can be bound to the campaign.
     """
     by_hand = _turned_by_hand(campaign)
-    wanted = (*of_equipment(), *STATION, *SENSORS, *FURTHER, *NOISE)
+    purposes = purposes_of(campaign)
+    further = tuple(dict.fromkeys((*FURTHER, *purposes)))
+    wanted = (*of_equipment(), *STATION, *SENSORS, *further, *NOISE)
     found = {each.effect_class.name: each.missing for each in observability(campaign)}
     names = [name for name in wanted if not found[name]]
     specs = [spec for name in names for spec in _entries(name, campaign, by_hand)]
     model = bind(ModelSpec(campaign.name, tuple(specs)), campaign)
-    kept, shares = _kept(model, names)
-    own = {name: shares.get(name, (0.0, 0.0)) for name in names if name in (*SENSORS, *FURTHER)}
+    kept, shares = _kept(model, names, purposes)
+    own = {name: shares.get(name, (0.0, 0.0)) for name in names if name in (*SENSORS, *further)}
     return EffectProposal(
         effects=tuple(ProposedEffect(spec, own.get(spec.name)) for spec in specs if spec.name in kept),
         undetermined={name: largest for name, (_, largest) in own.items() if name not in kept},
-        missing={name: found[name] for name in (*SENSORS, *FURTHER) if set(found[name]) - {"gyro", "accelerometer"}},
+        missing={name: found[name] for name in (*SENSORS, *further) if set(found[name]) - {"gyro", "accelerometer"}},
         turned_by_hand=by_hand,
     )
+
+
+def purposes_of(campaign: Campaign) -> tuple[str, ...]:
+    """Return the effects whose coefficients the procedures of the runs are made to determine."""
+    return tuple(dict.fromkeys(name for run in campaign.runs for name in PROCEDURES[run.procedure].purposes))
 
 
 def _turned_by_hand(campaign: Campaign) -> bool:
@@ -147,7 +156,9 @@ def _precision(model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return jacobian.T @ jacobian + np.diag(widths**-2), widths, owner
 
 
-def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple[float, float]]]:
+def _kept(
+    model: Model, names: Sequence[str], purposes: Sequence[str]
+) -> tuple[set[str], dict[str, tuple[float, float]]]:
     """Return the effects of the model, and the least and largest share of the coefficients of each, beside them."""
     precision, widths, owner = _precision(model)
     held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
@@ -159,7 +170,8 @@ def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple
         told = 1 - variance / widths[inside] ** 2
         now = _shares(told, owner[inside], ~held[inside])
         shares |= now
-        below = _below(now, FURTHER, 0, _DETERMINED) or {
+        apart = [name for name in FURTHER if name not in purposes]
+        below = _below(now, apart, 0, _DETERMINED) | _below(now, purposes, 1, _DETERMINED) or {
             name: share
             for name, share in _below(now, SENSORS, 1, _TOLD).items()
             if _widening(precision, owner, inside, variance, name) < _INDEPENDENT
@@ -167,7 +179,7 @@ def _kept(model: Model, names: Sequence[str]) -> tuple[set[str], dict[str, tuple
         if below:
             kept.remove(min(below, key=below.__getitem__))
             continue
-        widened = {name: _widening(precision, owner, inside, variance, name) for name in kept & set(FURTHER)}
+        widened = {name: _widening(precision, owner, inside, variance, name) for name in kept & set(apart)}
         if max(widened.values(), default=0.0) <= _WIDENED:
             return kept, shares
         kept.remove(max(widened, key=widened.__getitem__))
@@ -188,8 +200,8 @@ def _widening(precision: np.ndarray, owner: np.ndarray, inside: np.ndarray, vari
 
 
 def _shares(told: np.ndarray, owner: np.ndarray, free: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Return the least and largest share, (n,), of the coefficients of each effect of sensors and further ones."""
-    own = {name: told[(owner == name) & free] for name in (*SENSORS, *FURTHER)}
+    """Return the least and largest share, (n,), of the coefficients of each effect."""
+    own = {name: told[(owner == name) & free] for name in dict.fromkeys(owner.tolist())}
     return {name: (float(values.min()), float(values.max())) for name, values in own.items() if len(values)}
 
 

@@ -208,6 +208,7 @@ class Procedure:
     nominal_input : run, channel, site, table and mounting → nominal input of the channel, rad/s or m/s², shape (R,),
         for checks of the rows; None if unknown.
     evaluate : campaign and runs → textbook estimates.  Procedures that share the function are evaluated together.
+    purposes : effects whose coefficients the procedure is made to determine.
     combinations : campaign and runs → the combinations of parameters that the procedure is known to determine.
     """
 
@@ -228,6 +229,7 @@ class Procedure:
     kinematics: Callable[[Run, Campaign], Stimulus] = table_stimulus
     nominal_input: Callable[[Run, Channel, Site, Table | None, Mounting | None], np.ndarray | None] = table_input
     evaluate: Callable[[Campaign, Sequence[Run]], list[TextbookResult]] | None = None
+    purposes: tuple[str, ...] = ()
     combinations: Callable[[Campaign, Sequence[Run]], list[StandardCombination]] | None = None
 
     def stimulus(self, run: Run, campaign: Campaign) -> Stimulus:

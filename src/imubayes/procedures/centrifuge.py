@@ -131,5 +131,15 @@ CENTRIFUGE = Procedure(
     nominal_input=_input,
     plan=PlanRules(("rates_deg_s",), ("angles_deg", "counter_rotation"), 60.0, _planned_rows),
     evaluate=centrifuge_test,
+    purposes=(
+        "accel_quadratic",
+        "accel_cubic",
+        "accel_odd_quadratic",
+        "accel_cross_coupling",
+        "accel_cross_axis_quadratic",
+        "lever_arm",
+        "gyro_g_sensitivity",
+        "gyro_g2_sensitivity",
+    ),
     combinations=combinations,
 )

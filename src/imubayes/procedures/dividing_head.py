@@ -183,5 +183,6 @@ DIVIDING_HEAD = Procedure(
     abscissae=("table_angle", "time"),
     plan=PlanRules(("positions", "angles_deg"), ("converter_temperature_degC",), 10.0, position_rows),
     evaluate=tumble_test,
+    purposes=("accel_quadratic", "accel_cubic", "accel_odd_quadratic", "accel_cross_coupling"),
     combinations=combinations,
 )

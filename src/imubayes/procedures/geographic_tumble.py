@@ -108,5 +108,6 @@ GEOGRAPHIC_TUMBLE = Procedure(
     kinematics=_stimulus,
     plan=PlanRules(("directions",), (), 60.0, _planned_rows),
     evaluate=geographic_test,
+    purposes=("gyro_g_sensitivity", "gyro_g2_sensitivity"),
     combinations=combinations,
 )

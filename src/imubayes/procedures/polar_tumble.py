@@ -329,5 +329,6 @@ POLAR_TUMBLE = Procedure(
     abscissae=("table_angle", "time"),
     plan=PlanRules(("positions", "angles_deg"), ("converter_temperature_degC",), 10.0, position_rows),
     evaluate=polar_tumble_test,
+    purposes=("gyro_g_sensitivity", "gyro_g2_sensitivity"),
     combinations=combinations,
 )
