@@ -118,3 +118,28 @@ def test_scale_factors_cover_the_truth_with_the_angle_that_a_hand_reaches(tmp_pa
     spread = float(np.sqrt(np.mean(np.square(pulls))))
     print(f"pull of 48 scale factors: {spread:.2f} (0.80 to 1.20 in 95 % of studies)")
     assert 0.7 < spread < 1.3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_gyros_in_counts_have_their_scale_by_the_stated_turns(tmp_path: Path, seed: int) -> None:
+    """Each axis of its own sensitivity; some turns are of two rounds, and the last axis is not turned at all."""
+    random, hz, counts = np.random.default_rng(seed), 50, np.array([16.4, 16.1, 16.3])
+    parts = [np.zeros((6 * hz, 3))]
+    for axis in (0, 1):
+        for rounds in (1, -1, 2, -1, 1, -2):
+            shape = 1 - np.cos(2 * np.pi * (np.arange(4 * hz) + 0.5) / (4 * hz))
+            turn = np.zeros((4 * hz, 3))
+            turn[:, axis] = shape * (360 * rounds + random.normal()) / 4
+            parts += [turn, np.zeros((3 * hz, 3))]
+    rate = np.concatenate(parts)
+    recorded = np.round(counts * (rate + np.array([0.6, -0.4, 0.3]) + random.normal(0, 0.05, rate.shape)))
+    rows = np.c_[np.arange(len(rate)) * 1000 // hz, recorded]
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="ms,gx,gy,gz", comments="", fmt="%d")
+    read = read_recordings([tmp_path / "log.csv"], gyro_unit="count", turn_deg=360, latitude_deg=48)
+    scale = np.array([channel["scale"] for channel in read.campaign.document["channel"]]) / np.degrees(1)
+    offset = np.array([channel["offset"] for channel in read.campaign.document["channel"]])
+    np.testing.assert_allclose(scale[:2], counts[:2], rtol=5e-3)
+    np.testing.assert_allclose(scale[2], scale[:2].mean(), rtol=1e-3)
+    np.testing.assert_allclose(offset, counts * [0.6, -0.4, 0.3], atol=0.5)
+    given = read_recordings([tmp_path / "log.csv"], gyro_unit="count", turn_deg=360, latitude_deg=48, gyro_scale=[930])
+    assert [channel["scale"] for channel in given.campaign.document["channel"]] == [930.0] * 3

@@ -15,6 +15,7 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.convert.column_names import ACCELEROMETERS, GYROS, SIX, TIME
 from imubayes.campaign.convert.options import ConvertOptions
+from imubayes.campaign.convert.stated_turns import counts_of_turns
 from imubayes.campaign.reduction.static_poses import (
     Rest,
     angle_between,
@@ -210,6 +211,14 @@ def nominal_of_counts(
     """
     accel = _given(options.accel_unit, options.accel_scale, options.accel_offset)
     gyro = _given(options.gyro_unit, options.gyro_scale, options.gyro_offset)
+    names = [name for name in GYROS if name in columns]
+    if gyro is None and options.turn_deg is not None and names and TIME in columns:
+        scale, offset = counts_of_turns(columns, names, np.radians(options.turn_deg), source)
+        places = [GYROS.index(name) for name in names]
+        found = Nominal(np.full(3, scale.mean()), np.zeros(3))
+        found.scale[places], found.offset[places] = scale, offset
+        gyro = _combine(found, options.gyro_scale, options.gyro_offset)
+        notes.append(_note("gyros", f"turns through {options.turn_deg:g} deg", gyro, "rad/s"))
     if accel is None or gyro is None:
         accel, gyro = _estimated(columns, options, gravity, accel, gyro, notes, source)
     pairs = {}
@@ -244,8 +253,10 @@ def _estimated(
         raise input_error(
             f"the scale of counts cannot be estimated without {absent}",
             source,
-            "three accelerometers, and three gyros where these are in counts; or scale and offset of the datasheet",
-            "state the columns, or give --accel-scale, --accel-offset, --gyro-scale and --gyro-offset",
+            "three accelerometers, and three gyros where these are in counts; scale and offset of the datasheet; for "
+            "gyros, turns through a known angle",
+            "state the columns, the angle of the turns (--turn-deg 360), or --accel-scale, --accel-offset, --gyro-scale "
+            "and --gyro-offset",
         )
     time = columns.get(TIME)
     poses = None if time is None else find_poses(force, float(np.median(np.diff(time))), options.initial_rest_s)

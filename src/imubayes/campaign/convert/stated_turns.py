@@ -25,6 +25,7 @@ _BLOCK, _REST = 0.1, 0.5  # s: blocks that rest or move, and the shortest rest b
 _STILL = np.radians(1.0)  # rad/s about the rest
 _OFF_AXIS, _OFF_ANGLE = 0.2, 0.15  # of the turn about other axes, and of the stated angle
 _ROUNDS = 5
+_BY_HAND = 3.0  # rad/s, roughly the fastest of a turn by hand
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,61 @@ def find_stated_turns(
     for first, last, *_ in turns:
         inside[first:last] = True
     return StatedTurns(_rows(columns, edges, turns, angle, interval), inside, tuple(notes))
+
+
+def counts_of_turns(
+    columns: Mapping[str, np.ndarray], names: Sequence[str], angle: float, where: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return counts per rad/s and counts at rest of gyros, (G,) each, from turns through multiples of an angle.
+
+    An axis without turns of its own has the scale of the others, as the axes of one sensor nearly do.
+
+    Parameters
+    ----------
+    columns : target → shape (N,), with `time_s`, s, and the gyros in counts; the recording begins at rest.
+    names : of the gyros.
+    angle : rad.
+
+    Raises
+    ------
+    InputError
+        where the unit never turns about one axis alone.
+    """
+    counts = np.stack([columns[name] for name in names], axis=1)
+    interval = float(np.median(np.diff(columns[TIME])))
+    rough = float(np.quantile(np.abs(counts - np.median(counts, axis=0)), 0.999)) / _BY_HAND or 1.0
+    moving, rest = _moving(counts / rough, max(1, round(_BLOCK / interval)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], _inside(moving), [False]]).astype(int))).reshape(-1, 2)
+    turned = np.array([np.sum(counts[first:last] - rest * rough, axis=0) * interval for first, last in edges])
+    turned = np.abs(turned).reshape(-1, len(names))
+    alone = turned[np.sum(turned > _OFF_AXIS * turned.max(axis=1, keepdims=True), axis=1) == 1]
+    if not len(alone):
+        allowed = "turns about an input axis through a multiple of --turn-deg, at rest before and after"
+        raise input_error("no turn about one axis was found", where, allowed, "state --gyro-scale and --gyro-offset")
+    single = _common_part(alone.max(axis=1))
+    axis, multiple = alone.argmax(axis=1), alone.max(axis=1) / single
+    whole = np.abs(multiple - np.round(multiple)) < _OFF_ANGLE
+    per_turn = np.full(len(names), np.nan)
+    for place in np.unique(axis[whole]).tolist():
+        own = whole & (axis == place)
+        per_turn[place] = np.median(alone[own].max(axis=1) / np.round(multiple[own]))
+    return np.where(np.isnan(per_turn), np.nanmean(per_turn), per_turn) / angle, rest * rough
+
+
+def _inside(moving: np.ndarray) -> np.ndarray:
+    """Return which samples move, (N,), without a motion that the recording begins or ends with."""
+    inside = moving.copy()
+    still = np.flatnonzero(~moving)
+    if len(still):
+        inside[: still[0]] = inside[still[-1] :] = False
+    return inside
+
+
+def _common_part(sizes: np.ndarray) -> float:
+    """Return the largest size of which most of some sizes, (n,), are whole multiples."""
+    ratio = sizes[:, None] / sizes
+    fits = np.sum((np.abs(ratio - np.round(ratio)) < _OFF_ANGLE) & (np.round(ratio) > 0), axis=0)
+    return float(sizes[fits == fits.max()].max())
 
 
 def _moving(rate: np.ndarray, block: int) -> tuple[np.ndarray, np.ndarray]:
