@@ -211,14 +211,7 @@ def nominal_of_counts(
     """
     accel = _given(options.accel_unit, options.accel_scale, options.accel_offset)
     gyro = _given(options.gyro_unit, options.gyro_scale, options.gyro_offset)
-    names = [name for name in GYROS if name in columns]
-    if gyro is None and options.turn_deg is not None and names and TIME in columns:
-        scale, offset = counts_of_turns(columns, names, np.radians(options.turn_deg), source)
-        places = [GYROS.index(name) for name in names]
-        found = Nominal(np.full(3, scale.mean()), np.zeros(3))
-        found.scale[places], found.offset[places] = scale, offset
-        gyro = _combine(found, options.gyro_scale, options.gyro_offset)
-        notes.append(_note("gyros", f"turns through {options.turn_deg:g} deg", gyro, "rad/s"))
+    gyro = _by_turns(columns, options, notes, source) if gyro is None else gyro
     if accel is None or gyro is None:
         accel, gyro = _estimated(columns, options, gravity, accel, gyro, notes, source)
     pairs = {}
@@ -227,6 +220,22 @@ def nominal_of_counts(
     if options.gyro_unit == "count":
         pairs |= {name: (gyro.scale[i], gyro.offset[i]) for i, name in enumerate(GYROS)}
     return {name: (float(scale), float(offset)) for name, (scale, offset) in pairs.items() if name in columns}
+
+
+def _by_turns(
+    columns: Mapping[str, np.ndarray], options: ConvertOptions, notes: list[str], source: str
+) -> Nominal | None:
+    """Return the nominal calibration of gyros by turns through a stated angle; None where none is stated."""
+    names = [name for name in GYROS if name in columns]
+    if options.turn_deg is None or not names or TIME not in columns:
+        return None
+    scale, offset = counts_of_turns(columns, names, np.radians(options.turn_deg), source)
+    places = [GYROS.index(name) for name in names]
+    found = Nominal(np.full(3, scale.mean()), np.zeros(3))
+    found.scale[places], found.offset[places] = scale, offset
+    gyro = _combine(found, options.gyro_scale, options.gyro_offset)
+    notes.append(_note("gyros", f"turns through {options.turn_deg:g} deg", gyro, "rad/s"))
+    return gyro
 
 
 def _given(unit: str, scale: Sequence[float] | None, offset: Sequence[float] | None) -> Nominal | None:
@@ -255,8 +264,8 @@ def _estimated(
             source,
             "three accelerometers, and three gyros where these are in counts; scale and offset of the datasheet; for "
             "gyros, turns through a known angle",
-            "state the columns, the angle of the turns (--turn-deg 360), or --accel-scale, --accel-offset, --gyro-scale "
-            "and --gyro-offset",
+            "state the columns, the angle of the turns (--turn-deg 360), or --accel-scale, --accel-offset, --gyro-scale"
+            " and --gyro-offset",
         )
     time = columns.get(TIME)
     poses = None if time is None else find_poses(force, float(np.median(np.diff(time))), options.initial_rest_s)
