@@ -72,6 +72,13 @@ def test_a_campaign_that_is_written_is_that_of_its_folder(campaign, tmp_path):
     assert written.digest == read.digest
 
 
+def test_a_campaign_with_an_error_is_not_written(tmp_path):
+    for content in ({"name": "bench"}, changed(channel={"scal": 1.0})):
+        with pytest.raises(imubayes.InputError, match="content"):
+            imubayes.build_campaign(content, {}, tmp_path / "bench")
+        assert not (tmp_path / "bench").exists()
+
+
 def test_a_missing_value_is_missing_and_an_infinite_one_is_an_error(campaign):
     some = columns()
     some["ax"][3] = np.nan

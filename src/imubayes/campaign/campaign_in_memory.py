@@ -70,16 +70,14 @@ def build_campaign(content: Any, runs: Any, folder: str | Path | None = None) ->
         if (name := str(run.get("name", ""))) in runs:
             tables[name] = TableInMemory(f"columns of run '{name}'", _table(name, runs[name]))
     _refuse_unused(runs, [str(run.get("name", "")) for run in _named_runs(document)])
-    if folder is not None:
-        place = Path(folder)
-        write_campaign(place, document, {run["file"]: _columns(tables[run["name"]]) for run in document["run"]
-                                         if run["name"] in tables})  # fmt: skip
-        return load_campaign(place)
-    ledger = Ledger(Path("content"))
-    inspection = inspect_document(validated(document, CampaignFile, ledger), _Tables(tables))
+    inspection = inspect_document(validated(document, CampaignFile, Ledger(Path("content"))), _Tables(tables))
     if inspection.campaign is None:
         raise InputError(inspection.issues)
-    return inspection.campaign
+    if folder is None:
+        return inspection.campaign
+    files = {run["file"]: _columns(tables[run["name"]]) for run in document["run"]}
+    write_campaign(Path(folder), document, files, check=False)
+    return load_campaign(folder)
 
 
 def _document(content: Any) -> dict[str, Any]:

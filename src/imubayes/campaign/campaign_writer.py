@@ -11,11 +11,9 @@ import pyarrow.csv as pacsv
 import tomlkit
 
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
+from imubayes.campaign.run_tables import BATCH_ROWS
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.files import new_folder, refuse_occupied
-
-BLOCK_ROWS = 65_536
-"""Rows that are written at once."""
 
 
 def write_campaign(
@@ -60,8 +58,8 @@ def _write_csv(file: Path, columns: Mapping[str, np.ndarray]) -> None:
     rows = len(next(iter(columns.values())))
     with file.open("wb") as stream:
         stream.write((",".join(columns) + "\n").encode())
-        for first in range(0, rows, BLOCK_ROWS):
-            part = {name: np.ascontiguousarray(values[first : first + BLOCK_ROWS]) for name, values in columns.items()}
+        for first in range(0, rows, BATCH_ROWS):
+            part = {name: np.ascontiguousarray(values[first : first + BATCH_ROWS]) for name, values in columns.items()}
             # A value that is not there is an empty cell.
             arrays = {name: pa.array(values, from_pandas=True) for name, values in part.items()}
             pacsv.write_csv(pa.table(arrays), stream, pacsv.WriteOptions(include_header=False))

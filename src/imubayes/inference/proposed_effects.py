@@ -162,7 +162,7 @@ def _kept(
     """Return the effects of the model, and the least and largest share of the coefficients of each, beside them."""
     precision, widths, owner = _precision(model)
     held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
-    kept, shares = set(names), {}
+    kept, shares, apart = set(names), {}, [name for name in FURTHER if name not in purposes]
     while True:
         # What the model adds by itself, such as the attitudes of a unit turned by hand, stays.
         inside = np.flatnonzero(~np.isin(owner, list(set(names) - kept)))
@@ -170,7 +170,6 @@ def _kept(
         told = 1 - variance / widths[inside] ** 2
         now = _shares(told, owner[inside], ~held[inside])
         shares |= now
-        apart = [name for name in FURTHER if name not in purposes]
         below = _below(now, apart, 0, _DETERMINED) | _below(now, purposes, 1, _DETERMINED) or {
             name: share
             for name, share in _below(now, SENSORS, 1, _TOLD).items()

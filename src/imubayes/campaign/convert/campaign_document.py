@@ -228,9 +228,10 @@ def _turns_about_the_vertical(run: RecordedRun, turning: float, where: str) -> I
     """Return the error of a unit that turns while gravity stays: a table, whose rate is not read."""
     what = f"the gyros turn by up to {math.degrees(turning):.4g} deg/s while gravity stays in one direction"
     allowed = f"the rate of the table, --column {TABLE_RATE}=NAME; or turns from rest to rest, --turn-deg 360"
-    if not run.followers:
+    followers = run.followers()
+    if not followers:
         return input_error(what, where, allowed, "state the column of the rate, or the angle of the turns")
-    first = run.followers[0]
+    first = followers[0]
     followed = f"column '{first.column}' is not read, and {first.channel} follows it by a factor of {first.slope:.4g}"
     return input_error(
         f"{what}; {followed}", where, allowed,

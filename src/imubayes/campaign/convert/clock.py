@@ -95,16 +95,15 @@ def _refuse_impossible(clock: Clock, where: str) -> None:
     """Raise InputError for a sampling rate that no inertial unit has, with the unit of time that gives a usual one."""
     step = _mean_step(clock.time)
     rate = 1 / step if step > 0 else 0.0
-    other = [] if clock.unit not in _RATES or not rate else _usual_units(step / _RATES[clock.unit])
+    rates, other = _rates_of(step / _RATES[clock.unit] if clock.unit in _RATES else 0.0)
     fast, slow = rate > MOST_HZ, 0 < rate < _LEAST_HZ
     if not (fast or (slow and other)):
         return
-    rates = [f"{1 / (step / _RATES[clock.unit] * _RATES[unit]):.4g} Hz in {unit}" for unit in other]
     stated = f"in {clock.unit}, as stated" if clock.unit else "as stated"
     raise input_error(
         f"the sampling rate is {rate:.4g} Hz {stated}",
         where,
-        ", ".join(rates) or f"at most {MOST_HZ:g} Hz",
+        ", ".join(f"{rates[unit]:.4g} Hz in {unit}" for unit in other) or f"at most {MOST_HZ:g} Hz",
         f"state the unit of the time, such as --time-unit {other[0]}" if other else "correct the time or the rate",
     )
 
@@ -206,16 +205,15 @@ def _mean_step(time: np.ndarray) -> float:
     return float(np.mean(step[step <= 50 * np.quantile(step, 0.95)])) if len(step) else 0.0
 
 
-def _usual_units(step: float) -> list[str]:
-    """Return the units of time in which a mean step gives a usual sampling rate."""
+def _rates_of(step: float) -> tuple[dict[str, float], list[str]]:
+    """Return the sampling rate that a mean step gives in each unit of time, Hz, and the units of usual rates."""
     rates = {unit: 1 / (step * factor) for unit, factor in _RATES.items()} if step else {}
-    return [unit for unit, rate in rates.items() if USUAL_HZ[0] <= rate <= USUAL_HZ[1]]
+    return rates, [unit for unit, rate in rates.items() if USUAL_HZ[0] <= rate <= USUAL_HZ[1]]
 
 
 def _unit_of_step(step: float, whole: bool, where: str) -> tuple[str, str]:
     """Return the only unit in which a mean step gives a usual sampling rate, and that in words."""
-    rates = {unit: 1 / (step * factor) for unit, factor in _RATES.items()} if step else {}
-    usual = _usual_units(step)
+    rates, usual = _rates_of(step)
     if len(usual) > 1 and whole and step < _WHOLE_SECOND:  # seconds would have a fraction
         usual = [unit for unit in usual if unit != "s"]
     if len(usual) == 1:

@@ -1,7 +1,8 @@
 """From the chosen tables to the runs of a campaign: clocks merged, parts joined, pose means told from logs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -54,7 +55,7 @@ class RecordedRun:
     guesses : option → why its value was taken.
     time_unit : in which times were recorded; empty where they were made from a rate or words.
     means : whether each row is the mean of a pose.
-    followers : columns that are not read and follow a gyro.
+    followers : gives the columns that are not read and follow a gyro; they are read for that.
     """
 
     columns: Columns
@@ -63,7 +64,7 @@ class RecordedRun:
     guesses: dict[str, str]
     time_unit: str = ""
     means: bool = False
-    followers: tuple["Follower", ...] = ()
+    followers: Callable[[], tuple["Follower", ...]] = tuple
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ def _part(table: ChosenTable, options: ConvertOptions, values: Columns) -> Recor
     guesses = {"columns": table.evidence} if table.evidence else {}
     kept, beside = _beside(others, filled if clock is None else clock.keep, units)
     left = (*table.left, *table.recording.notes(), *signed, *mixed, *void, *beside)
-    followers = _followers(table, values)
+    followers = partial(_followers, table, values)
     if clock is None:
         return RecordedRun(kept, units, (note, *left), guesses, followers=followers)
     return RecordedRun(

@@ -62,7 +62,7 @@ def find_stated_turns(
     """
     time, interval = columns[TIME], float(np.median(np.diff(columns[TIME])))
     moving, rest = _moving(rate, max(1, round(_BLOCK / interval)))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(int))).reshape(-1, 2)
+    edges = _stretches(moving)
     turns: list[tuple[int, int, int, int]] = []
     notes, seen = [], []
     for first, last in edges:
@@ -111,7 +111,7 @@ def counts_of_turns(
     interval = float(np.median(np.diff(columns[TIME])))
     rough = float(np.quantile(np.abs(counts - np.median(counts, axis=0)), 0.999)) / _BY_HAND or 1.0
     moving, rest = _moving(counts / rough, max(1, round(_BLOCK / interval)))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], _inside(moving), [False]]).astype(int))).reshape(-1, 2)
+    edges = _stretches(_inside(moving))
     turned = np.array([np.sum(counts[first:last] - rest * rough, axis=0) * interval for first, last in edges])
     turned = np.abs(turned).reshape(-1, len(names))
     alone = turned[np.sum(turned > _OFF_AXIS * turned.max(axis=1, keepdims=True), axis=1) == 1]
@@ -126,6 +126,11 @@ def counts_of_turns(
         own = whole & (axis == place)
         per_turn[place] = np.median(alone[own].max(axis=1) / np.round(multiple[own]))
     return np.where(np.isnan(per_turn), np.nanmean(per_turn), per_turn) / angle, rest * rough
+
+
+def _stretches(moving: np.ndarray) -> np.ndarray:
+    """Return the first sample of each motion and the first behind it, (motions, 2)."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(int))).reshape(-1, 2)
 
 
 def _inside(moving: np.ndarray) -> np.ndarray:
