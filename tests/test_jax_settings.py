@@ -29,6 +29,13 @@ def test_double_precision_is_switched_on():
     assert said("").split() == ["float64"]
 
 
+def test_a_campaign_begun_in_a_fresh_process_is_in_double_precision(tmp_path):
+    """Nothing is traced before double precision is switched on, whichever public function comes first."""
+    (tmp_path / "poses.csv").write_text("ax,ay,az\n" + "9.8,0,0\n0,9.8,0\n0,0,9.8\n-9.8,0,0\n0,-9.8,0\n0,0,-9.8\n")
+    script = f"import imubayes; imubayes.new({str(tmp_path / 'unit')!r}, {str(tmp_path / 'poses.csv')!r}, rows='means')"
+    subprocess.run([sys.executable, "-W", "error::UserWarning:jax", "-c", script], check=True)
+
+
 def test_single_precision_in_use_is_an_error_with_its_remedy():
     answer = said("jnp.zeros(1) + 1")
     assert "JAX has been started in single precision" in answer

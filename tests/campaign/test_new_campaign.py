@@ -186,6 +186,18 @@ def test_errors_of_a_unit_tell_its_grade_where_no_noise_does(tmp_path: Path, err
     assert any("grade = consumer" in note for note in made.notes) == (grade is not None)
 
 
+def test_one_axis_with_a_large_bias_tells_the_grade_of_all(tmp_path: Path):
+    """As in published poses of a consumer unit: 80 mg in z, next to nothing in x and y."""
+    rng = np.random.default_rng(3)
+    down = np.vstack([np.eye(3), -np.eye(3), rng.normal(size=(12, 3))])
+    down /= np.linalg.norm(down, axis=1)[:, None]
+    force = 9.81 * (down * [1.002, 0.999, 1.006] + [0.002, -0.003, 0.08]) + rng.normal(0, 0.004, down.shape)
+    np.savetxt(tmp_path / "poses.csv", force, header="ax,ay,az", delimiter=",", comments="")
+    made = imubayes.new(tmp_path / "unit", [tmp_path / "poses.csv"], rows="means", samples=100, gravity_m_s2=9.81)
+    assert imubayes.load_campaign(made.folder).grade == "consumer"
+    assert any("accel_bias.bias[az] is 4 sd from the default prior of a tactical unit" in note for note in made.notes)
+
+
 @pytest.mark.parametrize(("errors", "grade"), [(MEMS, "consumer"), (TACTICAL, None)])
 def test_errors_of_a_unit_tell_its_grade_where_a_filter_hides_its_noise(tmp_path: Path, errors, grade):
     made = random_attitudes(11, 14)

@@ -14,12 +14,11 @@ from imubayes.campaign.convert.options import read_options
 from imubayes.campaign.file_schemas import ChannelEntry
 from imubayes.display.model_writer import OPEN, commented_campaign, commented_model, start_proposal, template
 from imubayes.display.progress import progress_of
-from imubayes.foundations.campaign_data import Grade
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import new_folder, refuse_existing, refuse_occupied, write_text
 from imubayes.foundations.records import several
 from imubayes.inference.proposed_effects import EffectProposal, propose_effects
-from imubayes.model.shown_grade import shown_grade
+from imubayes.inference.shown_grade import ShownGrade, shown_grade
 from imubayes.procedures import PROCEDURES, procedure_named
 
 MODEL_FILE = "model.toml"
@@ -98,19 +97,22 @@ def new(
         refuse_existing(model)
         tell("reading the campaign")
         campaign = load_campaign(folder)
-        grade, said = shown_grade(campaign), ()
-        if grade is not None:
-            campaign, said = replace(campaign, grade=grade[0]), _graded(folder, *grade, written=bool(recordings))
         tell("what the runs determine")
-        proposal = propose_effects(campaign)
+        proposal, said = propose_effects(campaign), ()
+        tell("which grade the errors show")
+        shown = shown_grade(campaign, proposal)
+        if shown is not None:
+            campaign, said = replace(campaign, grade=shown.grade), _graded(folder, shown, written=bool(recordings))
+            proposal = propose_effects(campaign)
         write_text(model, commented_model(campaign.name, proposal, len(campaign.runs)))
     notes = (*campaign.notes, *said, *(f"{run.name}: {note}" for run in campaign.runs for note in run.notes))
     return NewCampaign(folder, model, proposal, notes)
 
 
-def _graded(folder: Path, grade: Grade, told: Grade, written: bool) -> tuple[str, ...]:
+def _graded(folder: Path, shown: ShownGrade, written: bool) -> tuple[str, ...]:
     """State the grade in a campaign that was written, and return the note on it; of a campaign at hand, advice."""
-    why = f"|f| of the poses differs from g by more than the default priors of a {told} unit have room for"
+    grade = shown.grade
+    why = f"{shown.parameter} is {shown.distance:.2g} sd from the default prior of a {shown.by_noise} unit"
     if not written:
         return (f'{why}: state grade = "{grade}" in [unit] of {CAMPAIGN_FILE}',)
     file = folder / CAMPAIGN_FILE

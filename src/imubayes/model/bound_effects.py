@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from imubayes.compiled.jax_settings import prepare_jax
 from imubayes.effects.base import AmbientEffect, MotionEffect
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.covariates import COVARIATES, ambient_names, remedy
@@ -424,6 +425,7 @@ class Observability:
 
 def observability(campaign: Campaign, registry: Registry | None = None) -> tuple[Observability, ...]:
     """Return for every effect and noise member what the campaign has for it; nothing is fitted."""
+    prepare_jax()
     registry = registry or Registry()
     grouping = Grouping(campaign, join_nodes(campaign), join_entries(campaign))
     return tuple(_of_class(known, grouping, registry) for known in registry.effects.values())

@@ -1,0 +1,107 @@
+"""The grade that the errors of a unit show: biases, scale factors and misalignments of all its channels.
+
+The grade chooses the default priors.  The noise of raw samples determines it as a rule.  If an output filter hides that
+noise, or if means state none, the default priors of too fine a grade would confine the errors of a consumer unit.
+
+Under the priors of a grade the posterior mean m of a parameter, with posterior variance c and prior variance w, has the
+prior predictive variance w − c.  A grade is contradicted if the distance |m|/√(w − c) of one parameter is improbable,
+or if the sum of squares over the channels of an effect is.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from imubayes.campaign.equipment import LEAST_NOISE, grade_of
+from imubayes.foundations.campaign_data import GRADES, Campaign, Grade
+from imubayes.inference.laplace_marginal import climb, inverse_of_precision, whitened_about
+from imubayes.inference.parameter_fit import linearise
+from imubayes.inference.proposed_effects import SENSORS, EffectProposal
+from imubayes.model.bind import Model, bind
+from imubayes.model.model_file import ModelSpec
+
+_IMPROBABLE = 1e-3
+"""Probability, over all parameters or effects, of a distance at which a grade counts as contradicted (convention)."""
+_TOLD = 0.1
+"""Least share of the information from the data for a parameter to be counted."""
+
+
+@dataclass(frozen=True)
+class ShownGrade:
+    """A grade that the errors of a unit show.
+
+    Attributes
+    ----------
+    grade : the finest whose default priors the errors do not contradict.
+    by_noise : the finest grade that the noise of the channels shows.
+    parameter : farthest from its default prior under `by_noise`.
+    distance : of it, in standard deviations.
+    """
+
+    grade: Grade
+    by_noise: Grade
+    parameter: str
+    distance: float
+
+
+@dataclass(frozen=True)
+class _Distances:
+    """Parameters of sensors that the data determine, and their distances from the middle of their priors."""
+
+    names: tuple[str, ...]
+    effects: np.ndarray
+    size: np.ndarray
+
+    @property
+    def contradict(self) -> bool:
+        single = 2 * stats.norm.sf(self.size) * len(self.size)
+        groups = [self.size[self.effects == name] for name in set(self.effects)]
+        joint = [stats.chi2.sf(group @ group, len(group)) * len(groups) for group in groups]
+        return bool(min((*single, *joint), default=1.0) < _IMPROBABLE)
+
+
+def shown_grade(campaign: Campaign, proposal: EffectProposal) -> ShownGrade | None:
+    """Return the finest grade that the errors of a unit allow; None if that by noise is, or if one is stated.
+
+    One axis with a large error widens the default priors of all axes.
+
+    Parameters
+    ----------
+    proposal : the effects of a model for the campaign, which is linear about nominal sensors.
+    """
+    if campaign.grade is not None:
+        return None
+    by_noise = max((grade_of(campaign, kind) for kind in LEAST_NOISE if campaign.of_kind(kind)), key=GRADES.index)
+    spec = ModelSpec(campaign.name, tuple(each.spec for each in proposal.effects))
+    coarsest, *others = GRADES[: GRADES.index(by_noise) + 1]
+    if not others:
+        return None
+    # Under the widest priors the noise scales do not make up for errors that the priors forbid.
+    wide = bind(spec, replace(campaign, grade=coarsest))
+    h, _ = climb(wide.problem, linearise(wide.problem, np.zeros(len(wide.layout))), np.zeros(len(wide.hyper_layout)))
+    plain = _distances(bind(spec, campaign), h)
+    if not plain.contradict:
+        return None
+    allowed = (each for each in reversed(others[:-1]) if not _distances(_graded(spec, campaign, each), h).contradict)
+    place = int(np.argmax(plain.size))
+    return ShownGrade(next(allowed, coarsest), by_noise, plain.names[place], float(plain.size[place]))
+
+
+def _graded(spec: ModelSpec, campaign: Campaign, grade: Grade) -> Model:
+    return bind(spec, replace(campaign, grade=grade))
+
+
+def _distances(model: Model, h: np.ndarray) -> _Distances:
+    about = linearise(model.problem, np.zeros(len(model.layout)))
+    residual, jacobian, widths = whitened_about(model.problem, about, h)
+    covariance = inverse_of_precision(jacobian.T @ jacobian + np.diag(widths**-2))
+    mean, left = covariance @ (jacobian.T @ residual), widths**2 - np.diag(covariance)
+    chosen = [
+        place
+        for place, each in enumerate(model.layout.parameters)
+        if each.effect in SENSORS and left[place] > _TOLD * widths[place] ** 2
+    ]
+    size = np.abs(mean[chosen]) / np.sqrt(left[chosen])
+    names = tuple(model.layout.names[place] for place in chosen)
+    return _Distances(names, np.array([model.layout.parameters[place].effect for place in chosen]), size)
