@@ -103,6 +103,34 @@ def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -
     )  # fmt: skip
 
 
+_SET_AT = ("time", "temperature", "converter_temperature")
+
+
+def with_step(posterior: ExplanationPosterior, campaign: Campaign) -> explanations.Evidence:
+    """Return the evidence, a step of the outputs in it with its size and place."""
+    evidence, best = posterior.evidence, posterior.with_form
+    chosen = best.hypothesis.form if best is not None else None
+    if best is None or chosen is None or evidence.form is None or not chosen.form.of_outputs:
+        return evidence
+    problem, own = posterior.of.problem, len(best.columns)
+    sd = np.sqrt(np.diag(posterior.of.solved(best).covariance))
+    sizes = []
+    for k in chosen.channels:
+        place, noise = own + chosen.span(k).start, float(np.median(1 / problem.root[problem.rows[k].entry]))
+        size = {"value": noise * float(best.mean[place]), "sd": noise * float(sd[place])}
+        sizes.append(explanations.PlacedValue(name=problem.rows[k].name, unit=campaign.channels[k].output_unit, **size))
+    assert chosen.form.run is not None
+    run = campaign.runs[chosen.form.run]
+    settings = []
+    for name in _SET_AT:
+        if name in run.covariates:
+            known, read = COVARIATES[name], campaign.as_read(run, name)
+            value = float(read[chosen.form.row or 0]) / known.factor(campaign.site.gravity)
+            settings.append(explanations.PlacedValue(name=known.phrase, value=value, unit=known.unit))
+    step = explanations.FoundStep(sizes=tuple(sizes), settings=tuple(settings))
+    return evidence.model_copy(update={"form": evidence.form.model_copy(update={"step": step})})
+
+
 _MISSING_NOISE: dict[Family, str] = {
     "tails": "outliers", "runs": "run_scatter", "correlated": "correlated_noise", "wander": "random_walk_noise",
     "rate": "rate_proportional_noise",
@@ -205,7 +233,7 @@ class ExplainedFit:
             verdict=self._verdict(),
             message=fit.message if not (fit.optimised and fit.sampled) else "",
             result=self.result,
-            explanations=posterior.evidence,
+            explanations=with_step(posterior, fit.model.campaign),
             groups=tuple(map(self._group, posterior.slots, shown)),
             delta_chi2=self._delta_chi2(posterior.slots),
             ranking=record.ranking(posterior),

@@ -105,6 +105,33 @@ class EffectSlot(Record):
         return self.candidates[0].channels
 
 
+class PlacedValue(Record):
+    """A value by name with its unit; its standard uncertainty if it has one.
+
+    Attributes
+    ----------
+    name : of a channel, or a phrase for a covariate.
+    """
+
+    name: str
+    value: float
+    sd: float | None = None
+    unit: str
+
+
+class FoundStep(Record):
+    """A step: its size, and the recorded covariates of the row at which it is.
+
+    Attributes
+    ----------
+    sizes : one of each channel, in output units, at the noise known beforehand.
+    settings : time and temperatures of the row, those that the run has.
+    """
+
+    sizes: tuple[PlacedValue, ...]
+    settings: tuple[PlacedValue, ...]
+
+
 class FoundForm(Record):
     """A form outside the catalogue, or a wrong input, of the likeliest explanation that has one.
 
@@ -116,6 +143,7 @@ class FoundForm(Record):
     run, row : of a step or a wrong input; the row counts from 1.
     log_odds : against the likeliest explanation without one.
     wrong : whether it is a wrong input.
+    step : of a step of the outputs: how large, and where.
     """
 
     name: str
@@ -125,6 +153,7 @@ class FoundForm(Record):
     row: int | None = None
     log_odds: float
     wrong: bool = False
+    step: FoundStep | None = None
 
 
 class FoundNoise(Record):

@@ -11,10 +11,10 @@ or if the sum of squares over the channels of an effect is.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 
 from imubayes.campaign.equipment import LEAST_NOISE, grade_of
 from imubayes.foundations.campaign_data import GRADES, Campaign, Grade
+from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.laplace_marginal import climb, inverse_of_precision, whitened_about
 from imubayes.inference.parameter_fit import linearise
 from imubayes.inference.proposed_effects import SENSORS, EffectProposal
@@ -55,9 +55,9 @@ class _Distances:
 
     @property
     def contradict(self) -> bool:
-        single = 2 * stats.norm.sf(self.size) * len(self.size)
+        single = 2 * normal_survival(self.size) * len(self.size)
         groups = [self.size[self.effects == name] for name in set(self.effects)]
-        joint = [stats.chi2.sf(group @ group, len(group)) * len(groups) for group in groups]
+        joint = [float(chi2_survival(group @ group, len(group))) * len(groups) for group in groups]
         return bool(min((*single, *joint), default=1.0) < _IMPROBABLE)
 
 

@@ -29,6 +29,7 @@ AMPLITUDES = tuple((WIDTH_RATIO ** np.arange(4)).tolist())
 would stand in the place of large effects, about which the campaign is not linearised yet."""
 HIGHEST_POWER, HARMONICS, PLACES = 5, 12, 10
 """Powers of a covariate; harmonics of an angle, and waves through a range; steps between places of what is local."""
+STEP_WITHIN, STEP_OF_BIAS = "step within the run", "step of the bias"
 _MOST_STEPS = 400
 """Places of steps that last, so that their number does not grow with that of runs.  Numerical."""
 _SMOOTH, _ROUGH = (0.25, 7), (0.06, 16)
@@ -87,6 +88,7 @@ class FormHypothesis:
     log_prior : logarithm of its prior probability, shared by its amplitudes.
     run, row : of a step or a wrong input; the row counts from 0, None for all.
     wrong, unit : the wrong input it is, and its size for a coefficient of 1.
+    log_share : logarithm of its share among others of its kind, one of which was chosen by the residuals.
     """
 
     family: FormFamily
@@ -99,6 +101,12 @@ class FormHypothesis:
     row: int | None = None
     wrong: WrongInput | None = None
     unit: float = 0.0
+    log_share: float = 0.0
+
+    @property
+    def of_outputs(self) -> bool:
+        """Whether it is a step of the outputs from a row on, its coefficients in units of their noise."""
+        return self.name in (STEP_WITHIN, STEP_OF_BIAS)
 
 
 @dataclass(frozen=True)
@@ -147,7 +155,7 @@ def with_prior(forms: Sequence[FormHypothesis], whole: float) -> tuple[FormHypot
     """Return forms with a prior probability in equal shares of families and members."""
     members = Counter(each.family for each in forms)
     share = {family: math.log(whole / len(members) / count) for family, count in members.items()}
-    return tuple(replace(each, log_prior=share[each.family]) for each in forms)
+    return tuple(replace(each, log_prior=share[each.family] + each.log_share) for each in forms)
 
 
 @dataclass(frozen=True)
@@ -179,7 +187,7 @@ def _of_kind(
     yield from _products(known, places)
     before = {k: place.columns(2, partial(_rows_before, place.rows)) for k, place in places.items()}
     yield FormHypothesis("memory", "memory of the input", (), before)
-    yield from _steps(places)
+    yield from _steps(places, problem)
 
 
 def _varies(values: np.ndarray) -> bool:
@@ -338,26 +346,63 @@ def _rows_before(rows: ChannelRows) -> np.ndarray:
     return found
 
 
-def _steps(places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
+def _steps(places: Mapping[int, _Place], problem: LinearProblem) -> Iterator[FormHypothesis]:
     """Yield steps in a run, and from a row of a run on, of bias and of scale."""
     lengths = [(int(each.run[start]), length) for each in places.values() for start, length in each.rows.series]
     rows_of = dict(sorted(lengths))
     at = {run: range(2, rows, max(1, rows // PLACES)) for run, rows in rows_of.items()}
     for n in range(max(map(len, at.values()))):
         row_of = {run: rows[n] for run, rows in at.items() if n < len(rows)}
-        within = {k: _steps_within(place, row_of) for k, place in places.items()}
-        for run, row in row_of.items():
-            here = {k: steps[run] for k, steps in within.items() if run in steps}
-            yield FormHypothesis("step", "step within the run", (), here, run=run, row=row)
+        yield from _steps_within_runs(places, row_of)
     every = [(run, row) for run, rows in at.items() for row in rows]
     for run, row in every[:: max(1, len(every) // _MOST_STEPS)]:
         yield from _lasting_steps(places, run, row)
+    for run, row in _likely_steps(places, problem, at):
+        # One of all rows of the run, and chosen by its residuals.
+        share = -math.log(rows_of[run] / len(at[run]))
+        found = (*_steps_within_runs(places, {run: row}), *_lasting_steps(places, run, row))
+        yield from (replace(form, log_share=share) for form in found)
+
+
+def _steps_within_runs(places: Mapping[int, _Place], row_of: Mapping[int, int]) -> Iterator[FormHypothesis]:
+    """Yield the step within each run from a row of it on."""
+    within = {k: _steps_within(place, row_of) for k, place in places.items()}
+    for run, row in row_of.items():
+        here = {k: steps[run] for k, steps in within.items() if run in steps}
+        yield FormHypothesis("step", STEP_WITHIN, (), here, run=run, row=row)
+
+
+def _likely_steps(
+    places: Mapping[int, _Place], problem: LinearProblem, at: Mapping[int, range]
+) -> list[tuple[int, int]]:
+    """Return for long runs the rows from which on a step would explain most of a channel, as (run, row)."""
+    found = [
+        (int(place.run[start]), row)
+        for place in places.values()
+        for start, length in place.rows.series
+        if at[int(place.run[start])].step > 1
+        and (row := _likeliest_row(place.rows, problem, start, length)) not in at[int(place.run[start])]
+    ]
+    return list(dict.fromkeys(found))
+
+
+def _likeliest_row(rows: ChannelRows, problem: LinearProblem, start: int, length: int) -> int:
+    """Return the row of a run from which on a step lowers χ² most, beside the model's own parameters."""
+    live = rows.live < problem.own
+    own, residual = rows.columns[:, :-1][:, live], rows.columns[:, -1]
+    information = own.T @ own + np.diag(problem.precision[rows.live[live]])
+    root, here = rows.root[start : start + length], slice(start, start + length)
+    along = np.cumsum((root * residual[here])[::-1])[::-1]
+    shared = np.cumsum((root[:, None] * own[here])[::-1], axis=0)[::-1]
+    size = np.cumsum((root**2)[::-1])[::-1] - np.sum(shared * np.linalg.solve(information, shared.T).T, axis=1)
+    gain = along**2 / np.maximum(size, NEGLIGIBLE * length)
+    return 2 + int(np.argmax(gain[2:-1])) if length > 4 else 2
 
 
 def _lasting_steps(places: Mapping[int, _Place], run: int, row: int) -> Iterator[FormHypothesis]:
     first = {k: _first_row(place, run, row) for k, place in places.items()}
     first = {k: start for k, start in first.items() if start < len(places[k].run)}
-    for name, gain in (("step of the bias", False), ("step of the scale factor", True)):
+    for name, gain in ((STEP_OF_BIAS, False), ("step of the scale factor", True)):
         shape = {k: places[k].columns(1, partial(_onward, places[k], start, gain)) for k, start in first.items()}
         yield FormHypothesis("step", name, (), shape, run=run, row=row)
 

@@ -216,11 +216,20 @@ class ExplanationPosterior:
             probability=slot.probability,
         )
 
-    def _form_record(self) -> record.FoundForm | None:
-        without = max(each.log_posterior for each in self.distinct if each.hypothesis.form is None)
+    @cached_property
+    def _without_form(self) -> float:
+        return max(each.log_posterior for each in self.distinct if each.hypothesis.form is None)
+
+    @cached_property
+    def with_form(self) -> Evaluated | None:
+        """The likeliest hypothesis with a form outside the catalogue or a wrong input; None if none is near."""
         formed = [each for each in self.distinct if each.hypothesis.form is not None]
         best = max(formed, key=lambda each: each.log_posterior, default=None)
-        if best is None or best.log_posterior < without - record.NEAR:
+        return None if best is None or best.log_posterior < self._without_form - record.NEAR else best
+
+    def _form_record(self) -> record.FoundForm | None:
+        best = self.with_form
+        if best is None:
             return None
         chosen, problem = best.hypothesis.form, self.of.problem
         assert chosen is not None
@@ -231,7 +240,7 @@ class ExplanationPosterior:
             covariates=form.covariates,
             run=problem.runs[form.run] if form.run is not None else "",
             row=form.row + 1 if form.row is not None else None,
-            log_odds=float(best.log_posterior - without),
+            log_odds=float(best.log_posterior - self._without_form),
             wrong=form.wrong is not None,
         )
 

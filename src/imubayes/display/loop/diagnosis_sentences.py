@@ -10,7 +10,15 @@ from collections.abc import Iterable, Iterator
 from imubayes.adequacy.adequacy_record import NoiseComparison
 from imubayes.criticism import diagnosis_record as diagnosis
 from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.explanation_records import NAMED, EffectSlot, Evidence, Explanation, FoundForm, FoundNoise
+from imubayes.criticism.explanation_records import (
+    NAMED,
+    EffectSlot,
+    Evidence,
+    Explanation,
+    FoundForm,
+    FoundNoise,
+    FoundStep,
+)
 from imubayes.display.fit_cautions import contradiction_text, noise_ratio
 from imubayes.display.numbers_and_labels import listed, percent, pretty, significant, value_and_sd
 
@@ -100,6 +108,19 @@ def form_text(form: FoundForm) -> str:
     where = f" in run {form.run}" if form.run else ""
     row = f", row {form.row}" if form.row is not None else ""
     return f"{form.name} on {listed(form.channels)}{where}{row}"
+
+
+def _step_sentence(step: FoundStep) -> str:
+    """Return the sizes of a step, the time and the temperature at which it is, and the remedy."""
+    sizes = [
+        f"{' ± '.join(value_and_sd(each.value, each.sd))} {pretty(each.unit)} on {each.name}" for each in step.sizes
+    ]
+    settings = [f"{each.name} {significant(each.value, 4)} {pretty(each.unit)}" for each in step.settings]
+    place = f", at {listed(settings)}" if settings else ""
+    return (
+        f" The step is {listed(sizes)}{place}. If the unit was disturbed there, state the rows before and after it as "
+        "two runs."
+    )
 
 
 def _assumptions(found: Evidence) -> str:
@@ -213,6 +234,8 @@ def _finding(found: diagnosis.Diagnosis) -> str:
         f"A cause outside the catalogue{adverb} acts{chance}: {form_text(evidence.form)}. No effect of the catalogue "
         "explains it."
     )
+    if evidence.form.step is not None:
+        said += _step_sentence(evidence.form.step)
     return said + _beside_form(found)
 
 
