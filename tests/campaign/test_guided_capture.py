@@ -101,6 +101,7 @@ def one_axis(tmp_path_factory) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_what_is_not_turned_stays_open(one_axis):
     """Turns about one axis leave the gyros across it undetermined, and the next attitude is off that axis."""
     last = steps_of(one_axis)[-1]

@@ -198,7 +198,9 @@ def test_one_axis_with_a_large_bias_tells_the_grade_of_all(tmp_path: Path):
     assert any("accel_bias.bias[az] is 4 sd from the default prior of a tactical unit" in note for note in made.notes)
 
 
-@pytest.mark.parametrize(("errors", "grade"), [(MEMS, "consumer"), (TACTICAL, None)])
+@pytest.mark.parametrize(
+    ("errors", "grade"), [pytest.param(MEMS, "consumer", marks=pytest.mark.slow), (TACTICAL, None)]
+)
 def test_errors_of_a_unit_tell_its_grade_where_a_filter_hides_its_noise(tmp_path: Path, errors, grade):
     made = random_attitudes(11, 14)
     columns, (scale, bias) = made.columns(noise=(1e-3, 1e-4), errors=False), errors

@@ -70,6 +70,7 @@ def test_scale_factor_within_its_uncertainty(profile: str, column: str) -> None:
     assert np.sqrt(np.mean(np.square(found))) < 2.0, found
 
 
+@pytest.mark.slow
 def test_benches_drawn_at_random() -> None:
     found = deviations(range(40))
     assert np.sqrt(np.mean(found**2)) < 1.4, found

@@ -162,6 +162,7 @@ def test_far_rows_are_told_with_their_distance() -> None:
     assert all(each.time_s is None for each in found)
 
 
+@pytest.mark.slow
 def test_white_noise_has_none() -> None:
     """One in a hundred campaigns is expected to have one."""
     assert sum(len(told_of(drawn(seed))) for seed in range(20)) <= 1

@@ -94,6 +94,7 @@ def offset(fitted: Fit, seed: int, size: float, channels: tuple[int, ...] = (0,)
     return redrawn(fitted, seed, change=offsets[entries.run, entries.channel])
 
 
+@pytest.mark.slow
 def test_scatter_between_runs_far_beyond_its_prior() -> None:
     """The prior of the scatter has the median 0.1 in these units; the offsets are thousands of times as large."""
     found = judge(offset(fitted_to("hidden-none"), 1, 300.0))

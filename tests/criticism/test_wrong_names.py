@@ -67,6 +67,7 @@ def test_a_dead_zone_of_the_gyro_is_one_of_its_converter(monkeypatch: pytest.Mon
     assert not surely_wrong(found, "converter_dead_zone"), told(found)
 
 
+@pytest.mark.slow
 def test_a_cube_is_no_saturation_where_three_levels_of_the_input_do_not_tell(monkeypatch: pytest.MonkeyPatch) -> None:
     """A converter loses gain by the square of its input: a saturation or a cube is alike at 0.6, 1 and 12 g."""
     change, _ = standing(converter(), "converter_nonlinearity", -20.0, place=1)

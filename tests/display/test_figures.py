@@ -141,6 +141,7 @@ def test_thirty_five_runs(residuals):
     assert_readable(run_chi2_figure(made.summary_of(many)))
 
 
+@pytest.mark.slow
 def test_hundred_runs_are_limited():
     many = made.trihedral_residuals(temperatures=tuple(range(-40, 60, 7)), channels=("gx", "ax"))
     figure = run_chi2_figure(made.summary_of(many))

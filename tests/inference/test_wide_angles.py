@@ -66,6 +66,7 @@ def weighed(model: Model, approximation: NestedLaplace) -> WeighedProposal:
     return found
 
 
+@pytest.mark.slow
 def test_proposals_follow_the_ridge(proposal):
     model, approximation = proposal
     assert approximation.along_ridge is not None

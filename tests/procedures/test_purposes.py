@@ -21,8 +21,12 @@ def test_purposes_are_effects_of_the_catalogue(procedure) -> None:
     ("name", "expected"),
     [
         ("polar-tumble", {"gyro_g_sensitivity", "gyro_g2_sensitivity"}),
-        ("geographic-tumble", {"gyro_g_sensitivity", "gyro_g2_sensitivity"}),
-        ("centrifuge", {"lever_arm", "accel_quadratic", "accel_cubic", "gyro_g2_sensitivity"}),
+        pytest.param("geographic-tumble", {"gyro_g_sensitivity", "gyro_g2_sensitivity"}, marks=pytest.mark.slow),
+        pytest.param(
+            "centrifuge",
+            {"lever_arm", "accel_quadratic", "accel_cubic", "gyro_g2_sensitivity"},
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_the_first_model_of_a_procedure_has_what_it_is_for_and_fits(tmp_path: Path, name: str, expected) -> None:

@@ -100,6 +100,7 @@ def test_a_fit_that_did_not_converge_cannot_pass(result, tmp_path):
     assert found.outcome == "withheld"
 
 
+@pytest.mark.slow
 def test_an_angle_at_zero_has_a_budget_of_its_components(result):
     """The seat is level to its uncertainty: the angle is Rayleigh, and both tilts of the seat contribute."""
     found = budget_of(result, ["mounting_angle[ax,up]", "mounting_angle[ax,pyramid]"])

@@ -38,6 +38,7 @@ def test_draws_that_find_no_room(tmp_path):
     write_draws(tmp_path / "posterior.nc")
 
 
+@pytest.mark.slow
 def test_a_block_of_sampling_that_finds_no_room_leaves_the_checkpoint(tmp_path):
     checkpoint = Checkpoint(tmp_path / "checkpoint.h5", 2, 8, 3, {"data": "d"})
     checkpoint.create()
