@@ -24,6 +24,7 @@ from imubayes.campaign.reduction.static_poses import (
     variance_ratio,
 )
 from imubayes.foundations.errors import InputError, input_error
+from imubayes.foundations.units import to_si
 
 QUIET = 6.0  # multiple of the variance at rest
 LEAST_POSES = 6  # of as many unknowns: the faces of a six-position test
@@ -196,6 +197,7 @@ def _refine(inverse: np.ndarray, turns: np.ndarray, before: np.ndarray, after: n
     return inverse + np.clip(step, -0.2 * np.abs(inverse), 0.2 * np.abs(inverse))
 
 
+_BIAS_UNITS = {"m/s^2": ("mg", to_si("mg")), "rad/s": ("deg/s", to_si("deg/s"))}
 SIGNIFICANT = 5  # digits of an estimated scale
 
 
@@ -234,7 +236,11 @@ def _by_turns(
     found = Nominal(np.full(3, scale.mean()), np.zeros(3))
     found.scale[places], found.offset[places] = scale, offset
     gyro = _combine(found, options.gyro_scale, options.gyro_offset)
-    notes.append(_note("gyros", f"turns through {options.turn_deg:g} deg", gyro, "rad/s"))
+    notes.append(
+        _note(
+            "gyros", f"turns through {options.turn_deg:g} deg", gyro, "rad/s", options.gyro_scale, options.gyro_offset
+        )
+    )
     return gyro
 
 
@@ -273,14 +279,27 @@ def _estimated(
     if accel is None:
         found = estimate_accelerometers(means.reshape(-1, 3), gravity, source)
         accel = _combine(found, options.accel_scale, options.accel_offset)
-        notes.append(_note("accelerometers", "the static poses, |f| = g", accel, "m/s^2"))
+        notes.append(
+            _note(
+                "accelerometers", "the static poses, |f| = g", accel, "m/s^2", options.accel_scale, options.accel_offset
+            )
+        )
     if gyro is None:
         if rate is None or time is None or poses is None:
             raise _too_few_turns(0, source)
         level = (means - accel.offset) / accel.scale
         down = level / np.linalg.norm(level, axis=1, keepdims=True)
         gyro = _combine(estimate_gyros(rate, down, time, *poses, source), options.gyro_scale, options.gyro_offset)
-        notes.append(_note("gyros", "the initial rest and the rotations between poses", gyro, "rad/s"))
+        notes.append(
+            _note(
+                "gyros",
+                "the initial rest and the rotations between poses",
+                gyro,
+                "rad/s",
+                options.gyro_scale,
+                options.gyro_offset,
+            )
+        )
     return accel, gyro
 
 
@@ -297,6 +316,15 @@ def _combine(found: Nominal, scale: Sequence[float] | None, offset: Sequence[flo
     )
 
 
-def _note(what: str, how: str, nominal: Nominal, unit: str) -> str:
+def _note(
+    what: str, how: str, nominal: Nominal, unit: str, scale: Sequence[float] | None, offset: Sequence[float] | None
+) -> str:
+    """Return what the nominal calibration is, which part of it was stated, and the bias that is in the offset."""
     scales, offsets = (", ".join(f"{value:g}" for value in values) for values in (nominal.scale, nominal.offset))
-    return f"nominal scale of the {what} estimated from {how}: {scales} count per {unit}; offset {offsets} count"
+    origin, other = (f"estimated from {how}" if given is None else "as stated" for given in (scale, offset))
+    said = f"nominal scale of the {what} {origin}: {scales} count per {unit}; offset {other}: {offsets} count"
+    if offset is not None:
+        return said
+    shown, factor = _BIAS_UNITS[unit]
+    biases = ", ".join(f"{value:.3g}" for value in nominal.offset / nominal.scale / factor)
+    return f"{said}, a bias of {biases} {shown}; the biases of a fit are those that remain beside it"

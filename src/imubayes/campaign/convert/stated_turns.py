@@ -80,7 +80,7 @@ def find_stated_turns(
     if not turns:
         raise input_error(
             f"no turn is one through {np.degrees(angle):.4g} deg: {', '.join(seen[:6]) or 'the unit never turns'}",
-            where, "turns about an input axis through a multiple of --turn-deg, at rest before and after",
+            where, f"turns about an input axis through a multiple of --turn-deg, at rest for {_REST:g} s before and after",
             "correct --turn-deg, the unit or scale of the gyros, or the sampling rate",
         )  # fmt: skip
     inside = np.zeros(len(rate), dtype=bool)
@@ -116,7 +116,9 @@ def counts_of_turns(
     turned = np.abs(turned).reshape(-1, len(names))
     alone = turned[np.sum(turned > _OFF_AXIS * turned.max(axis=1, keepdims=True), axis=1) == 1]
     if not len(alone):
-        allowed = "turns about an input axis through a multiple of --turn-deg, at rest before and after"
+        allowed = (
+            f"turns about an input axis through a multiple of --turn-deg, at rest for {_REST:g} s before and after"
+        )
         raise input_error("no turn about one axis was found", where, allowed, "state --gyro-scale and --gyro-offset")
     single = _common_part(alone.max(axis=1))
     axis, multiple = alone.argmax(axis=1), alone.max(axis=1) / single
@@ -155,7 +157,8 @@ def _moving(rate: np.ndarray, block: int) -> tuple[np.ndarray, np.ndarray]:
     means = rate[: count * block].reshape(count, block, -1).mean(axis=1)
     first = max(2, round(1.0 / _BLOCK))
     rest = np.median(means[:first], axis=0)
-    moves = np.zeros(count, dtype=bool)
+    # Only the beginning is known to be at rest: between turns a unit may rest for less time than it moves.
+    moves = np.arange(count) >= first
     for _ in range(_ROUNDS):
         away = np.linalg.norm(means - rest, axis=1)
         noise = 1.4826 * float(np.median(away[~moves])) if (~moves).any() else 0.0
