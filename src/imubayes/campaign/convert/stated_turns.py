@@ -22,6 +22,7 @@ BODY_TO_TABLE = (
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
 )
 _BLOCK, _REST = 0.1, 0.5  # s: blocks that rest or move, and the shortest rest between turns
+_ALLOWED = f"turns about an input axis through a multiple of --turn-deg, at rest for {_REST:g} s before and after"
 _STILL = np.radians(1.0)  # rad/s about the rest
 _OFF_AXIS, _OFF_ANGLE = 0.2, 0.15  # of the turn about other axes, and of the stated angle
 _ROUNDS = 5
@@ -80,7 +81,7 @@ def find_stated_turns(
     if not turns:
         raise input_error(
             f"no turn is one through {np.degrees(angle):.4g} deg: {', '.join(seen[:6]) or 'the unit never turns'}",
-            where, f"turns about an input axis through a multiple of --turn-deg, at rest for {_REST:g} s before and after",
+            where, _ALLOWED,
             "correct --turn-deg, the unit or scale of the gyros, or the sampling rate",
         )  # fmt: skip
     inside = np.zeros(len(rate), dtype=bool)
@@ -119,7 +120,7 @@ def counts_of_turns(
         allowed = (
             f"turns about an input axis through a multiple of --turn-deg, at rest for {_REST:g} s before and after"
         )
-        raise input_error("no turn about one axis was found", where, allowed, "state --gyro-scale and --gyro-offset")
+        raise input_error("no turn about one axis was found", where, _ALLOWED, "state --gyro-scale and --gyro-offset")
     single = _common_part(alone.max(axis=1))
     axis, multiple = alone.argmax(axis=1), alone.max(axis=1) / single
     whole = np.abs(multiple - np.round(multiple)) < _OFF_ANGLE
