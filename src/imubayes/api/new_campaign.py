@@ -70,7 +70,8 @@ def new(
     Raises
     ------
     InputError
-        with everything that prevents it; nothing is written then, unless the campaign can be read.
+        with everything that prevents it.  If a recording was read and the set-up does not pass, the campaign is written
+        with its faults at its head; called again without the recording, `new` adds the model.
 
     Examples
     --------
@@ -86,7 +87,7 @@ def new(
             refuse_occupied(folder)
             tell("reading the recording")
             read = read_recordings(several(recordings), folder.name, mapping, **options)
-            read.write(folder)
+            read.write(folder, to_correct=True)
             file = folder / CAMPAIGN_FILE
             write_text(file, commented_campaign(file.read_text(encoding="utf-8")))
         elif not (folder / CAMPAIGN_FILE).is_file():

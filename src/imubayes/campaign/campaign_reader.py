@@ -16,7 +16,7 @@ import numpy as np
 
 from imubayes.campaign import equipment as stated
 from imubayes.campaign.file_schemas import CampaignFile, Draft, ModelFile, RunEntry, draft_of
-from imubayes.campaign.physical_checks import check_rows
+from imubayes.campaign.physical_checks import check_gravity, check_rows
 from imubayes.campaign.repeated_data import check_repeats
 from imubayes.campaign.run_reader import Equipment, Loaded, judge_rows, load_run
 from imubayes.campaign.run_tables import TableFile, TableSource, lay_out, read_header
@@ -31,7 +31,7 @@ from imubayes.foundations.errors import InputError, Issue, closest_first, input_
 from imubayes.foundations.units import STANDARD_GRAVITY
 from imubayes.procedures import PROCEDURES, procedure_named
 
-CAMPAIGN_FILE = "campaign.toml"
+CAMPAIGN_FILE, SITE_GRAVITY = "campaign.toml", "site.gravity_m_s2"
 TABLE_FILES = ("*.csv", "*.parquet", "*/*.csv", "*/*.parquet")
 
 
@@ -160,6 +160,7 @@ def _findings_in_memory(campaign: Campaign) -> tuple[Finding, ...]:
     """Return the findings in the rows of runs, between runs, and about the set-up."""
     tables = {run.name: f"run '{run.name}'" for run in campaign.runs}
     found = [
+        *check_gravity(campaign.site, SITE_GRAVITY),
         *check_repeats(campaign.runs, [*tables.values()], campaign.channels),
         *check_times(campaign.runs, [*tables.values()]),
     ]
@@ -223,7 +224,11 @@ def _judge_rows(
     without_saturated_rows(loaded, files, equipment)
     read = [(each, file) for each, file in zip(loaded, files, strict=True) if each.run is not None]
     runs, named = [each.run for each, _ in read if each.run is not None], [file for _, file in read]
-    between = [*check_repeats(runs, named, equipment.channels), *check_times(runs, named)]
+    between = [
+        *check_gravity(equipment.site, f"{CAMPAIGN_FILE}, {SITE_GRAVITY}"),
+        *check_repeats(runs, named, equipment.channels),
+        *check_times(runs, named),
+    ]
     for each, entry, file in zip(loaded, entries, files, strict=True):
         judge_rows(each, entry, equipment, file)
     _add_to_runs(loaded, entries, between)

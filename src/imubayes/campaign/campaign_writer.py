@@ -1,6 +1,7 @@
 """Write a campaign folder: `campaign.toml` and the tables of its runs."""
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import tomlkit
 
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
 from imubayes.campaign.run_tables import BATCH_ROWS
-from imubayes.foundations.errors import InputError
+from imubayes.foundations.errors import InputError, Issue
 from imubayes.foundations.files import new_folder, refuse_occupied
 
 
@@ -23,6 +24,7 @@ def write_campaign(
     check: bool = True,
     came_from: Callable[[str], str] = lambda where: where,
     beside: Mapping[str, str] | None = None,
+    to_correct: bool = False,
 ) -> None:
     """Write `campaign.toml` and run tables into a new folder.
 
@@ -34,6 +36,7 @@ def write_campaign(
     check : read the campaign back before it is moved into place.
     came_from : place in the campaign → the place in its source, for errors.
     beside : name of a further text file → its content.
+    to_correct : whether a campaign that would not load is written all the same, with its faults at its head.
 
     Raises
     ------
@@ -47,11 +50,30 @@ def write_campaign(
             _write_csv(draft / name, columns)
         for name, text in {CAMPAIGN_FILE: tomlkit.dumps(document), **(beside or {})}.items():
             (draft / name).write_text(text, encoding="utf-8")
-        issues = inspect_campaign(draft).issues if check else ()
+        found = inspect_campaign(draft).issues if check else ()
+        issues = [replace(issue, where=issue.where.replace(str(draft), str(out))) for issue in found]
+        if issues and not to_correct:
+            raise InputError(replace(issue, where=came_from(issue.where)) for issue in issues)
         if issues:
-            raise InputError(
-                replace(issue, where=came_from(issue.where.replace(str(draft), str(out)))) for issue in issues
-            )
+            issues = _marked(draft / CAMPAIGN_FILE, issues)
+    if issues:
+        raise InputError(issues, written=str(out))
+
+
+_MARK = "# This campaign is not accepted as it is.  Correct what is named here, then run `imubayes check`:"
+
+
+def _marked(file: Path, issues: Sequence[Issue]) -> list[Issue]:
+    """Write faults at the head of a campaign file, as comments; return them with the lines that they are at then."""
+    more = 2 + sum(len(str(issue).splitlines()) for issue in issues)
+
+    def moved(line: re.Match) -> str:
+        return f"{CAMPAIGN_FILE}:{int(line[1]) + more}"
+
+    placed = [replace(each, where=re.sub(rf"{re.escape(CAMPAIGN_FILE)}:(\d+)", moved, each.where)) for each in issues]
+    faults = [f"# {line}" for issue in placed for line in str(issue).splitlines()]
+    file.write_text("\n".join([_MARK, *faults, "", file.read_text(encoding="utf-8")]), encoding="utf-8")
+    return placed
 
 
 def _write_csv(file: Path, columns: Mapping[str, np.ndarray]) -> None:

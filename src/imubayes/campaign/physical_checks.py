@@ -12,16 +12,37 @@ import numpy as np
 from imubayes.campaign.reduction import BlockSurvey, turning_span
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table
+from imubayes.foundations.earth import normal_gravity
 from imubayes.procedures import PROCEDURES
 
 DEGREE = math.pi / 180
 TURN = 2 * math.pi
 SAME_FACTOR = 0.05  # relative tolerance for identifying a slope with a unit factor
+LARGEST_ANOMALY = 5e-3  # m/s², 500 mGal (convention): free-air anomalies on land seldom exceed 300
+HIGHEST = 5000.0  # m, of a laboratory
 ORDINARY = (0.6, 1.6)  # slopes consistent with the nominal scale factor
 LEAST_SPREAD = {"gyro": 0.05 * DEGREE, "accelerometer": 0.5}  # of the input, rad/s and m/s²
 FOLLOWS = 0.9  # least squared correlation for a slope to be used
 _RATE_FACTORS = {1 / DEGREE: "rad/s for deg/s", 3600.0: "deg/h for deg/s", 3600 / DEGREE: "rad/s for deg/h"}
 _ACCELERATION_FACTORS = {9.80665: "g and m/s² exchanged", 1000.0: "g and mg exchanged"}
+
+
+def check_gravity(site: Site, where: str) -> list[Finding]:
+    """Compare stated gravity with normal gravity; a height of 0 may be one that nobody stated."""
+    normal = normal_gravity(site.latitude, site.height)
+    lowest = normal_gravity(site.latitude, HIGHEST) if site.height == 0 else normal
+    if lowest - LARGEST_ANOMALY <= site.gravity <= normal + LARGEST_ANOMALY:
+        return []
+    return [
+        Finding(
+            "gravity_improbable", "warning", "",
+            f"gravity is stated as {site.gravity:.5f} m/s², and normal gravity at {site.latitude / DEGREE:.4g} deg and "
+            f"{site.height:g} m is {normal:.5f} m/s²: scale factors of accelerometers carry a relative error of "
+            f"{abs(site.gravity / normal - 1) * 1e6:.3g} ppm if it is wrong",
+            where, f"normal gravity to {LARGEST_ANOMALY * 1e5:.0f} mGal: anomalies seldom exceed 300 mGal",
+            "correct latitude_deg, height_m or gravity_m_s2; leave gravity_m_s2 out for normal gravity",
+        )
+    ]  # fmt: skip
 
 
 def check_rest(blocks: BlockSurvey, run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:

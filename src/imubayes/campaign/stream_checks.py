@@ -63,6 +63,7 @@ FINDINGS: dict[str, str] = {
     "not_settled": "an output does not become steady at a level of the stimulus",
     "segment_not_constant": "the stimulus varies within a labelled segment",
     "partial_turn": "a mean over less than one turn at an unknown angle",
+    "gravity_improbable": "stated gravity differs from normal gravity by more than anomalies do",
     "turns_at_rest": "the gyros turn in a record of a unit at rest",
     "bad_count": "an impossible number of samples or standard deviation",
     "unfounded_uncertainty": "an uncertainty of a temperature that is not there",

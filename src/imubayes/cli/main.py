@@ -122,7 +122,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             status = app(numbers_apart(words), exit_on_error=False, print_error=False)
             sys.stdout.flush()
     except InputError as error:
-        return _refuse(*error.issues)
+        return _refuse(*error.issues, written=error.written)
     except cyclopts.CycloptsError as error:
         return _refuse(_of_command_line(error))
     except KeyboardInterrupt:
@@ -159,10 +159,16 @@ def _telling_what_is_not_kept() -> Iterator[None]:
             print(line.translate(_CONTROL), file=sys.stderr)
 
 
-def _refuse(*issues: Issue) -> int:
+def _refuse(*issues: Issue, written: str = "") -> int:
     print("\n\n".join(str(issue) for issue in issues).translate(_CONTROL), file=sys.stderr)
     if len(issues) > 1:
-        print(f"\n{len(issues)} problems found; nothing was written", file=sys.stderr)
+        print(f"\n{len(issues)} problems found{'' if written else '; nothing was written'}", file=sys.stderr)
+    if written:
+        print(
+            f"\nwritten to be corrected: {written}, with its faults at the head of campaign.toml; "
+            f"next: imubayes check {written}, then imubayes new {written} for the model",
+            file=sys.stderr,
+        )
     return UNUSABLE
 
 

@@ -40,7 +40,7 @@ class Issue:
 
 
 class InputError(Exception):
-    """An input that cannot be used; `issues` holds every fault found in it.
+    """An input that cannot be used; `issues` holds every fault found in it, `written` the folder with it to correct.
 
     Examples
     --------
@@ -52,12 +52,12 @@ class InputError(Exception):
     there is no model 'hidden-efects', neither a file nor a shipped one
     """
 
-    def __init__(self, issues: Issue | Iterable[Issue]):
-        self.issues = (issues,) if isinstance(issues, Issue) else tuple(issues)
+    def __init__(self, issues: Issue | Iterable[Issue], written: str = ""):
+        self.issues, self.written = (issues,) if isinstance(issues, Issue) else tuple(issues), written
         super().__init__("\n".join(str(issue) for issue in self.issues))
 
     def __reduce__(self):
-        return type(self), (self.issues,)  # pickled between processes with its issues, not with their text
+        return type(self), (self.issues, self.written)  # pickled between processes with its issues, not with their text
 
 
 def input_error(what: str, where: str, allowed: str, remedy: str) -> InputError:

@@ -33,8 +33,12 @@ class ReadRecordings:
     tables: tuple[ChosenTable, ...]
     campaign: ConvertedCampaign
 
-    def write(self, out: str | Path) -> Path:
+    def write(self, out: str | Path, *, to_correct: bool = False) -> Path:
         """Write the campaign into a new folder, with the mapping that reads others of its kind.
+
+        Parameters
+        ----------
+        to_correct : whether a campaign that would not load is written all the same, with its faults at its head.
 
         Raises
         ------
@@ -44,7 +48,7 @@ class ReadRecordings:
         made, recording, folder = self.campaign, " and ".join(map(str, self.files)), Path(out)
         write_campaign(
             folder, made.document, made.tables, came_from=lambda where: _came_from(where, recording),
-            beside={MAPPING_FILE: mapping_text(self.tables, made.options, made.guesses)},
+            beside={MAPPING_FILE: mapping_text(self.tables, made.options, made.guesses)}, to_correct=to_correct,
         )  # fmt: skip
         return folder
 

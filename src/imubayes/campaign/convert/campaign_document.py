@@ -150,7 +150,7 @@ def _stand(procedure: str, runs: Sequence[RecordedRun], channels: Sequence[Mappi
     if procedure == _ON_TABLE:
         return on_table(runs, [np.degrees(_rates(run, channels)) for run in runs])
     if procedure_named(procedure).needs_table or procedure in _AT_REST:
-        return lying(max(runs, key=_rows), len(runs), seated=procedure not in _AT_REST)
+        return lying(runs, seated=procedure not in _AT_REST)
     return Stand([], [], [{}] * len(runs), [])
 
 

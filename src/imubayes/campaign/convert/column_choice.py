@@ -116,8 +116,11 @@ def _one_way(usable: Sequence[ChosenTable]) -> tuple[ChosenTable, ...]:
     by_kind = {kinds: [table for table in usable if table.kinds == kinds] for kinds in _HOLDS}
     whole, apart = by_kind["ag"], [by_kind["a"], by_kind["g"]]
     candidates = whole or [*apart[0], *apart[1]]
-    several = any(len(part) > len({id(table.recording) for table in part}) for part in by_kind.values())
-    if several or (not whole and min(map(len, apart)) > 1):
+    files = [[id(table.recording) for table in part] for part in by_kind.values()]
+    several = any(len(own) > len(set(own)) for own in files)
+    # In each of several files one topic of accelerometers and one of gyros: parts of a record, or its runs.
+    in_pairs = set(files[1]) == set(files[2])
+    if several or (not whole and min(map(len, apart)) > 1 and not in_pairs):
         listed = {table.topic.name or table.recording.file.name: _HOLDS[table.kinds] for table in candidates}
         issue = Issue(
             f"{len(candidates)} topics hold channels",
@@ -267,15 +270,18 @@ def _without_names(
     columns = {
         target: ChosenColumn(read[place], units.get(target[0], "")) for target, place in layout.columns.items()
     } | dict(stated)
+    labels = [str(place + 1) for place, column in enumerate(topic.columns) if column.is_label]
+    left = (f"column {' and '.join(labels)} holds the same word in every line: a label",) if labels else ()
     if options.sample_rate_hz is not None and TIME not in stated:
         columns.pop(TIME, None)
-    return replace(table, columns=columns, evidence=layout.evidence)
+    return replace(table, columns=columns, evidence=layout.evidence, left=left)
 
 
 def _numeric(topic: Topic, names: str, state: str) -> list[int]:
-    """Return the columns without text, which must stand first: they are told by their number."""
+    """Return the columns without text, which must stand first, labels apart: they are told by their number."""
     read = [place for place, column in enumerate(topic.columns) if column.unit != "text"]
-    if read != list(range(len(read))):
+    counted = [place for place, column in enumerate(topic.columns) if not column.is_label]
+    if read != counted[: len(read)]:
         text = f"{names}, and text stands before or between its numbers"
         raise input_error(text, topic.where, "columns of numbers, text behind them", state)
     return read

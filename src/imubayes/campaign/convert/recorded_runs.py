@@ -90,15 +90,25 @@ def recorded_runs(tables: Sequence[ChosenTable], options: ConvertOptions) -> tup
     InputError
         where a raw log has no times, or two clocks do not overlap.
     """
-    parts = [_table_part(table, options) for table in tables]
-    kinds = [table.kinds for table in tables]
-    if sorted(kinds) == ["a", "g"]:
-        parts = [_merged(parts[kinds.index("a")], parts[kinds.index("g")], tables)]
-    elif len(parts) > 1 and options.rows != "samples" and (faces := _faces(parts)) is not None:
+    parts = _whole_parts(tables, options)
+    if len(parts) > 1 and options.rows != "samples" and (faces := _faces(parts)) is not None:
         return (faces,)
-    elif len(parts) > 1 and (joined := _joined(parts)) is not None:
+    if len(parts) > 1 and (joined := _joined(parts)) is not None:
         parts = [joined]
     return tuple(_from_zero(_told_rows(part, options, tables), options) for part in parts)
+
+
+def _whole_parts(tables: Sequence[ChosenTable], options: ConvertOptions) -> list[RecordedRun]:
+    """Return the run of each table; accelerometers and gyros of one file, or of the only two, are one."""
+    by_file: dict[int, list[ChosenTable]] = {}
+    for table in tables:
+        by_file.setdefault(id(table.recording) if len(tables) > 2 else 0, []).append(table)
+    parts = []
+    for own in by_file.values():
+        found, kinds = [_table_part(table, options) for table in own], [table.kinds for table in own]
+        apart = sorted(kinds) == ["a", "g"]
+        parts += [_merged(found[kinds.index("a")], found[kinds.index("g")], own)] if apart else found
+    return parts
 
 
 def _table_part(table: ChosenTable, options: ConvertOptions) -> RecordedRun:
@@ -235,8 +245,8 @@ def _identities(table: ChosenTable) -> list[int]:
     """Return the columns besides channels and times that hold text, or few numbers: each row may say its unit so."""
     columns = table.topic.columns
     used = {column.position for name, column in table.columns.items() if name not in (COUNTER, SAMPLES)}
-    texts = [place for place, column in enumerate(columns) if column.unit == "text"]
-    unread = [place for place in range(len(columns)) if place not in {*used, *texts}]
+    texts = [place for place, column in enumerate(columns) if column.unit == "text" and not column.is_label]
+    unread = [place for place, column in enumerate(columns) if place not in used and column.unit != "text"]
     others = read_columns(table.recording, table.topic, unread)[:_PROBED].T if unread else ()
     few = [place for place, other in zip(unread, others, strict=True) if len(np.unique(other)) in _IDENTITIES]
     return sorted({*few, *texts} - used)

@@ -32,10 +32,12 @@ class SourceColumn:
     ----------
     name : as the recording writes it; empty where it has no names.
     unit : as the recording states it, in its own spelling; empty where it states none.
+    is_label : whether it holds the same word in every line, such as `a/g:`.
     """
 
     name: str
     unit: str = ""
+    is_label: bool = False
 
 
 @dataclass(frozen=True)

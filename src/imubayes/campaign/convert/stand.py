@@ -45,19 +45,28 @@ class Stand:
     notes: list[str]
 
 
-def lying(run: RecordedRun, count: int, *, seated: bool) -> Stand:
-    """Return the stand of recordings, `count` of them, by the face that is up in the longest.
+def lying(runs: Sequence[RecordedRun], *, seated: bool) -> Stand:
+    """Return the stand of recordings by the face that is up: of each at rest, or of the longest on a table.
 
     Parameters
     ----------
     seated : whether there is a seat on a table; else the level of the bench is the uncertainty of the unit's own.
     """
-    axis = _face_up(run)
-    mounting = _mounting("aligned", axis) | {"uncertainty_arcmin": LEVEL if seated else 0.0}
+    longest = max(runs, key=lambda run: len(next(iter(run.columns.values()))))
+    axes = [_face_up(longest if seated else run) for run in runs]
+    several = len({_face(axis) for axis in axes}) > 1
+    names = [_face(axis).replace(" axis ", "-") if several else "aligned" for axis in axes]
+    mountings = {
+        name: _mounting(name, axis) | {"uncertainty_arcmin": LEVEL if seated else 0.0}
+        for name, axis in zip(names, axes, strict=True)
+    }
     notes = [_NOBODY.format("bench", LEVEL / 60)]
-    if axis[2] != 1:
-        notes.append(f"the unit rests with its {_face(axis)}, by its accelerometers")
-    return Stand([PUT_ANYHOW | {"name": "bench"}], [mounting], [_seat("aligned")] * count, ["; ".join(notes)])
+    if any(axis[2] != 1 for axis in axes):
+        faces = ", ".join(dict.fromkeys(_face(axis) for axis in axes))
+        notes.append(f"the unit rests with its {faces}, by its accelerometers")
+    return Stand(
+        [PUT_ANYHOW | {"name": "bench"}], list(mountings.values()), [_seat(name) for name in names], ["; ".join(notes)]
+    )
 
 
 def on_table(runs: Sequence[RecordedRun], rates: Sequence[np.ndarray]) -> Stand:

@@ -117,9 +117,6 @@ def counts_of_turns(
     turned = np.abs(turned).reshape(-1, len(names))
     alone = turned[np.sum(turned > _OFF_AXIS * turned.max(axis=1, keepdims=True), axis=1) == 1]
     if not len(alone):
-        allowed = (
-            f"turns about an input axis through a multiple of --turn-deg, at rest for {_REST:g} s before and after"
-        )
         raise input_error("no turn about one axis was found", where, _ALLOWED, "state --gyro-scale and --gyro-offset")
     single = _common_part(alone.max(axis=1))
     axis, multiple = alone.argmax(axis=1), alone.max(axis=1) / single

@@ -38,7 +38,9 @@ class TextRecording(SourceRecording):
         fits = len(layout.names) == len(layout.kinds)
         units = layout.units if len(layout.units) == len(layout.kinds) else [""] * len(layout.kinds)
         columns = tuple(
-            SourceColumn(layout.names[place] if fits else "", _unit(kind) or units[place])
+            SourceColumn(
+                layout.names[place] if fits else "", _unit(kind) or units[place], place in layout.label_columns
+            )
             for place, kind in enumerate(layout.kinds)
         )
         where = f"{self.file}:{layout.heading or layout.first}"

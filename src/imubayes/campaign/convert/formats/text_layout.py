@@ -45,6 +45,7 @@ class TextLayout:
     head : the line of the names, which may come again.
     labels : what stands between the numbers, where each line names its numbers: `AX: 0.12 AY: 9.7`, JSON.
     tags : first words of the lines, where each line says what it holds, with the kinds of its columns.
+    label_columns : columns that hold the same word in every line.
     """
 
     encoding: str
@@ -58,6 +59,7 @@ class TextLayout:
     tags: dict[str, tuple[CellKind, ...]]
     head: str = ""
     labels: tuple[str, ...] = ()
+    label_columns: frozenset[int] = frozenset()
 
     def cells(self, line: str) -> list[str]:
         """Return the cells of a data line, with decimal points."""
@@ -106,7 +108,16 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
         width = len(cells) if len(names) == len(cells) else width
         kinds = tuple(kind_of([row[place] for row in sample if place < len(row)]) for place in range(width))
         head = dict(lines).get(heading, "").strip()
-        return TextLayout(encoding, separator, comma, first, heading, names, units, kinds, tags, head)
+        same = frozenset(
+            place
+            for place, kind in enumerate(kinds)
+            if kind is CellKind.TEXT
+            and len(sample) >= _FEW
+            and len({"".join(row[place : place + 1]) for row in sample}) == 1
+        )
+        return TextLayout(
+            encoding, separator, comma, first, heading, names, units, kinds, tags, head, label_columns=same
+        )
     raise input_error(
         f"there is no line of numbers among the first {lines[-1][0]} lines",
         str(file),
@@ -215,9 +226,14 @@ def _heading(
 def _last_names(
     lines: Sequence[tuple[int, str]], separator: str | None, width: int
 ) -> tuple[int, tuple[str, ...], tuple[str, ...]]:
-    """Return the names in the last line; a cell without a name in it is a sentence, such as "sensor found"."""
+    """Return the names in the last line; a cell without a name in it is a sentence, such as "sensor found".
+
+    A line that begins with a time is one of the log, not of names.
+    """
     for number, line in lines:
         names = split_cells(_without_sign(line, separator), separator)
+        if kind_of(names[:1]) is not CellKind.TEXT:
+            continue
         if len(names) > 1 or width < 3 or any(map(role_of, re.split(r"[\s,;|]+", line))):
             return number, tuple(names), ()
     return 0, (), ()
