@@ -182,7 +182,10 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "file is a folder": (toml("runs/rates.csv", "runs"), "is a folder", r"run\[0\]\.file", "csv"),
     "empty file": (lambda f: (f / RATES).write_text(""), "empty", r"rates\.csv:1", "header"),
     "header alone": (lines(RATES, lambda rows: rows[:1]), "empty_run", r"rates\.csv", "rows"),
-    "semicolons": (lines(RATES, lambda rows: [row.replace(",", ";") for row in rows]), "separated by", r"rates\.csv:1", "commas"),
+    "a word between semicolons": (
+        lines(RATES, lambda rows: [rows[0].replace(",", ";"), "x" + rows[1].replace(",", ";"), *rows[2:]]),
+        "is not a number", r"rates\.csv:2", "a number",
+    ),
     "unknown column": (rename(RATES, "table_angle_deg", "table_angel_deg"), "table_angel_deg", r"rates\.csv, column", "table_angle_deg"),
     "column twice": (rename(RATES, "gy", "gx"), "is repeated", r"rates\.csv, header", "each used once"),
     "no channel in the table": (

@@ -87,6 +87,21 @@ def test_parquet_and_csv_read_alike(small: Path, edit: Callable[[str, str, str],
     np.testing.assert_array_equal(before.covariates["table_angle"], after.covariates["table_angle"])
 
 
+@pytest.mark.parametrize(("delimiter", "decimal"), [(";", ","), (";", "."), ("\t", ","), ("|", ".")])
+def test_tables_of_spreadsheets_are_read_alike(small: Path, delimiter: str, decimal: str) -> None:
+    """Spreadsheets write semicolons between numbers with decimal commas."""
+    before = load_campaign(small)
+    for file in (small / "runs").glob("*.csv"):
+        text = file.read_text().replace(",", delimiter)
+        header, rest = text.split("\n", 1)
+        file.write_text(header + "\n" + rest.replace(".", decimal))
+    after = load_campaign(small)
+    for run, other in zip(after.runs, before.runs, strict=True):
+        np.testing.assert_array_equal(run.observed, other.observed)
+        for covariate, values in other.covariates.items():
+            np.testing.assert_array_equal(run.covariates[covariate], values)
+
+
 def test_digest_follows_the_data(small: Path, edit: Callable[[str, str, str], None]) -> None:
     before = load_campaign(small).digest
     assert load_campaign(small / "campaign.toml").digest == before

@@ -66,6 +66,33 @@ def test_banner_and_labels_of_a_serial_monitor(tmp_path: Path, banner: list[str]
     )
 
 
+def test_gravity_and_the_rest_in_separate_columns_are_summed(tmp_path: Path) -> None:
+    """As phones write them; alone, what is left without gravity is no reading of an accelerometer."""
+    rng = np.random.default_rng(1)
+    down = np.repeat(np.vstack([np.eye(3), -np.eye(3)]), 300, axis=0)
+    total = down * [1.003, 0.998, 1.001] + [0.01, -0.02, 0.015] + rng.normal(0, 0.002, down.shape)
+    gravity = total / np.linalg.norm(total, axis=1)[:, None]
+    rows = np.c_[np.arange(len(total)) / 100, rng.normal(0, 0.002, total.shape), gravity, total - gravity]
+    parts = [
+        f"{what}{axis}" for what in ("motionRotationRate", "motionGravity", "motionUserAcceleration") for axis in "XYZ"
+    ]
+    units = ["rad/s"] * 3 + ["G"] * 6
+    names = ["loggingTime(s)", *(f"{name}({unit})" for name, unit in zip(parts, units, strict=True))]
+    file = tmp_path / "phone.csv"
+    np.savetxt(file, rows, delimiter=",", header=",".join(names), comments="", fmt="%.7f")
+    read = read_recordings([file], latitude_deg=48)
+    table = next(iter(read.campaign.tables.values()))
+    np.testing.assert_allclose(np.stack([table[name] for name in ("ax", "ay", "az")], axis=1), total, atol=1e-6)
+    assert "'motionUserAccelerationX(G)' + column 5 'motionGravityX(G)'" in "".join(read.campaign.document["notes"])
+    read.write(tmp_path / "unit")
+    again = read_recordings([file], mapping=tmp_path / "unit" / "mapping.toml", latitude_deg=48)
+    np.testing.assert_array_equal(next(iter(again.campaign.tables.values()))["ax"], table["ax"])
+    np.savetxt(file, rows[:, [0, 7, 8, 9]] * [1, 9.8, 9.8, 9.8], delimiter=",", header="t,ax,ay,az", comments="")
+    with pytest.raises(InputError) as caught:
+        read_recordings([file], latitude_deg=48)
+    assert "if gravity was subtracted" in caught.value.issues[0].remedy
+
+
 def test_a_campaign_with_a_mistake_is_written_to_be_corrected(tmp_path: Path, capsys) -> None:
     """The rate of the table is ten times too large in one of two recordings."""
     rng, level = np.random.default_rng(3), np.repeat([0.0, 20, -20, 60, -60, 100, -100, 0.0], 500)

@@ -11,8 +11,10 @@ known names, so that a misspelt `table_angle_degs` is not silently ignored; colu
 
 import csv
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -157,12 +159,14 @@ def csv_faults(file: Path, layout: ColumnLayout) -> list[Issue]:
     issues: list[Issue] = []
     more = 0  # faults beyond the first MOST
     wanted = [(index, name) for index, name in enumerate(layout.header) if name in layout.numbers]
+    dialect = csv_dialect(file)
     with file.open(encoding="utf-8-sig", newline="", errors="replace") as stream:
-        reader = csv.reader(stream)
+        reader = csv.reader(stream, delimiter=dialect.delimiter)
         try:
             next(reader, None)
             for cells in reader:
-                found = _line_faults(cells, wanted, layout, f"{file}:{reader.line_num}")
+                written = [cell.replace(dialect.decimal, ".") for cell in cells]
+                found = _line_faults(written, wanted, layout, f"{file}:{reader.line_num}")
                 room = MOST - len(issues)
                 issues += found[:room]
                 more += len(found[room:])
@@ -310,6 +314,33 @@ def is_csv(file: TableFile) -> bool:
     return isinstance(file, Path) and file.suffix.lower() not in (".parquet", ".pq")
 
 
+@dataclass(frozen=True)
+class CsvDialect:
+    """How the cells of a text table are written: their delimiter, and the decimal sign of its numbers."""
+
+    delimiter: str = ","
+    decimal: str = "."
+
+
+_SAMPLE_ROWS = 100  # by which the decimal sign is determined
+_DECIMAL_COMMA = re.compile(r"\s*\"?[-+]?\d+,\d+(?:[eE][-+]?\d+)?\"?\s*")
+
+
+def _dialect(header: str, rows: Sequence[str] = ()) -> CsvDialect:
+    """Return the dialect by the line of names and the first rows; spreadsheets with decimal commas write semicolons."""
+    delimiter = next((mark for mark in ";\t|" if "," not in header and mark in header), ",")
+    cells = (cell for row in rows for cell in row.split(delimiter))
+    commas = delimiter != "," and any(map(_DECIMAL_COMMA.fullmatch, cells))
+    return CsvDialect(delimiter, "," if commas else ".")
+
+
+def csv_dialect(file: Path) -> CsvDialect:
+    """Return the dialect of a text table."""
+    with file.open(encoding="utf-8-sig", newline="", errors="replace") as stream:
+        header, *rows = [line.rstrip("\r\n") for line in islice(stream, 1 + _SAMPLE_ROWS)] or [""]
+    return _dialect(header, rows)
+
+
 def read_header(file: TableFile) -> tuple[str, ...]:
     """Return the column names of a table.
 
@@ -336,11 +367,7 @@ def read_header(file: TableFile) -> tuple[str, ...]:
             "a header line with column names, then one line per row",
             "export the table again, or remove the run",
         )
-    for separator, word in ((";", "';'"), ("\t", "tabs"), ("|", "'|'")):
-        if "," not in line and separator in line:
-            remedy = "export the table with commas and decimal points"
-            raise input_error(f"the columns are separated by {word}", f"{file}:1", "commas", remedy)
-    return tuple(name.strip().strip('"') for name in line.split(","))
+    return tuple(name.strip().strip('"') for name in line.split(_dialect(line).delimiter))
 
 
 def _parquet(file: Path) -> pq.ParquetFile:
@@ -370,13 +397,19 @@ def _record_batches(file: TableFile, layout: ColumnLayout) -> Iterator[pa.Record
 def _csv_batches(file: Path, layout: ColumnLayout, columns: list[str]) -> Iterator[pa.RecordBatch]:
     types = {name: pa.float64() for name in layout.numbers} | {name: pa.string() for name in layout.texts}
     try:
+        dialect = csv_dialect(file)
         reader = pacsv.open_csv(
             file,
             read_options=pacsv.ReadOptions(
                 block_size=BLOCK_BYTES, column_names=list(layout.header), skip_rows=1, use_threads=False
             ),
+            parse_options=pacsv.ParseOptions(delimiter=dialect.delimiter),
             convert_options=pacsv.ConvertOptions(
-                column_types=types, include_columns=columns, null_values=[""], strings_can_be_null=True
+                column_types=types,
+                include_columns=columns,
+                null_values=[""],
+                strings_can_be_null=True,
+                decimal_point=dialect.decimal,
             ),
         )
         with reader:
@@ -448,7 +481,7 @@ def _unreadable(file: Path, why: str) -> InputError:
     return input_error(
         f"the run table cannot be read: {why}",
         str(file),
-        "CSV with a header line (UTF-8, commas) or Parquet",
+        "CSV with a header line (UTF-8; commas, semicolons or tabs) or Parquet",
         "export or copy the file again",
     )
 

@@ -22,6 +22,7 @@ from imubayes.campaign.convert.column_names import (
     body_rates,
     quantity_of,
     role_of,
+    separate_gravity,
     words_of,
 )
 from imubayes.campaign.convert.options import ConvertOptions
@@ -35,11 +36,15 @@ _HOLDS = {"ag": "accelerometers and gyros", "a": "accelerometers", "g": "gyros"}
 
 @dataclass(frozen=True)
 class ChosenColumn:
-    """A column that is read: its position from 0, its sign, and the unit that name or recording state."""
+    """A column that is read: its position from 0, its sign, and the unit that name or recording state.
+
+    `added` is the position of a column that is added to it.
+    """
 
     position: int
     unit: str = ""
     sign: float = 1.0
+    added: int | None = None
 
 
 @dataclass(frozen=True)
@@ -167,6 +172,11 @@ def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, al
         roles = [rates.get(place, role) for place, role in enumerate(roles)]
     try:
         columns = stated | _by_name(topic, roles, stated)
+        if not any(name in columns for name in ACCELEROMETERS):
+            columns |= {
+                name: ChosenColumn(parts.motion, parts.unit, added=parts.gravity)
+                for name, parts in separate_gravity(topic.names).items()
+            }
     except InputError as error:
         return replace(table, columns=stated, faults=error.issues)
     return _checked(replace(table, columns=columns), roles, options)
@@ -403,7 +413,15 @@ def _best(topic: Topic, roles: Sequence[ColumnRole | None], target: str, places:
 
 def values_of(table: ChosenTable) -> dict[str, np.ndarray]:
     """Return target → column of a table, in the units of the recording; shape (N,) each, kept on the disk."""
-    targets = list(table.columns)
-    read = read_columns(table.recording, table.topic, [table.columns[name].position for name in targets])
-    signs = {name: table.columns[name].sign for name in targets}
-    return {name: read[:, place] if signs[name] > 0 else -read[:, place] for place, name in enumerate(targets)}
+    chosen = table.columns
+    places = list(
+        dict.fromkeys(place for one in chosen.values() for place in (one.position, one.added) if place is not None)
+    )
+    read = dict(zip(places, read_columns(table.recording, table.topic, places).T, strict=True))
+    return {
+        name: (read[one.position] if one.added is None else read[one.position] + read[one.added])
+        * (1 if one.sign > 0 else -1)
+        if one.sign < 0 or one.added is not None
+        else read[one.position]
+        for name, one in chosen.items()
+    }

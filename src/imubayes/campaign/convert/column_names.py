@@ -105,6 +105,7 @@ _NEITHER = _words(
     " altitude lat lon latitude longitude integral delta setpoint clipping clip status free orientation linearacc"
     " angle angles inclination tilt heading attitude speed"
 )
+_GRAVITY, _MOTION = _words("gravity grav"), _words("user linear linearacc")
 _MEAN, _SCATTER = _words("mean avg average median means"), _words("std sd stdev stddev sigma")
 _TIMES = _words(
     "t time times timestamp timestamps ts stamp elapsed ustime mstime utc unixtime epoch loggingtime"
@@ -223,6 +224,38 @@ def body_rates(names: Sequence[str]) -> dict[int, ColumnRole]:
         return {}
     places = [bare.index(letter) for letter in "pqr"]
     return {k: ColumnRole(name, unit_named(names[k].strip()[1:])) for k, name in zip(places, GYROS, strict=True)}
+
+
+@dataclass(frozen=True)
+class SeparateGravity:
+    """The places, from 0, of gravity and of the acceleration beside it in the columns of one axis, and their unit."""
+
+    gravity: int
+    motion: int
+    unit: str
+
+
+def separate_gravity(names: Sequence[str]) -> dict[str, SeparateGravity]:
+    """Return accelerometer → the two columns whose sum it reads, as phones write them; none unless all axes have both.
+
+    A phone estimates the direction of gravity and subtracts it: what is left is the acceleration of its user.
+    """
+    found: dict[str, dict[str, tuple[int, str]]] = {"gravity": {}, "motion": {}}
+    for place, name in enumerate(names):
+        words = words_of(_BRACKETED.sub(" ", name))
+        axes = [word for word in words if word in _AXES]
+        part = "gravity" if set(words) & _GRAVITY else "motion" if set(words) & _MOTION else ""
+        if part and len(axes) == 1 and axes[0] not in found[part]:
+            unit = next((unit for word in _BRACKETED.findall(name) if (unit := unit_named(word))), "")
+            found[part][axes[0]] = place, unit
+    gravity, motion = found["gravity"], found["motion"]
+    if not set(gravity) == set(motion) == set(_AXES):
+        return {}
+    return {
+        f"a{axis}": SeparateGravity(gravity[axis][0], motion[axis][0], gravity[axis][1])
+        for axis in _AXES
+        if gravity[axis][1] == motion[axis][1]
+    }
 
 
 def quantity_of(words: set[str], unit: str) -> str:

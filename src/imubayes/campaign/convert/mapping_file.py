@@ -52,8 +52,8 @@ def _add_columns(document: tomlkit.TOMLDocument, table: ChosenTable, guess: str)
     lines: dict[str, str | int] = {}
     for target, column in table.columns.items():
         name = table.topic.columns[column.position].name or column.position + 1
-        if target in ("date", "clock", "counter"):
-            continue
+        if target in ("date", "clock", "counter") or column.added is not None:
+            continue  # found by their names again
         lines[target] = f"-{name}" if column.sign < 0 else name
     if guess:
         document.add(tomlkit.nl())

@@ -200,7 +200,7 @@ def _followers(table: ChosenTable, values: Columns) -> tuple[Follower, ...]:
 
 def _unread(table: ChosenTable) -> list[int]:
     """Return the columns of numbers that are not read."""
-    used = {column.position for column in table.columns.values()}
+    used = {place for column in table.columns.values() for place in (column.position, column.added)}
     return [place for place, own in enumerate(table.topic.columns) if place not in used and own.unit != "text"]
 
 
@@ -274,8 +274,9 @@ def _understood(table: ChosenTable, values: Columns) -> str:
         label = f" '{own.name}'" if own.name else ""
         unit = f" in {column.unit}" if column.unit and column.unit not in own.name else ""
         sign = " turned round" if column.sign < 0 else ""
-        sources.append(f"{name} ← column {column.position + 1}{label}{unit}{sign} ({first} …)")
-    used = {column.position for column in table.columns.values()}
+        more = "" if column.added is None else f" + column {column.added + 1} '{topic.columns[column.added].name}'"
+        sources.append(f"{name} ← column {column.position + 1}{label}{more}{unit}{sign} ({first} …)")
+    used = {place for column in table.columns.values() for place in (column.position, column.added)}
     unread = [own.name or str(place + 1) for place, own in enumerate(topic.columns) if place not in used]
     listed = ", ".join(unread[:20]) + (", …" if len(unread) > 20 else "")
     left = f"; not read: {listed}" if unread else ""

@@ -134,8 +134,13 @@ def _refuse_no_gravity(unit: str, force: np.ndarray, where: str) -> None:
             f"at rest the accelerometers read |f| = {size:.4g} {unit}, which is {in_g:.4g} g",
             where,
             "about 1 g at rest",
-            "correct the unit (header, --accel-unit or mapping), or state the columns: --column ax=NAME …",
+            "correct the unit (header, --accel-unit or mapping), or state the columns: --column ax=NAME …"
+            + (f"; {_REMOVED}" if in_g < _NO_GRAVITY else ""),
         )
+
+
+_NO_GRAVITY = 0.05  # of g at rest
+_REMOVED = "if gravity was subtracted (linear or user acceleration), record what the accelerometers read, or both parts"
 
 
 def _of_accelerometers(force: np.ndarray, where: str) -> tuple[str, str]:
@@ -156,7 +161,8 @@ def _of_accelerometers(force: np.ndarray, where: str) -> tuple[str, str]:
         f"the unit of the accelerometers is not known: |f| = {size:.5g} at rest",
         where,
         "g is 9.81 m/s^2, 1 g or 1000 mg; counts have any scale: " + ", ".join(ACCEL_UNITS),
-        "state it, such as --accel-unit g; or --accel-unit count with --accel-scale and --accel-offset",
+        "state it, such as --accel-unit g; or --accel-unit count with --accel-scale and --accel-offset"
+        + (f"; {_REMOVED}" if size < 9.81 * _NO_GRAVITY and not _whole(force) else ""),
     )
 
 
