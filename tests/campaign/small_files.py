@@ -9,7 +9,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
 DEGREE = math.pi / 180
-GRAVITY = 9.8
+GRAVITY = 9.806
 EARTH = 15.041067 / 3600 * DEGREE
 LATITUDE = 45 * DEGREE
 NAMES = ("gx", "gy", "gz", "ax", "ay", "az")
@@ -21,7 +21,7 @@ name = "small"
 [site]
 latitude_deg = 45.0
 height_m = 100.0
-gravity_m_s2 = 9.8
+gravity_m_s2 = 9.806
 
 [unit]
 serial = "SN1"

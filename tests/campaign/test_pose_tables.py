@@ -10,6 +10,7 @@ from tumble_files import NAMES, channels, tumble_log
 from imubayes.campaign import load_campaign
 from imubayes.campaign.convert import convert, read_recordings
 from imubayes.campaign.reduction.free_tumble import reduce_tumble
+from imubayes.campaign.reduction.pose_table import MOST_POSES, spread_over_the_sphere
 from imubayes.foundations.errors import InputError
 
 SCALE, BIAS = np.array([1.002, 0.997, 1.004]), np.array([0.05, -0.03, 0.2])
@@ -22,7 +23,7 @@ def poses(count: int, seed: int = 1) -> np.ndarray:
     return GRAVITY * directions / np.linalg.norm(directions, axis=1, keepdims=True) * SCALE + BIAS
 
 
-@pytest.mark.parametrize(("count", "header"), [(6, ""), (24, "ax,ay,az"), (24, ""), (300, "ax,ay,az")])
+@pytest.mark.parametrize(("count", "header"), [(6, ""), (24, "ax,ay,az"), (24, ""), (140, "ax,ay,az")])
 def test_a_table_of_means(tmp_path: Path, count: int, header: str) -> None:
     means = poses(count) + np.random.default_rng(2).normal(0, 1e-4, (count, 3))
     np.savetxt(tmp_path / "means.csv", means, delimiter=",", header=header, comments="", fmt="%.6f")
@@ -110,3 +111,22 @@ def test_turns_that_were_cut_out_are_no_wrong_unit(tmp_path: Path) -> None:
     assert run.tumble is not None
     assert (run.rows, len(run.tumble.start)) == (20, 0)
     assert any("the attitude jumps from one sample to the next" in note for note in run.notes)
+
+
+def test_of_thousands_of_poses_those_are_used_that_fill_the_directions(tmp_path: Path) -> None:
+    """Most of the readings are of one face, as where a unit lay on the desk; the fit is that of all directions."""
+    rng = np.random.default_rng(1)
+    down = np.vstack([rng.normal(size=(1500, 3)), [0, 0, 1] + 0.05 * rng.normal(size=(1500, 3))])
+    down /= np.linalg.norm(down, axis=1)[:, None]
+    force = down * [1.003, 0.998, 1.001] + [0.02, -0.01, 0.015] + rng.normal(0, 0.002, down.shape)
+    np.savetxt(tmp_path / "means.csv", force, delimiter=",", header="ax,ay,az", comments="", fmt="%.5f")
+    convert([tmp_path / "means.csv"], tmp_path / "unit", rows="means", accel_unit="g", gravity_m_s2=9.81)
+    run = load_campaign(tmp_path / "unit").runs[0]
+    assert run.rows == MOST_POSES
+    assert sum("2850 poses left out, evenly over their directions" in note for note in run.notes) == 1
+    used = run.observed / np.linalg.norm(run.observed, axis=1)[:, None]
+    # Evenly: each octant has an eighth, but for the readings that there are.
+    octants = np.bincount((used > 0) @ [1, 2, 4], minlength=8) / MOST_POSES
+    assert octants.min() > 0.08
+    assert octants.max() < 0.25
+    assert len(spread_over_the_sphere(down[:100], MOST_POSES)) == 100

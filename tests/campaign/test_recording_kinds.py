@@ -235,7 +235,11 @@ def test_one_tag_in_every_line_is_the_sensor(tmp_path: Path) -> None:
     columns = next(iter(read.campaign.tables.values()))
     np.testing.assert_allclose(np.stack([columns[name] for name in ("ax", "ay", "az")], axis=1), rest, atol=1e-6)
     np.testing.assert_allclose(columns["time_s"], 0.012 * np.arange(300), atol=1e-9)
-    # A word that names no sensor is none, and is asked about as before.
+    # A word that names no sensor is a label, if it stands in every line.
     (tmp_path / "other.txt").write_text("\n".join(line.replace("acc", "row") for line in lines) + "\n")
-    with pytest.raises(InputError, match="text stands before or between its numbers"):
-        read_recordings([tmp_path / "other.txt"], gravity_m_s2=9.81, latitude_deg=50)
+    labelled = read_recordings([tmp_path / "other.txt"], gravity_m_s2=9.81, latitude_deg=50)
+    np.testing.assert_array_equal(next(iter(labelled.campaign.tables.values()))["ax"], columns["ax"])
+    mixed = [line.replace("acc", "row" if place % 3 else "line") for place, line in enumerate(lines)]
+    (tmp_path / "mixed.txt").write_text("\n".join(mixed) + "\n")
+    with pytest.raises(InputError, match=r"no columns are named|text stands before or between its numbers"):
+        read_recordings([tmp_path / "mixed.txt"], gravity_m_s2=9.81, latitude_deg=50)

@@ -121,11 +121,7 @@ def _one_way(usable: Sequence[ChosenTable]) -> tuple[ChosenTable, ...]:
     by_kind = {kinds: [table for table in usable if table.kinds == kinds] for kinds in _HOLDS}
     whole, apart = by_kind["ag"], [by_kind["a"], by_kind["g"]]
     candidates = whole or [*apart[0], *apart[1]]
-    files = [[id(table.recording) for table in part] for part in by_kind.values()]
-    several = any(len(own) > len(set(own)) for own in files)
-    # In each of several files one topic of accelerometers and one of gyros: parts of a record, or its runs.
-    in_pairs = set(files[1]) == set(files[2])
-    if several or (not whole and min(map(len, apart)) > 1 and not in_pairs):
+    if _is_open(*by_kind.values()):
         listed = {table.topic.name or table.recording.file.name: _HOLDS[table.kinds] for table in candidates}
         issue = Issue(
             f"{len(candidates)} topics hold channels",
@@ -135,6 +131,17 @@ def _one_way(usable: Sequence[ChosenTable]) -> tuple[ChosenTable, ...]:
         )
         raise InputError(issue)
     return tuple(candidates)
+
+
+def _is_open(*by_kind: Sequence[ChosenTable]) -> bool:
+    """Tell whether tables with both kinds, with accelerometers and with gyros are more than one record each or runs.
+
+    One topic of accelerometers and one of gyros in each of several files are the parts of a record, or its runs.
+    """
+    whole, *apart = [[id(table.recording) for table in part] for part in by_kind]
+    if any(len(own) > len(set(own)) for own in (whole, *apart)):
+        return True
+    return not whole and min(map(len, apart)) > 1 and set(apart[0]) != set(apart[1])
 
 
 def _nothing(tables: Sequence[ChosenTable], faults: Sequence[Issue] = ()) -> Issue:
@@ -171,15 +178,20 @@ def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, al
         rates = body_rates(topic.names)
         roles = [rates.get(place, role) for place, role in enumerate(roles)]
     try:
-        columns = stated | _by_name(topic, roles, stated)
-        if not any(name in columns for name in ACCELEROMETERS):
-            columns |= {
-                name: ChosenColumn(parts.motion, parts.unit, added=parts.gravity)
-                for name, parts in separate_gravity(topic.names).items()
-            }
+        columns = _with_gravity(topic, stated | _by_name(topic, roles, stated))
     except InputError as error:
         return replace(table, columns=stated, faults=error.issues)
     return _checked(replace(table, columns=columns), roles, options)
+
+
+def _with_gravity(topic: Topic, columns: dict[str, ChosenColumn]) -> dict[str, ChosenColumn]:
+    """Return columns with accelerometers as sums of gravity and the rest, if there are no others."""
+    if any(name in columns for name in ACCELEROMETERS):
+        return columns
+    return columns | {
+        name: ChosenColumn(parts.motion, parts.unit, added=parts.gravity)
+        for name, parts in separate_gravity(topic.names).items()
+    }
 
 
 def _checked(table: ChosenTable, roles: Sequence[ColumnRole | None], options: ConvertOptions) -> ChosenTable:
@@ -280,11 +292,14 @@ def _without_names(
     columns = {
         target: ChosenColumn(read[place], units.get(target[0], "")) for target, place in layout.columns.items()
     } | dict(stated)
-    labels = [str(place + 1) for place, column in enumerate(topic.columns) if column.is_label]
-    left = (f"column {' and '.join(labels)} holds the same word in every line: a label",) if labels else ()
     if options.sample_rate_hz is not None and TIME not in stated:
         columns.pop(TIME, None)
-    return replace(table, columns=columns, evidence=layout.evidence, left=left)
+    return replace(table, columns=columns, evidence=layout.evidence, left=_labels(topic))
+
+
+def _labels(topic: Topic) -> tuple[str, ...]:
+    places = [str(place + 1) for place, column in enumerate(topic.columns) if column.is_label]
+    return (f"column {' and '.join(places)} holds the same word in every line: a label",) if places else ()
 
 
 def _numeric(topic: Topic, names: str, state: str) -> list[int]:
@@ -413,15 +428,12 @@ def _best(topic: Topic, roles: Sequence[ColumnRole | None], target: str, places:
 
 def values_of(table: ChosenTable) -> dict[str, np.ndarray]:
     """Return target → column of a table, in the units of the recording; shape (N,) each, kept on the disk."""
-    chosen = table.columns
-    places = list(
-        dict.fromkeys(place for one in chosen.values() for place in (one.position, one.added) if place is not None)
-    )
+    used = (place for one in table.columns.values() for place in (one.position, one.added))
+    places = list(dict.fromkeys(place for place in used if place is not None))
     read = dict(zip(places, read_columns(table.recording, table.topic, places).T, strict=True))
-    return {
-        name: (read[one.position] if one.added is None else read[one.position] + read[one.added])
-        * (1 if one.sign > 0 else -1)
-        if one.sign < 0 or one.added is not None
-        else read[one.position]
-        for name, one in chosen.items()
-    }
+
+    def values(one: ChosenColumn) -> np.ndarray:
+        plain = read[one.position] if one.added is None else read[one.position] + read[one.added]
+        return plain if one.sign > 0 else -plain
+
+    return {name: values(one) for name, one in table.columns.items()}

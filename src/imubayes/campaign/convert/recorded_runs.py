@@ -267,15 +267,9 @@ def _time_guess(clock: Clock) -> dict[str, str]:
 
 def _understood(table: ChosenTable, values: Columns) -> str:
     """Return a note on what the columns were taken for: target ← column, with the first values."""
-    topic, sources = table.topic, []
-    for name, column in sorted(table.columns.items(), key=lambda item: item[0] not in (TIME, DATE, CLOCK)):
-        own = topic.columns[column.position]
-        first = ", ".join(f"{value:.6g}" for value in values[name][:_SHOWN])
-        label = f" '{own.name}'" if own.name else ""
-        unit = f" in {column.unit}" if column.unit and column.unit not in own.name else ""
-        sign = " turned round" if column.sign < 0 else ""
-        more = "" if column.added is None else f" + column {column.added + 1} '{topic.columns[column.added].name}'"
-        sources.append(f"{name} ← column {column.position + 1}{label}{more}{unit}{sign} ({first} …)")
+    topic = table.topic
+    ordered = sorted(table.columns, key=lambda name: name not in (TIME, DATE, CLOCK))
+    sources = [_source(table, name, values[name]) for name in ordered]
     used = {place for column in table.columns.values() for place in (column.position, column.added)}
     unread = [own.name or str(place + 1) for place, own in enumerate(topic.columns) if place not in used]
     listed = ", ".join(unread[:20]) + (", …" if len(unread) > 20 else "")
@@ -283,6 +277,17 @@ def _understood(table: ChosenTable, values: Columns) -> str:
     within = f", topic '{topic.name}'" if topic.name else ""
     how = f", {topic.note}" if topic.note else ""
     return f"{table.recording.file.name}{within}{how}: {', '.join(sources)}{left}"
+
+
+def _source(table: ChosenTable, name: str, values: np.ndarray) -> str:
+    """Return what a column of a run is read from, with its first values."""
+    columns, own = table.topic.columns, table.columns[name]
+    places = [own.position, *([] if own.added is None else [own.added])]
+    named = [f"column {place + 1}" + (f" '{columns[place].name}'" if columns[place].name else "") for place in places]
+    unit = f" in {own.unit}" if own.unit and own.unit not in columns[own.position].name else ""
+    sign = " turned round" if own.sign < 0 else ""
+    first = ", ".join(f"{value:.6g}" for value in values[:_SHOWN])
+    return f"{name} ← {' + '.join(named)}{unit}{sign} ({first} …)"
 
 
 def _merged(force: RecordedRun, rate: RecordedRun, tables: Sequence[ChosenTable]) -> RecordedRun:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, one_axis_note, unturned, wrong_acceleration_unit
-from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, fit_magnitude
+from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, MagnitudeFit, fit_magnitude
 from imubayes.campaign.reduction.static_poses import angle_between, body_vectors
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
@@ -19,6 +19,28 @@ LEAST_MEANS = 4
 _AT_REST = np.radians(5.0)
 _LARGEST_BIAS = np.radians(30.0)
 LEAST_APART = 10.0  # deg between some two poses
+
+
+MOST_POSES = 150
+"""Poses of a table that are used (effort): each brings two angles of its own.  The draws of a fit of 100 take half a
+minute, of 200 more than three."""
+
+
+def spread_over_the_sphere(direction: np.ndarray, most: int) -> np.ndarray:
+    """Return the places of vectors, (n, 3), that fill the directions evenly, at most so many, in order.
+
+    Directions are divided into cells about the points of a Fibonacci lattice, and one vector after the other is taken
+    from each cell.
+    """
+    step = np.arange(most) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * step / most), np.pi * (1 + np.sqrt(5)) * step
+    lattice = np.stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], axis=1)
+    cell = np.argmax(direction @ lattice.T, axis=1)
+    order = np.argsort(cell, kind="stable")
+    first = np.searchsorted(cell[order], cell[order])
+    turn = np.empty(len(cell), dtype=int)
+    turn[order] = np.arange(len(cell)) - first
+    return np.sort(np.lexsort((np.arange(len(cell)), turn))[:most])
 
 
 def reduce_means(
@@ -56,24 +78,41 @@ def reduce_means(
     force, scatter = force[complete], _scatter(numbers, channels, heavy)[complete]
     fit = fit_magnitude(force, gravity, scatter)
     flagged = fit.outliers
-    kept = np.flatnonzero(complete)[~flagged]
-    tumble = unturned(np.flatnonzero(~flagged), fit.apply(force), flagged, len(channels))
-    notes = [f"{rows} static poses given as means, {len(kept)} of them used: each has |f| = g, its attitude is unknown"]
-    if fit.judges:
-        notes.append(f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²")
+    level, chosen = fit.apply(force), np.flatnonzero(~flagged)
+    if len(chosen) > MOST_POSES:
+        chosen = chosen[spread_over_the_sphere(level[chosen], MOST_POSES)]
+        tumble = unturned(np.arange(len(chosen)), level[chosen], np.zeros(len(chosen), dtype=bool), len(channels))
     else:
-        notes.append(f"{rows} poses are too few to tell a disturbed one by |f| = g, {LEAST_TO_JUDGE} are needed")
-    notes += one_axis_note(force)
-    notes += [
-        f"row {row + 1} excluded as disturbed: |f| − g is {residual:.2g} m/s²"
-        for row, residual in zip(np.flatnonzero(complete)[flagged], fit.residual[flagged], strict=True)
-    ]
+        tumble = unturned(chosen, level, flagged, len(channels))
+    kept = np.flatnonzero(complete)[chosen]
+    notes = [f"{rows} static poses given as means, {len(kept)} of them used: each has |f| = g, its attitude is unknown"]
+    if left_out := int(np.sum(~flagged)) - len(kept):
+        notes.append(
+            f"{left_out} poses left out, evenly over their directions, since each has an attitude of its own: "
+            f"standard uncertainties are about {np.sqrt(1 + left_out / len(kept)):.2g} times as large as with all"
+        )
+    notes += _calibration_notes(fit, np.flatnonzero(complete), force)
     return ReducedTumble(
         {name: values[kept] for name, values in numbers.items()},
         tumble,
         tuple(notes),
         tuple(wrong_acceleration_unit(force, gravity, file)),
     )
+
+
+def _calibration_notes(fit: MagnitudeFit, rows: np.ndarray, force: np.ndarray) -> list[str]:
+    """Return notes on the calibration by |f| = g of poses, the rows (n,) of a table, and on those that it excludes."""
+    notes = [f"{len(rows)} poses are too few to tell a disturbed one by |f| = g, {LEAST_TO_JUDGE} are needed"]
+    if fit.judges:
+        notes = [f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²"]
+    return [
+        *notes,
+        *one_axis_note(force),
+        *(
+            f"row {row + 1} excluded as disturbed: |f| − g is {residual:.2g} m/s²"
+            for row, residual in zip(rows[fit.outliers], fit.residual[fit.outliers], strict=True)
+        ),
+    ]
 
 
 def _refuse_turning(rate: np.ndarray, file: str) -> None:

@@ -108,15 +108,18 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
         width = len(cells) if len(names) == len(cells) else width
         kinds = tuple(kind_of([row[place] for row in sample if place < len(row)]) for place in range(width))
         head = dict(lines).get(heading, "").strip()
-        same = frozenset(
-            place
-            for place, kind in enumerate(kinds)
-            if kind is CellKind.TEXT
-            and len(sample) >= _FEW
-            and len({"".join(row[place : place + 1]) for row in sample}) == 1
-        )
         return TextLayout(
-            encoding, separator, comma, first, heading, names, units, kinds, tags, head, label_columns=same
+            encoding,
+            separator,
+            comma,
+            first,
+            heading,
+            names,
+            units,
+            kinds,
+            tags,
+            head,
+            label_columns=_label_columns(sample, kinds),
         )
     raise input_error(
         f"there is no line of numbers among the first {lines[-1][0]} lines",
@@ -124,6 +127,12 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
         "numbers delimited by commas, semicolons, tabs or spaces",
         "export the recording as a table of numbers",
     )
+
+
+def _label_columns(sample: Sequence[Sequence[str]], kinds: Sequence[CellKind]) -> frozenset[int]:
+    """Return the columns that hold the same word in every line."""
+    texts = [place for place, kind in enumerate(kinds) if kind is CellKind.TEXT and len(sample) >= _FEW]
+    return frozenset(place for place in texts if len({tuple(row[place : place + 1]) for row in sample}) == 1)
 
 
 def _has_commas(cells: Sequence[str], separator: str | None) -> bool:
