@@ -18,6 +18,7 @@ from imubayes.campaign.convert.column_names import (
     TIME,
     TIME_UNITS,
     UNKNOWN_AXES,
+    WITHOUT_GRAVITY,
     ColumnRole,
     body_rates,
     quantity_of,
@@ -285,7 +286,8 @@ def _without_names(
         return table
     try:
         read = _numeric(topic, names, state)
-        layout = infer_layout(read_columns(recording, topic, read), hinted_kind(topic, recording), topic.where, names)
+        values, numbers = read_columns(recording, topic, read), [place + 1 for place in read]
+        layout = infer_layout(values, hinted_kind(topic, recording), topic.where, names, numbers)
     except InputError as error:
         return replace(table, faults=error.issues)
     units = {"a": "m/s", "g": "rad"} if layout.increments else {}
@@ -323,6 +325,8 @@ def _by_name(
         for place, role in enumerate(roles):
             if role is not None and role.target in wanted:
                 sensors.setdefault(role.group, {}).setdefault(role.target, []).append(place)
+        others = {group: own for group, own in sensors.items() if not set(group) & WITHOUT_GRAVITY}
+        sensors = others or sensors  # accelerations that the device makes of the readings are none
         if sensors:
             own = _one_sensor(topic, list(sensors.values()), wanted)
             chosen |= {name: _column(own[name], roles) for name in wanted}

@@ -106,6 +106,8 @@ _NEITHER = _words(
     " angle angles inclination tilt heading attitude speed"
 )
 _GRAVITY, _MOTION = _words("gravity grav"), _words("user linear linearacc")
+WITHOUT_GRAVITY = frozenset({"lin"})
+"""Words of a name that say that gravity may have been subtracted, where other columns are named without them."""
 _MEAN, _SCATTER = _words("mean avg average median means"), _words("std sd stdev stddev sigma")
 _TIMES = _words(
     "t time times timestamp timestamps ts stamp elapsed ustime mstime utc unixtime epoch loggingtime"
@@ -118,7 +120,7 @@ _DULL = _ACCEL | _GYRO | _MEAN | _SCATTER | {*_AXES, "axis", "angular", "velocit
 _NO_UNIT = _DULL | _words("raw filtered filt cal calibrated uncal uncalibrated body imu sensor lpf text")
 TARGETS = (*SIX, *recorded_columns(), *(f"{name}_sd" for name in SIX), SAMPLES)
 """Columns of a run table, which a column of a recording can become."""
-_JOINED = re.compile(r"(a|f|acc|accel|g|gyr|gyro|w|omega|rate)([xyz])")
+_JOINED = re.compile(r"(a|f|acc|accel|g|gyr|gyro|w|omega|rate)([xyz])|([xyz])(acc|accl|accel|gyr|gyro|omega|rate)")
 _INDEX, _BRACKETED = re.compile(r"\[(\d)\]"), re.compile(r"[\[({]([^\])}]*)[\])}]")
 _PARTS = re.compile(r"[A-Z]+(?![a-zµ])|[A-Z]?[a-zµ°ωº]+|\d+|[A-Zω]")
 
@@ -319,7 +321,8 @@ def _apart(words: list[str]) -> tuple[list[str], str]:
     """Return the words with a joined quantity and axis taken apart, and the letters of axes among them."""
     joined = next((found for word in words if (found := _JOINED.fullmatch(word))), None)
     if joined:
-        words = [part for word in words for part in (joined.groups() if word == joined[0] else (word,))]
+        parts = [part for part in joined.groups() if part]
+        words = [part for word in words for part in (parts if word == joined[0] else [word])]
     return words, "".join(word for word in words if word in _AXES)
 
 

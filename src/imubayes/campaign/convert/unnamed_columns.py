@@ -76,12 +76,13 @@ def is_clock(values: np.ndarray) -> bool:
     return len(step) > 1 and float(np.mean(step > 0)) > 0.5 and float(np.mean(step < 0)) < 0.01
 
 
-def infer_layout(values: np.ndarray, kind: str, where: str, names: str) -> GuessedColumns:
+def infer_layout(values: np.ndarray, kind: str, where: str, names: str, numbers: Sequence[int]) -> GuessedColumns:
     """Return which columns of a table without names are which.
 
     Parameters
     ----------
-    values : all columns, shape (N, W).
+    values : all columns of numbers, shape (N, W).
+    numbers : W, of these columns in the table, from 1, as messages and options name them.
     kind : ``a`` or ``g`` where the name of the file or topic says that it holds accelerometers or gyros.
     where : for the error.
     names : how the columns are headed, for the error.
@@ -98,12 +99,12 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str) -> Guess
     rest = rest_means(np.asarray(values[:READ]))
     heavy = [(triple, *unit_of_gravity(values[:, triple], rest[:, triple])) for triple in triples]
     if len(channels) == 3:
-        found = _of_three(heavy[0], kind)
+        found = _of_three(heavy[0], kind, numbers)
     else:
-        found = _of_several(values, rest, heavy) or _increments(values, rest, triples, clock)
+        found = _of_several(values, rest, heavy, numbers) or _increments(values, rest, triples, clock, numbers)
         found = found or _usual_order(values, channels, heavy)
     if found is None:
-        raise _refusal(values, clock, heavy, where, names)
+        raise _refusal(values, clock, heavy, where, names, numbers)
     time = {} if clock is None else {TIME: clock}
     return GuessedColumns(time | found.columns, found.evidence, found.increments)
 
@@ -111,23 +112,30 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str) -> Guess
 _Heavy = tuple[list[int], str, float]
 
 
-def _of_three(heavy: _Heavy, kind: str) -> GuessedColumns | None:
+def _of_three(heavy: _Heavy, kind: str, numbers: Sequence[int]) -> GuessedColumns | None:
     triple, unit, size = heavy
     if unit and kind != "g":
-        return GuessedColumns(_three(ACCELEROMETERS, triple), _told(triple, unit, size))
+        return GuessedColumns(_three(ACCELEROMETERS, triple), _told([numbers[place] for place in triple], unit, size))
     names = {"a": ACCELEROMETERS, "g": GYROS}.get(kind)
     return None if names is None else GuessedColumns(_three(names, triple), "by the name of the file")
 
 
-def _of_several(values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Heavy]) -> GuessedColumns | None:
+def _of_several(
+    values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Heavy], numbers: Sequence[int]
+) -> GuessedColumns | None:
     """Return the only three columns that read g, and the gyros behind or before them."""
     fits = [place for place, (_, unit, _) in enumerate(heavy) if unit]
     if len(fits) != 1 or len(heavy) < 2 or fits[0] > 1:
         return None
-    (forces, unit, size), rates = heavy[fits[0]], heavy[1 - fits[0]][0]
-    if not _small(rest[:, rates], values[:, rates]):
+    forces, unit, size = heavy[fits[0]]
+    beside = [triple for place, (triple, _, _) in enumerate(heavy) if abs(place - fits[0]) == 1]
+    found = [rates for rates in beside if _small(rest[:, rates], values[:, rates])]
+    if len(found) != 1:  # a magnetometer before them reads little as well
         return None
-    return GuessedColumns(_three(ACCELEROMETERS, forces) | _three(GYROS, rates), _told(forces, unit, size))
+    rates = found[0]
+    return GuessedColumns(
+        _three(ACCELEROMETERS, forces) | _three(GYROS, rates), _told([numbers[place] for place in forces], unit, size)
+    )
 
 
 def _usual_order(values: np.ndarray, channels: list[int], heavy: Sequence[_Heavy]) -> GuessedColumns | None:
@@ -138,7 +146,7 @@ def _usual_order(values: np.ndarray, channels: list[int], heavy: Sequence[_Heavy
 
 
 def _increments(
-    values: np.ndarray, rest: np.ndarray, triples: list[list[int]], clock: int | None
+    values: np.ndarray, rest: np.ndarray, triples: list[list[int]], clock: int | None, numbers: Sequence[int]
 ) -> GuessedColumns | None:
     """Return the layout of PSINS: three angle increments, three velocity increments that are g times the step, time."""
     if clock is None or len(triples) != 2 or (values[:1000, triples[1]] % 1 == 0).all():  # counts are none
@@ -148,9 +156,10 @@ def _increments(
     if unit != "m/s^2":
         return None
     columns = _three(GYROS, triples[0]) | _three(ACCELEROMETERS, triples[1])
+    first, last = numbers[triples[1][0]], numbers[triples[1][2]]
     evidence = (
-        f"columns {triples[1][0] + 1} to {triples[1][2] + 1} over the step of the time are {size:.4g} at rest: "
-        "increments in m/s, and those before them in rad (PSINS)"
+        f"columns {first} to {last} over the step of the time are {size:.4g} at rest:"
+        " increments in m/s, and those before them in rad (PSINS)"
     )
     return GuessedColumns(columns, evidence, True)
 
@@ -166,21 +175,29 @@ def _small(rest: np.ndarray, values: np.ndarray) -> bool:
 
 
 def _told(triple: list[int], unit: str, size: float) -> str:
-    return f"columns {triple[0] + 1} to {triple[2] + 1} have |f| = {size:.4g} at rest: accelerometers in {unit}"
+    return f"columns {triple[0]} to {triple[2]} have |f| = {size:.4g} at rest: accelerometers in {unit}"
 
 
-def _refusal(values: np.ndarray, clock: int | None, heavy: Sequence[_Heavy], where: str, names: str) -> InputError:
-    looks = [] if clock is None else [f"{clock + 1} increases like a time"]
+def _refusal(
+    values: np.ndarray,
+    clock: int | None,
+    heavy: Sequence[_Heavy],
+    where: str,
+    names: str,
+    numbers: Sequence[int],
+) -> InputError:
+    looks = [] if clock is None else [f"{numbers[clock]} increases like a time"]
     for triple, unit, size in heavy:
         means = f"like accelerometers in {unit}" if unit else "in no usual unit of g"
-        looks.append(f"{triple[0] + 1} to {triple[2] + 1} have a magnitude of {size:.4g} at rest, {means}")
+        looks.append(f"{numbers[triple[0]]} to {numbers[triple[2]]} have a magnitude of {size:.4g} at rest, {means}")
     known = {clock} | {place for triple, _, _ in heavy for place in triple}
     looks += [
-        f"{place + 1} begins with {values[0, place]:.5g}" for place in range(values.shape[1]) if place not in known
+        f"{numbers[place]} begins with {values[0, place]:.5g}" for place in range(values.shape[1]) if place not in known
     ]
-    first = 2 if clock == 0 else 1
+    fits = [triple[0] for triple, unit, _ in heavy if unit]
+    first = numbers[fits[0] if len(fits) == 1 else 1 if clock == 0 else 0]
     example = " ".join(f"--column {name}={place}" for place, name in enumerate((*ACCELEROMETERS, *GYROS), first))
-    time = "" if clock is None else f" --column time_s={clock + 1}"
+    time = "" if clock is None else f" --column time_s={numbers[clock]}"
     issue = Issue(
         f"{names}, and the numbers do not say which are which",
         where,

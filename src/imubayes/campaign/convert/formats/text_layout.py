@@ -6,6 +6,7 @@ import gzip
 import lzma
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from io import TextIOWrapper
 from itertools import islice
@@ -14,7 +15,7 @@ from typing import Any
 
 from imubayes.campaign.convert.column_names import is_unit, role_of
 from imubayes.campaign.convert.formats.cell_values import CellKind, has_decimal_comma, is_number, kind_of
-from imubayes.foundations.errors import input_error
+from imubayes.foundations.errors import InputError, input_error
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": None}
 # A sign of numpy.savetxt, MATLAB, C and others before a line that is not data.
@@ -86,7 +87,18 @@ def find_layout(file: Path, delimiter: str | None) -> TextLayout:
         if the file is not text, is empty or holds no numbers.
     """
     encoding, lines = _first_lines(file)
-    return (None if delimiter else _labelled(encoding, lines)) or _table(file, encoding, lines, delimiter)
+    labelled = None if delimiter else _labelled(encoding, lines)
+    if labelled is None:
+        return _table(file, encoding, lines, delimiter)
+    # Labels may stand in cells of their own, below names for all.
+    table = next(iter(_tables(file, encoding, lines)), None)
+    named = table is not None and len(table.names) == len(table.kinds) and any(map(role_of, table.names))
+    return table if table is not None and named else labelled
+
+
+def _tables(file: Path, encoding: str, lines: Sequence[tuple[int, str]]) -> Iterator[TextLayout]:
+    with suppress(InputError):
+        yield _table(file, encoding, lines, None)
 
 
 def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimiter: str | None) -> TextLayout:
@@ -101,7 +113,6 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
         if _above(cells, point(typical)) or not _is_data(line, cells, below, separator):
             continue
         sample = [point(split_cells(text, separator)) for _, text in lines[index : index + _SAMPLE]]
-        tags = _tags(sample)
         # A last cell that is empty is no column only where it is empty in every line.
         width = max(len(_without_trailing(row)) for row in sample if len(row) == len(cells))
         heading, names, units = _heading(lines[:index], separator, {len(cells), width})
@@ -117,7 +128,7 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
             names,
             units,
             kinds,
-            tags,
+            _tags(sample, names),
             head,
             label_columns=_label_columns(sample, kinds),
         )
@@ -270,7 +281,7 @@ def _labelled(encoding: str, lines: Sequence[tuple[int, str]]) -> TextLayout | N
     """Return the layout of lines that name each number, or each first of several, always in the same words."""
     found = [_between(line) for _, line in lines[len(lines) // 2 :]]
     usual = max(set(found), key=found.count)
-    words = [" ".join(re.findall(r"[^\W\d_][\w.]*", part)) for part in usual[:-1]]
+    words = _with_owners([" ".join(re.findall(r"[^\W\d_][\w.]*", part)) for part in usual[:-1]])
     named = [word for word in words if word]
     always = found.count(usual) >= _LABELLED * len(found) and len(words) > 3 and len(set(named)) == len(named) > 1
     if not always or not words[0] or not any(role_of(f"{word}[0]") or role_of(word) for word in named):
@@ -278,6 +289,16 @@ def _labelled(encoding: str, lines: Sequence[tuple[int, str]]) -> TextLayout | N
     first = next(number for number, line in lines if _between(line) == usual)
     kinds = (CellKind.NUMBER,) * len(words)
     return TextLayout(encoding, None, False, first, first, tuple(_numbered(words)), (), kinds, {}, "", usual)
+
+
+def _with_owners(words: Sequence[str]) -> list[str]:
+    """Return labels, those of axes alone behind the words that came with an axis last: accel x, y, z of nested JSON."""
+    owner, found = "", []
+    for word in words:
+        *others, last = word.split() or [""]
+        owner = " ".join(others) if others else owner if last in ("x", "y", "z") else ""
+        found.append(f"{owner} {last}".strip())
+    return found
 
 
 def _numbered(words: Sequence[str]) -> Iterator[str]:
@@ -312,11 +333,13 @@ def _names_a_sensor(words: Sequence[str], lines: int) -> bool:
     return lines >= _FEW and len(words) == lines and role_of(f"{words[0]}[0]") is not None
 
 
-def _tags(sample: Sequence[Sequence[str]]) -> dict[str, tuple[CellKind, ...]]:
+def _tags(sample: Sequence[Sequence[str]], names: Sequence[str] = ()) -> dict[str, tuple[CellKind, ...]]:
     """Return the first words of lines that say what they hold, with the kinds of their cells behind the word.
 
-    One word alone, in every line, says it where it names a sensor.
+    One word alone, in every line, says it where it names a sensor; below names for all columns it is a label.
     """
+    if len(names) == len(sample[0]) and any(map(role_of, names)):
+        return {}
     rows = [row for row in sample if len(row) > 2]
     words = [row[0] for row in rows]
     tags = dict.fromkeys(words)
