@@ -72,18 +72,19 @@ def shown_grade(campaign: Campaign, proposal: EffectProposal) -> ShownGrade | No
     """
     if campaign.grade is not None:
         return None
-    by_noise = max((grade_of(campaign, kind) for kind in LEAST_NOISE if campaign.of_kind(kind)), key=GRADES.index)
+    finest = max(GRADES.index(grade_of(campaign, kind)) for kind in LEAST_NOISE if campaign.of_kind(kind))
+    by_noise, coarser = GRADES[finest], GRADES[:finest]
     spec = ModelSpec(campaign.name, tuple(each.spec for each in proposal.effects))
-    coarsest, *others = GRADES[: GRADES.index(by_noise) + 1]
-    if not others:
+    if not coarser:
         return None
+    coarsest = coarser[0]
     # Under the widest priors the noise scales do not make up for errors that the priors forbid.
     wide = bind(spec, replace(campaign, grade=coarsest))
     h, _ = climb(wide.problem, linearise(wide.problem, np.zeros(len(wide.layout))), np.zeros(len(wide.hyper_layout)))
     plain = _distances(bind(spec, campaign), h)
     if not plain.contradict:
         return None
-    allowed = (each for each in reversed(others[:-1]) if not _distances(_graded(spec, campaign, each), h).contradict)
+    allowed = (each for each in reversed(coarser[1:]) if not _distances(_graded(spec, campaign, each), h).contradict)
     place = int(np.argmax(plain.size))
     return ShownGrade(next(allowed, coarsest), by_noise, plain.names[place], float(plain.size[place]))
 

@@ -333,20 +333,22 @@ def _names_a_sensor(words: Sequence[str], lines: int) -> bool:
     return lines >= _FEW and len(words) == lines and role_of(f"{words[0]}[0]") is not None
 
 
+def _are_tags(words: Sequence[str], lines: int) -> bool:
+    """Tell whether the first words of some lines say what these hold."""
+    count = len(set(words))
+    return 1 <= count <= _MOST_TAGS and all(map(_is_word, words)) and (count > 1 or _names_a_sensor(words, lines))
+
+
 def _tags(sample: Sequence[Sequence[str]], names: Sequence[str] = ()) -> dict[str, tuple[CellKind, ...]]:
     """Return the first words of lines that say what they hold, with the kinds of their cells behind the word.
 
     One word alone, in every line, says it where it names a sensor; below names for all columns it is a label.
     """
-    if len(names) == len(sample[0]) and any(map(role_of, names)):
-        return {}
     rows = [row for row in sample if len(row) > 2]
     words = [row[0] for row in rows]
-    tags = dict.fromkeys(words)
-    if not 1 <= len(tags) <= _MOST_TAGS or not all(map(_is_word, words)):
+    if len(names) == len(sample[0]) and any(map(role_of, names)):
         return {}
-    if len(tags) == 1 and not _names_a_sensor(words, len(sample)):
-        return {}
+    tags = dict.fromkeys(words if _are_tags(words, len(sample)) else ())
     return {
         tag: tuple(
             kind_of([row[place] for row in rows if row[0] == tag and place < len(row)])
