@@ -1,9 +1,11 @@
 """Files of one session whose lines are tagged or labelled; and a campaign with a mistake, written to be corrected."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 import imubayes
 from imubayes.campaign.convert import read_recordings
@@ -42,6 +44,20 @@ def test_each_of_several_tagged_files_is_a_run(tmp_path: Path) -> None:
     for name, bias in (("gx", 0.3), ("gy", 1.2), ("gz", -4.0)):
         found = fitted[f"gyro_bias.bias[{name}]"]
         assert abs(found.mean / 3600 - bias) < 4 * found.sd / 3600
+
+
+def test_matrices_of_one_session_are_stated_together(tmp_path: Path) -> None:
+    """Three turns about three axes in one MATLAB file; which of them are runs, the file does not say."""
+    matrices = {}
+    for axis, name in enumerate(("turn_x", "turn_y", "turn_z")):
+        lines = np.loadtxt(turn(tmp_path / "one.txt", axis, axis), usecols=(1, 2, 3, 4), dtype=float)
+        matrices[name] = np.column_stack([lines[::2, 0] / 1000, lines[::2, 1:] * 9.81, np.radians(lines[1::2, 1:])])
+    savemat(tmp_path / "session.mat", matrices)
+    options: dict[str, Any] = {"turn_deg": 360, "latitude_deg": 48, "gyro_unit": "rad/s"}
+    with pytest.raises(InputError, match="no columns are named"):
+        read_recordings([tmp_path / "session.mat"], **options)
+    read = read_recordings([tmp_path / "session.mat"], topic=list(matrices), **options)
+    assert {"turns-x-1", "turns-y-2", "turns-z-3"} < {run["name"] for run in read.campaign.document["run"]}
 
 
 @pytest.mark.parametrize("banner", [["Initializing I2C devices...", "MPU6050 connection successful"], []])

@@ -89,11 +89,14 @@ def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions
     """
     found = _topics(recordings, options)
     alone = len(found) == 1
-    tables = [_table(recording, topic, options, alone) for recording, topic in found]
+    tables = [_table(recording, topic, options, alone or bool(options.topic)) for recording, topic in found]
     stated = [table for table in tables if set(options.columns) & set(table.columns)]
     if options.columns and not stated:
         raise InputError(tables[0].faults or _nothing(tables))
-    chosen = _one_way([table for table in (stated or tables) if table.usable] or _refuse(tables, alone))
+    usable = [table for table in (stated or tables) if table.usable] or _refuse(tables, alone)
+    # Topics that are stated, each with both kinds, are the runs of a session.
+    session = len(options.topic) > 1 and all(table.kinds == "ag" for table in usable)
+    chosen = tuple(usable) if session else _one_way(usable)
     read = {id(table.recording) for table in chosen}
     if idle := [table for table in tables if id(table.recording) not in read]:
         _refuse(idle, alone=True)  # a file of which nothing is read was not given for nothing
@@ -124,11 +127,15 @@ def _one_way(usable: Sequence[ChosenTable]) -> tuple[ChosenTable, ...]:
     candidates = whole or [*apart[0], *apart[1]]
     if _is_open(*by_kind.values()):
         listed = {table.topic.name or table.recording.file.name: _HOLDS[table.kinds] for table in candidates}
+        first, *others = listed
+        several = (
+            f"; runs of one unit are stated together: --topic {first} --topic {others[0]}" if whole and others else ""
+        )
         issue = Issue(
             f"{len(candidates)} topics hold channels",
             ", ".join(dict.fromkeys(str(table.recording.file) for table in candidates)),
             ", ".join(f"{name} ({kinds})" for name, kinds in listed.items()),
-            f"choose one, such as --topic {next(iter(listed))}",
+            f"choose one, such as --topic {first}{several}",
         )
         raise InputError(issue)
     return tuple(candidates)
