@@ -6,7 +6,6 @@ coefficients are normal.
 """
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -152,9 +151,11 @@ def free_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tu
 
 
 def with_prior(forms: Sequence[FormHypothesis], whole: float) -> tuple[FormHypothesis, ...]:
-    """Return forms with a prior probability in equal shares of families and members."""
-    members = Counter(each.family for each in forms)
-    share = {family: math.log(whole / len(members) / count) for family, count in members.items()}
+    """Return forms with a prior probability in equal shares of families and members, but for their own share."""
+    weight: dict[str, float] = {}
+    for each in forms:
+        weight[each.family] = weight.get(each.family, 0.0) + math.exp(each.log_share)
+    share = {family: math.log(whole / len(weight) / total) for family, total in weight.items()}
     return tuple(replace(each, log_prior=share[each.family] + each.log_share) for each in forms)
 
 
