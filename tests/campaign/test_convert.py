@@ -118,7 +118,7 @@ def test_static_log_for_a_thermal_ramp(tmp_path: Path) -> None:
         ({"files": []}, "no file was given"),
         ({"out": "unit.log"}, "not an empty folder"),
         ({"out": "occupied"}, "not an empty folder"),
-        ({"accel_unit": "g"}, "which is 9.799 g"),
+        ({"accel_unit": "g"}, "which is 9.805 g"),
         ({"procedure": "free_tumbel"}, "procedure = 'free_tumbel'"),
     ],
 )
