@@ -84,9 +84,12 @@ def shown_grade(campaign: Campaign, proposal: EffectProposal) -> ShownGrade | No
     plain = _distances(bind(spec, campaign), h)
     if not plain.contradict:
         return None
-    allowed = (each for each in reversed(coarser[1:]) if not _distances(_graded(spec, campaign, each), h).contradict)
+    grade = coarsest
+    for each in coarser[1:]:
+        if not _distances(_graded(spec, campaign, each), h).contradict:
+            grade = each
     place = int(np.argmax(plain.size))
-    return ShownGrade(next(allowed, coarsest), by_noise, plain.names[place], float(plain.size[place]))
+    return ShownGrade(grade, by_noise, plain.names[place], float(plain.size[place]))
 
 
 def _graded(spec: ModelSpec, campaign: Campaign, grade: Grade) -> Model:
