@@ -31,7 +31,7 @@ from imubayes.foundations.errors import InputError, Issue, closest_first, input_
 from imubayes.foundations.units import STANDARD_GRAVITY
 from imubayes.procedures import PROCEDURES, procedure_named
 
-CAMPAIGN_FILE, SITE_GRAVITY = "campaign.toml", "site.gravity_m_s2"
+CAMPAIGN_FILE = "campaign.toml"
 TABLE_FILES = ("*.csv", "*.parquet", "*/*.csv", "*/*.parquet")
 
 
@@ -160,7 +160,6 @@ def _findings_in_memory(campaign: Campaign) -> tuple[Finding, ...]:
     """Return the findings in the rows of runs, between runs, and about the set-up."""
     tables = {run.name: f"run '{run.name}'" for run in campaign.runs}
     found = [
-        *check_gravity(campaign.site, SITE_GRAVITY),
         *check_repeats(campaign.runs, [*tables.values()], campaign.channels),
         *check_times(campaign.runs, [*tables.values()]),
     ]
@@ -168,7 +167,8 @@ def _findings_in_memory(campaign: Campaign) -> tuple[Finding, ...]:
         table, mounting = campaign.tables.get(run.table or ""), campaign.mountings.get(run.mounting or "")
         found += check_rows(run, campaign.channels, campaign.site, table, mounting, tables[run.name])
     places = Places(campaign, Ledger(Path(f"campaign '{campaign.name}'")), tables, {run: run for run in tables})
-    return (*found, *setup_findings(campaign, places, ()))
+    site = check_gravity(campaign.site, places.ledger.where("site", "gravity_m_s2"))
+    return (*site, *found, *setup_findings(campaign, places, ()))
 
 
 def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspection:
@@ -200,7 +200,8 @@ def inspect_document(document: Document[CampaignFile], tables: Tables, *, judge_
     judge = None if ledger.issues else equipment
     loaded = [_load(tables.of(run), run, draft.names["channel"], judge) for run in draft.runs.values()]
     _judge_rows(loaded, list(draft.runs.values()), tables, judge)
-    findings = tuple(finding for result in loaded for finding in result.findings)
+    site = check_gravity(judge.site, ledger.where("site", "gravity_m_s2")) if judge is not None else []
+    findings = (*site, *(finding for result in loaded for finding in result.findings))
     issues = [*ledger.issues, *(issue for result in loaded for issue in result.issues)]
     if not judge_setup or not _await_the_gate(loaded, findings):
         issues += _problems(findings)
@@ -224,11 +225,7 @@ def _judge_rows(
     without_saturated_rows(loaded, files, equipment)
     read = [(each, file) for each, file in zip(loaded, files, strict=True) if each.run is not None]
     runs, named = [each.run for each, _ in read if each.run is not None], [file for _, file in read]
-    between = [
-        *check_gravity(equipment.site, f"{CAMPAIGN_FILE}, {SITE_GRAVITY}"),
-        *check_repeats(runs, named, equipment.channels),
-        *check_times(runs, named),
-    ]
+    between = [*check_repeats(runs, named, equipment.channels), *check_times(runs, named)]
     for each, entry, file in zip(loaded, entries, files, strict=True):
         judge_rows(each, entry, equipment, file)
     _add_to_runs(loaded, entries, between)

@@ -323,14 +323,19 @@ class CsvDialect:
 
 
 _SAMPLE_ROWS = 100  # by which the decimal sign is determined
-_DECIMAL_COMMA = re.compile(r"\s*\"?[-+]?\d+,\d+(?:[eE][-+]?\d+)?\"?\s*")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+
+
+def has_decimal_comma(cell: str) -> bool:
+    """Tell whether a cell is a number with a decimal comma."""
+    return _DECIMAL_COMMA.fullmatch(cell.strip()) is not None
 
 
 def _dialect(header: str, rows: Sequence[str] = ()) -> CsvDialect:
     """Return the dialect by the line of names and the first rows; spreadsheets with decimal commas write semicolons."""
     delimiter = next((mark for mark in ";\t|" if "," not in header and mark in header), ",")
-    cells = (cell for row in rows for cell in row.split(delimiter))
-    commas = delimiter != "," and any(map(_DECIMAL_COMMA.fullmatch, cells))
+    cells = (cell.strip().strip('"') for row in rows for cell in row.split(delimiter))
+    commas = delimiter != "," and any(map(has_decimal_comma, cells))
     return CsvDialect(delimiter, "," if commas else ".")
 
 

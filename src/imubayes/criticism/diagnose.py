@@ -103,6 +103,10 @@ def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -
     )  # fmt: skip
 
 
+def _known(name: str, value: float, sd: float | None, unit: str) -> explanations.CoefficientEstimate:
+    return explanations.CoefficientEstimate(name=name, value=finite(value), sd=sd, unit=unit)
+
+
 _SET_AT = ("time", "temperature", "converter_temperature")
 
 
@@ -117,8 +121,10 @@ def with_step(posterior: ExplanationPosterior, campaign: Campaign) -> explanatio
     sizes = []
     for k in chosen.channels:
         place, noise = own + chosen.span(k).start, float(np.median(1 / problem.root[problem.rows[k].entry]))
-        size = {"value": noise * float(best.mean[place]), "sd": noise * float(sd[place])}
-        sizes.append(explanations.PlacedValue(name=problem.rows[k].name, unit=campaign.channels[k].output_unit, **size))
+        channel = campaign.channels[k]
+        sizes.append(
+            _known(channel.name, noise * float(best.mean[place]), noise * float(sd[place]), channel.output_unit)
+        )
     assert chosen.form.run is not None
     run = campaign.runs[chosen.form.run]
     settings = []
@@ -126,7 +132,7 @@ def with_step(posterior: ExplanationPosterior, campaign: Campaign) -> explanatio
         if name in run.covariates:
             known, read = COVARIATES[name], campaign.as_read(run, name)
             value = float(read[chosen.form.row or 0]) / known.factor(campaign.site.gravity)
-            settings.append(explanations.PlacedValue(name=known.phrase, value=value, unit=known.unit))
+            settings.append(_known(known.phrase, value, None, known.unit))
     step = explanations.FoundStep(sizes=tuple(sizes), settings=tuple(settings))
     return evidence.model_copy(update={"form": evidence.form.model_copy(update={"step": step})})
 

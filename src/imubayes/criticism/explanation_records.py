@@ -105,31 +105,17 @@ class EffectSlot(Record):
         return self.candidates[0].channels
 
 
-class PlacedValue(Record):
-    """A value by name with its unit; its standard uncertainty if it has one.
-
-    Attributes
-    ----------
-    name : of a channel, or a phrase for a covariate.
-    """
-
-    name: str
-    value: float
-    sd: float | None = None
-    unit: str
-
-
 class FoundStep(Record):
     """A step: its size, and the recorded covariates of the row at which it is.
 
     Attributes
     ----------
-    sizes : one of each channel, in output units, at the noise known beforehand.
-    settings : time and temperatures of the row, those that the run has.
+    sizes : one of each channel, by its name, in output units.
+    settings : time and temperatures of the row, those that the run has, as recorded and without an uncertainty.
     """
 
-    sizes: tuple[PlacedValue, ...]
-    settings: tuple[PlacedValue, ...]
+    sizes: tuple[CoefficientEstimate, ...]
+    settings: tuple[CoefficientEstimate, ...]
 
 
 class FoundForm(Record):

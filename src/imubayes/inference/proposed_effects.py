@@ -35,7 +35,7 @@ FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lev
            "accel_scale_temperature", "converter_gain_drift", "converter_offset_drift")  # fmt: skip
 NOISE = ("white_noise", "encoder_noise", "run_scatter")
 # Of bias, scale factor and misalignment, and of further effects: the least share of the information from the data.
-_TOLD, _DETERMINED = 0.1, 0.5
+TOLD, _DETERMINED = 0.1, 0.5
 # Factor by which a further effect may widen the standard deviation of a bias, scale factor or misalignment, and one of
 # these another while it counts as one on which nothing depends.
 _WIDENED, _INDEPENDENT = 5.0, 1.1
@@ -141,26 +141,44 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
 
 def untold_effects(model: Model) -> tuple[str, ...]:
     """Return the effects of sensors of a model of which the runs tell less than a tenth, beside all others."""
-    precision, widths, owner = _precision(model)
-    told = 1 - np.diag(inverse_of_precision(precision)) / widths**2
+    known = linear_information(model)
+    owner, told = known.owner, 1 - np.diag(inverse_of_precision(known.precision)) / known.widths**2
     others = {*of_equipment(), *STATION, *(e.name for e in model.assembly.effects if e.effect_class.nuisance)}
     names = [name for name in dict.fromkeys(owner.tolist()) if name not in others]
-    return tuple(name for name in names if float(np.max(told[owner == name])) < _TOLD)
+    return tuple(name for name in names if float(np.max(told[owner == name])) < TOLD)
 
 
-def _precision(model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the precision of the parameters before any reading, (P, P), their prior widths and their effects, (P,)."""
+@dataclass(frozen=True)
+class LinearInformation:
+    """A model linear about the middle of its priors.
+
+    Attributes
+    ----------
+    precision, pull : shapes (P, P) and (P,), precision of θ with its prior, and precision × posterior mean.
+    widths, owner : shape (P,), prior widths, and the effects that the parameters belong to.
+    """
+
+    precision: np.ndarray
+    pull: np.ndarray
+    widths: np.ndarray
+    owner: np.ndarray
+
+
+def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInformation:
+    """Return the linear model at noise scales h, (H,), those of the campaign if None."""
     about = linearise(model.problem, np.zeros(len(model.layout)))
-    _, jacobian, widths = whitened_about(model.problem, about, np.zeros(len(model.hyper_layout)))
+    scales = np.zeros(len(model.hyper_layout)) if h is None else h
+    residual, jacobian, widths = whitened_about(model.problem, about, scales)
     owner = np.array([parameter.effect for parameter in model.layout.parameters])
-    return jacobian.T @ jacobian + np.diag(widths**-2), widths, owner
+    return LinearInformation(jacobian.T @ jacobian + np.diag(widths**-2), jacobian.T @ residual, widths, owner)
 
 
 def _kept(
     model: Model, names: Sequence[str], purposes: Sequence[str]
 ) -> tuple[set[str], dict[str, tuple[float, float]]]:
     """Return the effects of the model, and the least and largest share of the coefficients of each, beside them."""
-    precision, widths, owner = _precision(model)
+    known = linear_information(model)
+    precision, widths, owner = known.precision, known.widths, known.owner
     held = np.array([parameter.prior.sd() < _HELD_RAD for parameter in model.layout.parameters])
     kept, shares, apart = set(names), {}, [name for name in FURTHER if name not in purposes]
     while True:
@@ -172,7 +190,7 @@ def _kept(
         shares |= now
         below = _below(now, apart, 0, _DETERMINED) | _below(now, purposes, 1, _DETERMINED) or {
             name: share
-            for name, share in _below(now, SENSORS, 1, _TOLD).items()
+            for name, share in _below(now, SENSORS, 1, TOLD).items()
             if _widening(precision, owner, inside, variance, name) < _INDEPENDENT
         }
         if below:

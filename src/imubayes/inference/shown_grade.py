@@ -15,16 +15,14 @@ import numpy as np
 from imubayes.campaign.equipment import LEAST_NOISE, grade_of
 from imubayes.foundations.campaign_data import GRADES, Campaign, Grade
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
-from imubayes.inference.laplace_marginal import climb, inverse_of_precision, whitened_about
+from imubayes.inference.laplace_marginal import climb, inverse_of_precision
 from imubayes.inference.parameter_fit import linearise
-from imubayes.inference.proposed_effects import SENSORS, EffectProposal
+from imubayes.inference.proposed_effects import SENSORS, TOLD, EffectProposal, linear_information
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import ModelSpec
 
 _IMPROBABLE = 1e-3
 """Probability, over all parameters or effects, of a distance at which a grade counts as contradicted (convention)."""
-_TOLD = 0.1
-"""Least share of the information from the data for a parameter to be counted."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +72,16 @@ def shown_grade(campaign: Campaign, proposal: EffectProposal) -> ShownGrade | No
         return None
     finest = max(GRADES.index(grade_of(campaign, kind)) for kind in LEAST_NOISE if campaign.of_kind(kind))
     by_noise, coarser = GRADES[finest], GRADES[:finest]
-    spec = ModelSpec(campaign.name, tuple(each.spec for each in proposal.effects))
     if not coarser:
         return None
-    coarsest = coarser[0]
+    spec = ModelSpec(campaign.name, tuple(each.spec for each in proposal.effects))
+    grade: Grade = coarser[0]
     # Under the widest priors the noise scales do not make up for errors that the priors forbid.
-    wide = bind(spec, replace(campaign, grade=coarsest))
+    wide = _graded(spec, campaign, grade)
     h, _ = climb(wide.problem, linearise(wide.problem, np.zeros(len(wide.layout))), np.zeros(len(wide.hyper_layout)))
     plain = _distances(bind(spec, campaign), h)
     if not plain.contradict:
         return None
-    grade = coarsest
     for each in coarser[1:]:
         if not _distances(_graded(spec, campaign, each), h).contradict:
             grade = each
@@ -97,15 +94,9 @@ def _graded(spec: ModelSpec, campaign: Campaign, grade: Grade) -> Model:
 
 
 def _distances(model: Model, h: np.ndarray) -> _Distances:
-    about = linearise(model.problem, np.zeros(len(model.layout)))
-    residual, jacobian, widths = whitened_about(model.problem, about, h)
-    covariance = inverse_of_precision(jacobian.T @ jacobian + np.diag(widths**-2))
-    mean, left = covariance @ (jacobian.T @ residual), widths**2 - np.diag(covariance)
-    chosen = [
-        place
-        for place, each in enumerate(model.layout.parameters)
-        if each.effect in SENSORS and left[place] > _TOLD * widths[place] ** 2
-    ]
-    size = np.abs(mean[chosen]) / np.sqrt(left[chosen])
-    names = tuple(model.layout.names[place] for place in chosen)
-    return _Distances(names, np.array([model.layout.parameters[place].effect for place in chosen]), size)
+    known = linear_information(model, h)
+    covariance = inverse_of_precision(known.precision)
+    left = known.widths**2 - np.diag(covariance)
+    chosen = np.flatnonzero(np.isin(known.owner, SENSORS) & (left > TOLD * known.widths**2))
+    size = np.abs(covariance @ known.pull)[chosen] / np.sqrt(left[chosen])
+    return _Distances(tuple(model.layout.names[place] for place in chosen), known.owner[chosen], size)

@@ -89,14 +89,12 @@ def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions
     """
     found = _topics(recordings, options)
     alone = len(found) == 1
-    tables = [_table(recording, topic, options, alone or bool(options.topic)) for recording, topic in found]
+    tables = [_table(recording, topic, options, alone) for recording, topic in found]
     stated = [table for table in tables if set(options.columns) & set(table.columns)]
     if options.columns and not stated:
         raise InputError(tables[0].faults or _nothing(tables))
     usable = [table for table in (stated or tables) if table.usable] or _refuse(tables, alone)
-    # Topics that are stated, each with both kinds, are the runs of a session.
-    session = len(options.topic) > 1 and all(table.kinds == "ag" for table in usable)
-    chosen = tuple(usable) if session else _one_way(usable)
+    chosen = _one_way(usable, len(options.topic) > 1)
     read = {id(table.recording) for table in chosen}
     if idle := [table for table in tables if id(table.recording) not in read]:
         _refuse(idle, alone=True)  # a file of which nothing is read was not given for nothing
@@ -120,12 +118,17 @@ def _refuse(tables: Sequence[ChosenTable], alone: bool) -> NoReturn:
     raise InputError(faults[:3] if faults and alone else _nothing(tables, faults))
 
 
-def _one_way(usable: Sequence[ChosenTable]) -> tuple[ChosenTable, ...]:
-    """Return the tables of the only choice among those that have channels."""
+def _one_way(usable: Sequence[ChosenTable], session: bool) -> tuple[ChosenTable, ...]:
+    """Return the tables of the only choice among those that have channels.
+
+    Parameters
+    ----------
+    session : whether several topics are stated: those with both kinds each are the runs of a session.
+    """
     by_kind = {kinds: [table for table in usable if table.kinds == kinds] for kinds in _HOLDS}
     whole, apart = by_kind["ag"], [by_kind["a"], by_kind["g"]]
     candidates = whole or [*apart[0], *apart[1]]
-    if _is_open(*by_kind.values()):
+    if not (session and len(whole) == len(usable)) and _is_open(*by_kind.values()):
         listed = {table.topic.name or table.recording.file.name: _HOLDS[table.kinds] for table in candidates}
         first, *others = listed
         several = (
@@ -289,7 +292,8 @@ def _without_names(
     state = "state the column of each channel, such as --column ax=NUMBER"
     if topic.misfit:
         return replace(table, faults=(Issue(names, topic.where, "as many names as data fields", state),))
-    if not alone and topic.name and not hinted_kind(topic, recording):
+    asked_for = alone or not topic.name or topic.name in options.topic
+    if not asked_for and not hinted_kind(topic, recording):
         return table
     try:
         read = _numeric(topic, names, state)

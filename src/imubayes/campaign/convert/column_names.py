@@ -238,9 +238,9 @@ class SeparateGravity:
 
 
 def separate_gravity(names: Sequence[str]) -> dict[str, SeparateGravity]:
-    """Return accelerometer → the two columns whose sum it reads, as phones write them; none unless all axes have both.
+    """Return accelerometer → the two columns whose sum it reads; none unless all axes have both, in one unit.
 
-    A phone estimates the direction of gravity and subtracts it: what is left is the acceleration of its user.
+    A phone estimates gravity and subtracts it: what is left is the acceleration of its user.
     """
     found: dict[str, dict[str, tuple[int, str]]] = {"gravity": {}, "motion": {}}
     for place, name in enumerate(names):
@@ -251,13 +251,9 @@ def separate_gravity(names: Sequence[str]) -> dict[str, SeparateGravity]:
             unit = next((unit for word in _BRACKETED.findall(name) if (unit := unit_named(word))), "")
             found[part][axes[0]] = place, unit
     gravity, motion = found["gravity"], found["motion"]
-    if not set(gravity) == set(motion) == set(_AXES):
+    if not set(gravity) == set(motion) == set(_AXES) or any(gravity[axis][1] != motion[axis][1] for axis in _AXES):
         return {}
-    return {
-        f"a{axis}": SeparateGravity(gravity[axis][0], motion[axis][0], gravity[axis][1])
-        for axis in _AXES
-        if gravity[axis][1] == motion[axis][1]
-    }
+    return {f"a{axis}": SeparateGravity(gravity[axis][0], motion[axis][0], gravity[axis][1]) for axis in _AXES}
 
 
 def quantity_of(words: set[str], unit: str) -> str:

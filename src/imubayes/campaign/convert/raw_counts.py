@@ -197,7 +197,7 @@ def _refine(inverse: np.ndarray, turns: np.ndarray, before: np.ndarray, after: n
     return inverse + np.clip(step, -0.2 * np.abs(inverse), 0.2 * np.abs(inverse))
 
 
-_BIAS_UNITS = {"m/s^2": ("mg", to_si("mg")), "rad/s": ("deg/s", to_si("deg/s"))}
+_UNITS_OF_INPUT = {"accelerometers": ("m/s^2", "mg"), "gyros": ("rad/s", "deg/s")}  # of scales and biases
 SIGNIFICANT = 5  # digits of an estimated scale
 
 
@@ -235,12 +235,9 @@ def _by_turns(
     places = [GYROS.index(name) for name in names]
     found = Nominal(np.full(3, scale.mean()), np.zeros(3))
     found.scale[places], found.offset[places] = scale, offset
-    gyro = _combine(found, options.gyro_scale, options.gyro_offset)
-    notes.append(
-        _note(
-            "gyros", f"turns through {options.turn_deg:g} deg", gyro, "rad/s", options.gyro_scale, options.gyro_offset
-        )
-    )
+    how = f"turns through {options.turn_deg:g} deg"
+    gyro, note = _nominal("gyros", how, found, options.gyro_scale, options.gyro_offset)
+    notes.append(note)
     return gyro
 
 
@@ -278,28 +275,20 @@ def _estimated(
     means = force if poses is None else np.array([force[rest.start : rest.stop].mean(0) for rest in poses[0]])
     if accel is None:
         found = estimate_accelerometers(means.reshape(-1, 3), gravity, source)
-        accel = _combine(found, options.accel_scale, options.accel_offset)
-        notes.append(
-            _note(
-                "accelerometers", "the static poses, |f| = g", accel, "m/s^2", options.accel_scale, options.accel_offset
-            )
-        )
+        how = "the static poses, |f| = g"
+        accel, note = _nominal("accelerometers", how, found, options.accel_scale, options.accel_offset)
+        notes.append(note)
     if gyro is None:
         if rate is None or time is None or poses is None:
             raise _too_few_turns(0, source)
         level = (means - accel.offset) / accel.scale
         down = level / np.linalg.norm(level, axis=1, keepdims=True)
-        gyro = _combine(estimate_gyros(rate, down, time, *poses, source), options.gyro_scale, options.gyro_offset)
-        notes.append(
-            _note(
-                "gyros",
-                "the initial rest and the rotations between poses",
-                gyro,
-                "rad/s",
-                options.gyro_scale,
-                options.gyro_offset,
-            )
+        found, how = (
+            estimate_gyros(rate, down, time, *poses, source),
+            "the initial rest and the rotations between poses",
         )
+        gyro, note = _nominal("gyros", how, found, options.gyro_scale, options.gyro_offset)
+        notes.append(note)
     return accel, gyro
 
 
@@ -308,23 +297,19 @@ def _three(columns: Mapping[str, np.ndarray], names: Sequence[str]) -> np.ndarra
     return np.stack([columns[name] for name in names], axis=1) if all(name in columns for name in names) else None
 
 
-def _combine(found: Nominal, scale: Sequence[float] | None, offset: Sequence[float] | None) -> Nominal:
-    """Return the rounded estimate, replaced by what was given."""
-    return Nominal(
+def _nominal(
+    what: str, how: str, found: Nominal, scale: Sequence[float] | None, offset: Sequence[float] | None
+) -> tuple[Nominal, str]:
+    """Return the rounded estimate, replaced by what was stated, and a note on both and on the bias in the offset."""
+    nominal = Nominal(
         np.array([float(f"{value:.{SIGNIFICANT}g}") for value in (found.scale if scale is None else scale)]),
         np.round(found.offset if offset is None else np.asarray(offset, dtype=float), 1),
     )
-
-
-def _note(
-    what: str, how: str, nominal: Nominal, unit: str, scale: Sequence[float] | None, offset: Sequence[float] | None
-) -> str:
-    """Return what the nominal calibration is, which part of it was stated, and the bias that is in the offset."""
     scales, offsets = (", ".join(f"{value:g}" for value in values) for values in (nominal.scale, nominal.offset))
     origin, other = (f"estimated from {how}" if given is None else "as stated" for given in (scale, offset))
-    said = f"nominal scale of the {what} {origin}: {scales} count per {unit}; offset {other}: {offsets} count"
+    per, shown = _UNITS_OF_INPUT[what]
+    said = f"nominal scale of the {what} {origin}: {scales} count per {per}; offset {other}: {offsets} count"
     if offset is not None:
-        return said
-    shown, factor = _BIAS_UNITS[unit]
-    biases = ", ".join(f"{value:.3g}" for value in nominal.offset / nominal.scale / factor)
-    return f"{said}, a bias of {biases} {shown}; the biases of a fit are those that remain beside it"
+        return nominal, said
+    biases = ", ".join(f"{value:.3g}" for value in nominal.offset / nominal.scale / to_si(shown))
+    return nominal, f"{said}, a bias of {biases} {shown}; the biases of a fit are those that remain beside it"

@@ -97,11 +97,14 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str, numbers:
     channels = [place for place in range(width) if place != clock]
     triples = [channels[k : k + 3] for k in range(0, len(channels) - 2, 3)]
     rest = rest_means(np.asarray(values[:READ]))
-    heavy = [(triple, *unit_of_gravity(values[:, triple], rest[:, triple])) for triple in triples]
+    heavy = [
+        _Triple(places, numbers[places[0]], numbers[places[2]], *unit_of_gravity(values[:, places], rest[:, places]))
+        for places in triples
+    ]
     if len(channels) == 3:
-        found = _of_three(heavy[0], kind, numbers)
+        found = _of_three(heavy[0], kind)
     else:
-        found = _of_several(values, rest, heavy, numbers) or _increments(values, rest, triples, clock, numbers)
+        found = _of_several(values, rest, heavy) or _increments(values, rest, heavy, clock)
         found = found or _usual_order(values, channels, heavy)
     if found is None:
         raise _refusal(values, clock, heavy, where, names, numbers)
@@ -109,57 +112,67 @@ def infer_layout(values: np.ndarray, kind: str, where: str, names: str, numbers:
     return GuessedColumns(time | found.columns, found.evidence, found.increments)
 
 
-_Heavy = tuple[list[int], str, float]
+@dataclass(frozen=True)
+class _Triple:
+    """Three columns: their places, their first and last number in the table, and the unit in which |f| at rest is g.
+
+    `unit` is empty if it is g in none; `size` is |f| at rest.
+    """
+
+    places: list[int]
+    first: int
+    last: int
+    unit: str
+    size: float
+
+    @property
+    def told(self) -> str:
+        """Why they are accelerometers."""
+        return f"columns {self.first} to {self.last} have |f| = {self.size:.4g} at rest: accelerometers in {self.unit}"
 
 
-def _of_three(heavy: _Heavy, kind: str, numbers: Sequence[int]) -> GuessedColumns | None:
-    triple, unit, size = heavy
-    if unit and kind != "g":
-        return GuessedColumns(_three(ACCELEROMETERS, triple), _told([numbers[place] for place in triple], unit, size))
+def _of_three(heavy: _Triple, kind: str) -> GuessedColumns | None:
+    if heavy.unit and kind != "g":
+        return GuessedColumns(_three(ACCELEROMETERS, heavy.places), heavy.told)
     names = {"a": ACCELEROMETERS, "g": GYROS}.get(kind)
-    return None if names is None else GuessedColumns(_three(names, triple), "by the name of the file")
+    return None if names is None else GuessedColumns(_three(names, heavy.places), "by the name of the file")
 
 
-def _of_several(
-    values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Heavy], numbers: Sequence[int]
-) -> GuessedColumns | None:
+def _of_several(values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Triple]) -> GuessedColumns | None:
     """Return the only three columns that read g, and the gyros behind or before them."""
-    fits = [place for place, (_, unit, _) in enumerate(heavy) if unit]
+    fits = [place for place, each in enumerate(heavy) if each.unit]
     if len(fits) != 1 or len(heavy) < 2 or fits[0] > 1:
         return None
-    forces, unit, size = heavy[fits[0]]
-    beside = [triple for place, (triple, _, _) in enumerate(heavy) if abs(place - fits[0]) == 1]
+    forces = heavy[fits[0]]
+    beside = [each.places for place, each in enumerate(heavy) if abs(place - fits[0]) == 1]
     found = [rates for rates in beside if _small(rest[:, rates], values[:, rates])]
     if len(found) != 1:  # a magnetometer before them reads little as well
         return None
-    rates = found[0]
-    return GuessedColumns(
-        _three(ACCELEROMETERS, forces) | _three(GYROS, rates), _told([numbers[place] for place in forces], unit, size)
-    )
+    return GuessedColumns(_three(ACCELEROMETERS, forces.places) | _three(GYROS, found[0]), forces.told)
 
 
-def _usual_order(values: np.ndarray, channels: list[int], heavy: Sequence[_Heavy]) -> GuessedColumns | None:
-    if len(channels) != 6 or any(unit for _, unit, _ in heavy) or not np.isfinite(values[0]).all():
+def _usual_order(values: np.ndarray, channels: list[int], heavy: Sequence[_Triple]) -> GuessedColumns | None:
+    if len(channels) != 6 or any(each.unit for each in heavy) or not np.isfinite(values[0]).all():
         return None
     columns = _three(ACCELEROMETERS, channels[:3]) | _three(GYROS, channels[3:])
     return GuessedColumns(columns, "in the usual order, forces before rates: nothing in the numbers speaks for it")
 
 
 def _increments(
-    values: np.ndarray, rest: np.ndarray, triples: list[list[int]], clock: int | None, numbers: Sequence[int]
+    values: np.ndarray, rest: np.ndarray, heavy: Sequence[_Triple], clock: int | None
 ) -> GuessedColumns | None:
     """Return the layout of PSINS: three angle increments, three velocity increments that are g times the step, time."""
-    if clock is None or len(triples) != 2 or (values[:1000, triples[1]] % 1 == 0).all():  # counts are none
+    if clock is None or len(heavy) != 2 or (values[:1000, heavy[1].places] % 1 == 0).all():  # counts are none
         return None
+    rates, forces = heavy
     step = float(np.median(np.diff(values[:READ, clock])))
-    unit, size = gravity_unit(rest[:, triples[1]] / step) if step > 0 else ("", 0.0)
+    unit, size = gravity_unit(rest[:, forces.places] / step) if step > 0 else ("", 0.0)
     if unit != "m/s^2":
         return None
-    columns = _three(GYROS, triples[0]) | _three(ACCELEROMETERS, triples[1])
-    first, last = numbers[triples[1][0]], numbers[triples[1][2]]
+    columns = _three(GYROS, rates.places) | _three(ACCELEROMETERS, forces.places)
     evidence = (
-        f"columns {first} to {last} over the step of the time are {size:.4g} at rest:"
-        " increments in m/s, and those before them in rad (PSINS)"
+        f"columns {forces.first} to {forces.last} over the step of the time are {size:.4g} at rest: "
+        "increments in m/s, and those before them in rad (PSINS)"
     )
     return GuessedColumns(columns, evidence, True)
 
@@ -174,28 +187,19 @@ def _small(rest: np.ndarray, values: np.ndarray) -> bool:
     return size < _STILL and size < max(1.0, 0.5 * float(np.quantile(np.abs(values[:READ]), 0.999)))
 
 
-def _told(triple: list[int], unit: str, size: float) -> str:
-    return f"columns {triple[0]} to {triple[2]} have |f| = {size:.4g} at rest: accelerometers in {unit}"
-
-
 def _refusal(
-    values: np.ndarray,
-    clock: int | None,
-    heavy: Sequence[_Heavy],
-    where: str,
-    names: str,
-    numbers: Sequence[int],
+    values: np.ndarray, clock: int | None, heavy: Sequence[_Triple], where: str, names: str, numbers: Sequence[int]
 ) -> InputError:
     looks = [] if clock is None else [f"{numbers[clock]} increases like a time"]
-    for triple, unit, size in heavy:
-        means = f"like accelerometers in {unit}" if unit else "in no usual unit of g"
-        looks.append(f"{numbers[triple[0]]} to {numbers[triple[2]]} have a magnitude of {size:.4g} at rest, {means}")
-    known = {clock} | {place for triple, _, _ in heavy for place in triple}
+    for each in heavy:
+        means = f"like accelerometers in {each.unit}" if each.unit else "in no usual unit of g"
+        looks.append(f"{each.first} to {each.last} have a magnitude of {each.size:.4g} at rest, {means}")
+    known = {clock} | {place for each in heavy for place in each.places}
     looks += [
         f"{numbers[place]} begins with {values[0, place]:.5g}" for place in range(values.shape[1]) if place not in known
     ]
-    fits = [triple[0] for triple, unit, _ in heavy if unit]
-    first = numbers[fits[0] if len(fits) == 1 else 1 if clock == 0 else 0]
+    fits = [each.first for each in heavy if each.unit]
+    first = fits[0] if len(fits) == 1 else numbers[1 if clock == 0 else 0]
     example = " ".join(f"--column {name}={place}" for place, name in enumerate((*ACCELEROMETERS, *GYROS), first))
     time = "" if clock is None else f" --column time_s={numbers[clock]}"
     issue = Issue(

@@ -11,7 +11,6 @@ _DATE = re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([-/.])(\d{1,2
 _CLOCK = re.compile(r"(?:(\d+) days? )?(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d*)?)(?: ?([aApP])[mM])?")
 _PARTED = re.compile(r"([\d./-]{8,10})[T_ ]+(\d+:[\d:.,]+(?: ?[aApP][mM])?) ?(Z|UTC|[+-]\d\d:?\d\d)?")
 _STAMP = re.compile(rf"\d{{4}}[-/]?\d{{2}}[-/]?\d{{2}}[T_ ]\d{{2}}.*|{_PARTED.pattern}")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
 
 class CellKind(StrEnum):
@@ -47,11 +46,6 @@ def is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def has_decimal_comma(cell: str) -> bool:
-    """Tell whether a cell is a number with a decimal comma."""
-    return _DECIMAL_COMMA.fullmatch(cell.strip()) is not None
 
 
 def seconds_of_date(cell: str) -> float:

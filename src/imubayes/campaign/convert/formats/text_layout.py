@@ -6,7 +6,6 @@ import gzip
 import lzma
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from io import TextIOWrapper
 from itertools import islice
@@ -14,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from imubayes.campaign.convert.column_names import is_unit, role_of
-from imubayes.campaign.convert.formats.cell_values import CellKind, has_decimal_comma, is_number, kind_of
+from imubayes.campaign.convert.formats.cell_values import CellKind, is_number, kind_of
+from imubayes.campaign.run_tables import has_decimal_comma
 from imubayes.foundations.errors import InputError, input_error
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": None}
@@ -88,17 +88,19 @@ def find_layout(file: Path, delimiter: str | None) -> TextLayout:
     """
     encoding, lines = _first_lines(file)
     labelled = None if delimiter else _labelled(encoding, lines)
-    if labelled is None:
-        return _table(file, encoding, lines, delimiter)
+    try:
+        table = _table(file, encoding, lines, delimiter)
+    except InputError:
+        if labelled is None:
+            raise
+        return labelled
     # Labels may stand in cells of their own, below names for all.
-    table = next(iter(_tables(file, encoding, lines)), None)
-    named = table is not None and len(table.names) == len(table.kinds) and any(map(role_of, table.names))
-    return table if table is not None and named else labelled
+    return table if labelled is None or _names_all(table.names, len(table.kinds)) else labelled
 
 
-def _tables(file: Path, encoding: str, lines: Sequence[tuple[int, str]]) -> Iterator[TextLayout]:
-    with suppress(InputError):
-        yield _table(file, encoding, lines, None)
+def _names_all(names: Sequence[str], width: int) -> bool:
+    """Tell whether names are those of all columns, and one at least says what it is."""
+    return len(names) == width and any(map(role_of, names))
 
 
 def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimiter: str | None) -> TextLayout:
@@ -346,7 +348,7 @@ def _tags(sample: Sequence[Sequence[str]], names: Sequence[str] = ()) -> dict[st
     """
     rows = [row for row in sample if len(row) > 2]
     words = [row[0] for row in rows]
-    if len(names) == len(sample[0]) and any(map(role_of, names)):
+    if _names_all(names, len(sample[0])):
         return {}
     tags = dict.fromkeys(words if _are_tags(words, len(sample)) else ())
     return {
