@@ -43,6 +43,7 @@ print(run(["batch", "units", "--model", "accel-channel", "--out", "o"]), flush=T
 
 
 @pytest.mark.compiled  # processes
+@pytest.mark.slow
 def test_all_public_names_are_there_without_extras_and_a_recording_that_needs_one_names_it(
     tmp_path, command_environment
 ):

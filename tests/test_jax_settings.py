@@ -5,6 +5,8 @@ import subprocess
 import sys
 import time
 
+import pytest
+
 from imubayes.compiled.jax_settings import _without_empty
 
 _SCRIPT = """
@@ -29,6 +31,7 @@ def test_double_precision_is_switched_on():
     assert said("").split() == ["float64"]
 
 
+@pytest.mark.slow
 def test_a_campaign_begun_in_a_fresh_process_is_in_double_precision(tmp_path):
     """Nothing is traced before double precision is switched on, whichever public function comes first."""
     (tmp_path / "poses.csv").write_text("ax,ay,az\n" + "9.8,0,0\n0,9.8,0\n0,0,9.8\n-9.8,0,0\n0,-9.8,0\n0,0,-9.8\n")

@@ -128,6 +128,7 @@ def test_a_campaign_in_memory_is_checked_as_its_folder(campaign):
     assert ("channel_reversed", "error") in said or ("table_reversed", "error") in said, said
 
 
+@pytest.mark.slow
 def test_a_model_of_a_mapping_predicts_and_differentiates(campaign):
     model = imubayes.bind(imubayes.build_model({"name": "bench", "effect": EFFECTS}), campaign)
     z = jnp.zeros(len(model.parameter_names))
@@ -196,6 +197,7 @@ def test_two_effect_files_of_one_name_are_refused(campaign, tmp_path):
         imubayes.bind(imubayes.ModelSpec(spec.name, spec.effects, tuple(map(str, files))), campaign)
 
 
+@pytest.mark.slow
 def test_the_page_about_the_library_runs_as_written():
     page = Path(__file__).parents[1] / "src" / "docs" / "how-to" / "library.md"
     cells = re.findall(r"^```\{code-cell\} ipython3\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)

@@ -79,6 +79,7 @@ def fitted(units: list[Path], name: str = "polar-tumble") -> list[UnitPosterior]
     return list(fit_chunk(ChunkTask(read_model(MODELS / f"{name}.toml"), BatchSettings(), sources)))
 
 
+@pytest.mark.slow
 def test_posteriors_in_lanes_are_those_of_single_fits(units):
     (unit,) = fitted(units[:1])
     alone = fit_alone(model_of(units[0]), BatchSettings(), unit.identity)
@@ -194,12 +195,14 @@ def with_missing(tmp_path_factory) -> Path:
     return other
 
 
+@pytest.mark.slow
 def test_a_missing_reading_makes_another_structure(units, with_missing):
     first, second = model_of(units[0]).problem, model_of(units[1]).problem
     assert structure_key(first) == structure_key(second)
     assert structure_key(model_of(with_missing).problem) != structure_key(first)
 
 
+@pytest.mark.slow
 def test_units_with_other_missing_readings_share_the_shapes_of_compiled_code(units, with_missing):
     def shapes(unit: Path) -> tuple:
         problem = padded_entries(model_of(unit).problem)

@@ -148,6 +148,7 @@ def test_a_line_in_the_making_waits_for_its_end(tmp_path):
     assert list(found) == []
 
 
+@pytest.mark.slow
 def test_accelerometers_alone_are_asked_for_accelerometers(tmp_path):
     columns = random_attitudes(4, 24).columns()
     names = ("time_s", "ax", "ay", "az")

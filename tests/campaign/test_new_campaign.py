@@ -62,6 +62,7 @@ def test_the_model_binds_and_holds_the_frame_once(by_hand):
     assert {"accel_misalignment.toward_o[ax]", "accel_misalignment.toward_p[ax]"} < held
 
 
+@pytest.mark.slow
 def test_what_the_runs_do_not_determine_is_a_comment(tmp_path, capsys):
     shutil.copytree(DATA / "static-record", tmp_path / "still")
     assert run(["new", str(tmp_path / "still")]) == 0
@@ -75,6 +76,7 @@ def test_what_the_runs_do_not_determine_is_a_comment(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("poses", "told"), [(6, False), (60, True)])
+@pytest.mark.slow
 def test_what_six_faces_cannot_tell_from_a_bias_is_no_effect_of_the_model(tmp_path, poses, told):
     """|f| = g at attitudes that nobody knows: six values tell six biases and scale factors, and no K2 beside them."""
     rng = np.random.default_rng(2)
@@ -186,6 +188,7 @@ def test_errors_of_a_unit_tell_its_grade_where_no_noise_does(tmp_path: Path, err
     assert any("grade = consumer" in note for note in made.notes) == (grade is not None)
 
 
+@pytest.mark.slow
 def test_one_axis_with_a_large_bias_tells_the_grade_of_all(tmp_path: Path):
     """As in published poses of a consumer unit: 80 mg in z, next to nothing in x and y."""
     rng = np.random.default_rng(3)

@@ -132,6 +132,7 @@ def test_resume_without_a_checkpoint(copy, capsys, tmp_path):
     assert not (tmp_path / "result").exists()
 
 
+@pytest.mark.slow
 def test_a_fit_that_no_working_unit_explains_has_failed(copy, capsys, tmp_path):
     """The campaign accepts that its channel is reversed; whichever parameter takes that up, the fit says so."""
     campaign, model = copy

@@ -40,6 +40,7 @@ def state_of(folder: Path) -> dict[str, tuple[int, bytes]]:
     return {str(file): (file.stat().st_mtime_ns, file.read_bytes() if file.is_file() else b"") for file in files}
 
 
+@pytest.mark.slow
 def test_the_loop(place, capsys):
     first, second = place / "first", place / "second"
     status, out, err = said(capsys, "diagnose", first, "--json")

@@ -109,6 +109,7 @@ def test_what_cannot_be_kept_is_shown(result, tmp_path, capsys):
     assert {file: file.read_bytes() for file in closed.iterdir() if file.is_file()} == before
 
 
+@pytest.mark.slow
 def test_an_answer_about_one_effect_leaves_the_pictures_alone(result):
     (result / "figures").mkdir()
     (result / "figures" / "diagnosis.png").write_text("drawn")
@@ -179,6 +180,7 @@ def test_an_interrupted_sampling_is_not_begun_anew(tmp_path, refused):
     assert (folder / "checkpoint.h5").read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_one_that_came_to_nothing_or_to_a_result_is_replaced(tmp_path, result):
     assert run([str(word) for word in fit_into(begun(tmp_path / "none", 0))]) == 0
     begun(result, 5)

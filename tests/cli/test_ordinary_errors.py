@@ -45,6 +45,7 @@ def command(environment: dict[str, str], *words: str, stdout: int = subprocess.P
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+@pytest.mark.slow
 def test_output_that_is_lost_is_told(command_environment):
     full = os.open("/dev/full", os.O_WRONLY)
     try:
@@ -55,6 +56,7 @@ def test_output_that_is_lost_is_told(command_environment):
     assert "error: the disk is full" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_terminal_without_greek_letters(command_environment):
     plain = command_environment | {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"}
     done = command(plain, "check", CAMPAIGN, "--json")

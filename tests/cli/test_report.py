@@ -380,6 +380,7 @@ def pages(file: Path) -> int:
     return max(int(count) for count in re.findall(rb"/Count (\d+)", file.read_bytes()))
 
 
+@pytest.mark.slow
 def test_a_certificate_has_two_pages_its_date_and_what_is_missing(result, tmp_path):
     pytest.importorskip("typst", reason="typst is not installed")
     judged(result, "adequate")

@@ -50,6 +50,7 @@ def third(place, second) -> ModelChange:
     return add(second.result, ["accel_quadratic"], place / "third")
 
 
+@pytest.mark.slow
 def test_expected_is_found(second):
     assert second.taken
     expected, found = second.predicted, second.observed
@@ -245,6 +246,7 @@ def test_no_result_is_overwritten(place, first, second):
         add(first, [LACKING], place / "second")
 
 
+@pytest.mark.slow
 def test_a_scanned_shape_begins_at_its_value(first):
     name = "converter_leakage.doubling[ax]"
     found = {}

@@ -332,6 +332,7 @@ def test_correlation_in_time_whitens_as_its_covariance_does() -> None:
     assert gram.log_det == pytest.approx(-0.5 * np.linalg.slogdet(own)[1], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_gross_outliers_of_a_model_with_heavy_tails_are_no_cause() -> None:
     residual = drawn(10)
     residual[0, [7, 50]] = 1e4

@@ -64,6 +64,7 @@ def at_truth(toward: np.ndarray) -> Fit:
     return Fit(model, np.zeros(len(model.layout)), np.zeros(len(model.hyper_layout)), True)
 
 
+@pytest.mark.slow
 def test_what_acts_in_turns_alone_is_named() -> None:
     fit = at_truth(TOWARD)
     found = explain(fit, candidate_responses(fit, RIVALS), [])

@@ -71,6 +71,7 @@ def test_an_effect_far_beyond_its_typical_size_is_found_with_its_size() -> None:
     sized("accel_bias_drift", 10.0, 3)
 
 
+@pytest.mark.slow
 def test_a_large_effect_leaves_none_beside_it() -> None:
     """What is left of it by its curvature and by priors that pull must not pass for a lag beside the hysteresis."""
     change, _ = standing(converter(), "converter_gain_hysteresis", 45.0, play=12.0)
@@ -89,6 +90,7 @@ def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
     assert found.ranking
 
 
+@pytest.mark.slow
 def test_a_fit_that_stopped_is_explained_about_where_it_stopped() -> None:
     document = diagnosis_json(judge(replace(converter(), optimised=False, message="It did not settle.")))
     assert document["verdict"] == "not_converged"
@@ -107,6 +109,7 @@ def test_a_fit_that_stopped_is_explained_about_where_it_stopped() -> None:
     assert (document["verdict"], document["ranking"], document["sentence"]) == ("not_converged", [], "It diverged.")
 
 
+@pytest.mark.slow
 def test_chains_that_did_not_converge_do_not_keep_effects_from_being_ranked() -> None:
     """The explanations are about the mode, which does not depend on the sampling; that it failed is said."""
     unsampled = replace(converter(), sampled=False, message="The chains are too short.")
@@ -184,6 +187,7 @@ def test_what_scatter_took_up_is_named_and_no_rest_of_it(tmp_path: Path) -> None
     assert not surely_wrong(found, "gyro_scale_asymmetry"), told(found)
 
 
+@pytest.mark.slow
 def test_one_effect_asked_about() -> None:
     """Absent down to a size where nothing is missing, missing where it was planted."""
     effect = "converter_offset_temperature_rate"
@@ -196,6 +200,7 @@ def test_one_effect_asked_about() -> None:
     assert found.verdict == "missing_effect", told(found)
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_in_doubt_is_not_called_absent() -> None:
     """A gain that depends on the row before looks like a hysteresis of little play."""
     effect = "converter_gain_hysteresis"

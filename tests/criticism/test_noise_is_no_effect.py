@@ -59,6 +59,7 @@ def walk(fitted: Fit, seed: int, step: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", DRAWS)
+@pytest.mark.slow
 def test_correlated_noise(seed: int) -> None:
     found = judge(redrawn(converter(), seed, correlation=0.8))
     is_noise(found, "correlated", "wander")
@@ -68,6 +69,7 @@ def test_correlated_noise(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", DRAWS)
+@pytest.mark.slow
 def test_a_random_walk_is_no_drift(seed: int) -> None:
     """It resembles a drift or a hysteresis of this one record: they may be in doubt, but the noise is what leads."""
     found = judge(redrawn(converter(), seed, change=walk(converter(), seed, 0.8)))
@@ -163,6 +165,7 @@ def test_a_drift_that_wandering_noise_explains_as_well_is_told_beside_it(tmp_pat
     assert found.probability(truth[0].effect) > 0.05, told(found)
 
 
+@pytest.mark.slow
 def test_the_rows_told_against_the_samples_stay_with_the_noise() -> None:
     """A diagnosis keeps the rows' scatter for pictures, and the sentence tells the ratio."""
     more = 1.2 * ROW * np.random.default_rng(1003).normal(size=len(converter().model.entries))

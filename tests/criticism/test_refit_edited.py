@@ -94,6 +94,7 @@ def test_what_is_set_aside_is_recorded_with_its_reason(place, first, aside, caps
     assert change.result.summary.known_noise.chi2 == pytest.approx(first.summary.known_noise.chi2, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_whole_run_goes(first):
     spec = read_model(first.folder / "model.toml")
     model = bind(replace(spec, set_aside=(SetAside(run=RUN, reason="no record of the day"),)), load_campaign(CAMPAIGN))

@@ -84,6 +84,7 @@ def test_the_history_shows_both_steps(place, third):
     assert not (place / "removed" / "added_variable.parquet").exists()
 
 
+@pytest.mark.slow
 def test_history_and_removal_on_the_command_line(place, third, capsys):
     page = place / "history.html"
     assert run(["history", str(place / "removed"), "--html", str(page)]) == 0

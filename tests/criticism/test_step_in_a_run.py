@@ -45,5 +45,6 @@ def test_a_step_is_told_with_its_size_and_place(tmp_path):
     assert "The step is 0.0" in sentence(found)
 
 
+@pytest.mark.slow
 def test_without_a_step_none_is_told(tmp_path):
     assert diagnosed(tmp_path, 0.0).verdict == "adequate"

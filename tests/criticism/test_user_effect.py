@@ -56,6 +56,7 @@ def house(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_it_is_screened_and_proposed(house):
     declared = bind(read_model(house / "model.toml"), load_campaign(house / "campaign"))
     document = diagnosis_json(judge(refitted(declared, *(np.zeros(size) for size in declared.problem.size))))

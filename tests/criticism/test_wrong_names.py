@@ -160,6 +160,7 @@ def step(fitted: Fit, deviations: float) -> tuple[str, int, np.ndarray]:
     return run.name, run.rows // 2, deviations * noise * after * 2 / np.sqrt(run.rows)
 
 
+@pytest.mark.slow
 def test_a_step_in_one_run_gets_no_name() -> None:
     run, row, change = step(converter(), 12.0)
     found = judge(planted(converter(), 4, change))

@@ -58,6 +58,7 @@ def test_the_page_shows_five_figures_first(compared: Comparison, trihedral: Path
     assert not re.search(r"<script|<link|@import|https?:", page)
 
 
+@pytest.mark.slow
 def test_five_figures_are_drawn_and_those_asked_for(compared: Comparison, trihedral: Path, tmp_path: Path):
     folder = Path(shutil.copytree(trihedral, tmp_path / "few"))
     few = compare_first(folder)
@@ -139,6 +140,7 @@ def test_missing_values_are_left_out(tmp_path: Path):
     assert len(compare(folder).pictures) > 10
 
 
+@pytest.mark.slow
 def test_a_fit_that_failed_is_still_shown(tmp_path: Path):
     residuals = made.trihedral_residuals(temperatures=(25,), channels=("gx",))
     parameters, derived = made.trihedral_quantities()
@@ -150,6 +152,7 @@ def test_a_fit_that_failed_is_still_shown(tmp_path: Path):
     assert "identifiability.png" not in {path.name for path in found.pictures}
 
 
+@pytest.mark.slow
 def test_awkward_names_of_runs_make_safe_files(tmp_path: Path):
     residuals = made.trihedral_residuals(temperatures=(25,), channels=("gx",))
     awkward = {"rate-x-up-25C": "../a/b", "rate-y-up-25C": "$x_1$ ü", "rate-z-up-25C": "A", "rate-pyramid-25C": "a"}
@@ -160,6 +163,7 @@ def test_awkward_names_of_runs_make_safe_files(tmp_path: Path):
     assert all((folder / "figures" / name).is_file() for name in names)
 
 
+@pytest.mark.slow
 def test_what_an_earlier_comparison_drew_goes_and_the_rest_stays(single: Path):
     compare(single)
     figures = single / "figures"
@@ -299,6 +303,7 @@ def test_the_nearest_result_is_named(trihedral: Path):
     assert "trihedral" in caught.value.issues[0].allowed
 
 
+@pytest.mark.slow
 def test_the_tables_are_shown_where_no_figure_can_be_written(single: Path, capsys):
     (single / "figures").write_text("in the way")
     with pytest.warns(NotKept, match=re.escape(f"nothing of this is kept in {single} (File exists)")):

@@ -53,6 +53,7 @@ def model(explored, first):
     return explored.session.require(first)
 
 
+@pytest.mark.slow
 def test_the_verdict_is_that_of_the_command(facts, told):
     assert facts["verdict"] == told["verdict"] == "missing_effect"
     assert facts["sentence"] == told["sentence"]
@@ -146,6 +147,7 @@ def log_normal(residual: np.ndarray, covariance: np.ndarray) -> float:
     return float(-0.5 * white @ white - np.log(np.diag(lower)).sum() - 0.5 * len(residual) * np.log(2 * np.pi))
 
 
+@pytest.mark.slow
 def test_a_cause_of_some_rows_is_judged_as_dense_algebra_does(model, monkeypatch):
     """Predictive densities of some rows given the others, with covariances of all rows: parameters, runs, cause."""
     view, of = model.view, model.view.explained.of
@@ -268,6 +270,7 @@ def test_what_is_too_much_for_the_screen_keeps_its_extremes():
     np.testing.assert_array_equal(decimated(x[:50], y[:50], marked[:50], 100), np.arange(50))
 
 
+@pytest.mark.slow
 def test_a_million_readings_are_drawn_within_half_a_second():
     """Of six channels in 100 runs; with a selection and a preview, warm."""
     count, random = 1_000_000, np.random.default_rng(5)
@@ -465,6 +468,7 @@ def test_views_are_refused_beyond_their_bounds():
     assert Brush().channels == ()
 
 
+@pytest.mark.slow
 def test_the_command_asks_for_the_packages(tmp_path):
     code = (
         "import sys; sys.modules['uvicorn'] = None; sys.modules['starlette'] = None\n"

@@ -261,6 +261,7 @@ def regression(seed=3, rows=46):
     return design, design @ np.array([5.0, 0.4, 1.1, 0.4, 0.4, 0.1, -0.6]) + 0.33 * random.normal(size=rows)
 
 
+@pytest.mark.slow
 def test_a_regression_of_eight_parameters_with_a_flat_scatter_has_its_exact_posterior():
     """Flat σ: coefficients are t distributed with n − p − 1 degrees of freedom about the least squares ones."""
     design, observed = regression()

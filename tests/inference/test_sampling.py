@@ -137,6 +137,7 @@ class TestFalseConvergence:
         density[1, 20, 9] -= 200
         assert "began far below" not in diagnose(self.good(), density, NAMES).message
 
+    @pytest.mark.slow
     def test_two_hundred_faulty_runs(self):
         """Not one of 200 runs with a fault drawn at random is called converged."""
         random = np.random.default_rng(7)

@@ -87,6 +87,7 @@ def test_correlated_rows_have_no_statistics():
     assert scale_statistics.row_classes(tails.problem) is None
 
 
+@pytest.mark.slow
 def test_learnt_prior_widths_are_in_the_gradient():
     model, about = made("offsets of runs")
     problem = model.problem

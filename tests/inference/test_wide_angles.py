@@ -77,6 +77,7 @@ def test_proposals_follow_the_ridge(proposal):
     assert planted.largest > 10
 
 
+@pytest.mark.slow
 def test_the_vertical_bias_has_the_moments_of_the_exact_integral(measured, proposal):
     model, approximation = proposal
     mean, sd, _ = weighed(model, approximation).moments()

@@ -256,6 +256,7 @@ def test_a_missing_value_is_no_entry():
     assert len(measured().entries) == len(full_model().entries) - 1
 
 
+@pytest.mark.slow
 def test_batched_problems_have_the_densities_of_each():
     model = measured()
     z, h = point(model, 9)

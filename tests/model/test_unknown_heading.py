@@ -69,6 +69,7 @@ def pulls(tmp_path_factory) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_intervals_contain_what_nobody_stated(pulls):
     assert np.abs(pulls[:, :5]).max() < 3.5
     # What tilts take off the vertical component has an exponential distribution, whose tail is longer.

@@ -64,6 +64,7 @@ def spread(scores):
 # directions
 
 
+@pytest.mark.slow
 def test_geographic_positions_over_replicates(tmp_path):
     scores = []
     for seed in range(12):
@@ -114,6 +115,7 @@ def test_modulated_bias_over_replicates(tmp_path):
     spread(scores)
 
 
+@pytest.mark.slow
 def test_a_fixture_that_errs_passes_for_accelerometer_bias(tmp_path):
     """3 arcmin at the pyramid: g sin θ dθ, and the gyros' biases, from both ways, hardly notice."""
     plan = rotation_modulation.plan(3, model=model_of("rotation-modulation"))

@@ -35,6 +35,7 @@ def of(found, start, run=""):
     return [one for one in found if isinstance(one, Estimate) and one.name.startswith(start) and run in one.run]
 
 
+@pytest.mark.slow
 def test_scale_factor_with_the_axis_along_the_table(trihedral):
     """cos θ is flat where θ is small: a seat that errs by arc minutes does not matter, the table's rate does."""
     found, truth = trihedral

@@ -202,6 +202,7 @@ def nonlinear() -> tuple[SensorPosterior, dict[str, float]]:
     return posterior, dict(zip(model.layout.names, truth, strict=True))
 
 
+@pytest.mark.slow
 def test_all_axes_are_solved_jointly_with_the_nonlinear_terms(nonlinear):
     posterior, p = nonlinear
     rng = np.random.default_rng(8)

@@ -65,6 +65,7 @@ def impact(unit: tuple[Result, OnboardConstants], hidden: HiddenEffects | None) 
     return navigation_impact(unit[1], MISSION, "test", aided_height=False, hidden=hidden)
 
 
+@pytest.mark.slow
 def test_a_bias_over_temperature_moves_by_half_of_its_size_times_the_square_of_time(unit):
     hidden = hidden_in(unit, "accel_bias_temperature", temperature=35.0)
     found, without = impact(unit, hidden), impact(unit, None)

@@ -15,6 +15,7 @@ def wrong(answers) -> list[str]:
     return [answer.subject for answer in answers if not answer.agrees]
 
 
+@pytest.mark.slow
 def test_an_installation_reproduces_the_known_answers(capsys):
     assert run(["selftest", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -55,6 +55,7 @@ def test_an_understated_uncertainty_goes_red():
     assert abs(share_truly_inside(1.5) - 0.90) > 0.03
 
 
+@pytest.mark.slow
 def test_both_methods_on_every_unit():
     random = np.random.default_rng(13)
     for marginal, _ in measured(random.uniform(-3, 3, 60), random):

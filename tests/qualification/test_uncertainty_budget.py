@@ -137,6 +137,7 @@ def test_functions_of_quantities_have_budgets(result):
     assert "far" not in found.at_zero
 
 
+@pytest.mark.slow
 def test_all_quantities_add_up_within_two_percent(result):
     names = list(posterior_quantities(result).entries)
     found = budget_of(result, names)

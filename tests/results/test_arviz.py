@@ -60,6 +60,7 @@ def test_a_chain_is_an_ensemble(tree):
     assert tree.sample_stats["lp"].shape == (4, tree.posterior.sizes["draw"])
 
 
+@pytest.mark.slow
 def test_arviz_is_imported_after_a_fit_as_well_as_before():
     """ArviZ looks at all modules when it is imported; a lazily loaded part of it would be imported half-made."""
     code = "import imubayes; imubayes.fit; import imubayes.inference.convergence; import arviz_plots"

@@ -25,6 +25,7 @@ def result(request):
     return fitted(ROOT / "data" / request.param, request.param)
 
 
+@pytest.mark.slow
 def test_combinations_are_far_better_known_than_their_members_and_true(result):
     name = result.summary.campaign
     found = scored(result, ROOT / "data" / name)

@@ -99,6 +99,7 @@ def first(tmp_path_factory) -> tuple[Campaign, Result]:
     return campaign, result_of(joint_fit(imubayes.bind(imubayes.load_model(POLAR), known), None))
 
 
+@pytest.mark.slow
 def test_a_bias_that_moved_is_found(first):
     campaign, result = first
     assert imubayes.predict(result, campaign).holds
@@ -112,6 +113,7 @@ def test_a_bias_that_moved_is_found(first):
     assert f"They would move {worst.name}" in str(found)
 
 
+@pytest.mark.slow
 def test_what_the_new_runs_have_alone_is_fitted(first):
     campaign, result = first
     seat = campaign.runs[1].mounting

@@ -76,6 +76,7 @@ def test_differences_are_as_uncertain_as_stated(pairs, monkeypatch):
     assert single < 0.8
 
 
+@pytest.mark.slow
 def test_one_that_moved_is_found(pair, tmp_path):
     assert compared(pair).agree
     _, second = campaigns(tmp_path, 1)
