@@ -159,6 +159,7 @@ def identity_of(campaign: Campaign, source: UnitSource, structure: str = "") -> 
         tables=tuple(sorted({run.table for run in campaign.runs if run.table})),
         mountings=tuple(sorted({run.mounting for run in campaign.runs if run.mounting})),
         procedures=tuple(sorted({run.procedure for run in campaign.runs})),
+        labels=tuple(f"{name}={value}" for name, value in sorted(campaign.labels.items())),
         latitude=math.degrees(campaign.site.latitude),
         height=campaign.site.height,
         gravity=campaign.site.gravity,

@@ -118,7 +118,7 @@ def _bound(task: ChunkTask, source: UnitSource) -> BoundUnit | UnitPosterior:
     try:
         campaign = source.read()
         identity = identity_of(campaign, source)
-        model = bound_to(task.spec, campaign)
+        model = bound_to(task.spec_of(source), campaign)
         identity = replace(identity, structure=structure_key(model.problem))
     except Exception as error:
         return _timed(UnitPosterior(identity, failure(error, source)), source, time.perf_counter() - clock)

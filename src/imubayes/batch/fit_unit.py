@@ -27,7 +27,7 @@ from scipy.stats import qmc, skew
 from imubayes.batch import group_moments as moments
 from imubayes.batch.batch_folder import BatchSettings, UnitSource
 from imubayes.batch.lanes import LANES, LaneMode, LaneStructure, Stacked, of_lane
-from imubayes.batch.posterior_table import Kind, Outcome, Quantities, UnitIdentity, UnitPosterior
+from imubayes.batch.posterior_table import Kind, Logarithms, Outcome, Quantities, UnitIdentity, UnitPosterior
 from imubayes.criticism.diagnose import judge
 from imubayes.foundations.arrays import Array, Float, on_host
 from imubayes.foundations.campaign_data import Campaign, channel_of_component
@@ -364,11 +364,16 @@ def quantities_of(fit: Fit, values: np.ndarray) -> tuple[Quantities, ...]:
     quantiles = quantiles_of(values)
     size = len(model.layout)
 
+    noise = slice(size, None)
+    logarithms = Logarithms(
+        _log_moments(model, values)[:, noise], *(each[noise] for each in _log_likelihoods(model, posterior.points))
+    )
+
     def of_kind(kind: Kind, chosen: slice) -> Quantities:
         return Quantities(
             kind, tuple(p.name for p in declared[chosen]), tuple(p.unit for p in declared[chosen]),
             values[:, chosen].mean(axis=0), values[:, chosen].std(axis=0), quantiles[:, chosen],
-            prior_mean[chosen], prior_sd[chosen], share[chosen],
+            prior_mean[chosen], prior_sd[chosen], share[chosen], logarithms if kind == "noise" else None,
         )  # fmt: skip
 
     found = (of_kind("parameter", slice(0, size)), of_kind("noise", slice(size, None)))
@@ -402,6 +407,40 @@ def _derived(fit: Fit) -> tuple[Quantities, ...]:
             prior.mean(axis=0), prior.std(axis=0), share,
         ),
     )  # fmt: skip
+
+
+def _log_moments(model: Model, values: np.ndarray) -> np.ndarray:
+    """Return mean and sd of the logarithms of draws (S, D), and those of the prior, (4, D); NaN where not positive."""
+    knots, weights = np.polynomial.hermite_e.hermegauss(_KNOTS)
+    share = weights / weights.sum()
+    grid = in_units(model, np.repeat(knots[:, None], values.shape[1], axis=1))
+    result = np.full((4, values.shape[1]), np.nan)
+    positive = np.all(values > 0, axis=0) & np.all(grid > 0, axis=0)
+    draws, prior = np.log(values[:, positive]), np.log(grid[:, positive])
+    mean = share @ prior
+    result[:, positive] = draws.mean(axis=0), draws.std(axis=0), mean, np.sqrt(share @ (prior - mean) ** 2)
+    return result
+
+
+# Points of a likelihood and how far they reach, in posterior standard deviations; width of the kernels in these.
+_GRID, _REACH, _KERNEL = 25, 2.5, 0.3
+
+
+def _log_likelihoods(model: Model, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return logarithms of values and of their likelihood, (D, G) each, of the components of z from draws (S, D).
+
+    The posterior density is that of normal kernels at the draws, these drawn together so that the variance remains; the
+    prior is standard normal in z.
+    """
+    mean, deviation = points.mean(axis=0), points.std(axis=0)
+    steps = np.linspace(-_REACH, _REACH, _GRID)
+    grid = mean + deviation * steps[:, None]
+    centres = (points - mean) / (np.where(deviation > 0, deviation, 1.0) * np.sqrt(1 + _KERNEL**2))
+    width = _KERNEL / np.sqrt(1 + _KERNEL**2)
+    kernels = np.exp(-0.5 * ((steps[:, None, None] - centres) / width) ** 2).mean(axis=1)
+    values = in_units(model, grid)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.log(values).T, (np.log(kernels) + 0.5 * grid**2).T
 
 
 def _prior_moments(model: Model) -> tuple[np.ndarray, np.ndarray]:

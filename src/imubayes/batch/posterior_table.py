@@ -27,6 +27,7 @@ PARAMETER_FILE, UNIT_FILE, MODEL_FILE = "parameters.parquet", "units.parquet", "
 _MODEL, _PART = "model-", "part-"
 _ORDER = ["unit", "date", "digest"]
 _ESTIMATES = ("names", "mean", "covariance")
+_LOGARITHMS = ("log_mean", "log_sd", "prior_log_mean", "prior_log_sd")
 
 Status = Literal["fitted", "not_converged", "refused", "failed"]
 """`fitted`; `not_converged`: no estimates; `refused`: the campaign cannot be used; `failed`: an unexpected error."""
@@ -40,6 +41,8 @@ PARAMETERS = pl.Schema(
         "mean": pl.Float64, "sd": pl.Float64,
         "q2_5": pl.Float64, "q25": pl.Float64, "q50": pl.Float64, "q75": pl.Float64, "q97_5": pl.Float64,
         "prior_mean": pl.Float64, "prior_sd": pl.Float64, "from_data": pl.Float64,
+        "log_mean": pl.Float64, "log_sd": pl.Float64, "prior_log_mean": pl.Float64, "prior_log_sd": pl.Float64,
+        "log_grid": pl.List(pl.Float64), "log_likelihood": pl.List(pl.Float64),
         "status": pl.String, "reason": pl.String, "verdict": pl.String, "seconds": pl.Float64,
     }
 )  # fmt: skip
@@ -48,6 +51,7 @@ UNITS = pl.Schema(
         "model": pl.String, "code": pl.String, "unit": pl.String, "campaign": pl.String, "digest": pl.String,
         "file": pl.String, "date": pl.Date, "year": pl.Int32, "structure": pl.String,
         "tables": pl.List(pl.String), "mountings": pl.List(pl.String), "procedures": pl.List(pl.String),
+        "labels": pl.List(pl.String),
         "latitude": pl.Float64, "height": pl.Float64, "gravity": pl.Float64,
         "status": pl.String, "reason": pl.String, "where": pl.String, "fingerprint": pl.String, "verdict": pl.String,
         "method": pl.String, "flagged": pl.Boolean, "pareto_k": pl.Float64, "weight_skewness": pl.Float64,
@@ -68,6 +72,7 @@ class UnitIdentity:
     date : of the first run that is dated.
     structure : key of the structure; empty where the campaign was fitted alone.
     tables, mountings, procedures : names, sorted.
+    labels : what the campaign states of its unit and its making, such as ``lot=B7``, sorted.
     latitude, height, gravity : of the site: deg, m, m/s².
     """
 
@@ -80,6 +85,7 @@ class UnitIdentity:
     tables: tuple[str, ...] = ()
     mountings: tuple[str, ...] = ()
     procedures: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
     latitude: float | None = None
     height: float | None = None
     gravity: float | None = None
@@ -95,6 +101,7 @@ class Quantities:
     quantiles : shape (5, D), at 2.5, 25, 50, 75 and 97.5 %.
     prior_mean, prior_sd : NaN where the prior has none.
     from_data : 1 − posterior variance / prior variance; NaN for a quantity that no parameter changes.
+    logarithms : of noise scales; None for other kinds.
     """
 
     kind: Kind
@@ -106,6 +113,23 @@ class Quantities:
     prior_mean: np.ndarray
     prior_sd: np.ndarray
     from_data: np.ndarray
+    logarithms: "Logarithms | None" = None
+
+
+@dataclass(frozen=True)
+class Logarithms:
+    """What the data say of the natural logarithms of D noise scales; NaN for one that is not positive.
+
+    Attributes
+    ----------
+    moments : shape (4, D), mean and standard deviation, posterior and prior.
+    grid, likelihood : shape (D, G), logarithms of the scale, and of its likelihood there up to a constant, all other
+        parameters integrated over with their priors.
+    """
+
+    moments: np.ndarray
+    grid: np.ndarray
+    likelihood: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -194,6 +218,7 @@ def _long_form(model: str, unit: UnitPosterior) -> pl.DataFrame:
         }
         for name in ("mean", "sd", "prior_mean", "prior_sd", "from_data"):
             columns[name] = np.concatenate([getattr(part, name) for part in parts])
+        columns |= _of_logarithms(parts)
         quantiles = np.concatenate([part.quantiles for part in parts], axis=1)
         columns |= dict(zip(("q2_5", "q25", "q50", "q75", "q97_5"), quantiles, strict=True))
     same = {
@@ -206,6 +231,21 @@ def _long_form(model: str, unit: UnitPosterior) -> pl.DataFrame:
     return frame.with_columns(
         pl.lit(same.get(name), dtype=kind).alias(name) for name, kind in PARAMETERS.items() if name not in present
     ).select(PARAMETERS.names())
+
+
+def _of_logarithms(parts: Sequence[Quantities]) -> dict[str, list | np.ndarray]:
+    """Return the columns of the logarithms of noise scales, null for other kinds."""
+    moments = [
+        np.full((4, len(part.names)), np.nan) if part.logarithms is None else part.logarithms.moments for part in parts
+    ]
+    columns: dict[str, list | np.ndarray] = dict(zip(_LOGARITHMS, np.concatenate(moments, axis=1), strict=True))
+    for name in ("grid", "likelihood"):
+        rows = [
+            [None] * len(part.names) if part.logarithms is None else getattr(part.logarithms, name).tolist()
+            for part in parts
+        ]
+        columns[f"log_{name}"] = [row for part in rows for row in part]
+    return columns
 
 
 def unit_table(model: str, code: str, units: Sequence[UnitPosterior]) -> pl.DataFrame:

@@ -94,6 +94,8 @@ class UnitEntry(_Entry):
     """type of the unit, in words"""
     grade: Grade | None = None
     """to which default priors belong; from the noise where absent"""
+    labels: dict[Name, Text] = {}
+    """what may distinguish units of an archive, such as lot, operator or software"""
 
 
 class ChannelEntry(_Entry):

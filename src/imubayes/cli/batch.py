@@ -184,7 +184,8 @@ def prior(
     """
     from dataclasses import asdict
 
-    from imubayes.batch.parameter_population import next_unit_model, populations
+    from imubayes.batch.parameter_population import populations
+    from imubayes.batch.population_priors import next_unit_model
     from imubayes.display.batch_report import prior_report
     from imubayes.foundations.files import refuse_existing
     from imubayes.model.model_file import read_carried_model

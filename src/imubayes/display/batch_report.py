@@ -13,8 +13,9 @@ from typing import Any
 import polars as pl
 
 from imubayes.batch.changes import Drift, ModelComparison, ParameterChange, Trend, Trends
-from imubayes.batch.parameter_population import ParameterPopulation, Populations, ReplacedPrior
+from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.batch.pooled_discovery import PooledCandidate, PooledDiscovery, PooledFinding
+from imubayes.batch.population_priors import ReplacedPrior
 from imubayes.batch.run_batch import BatchProgress
 from imubayes.display.layout import Cell, Report, Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import probability
