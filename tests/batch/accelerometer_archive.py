@@ -1,7 +1,7 @@
 """An archive of accelerometers on a dividing head, simulated from its own equations and written as campaign folders.
 
-Each unit has two runs of 24 positions, eight at each of 10, 30 and 50 degrees Celsius.  Bias, scale factor error and bias slope are drawn from
-populations; a lot of units may share another slope.
+Each unit has two runs of 24 positions, eight at each of 10, 30 and 50 degrees Celsius.  Bias, scale factor error and
+bias slope are drawn from populations; a lot of units may share another slope.
 """
 
 from collections.abc import Mapping

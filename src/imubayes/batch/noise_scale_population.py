@@ -47,11 +47,8 @@ def _continued(grid: np.ndarray, own: np.ndarray, row: np.ndarray) -> np.ndarray
     inside = np.interp(grid, own, row)
     slopes = (row[1] - row[0]) / (own[1] - own[0]), (row[-1] - row[-2]) / (own[-1] - own[-2])
     # Beyond its ends a likelihood does not rise: nothing has been seen of it there.
-    below, above = (
-        np.minimum(grid - own[0], 0) * max(slopes[0], 0.0),
-        np.maximum(grid - own[-1], 0) * min(slopes[1], 0.0),
-    )
-    return inside + below + above
+    below = np.minimum(grid - own[0], 0) * max(slopes[0], 0.0)
+    return inside + below + np.maximum(grid - own[-1], 0) * min(slopes[1], 0.0)
 
 
 @dataclass(frozen=True)
