@@ -9,11 +9,13 @@ import polars as pl
 
 from imubayes.batch.batch_folder import BatchSettings, Sampling
 from imubayes.batch.changes import Trends, trends
+from imubayes.batch.hierarchical_fit import HierarchicalFit, hierarchical_fit
 from imubayes.batch.parameter_population import Populations, populations
 from imubayes.batch.pooled_discovery import PooledDiscovery, pooled_discovery
 from imubayes.batch.posterior_table import chosen_model, read_parameters, read_units
 from imubayes.batch.run_batch import run_batch
 from imubayes.batch.unit_scores import complete_scores
+from imubayes.batch.units_in_doubt import UnitInDoubt, units_in_doubt
 from imubayes.batch.workers import executor_of
 from imubayes.display.batch_report import progress_text
 from imubayes.display.progress import progress_of
@@ -49,13 +51,24 @@ class ArchiveFit:
         """A row for each campaign and parameter: mean, sd and quantiles in the unit of the parameter."""
         return read_parameters(self.folder, self.model)
 
-    def population(self) -> Populations:
-        """Return mean and spread of every parameter over the units, and the units that are unlike the others."""
-        return populations(self.parameters, self.units)[0]
+    def population(self, progress: Callable[[str], None] | None = None) -> Populations:
+        """Return what parts the units, mean and spread of every parameter, and the units that are unlike the others.
 
-    def given_population(self) -> pl.DataFrame:
-        """Return the estimates of every unit with the population as prior."""
-        return populations(self.parameters, self.units)[1]
+        Each unit is fitted again with the population of the others as its prior; the results folder keeps that.
+        """
+        return self._hierarchical(progress).populations
+
+    def given_population(self, progress: Callable[[str], None] | None = None) -> pl.DataFrame:
+        """Return the estimates of every unit alone and with the population as prior."""
+        return self._hierarchical(progress).units
+
+    def _hierarchical(self, progress: Callable[[str], None] | None) -> HierarchicalFit:
+        with progress_of(progress) as tell:
+            return hierarchical_fit(self.folder, self.model, progress=tell)
+
+    def in_doubt(self) -> tuple[UnitInDoubt, ...]:
+        """Return the units that need a person: without estimates, with doubtful noise, or unlike the others."""
+        return units_in_doubt(self.units, populations(self.parameters, self.units)[0])
 
     def trends(self) -> Trends:
         """Return trends over dates and serial numbers, and drifts between calibrations of one unit."""

@@ -24,6 +24,8 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc, skew
 
+from imubayes.adequacy.known_noise import compare_with_known
+from imubayes.adequacy.noise_tests import judged_noise_in, projected
 from imubayes.batch import group_moments as moments
 from imubayes.batch.batch_folder import BatchSettings, UnitSource
 from imubayes.batch.lanes import LANES, LaneMode, LaneStructure, Stacked, of_lane
@@ -338,6 +340,13 @@ def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> U
         chi2=float(np.sum(whitened(problem, fit.mode.h, fit.mode.about.misfit) ** 2)),
         log_evidence=float(log_evidence(fit.mode)),
     )
+    if fit.converged:
+        at = projected(fit)
+        outcome = replace(
+            outcome,
+            noise_violations=tuple(dict.fromkeys(each.kind for each in judged_noise_in(at).violations)),
+            noise_contradicted=tuple(dict.fromkeys(each.parameter for each in compare_with_known(at).contradicted)),
+        )
     values = in_units(fit.model, posterior.points)
     return UnitPosterior(identity, outcome, quantities_of(fit, values), np.atleast_2d(np.cov(values.T, ddof=0)))
 

@@ -260,7 +260,7 @@ def _given_others(posteriors: UnitPosteriors, units: ShrunkUnits) -> tuple[np.nd
     width = 1 / units.sd**2 - precision
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.where(width > 0, 1 / width, np.inf)
-        mean = variance * (units.mean / units.sd**2 - linear)
+        mean = np.where(width > 0, variance * (units.mean / units.sd**2 - linear), 0.0)
         least = np.where(precision > 0, _LEAST_WIDTH / precision, 0.0)
     return mean, np.sqrt(np.maximum(variance, least))
 

@@ -70,6 +70,7 @@ def next_unit_model(spec: ModelSpec, found: Populations, name: str = "") -> tupl
         if each.kind != "derived" and each.next_mean is not None and each.predictive_sd is not None
     }
     changed, replaced = with_priors(spec, known)
+    source = f"the population of {found.units} units (model {found.model})"
     if not replaced:
         raise input_error(
             "no parameter has a population",
@@ -77,7 +78,7 @@ def next_unit_model(spec: ModelSpec, found: Populations, name: str = "") -> tupl
             "parameters that five units or more carry information on",
             "fit more units, or see the reasons with `imubayes batch population`",
         )
-    return replace(changed, name=name or f"{spec.name}-population"), replaced
+    return replace(changed, name=name or f"{spec.name}-population", priors_from=source), replaced
 
 
 def with_priors(

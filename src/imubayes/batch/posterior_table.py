@@ -56,6 +56,7 @@ UNITS = pl.Schema(
         "status": pl.String, "reason": pl.String, "where": pl.String, "fingerprint": pl.String, "verdict": pl.String,
         "method": pl.String, "flagged": pl.Boolean, "pareto_k": pl.Float64, "weight_skewness": pl.Float64,
         "draws": pl.Float64,
+        "noise_violations": pl.List(pl.String), "noise_contradicted": pl.List(pl.String),
         "readings": pl.Int64, "chi2": pl.Float64, "log_evidence": pl.Float64, "seconds": pl.Float64,
         "names": pl.List(pl.String), "mean": pl.List(pl.Float64), "covariance": pl.List(pl.Float64),
     }
@@ -145,6 +146,9 @@ class Outcome:
     flagged : whether the Laplace approximation is in doubt by its importance weights; None where they were not asked.
     pareto_k, weight_skewness : of these weights.
     draws : effective number of draws that means and standard deviations were estimated from; None where they are exact.
+    noise_violations : how the noise departs from its model, such as ``autocorrelation``.
+    noise_contradicted : noise scales that exceed what is known of them beforehand.  With either, intervals of the unit
+        must not be trusted.
     readings : number of readings.
     chi2 : squared norm of the whitened residuals.
     log_evidence : Laplace estimate of log p(y).
@@ -161,6 +165,8 @@ class Outcome:
     pareto_k: float | None = None
     weight_skewness: float | None = None
     draws: float | None = None
+    noise_violations: tuple[str, ...] = ()
+    noise_contradicted: tuple[str, ...] = ()
     readings: int = 0
     chi2: float = float("nan")
     log_evidence: float = float("nan")

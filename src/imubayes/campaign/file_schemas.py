@@ -356,6 +356,8 @@ class ModelFile(_Entry):
     """of the model"""
     files: list[FileWithin] = []
     """Python files that define effects, beside the model file"""
+    priors_from: Text = ""
+    """what the priors were taken from, such as the population of an archive; told with each fit"""
     delta_k_threshold_percent: Positive | None = None
     """as in the campaign, and before it"""
     effect: list[EffectEntry] = Field(min_length=1)

@@ -15,6 +15,8 @@ from imubayes.cli.session import Flag, Json, Trust, progress, show, start_jax, t
 if TYPE_CHECKING:
     import polars as pl
 
+    from imubayes.batch.hierarchical_fit import HierarchicalFit
+
 
 batch = cyclopts.App(
     name="batch",
@@ -70,19 +72,26 @@ def fit_all(
     """
     start_jax()
     from imubayes.batch.batch_folder import BatchSettings
-    from imubayes.batch.posterior_table import read_outcomes
+    from imubayes.batch.parameter_population import populations
+    from imubayes.batch.posterior_table import read_outcomes, read_parameters, read_units
     from imubayes.batch.run_batch import run_batch
+    from imubayes.batch.units_in_doubt import units_in_doubt
     from imubayes.batch.workers import executor_of
     from imubayes.display.batch_report import batch_json, batch_report, progress_text
 
     settings = BatchSettings(sample, diagnose, seed)
     with progress() as tell, executor_of(workers, scheduler) as execute:
-        tell("listing the campaigns")
+        tell("listing the campaigns, and compiling for the first units")
         state = run_batch(
             archive, model, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
         )
+        tell("comparing the units")
+        doubts = units_in_doubt(
+            read_outcomes(out, state.key),
+            populations(read_parameters(out, state.key), read_units(out, state.key))[0],
+        )
     units = read_outcomes(out, state.key)
-    show(lambda: batch_json(state, units, state.key), lambda: batch_report(state, units, out), as_json)
+    show(lambda: batch_json(state, units, state.key, doubts), lambda: batch_report(state, units, out, doubts), as_json)
     return 1 if (units["status"] != "fitted").any() else 0
 
 
@@ -119,12 +128,17 @@ def _write(table: "pl.DataFrame", file: Path | None) -> None:
 def population(
     results: Path,
     *,
+    alone: Flag = False,
+    parameter: list[str] | None = None,
     out: Path | None = None,
     picture: Path | None = None,
     model_hash: str | None = None,
     as_json: Json = False,
+    trust: Trust = False,
 ) -> None:
-    """Show mean and spread of every parameter over the units, and the units that are unlike the others.
+    """Show what parts the units, mean and spread of every parameter, and the units that are unlike the others.
+
+    Each unit is fitted again with the population of the others as its prior; that is kept in the results folder.
 
     Example: imubayes batch population results/batch --out units.parquet
 
@@ -132,25 +146,48 @@ def population(
     ----------
     results
         Results folder of a batch.
+    alone
+        Take the fits of each unit alone; no campaign is read.
+    parameter
+        Parameters to draw; by default those that deviate most.
     out
         Parquet file to write: each unit with the population as its prior.
     picture
-        PNG file to write: a strip of units for each parameter.
+        PNG file to write: the units of each parameter.
     model_hash
         Model, where the folder holds results of several.
     as_json
         Print one JSON object on standard output.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.batch.parameter_population import populations
-    from imubayes.display.batch_report import population_report
+    from imubayes.display.population_report import population_report
 
-    found, units = populations(*_tables(results, model_hash))
+    fit = None if alone else _hierarchical(results, model_hash, trust)
+    if fit is None:
+        from imubayes.batch.parameter_population import populations
+
+        found, units = populations(*_tables(results, model_hash))
+    else:
+        found, units = fit.populations, fit.units
     _write(units, out)
     if picture is not None:
-        from imubayes.display.figures.batch import population_picture
+        from imubayes.display.figures.population import population_picture
 
-        population_picture(found, units).save(picture)
-    show(lambda: found, lambda: population_report(found), as_json)
+        population_picture(found, units, parameter or ()).save(picture)
+    show(lambda: found, lambda: population_report(found, fit), as_json)
+
+
+def _hierarchical(results: Path, model_hash: str | None, trust: bool) -> "HierarchicalFit":
+    """Return the hierarchical fit of a batch, made where it is not kept."""
+    start_jax()
+    from imubayes.batch.hierarchical_fit import hierarchical_fit
+
+    with progress() as tell:
+        results, model_hash = _of_one_model(results, model_hash)
+        trusting(_kept_model(results, model_hash), trust)
+        tell("compiling for the first units")
+        return hierarchical_fit(results, model_hash, progress=tell)
 
 
 @batch.command
@@ -184,16 +221,14 @@ def prior(
     """
     from dataclasses import asdict
 
-    from imubayes.batch.parameter_population import populations
     from imubayes.batch.population_priors import next_unit_model
-    from imubayes.display.batch_report import prior_report
+    from imubayes.display.population_report import prior_report
     from imubayes.foundations.files import refuse_existing
     from imubayes.model.model_file import read_carried_model
     from imubayes.results.result_folder import write_model
 
-    found, _ = populations(*_tables(results, model_hash))
+    found = _hierarchical(results, model_hash, trust).populations
     kept = _kept_model(_of_one_model(results, model_hash)[0], found.model)
-    trusting(kept, trust)
     spec, replaced = next_unit_model(read_carried_model(kept), found, name)
     refuse_existing(out)
     write_model(spec, out)

@@ -206,6 +206,7 @@ def fit(
     resume: bool = False,
     replace: Flag = False,
     until_digits: Literal[1, 2] | None = None,
+    population: Path | None = None,
     as_json: Json = False,
     verbose: bool = False,
     trust: Trust = False,
@@ -232,6 +233,8 @@ def fit(
         Replace a sampled result in the result folder.
     until_digits
         Sample until every standard uncertainty deserves so many significant digits (JCGM 101, 7.9.4).
+    population
+        Results folder of `imubayes batch`: the population of its units is the prior of this one.
     as_json
         Print summary.json on standard output.
     verbose
@@ -247,7 +250,7 @@ def fit(
         with progress("compiling") as tell:
             result = fit_campaign(
                 recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
-                until_digits=until_digits, progress=tell,
+                until_digits=until_digits, population=population, progress=tell,
             )  # fmt: skip
     from imubayes.display.fit_cautions import next_command
     from imubayes.display.fit_report import summary_report

@@ -196,6 +196,8 @@ def model_text(spec: ModelSpec) -> str:
     document["name"] = spec.name
     if spec.files:
         document["files"] = [Path(file).name for file in spec.files]
+    if spec.priors_from:
+        document["priors_from"] = spec.priors_from
     if spec.delta_k_threshold is not None:
         document["delta_k_threshold_percent"] = 100 * spec.delta_k_threshold
     if spec.noise_priors is not None:
