@@ -150,7 +150,7 @@ def _fitted(task: ChunkTask, group: Sequence[BoundUnit]) -> dict[str, UnitPoster
             if fit is None:
                 found = fit_alone(unit.model, task.settings, unit.identity)
             else:
-                found = sampled_where_in_doubt(fit, task.settings, unit.identity)
+                found = sampled_where_in_doubt(fit, task.settings, unit.identity, unit.model)
         except Exception as error:
             found = UnitPosterior(unit.identity, failure(error, unit.source))
         seconds = unit.seconds + shared + time.perf_counter() - clock

@@ -42,7 +42,7 @@ from imubayes.inference.laplace_marginal import Curvature
 from imubayes.inference.laplace_proposal import PARETO_K, LaplaceProposal, LogDensity, weigh
 from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
 from imubayes.inference.noise_scale_modes import resampled
-from imubayes.inference.parameter_fit import linearise
+from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.posterior_mode import Mode, log_evidence
 from imubayes.inference.run_fit import joint_fit, judged_fit, posterior_of_draws
@@ -310,20 +310,32 @@ def _sampled(model: Model, settings: BatchSettings) -> Fit:
     return joint_fit(model, Settings(seed=settings.seed))
 
 
-def sampled_where_in_doubt(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
+def sampled_where_in_doubt(
+    fit: Fit, settings: BatchSettings, identity: UnitIdentity, recorded: Model | None = None
+) -> UnitPosterior:
     """Return the tables' view of a Laplace approximation, sampled where it is in doubt and that was asked for."""
     if settings.sample != "flagged" or fit.posterior is None or not fit.converged:
-        return posterior_of(fit, settings, identity)
+        return posterior_of(fit, settings, identity, recorded)
     shape = weight_shape(fit, settings.seed)
-    found = posterior_of(_sampled(fit.model, settings) if shape.flagged else fit, settings, identity)
+    found = posterior_of(_sampled(fit.model, settings) if shape.flagged else fit, settings, identity, recorded)
     outcome = replace(
         found.outcome, flagged=shape.flagged, pareto_k=shape.pareto_k, weight_skewness=shape.skewness
     )  # fmt: skip
     return replace(found, outcome=outcome)
 
 
-def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
-    """Return the tables' view of a fit made in this process."""
+def _without_padding(fit: Fit, recorded: Model) -> Fit:
+    """Return a fit of the readings as they were recorded: further ones, of zero weight, are at their end."""
+    assert fit.mode is not None
+    about, count = fit.mode.about, len(recorded.problem.observations.value)
+    trimmed = Linearised(about.z, about.misfit[:count], about.jacobian[:count])
+    return replace(fit, model=recorded, mode=eqx.tree_at(lambda mode: mode.about, fit.mode, trimmed))
+
+
+def posterior_of(
+    fit: Fit, settings: BatchSettings, identity: UnitIdentity, recorded: Model | None = None
+) -> UnitPosterior:
+    """Return the tables' view of a fit made in this process; `recorded` is its model without padded readings."""
     problem, posterior = fit.model.problem, fit.posterior
     readings = int(np.sum(np.asarray(problem.observations.weight)))
     if posterior is None or fit.mode is None:
@@ -341,7 +353,7 @@ def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> U
         log_evidence=float(log_evidence(fit.mode)),
     )
     if fit.converged:
-        at = projected(fit)
+        at = projected(_without_padding(fit, recorded or fit.model))
         outcome = replace(
             outcome,
             noise_violations=tuple(dict.fromkeys(each.kind for each in judged_noise_in(at).violations)),

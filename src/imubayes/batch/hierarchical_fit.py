@@ -42,8 +42,10 @@ from imubayes.foundations.errors import kept_if_possible
 from imubayes.foundations.files import new_folder, remove
 from imubayes.foundations.records import Record
 from imubayes.model.model_file import ModelSpec, read_carried_model
+from imubayes.results.folder_files import seal, unbroken
 
 _PREFIX, _DIGITS = "population-", 16
+_REMEDY = "remove that folder and run `imubayes batch population` again"
 _ORDER = ["unit", "date", "digest"]
 _ROUNDS, _LEAST_WIDTH, _REACH, _PRIOR_DIGITS = 4, 0.1, 1.3, 12
 # Change of a population mean, in its standard deviations, and of the logarithm of a spread, that ends the rounds.
@@ -95,15 +97,16 @@ def hierarchical_fit(
     latest = _latest(alone[1])
     place = folder / f"{_PREFIX}{_digest(latest)}"
     if not place.is_dir():
-        spec = read_carried_model(folder / tables.MODEL_FILE)
+        spec = read_carried_model(tables.kept_model(results, key))
         found = _Rounds(spec, key, alone, latest, executor, progress).run()
         with kept_if_possible(folder), new_folder(place, durable=True) as scratch:
             found.write(scratch)
+            seal(scratch)
         for stale in folder.glob(f"{_PREFIX}*"):
             if stale != place:
                 remove(stale)
         return _result(alone, found)
-    return _result(alone, FittedAgain.read(place))
+    return _result(alone, FittedAgain.read(unbroken(place, _REMEDY)))
 
 
 def _latest(units: pl.DataFrame) -> pl.DataFrame:

@@ -3,10 +3,11 @@
 Few units determine the scatter between runs, and all of them together may still bound it only from above.  Likelihoods
 are therefore taken as they are, on a grid of the logarithm x of the scale, and not as normal:
 
-    p(yᵢ | μ, τ) = ∫ N(x | μ, τ²) Lᵢ(x) dx.
+    p(yᵢ | μ, τ) = ∫ [(1 − ε) N(x | μ, τ²) + ε N(x | μ₀, σ₀²)] Lᵢ(x) dx.
 
-The prior of the population mean μ is that of the model, as a normal distribution of the logarithm; the spread τ is
-half-normal(0, 0.5): scales of units of one type rarely differ by more than a factor of three.
+The second term is a unit that is unlike the others: what is known of it is the prior of the model.  The prior of the
+population mean μ is that of the model, as a normal distribution of the logarithm; the spread τ is half-normal(0, 0.5):
+scales of units of one type rarely differ by more than a factor of three.
 """
 
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.batch.population_laws import GridPosterior, ends, normalised, refined
+from imubayes.batch.population_structure import CONTAMINATION
 
 SPREAD = 0.5
 """Standard deviation of the prior of τ (convention)."""
@@ -85,13 +87,15 @@ def scale_population(likelihoods: ScaleLikelihoods, prior: tuple[float, float]) 
     kept = weight > 1e-8 * weight.max()
     share = weight[kept] / weight[kept].sum()
     posterior = GridPosterior(share, centre[kept], within[kept], scale[kept], np.inf, log_evidence)
-    return ScalePopulation(posterior, *_of_units(likelihoods, posterior))
+    return ScalePopulation(posterior, *_of_units(likelihoods, posterior, prior))
 
 
-def _kernels(grid: np.ndarray, centre: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return normal densities on the grid, normalised there, (points, X)."""
-    kernel = np.exp(-0.5 * ((grid - centre[:, None]) / scale[:, None]) ** 2) + 1e-300
-    return kernel / kernel.sum(axis=1, keepdims=True)
+def _kernels(grid: np.ndarray, centre: np.ndarray, scale: np.ndarray, prior: tuple[float, float]) -> np.ndarray:
+    """Return the densities of a unit on the grid, (points, X)."""
+    inside = np.exp(-0.5 * ((grid - centre[:, None]) / scale[:, None]) ** 2) + 1e-300
+    outside = np.exp(-0.5 * ((grid - prior[0]) / prior[1]) ** 2)
+    inside = inside / inside.sum(axis=1, keepdims=True)
+    return (1 - CONTAMINATION) * inside + CONTAMINATION * outside / outside.sum()
 
 
 def _log_density(
@@ -99,18 +103,18 @@ def _log_density(
 ) -> np.ndarray:
     """Return the log density of mean and spread, (means, spreads)."""
     centre, scale = (each.reshape(-1) for each in np.meshgrid(means, spreads, indexing="ij"))
-    densities = _kernels(likelihoods.grid, centre, scale) @ np.exp(likelihoods.log_likelihood).T
+    densities = _kernels(likelihoods.grid, centre, scale, prior) @ np.exp(likelihoods.log_likelihood).T
     log_density = np.log(densities + 1e-300).sum(axis=1)
     log_density += -0.5 * ((centre - prior[0]) / prior[1]) ** 2 - 0.5 * (scale / SPREAD) ** 2
     return log_density.reshape(len(means), len(spreads))
 
 
 def _of_units(
-    likelihoods: ScaleLikelihoods, posterior: GridPosterior
+    likelihoods: ScaleLikelihoods, posterior: GridPosterior, prior: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return mean and sd of each unit given all units, and given the others, (n,) each."""
     grid, likelihood = likelihoods.grid, np.exp(likelihoods.log_likelihood)
-    kernels = _kernels(grid, posterior.centre, np.sqrt(posterior.scale**2 + posterior.centre_variance))
+    kernels = _kernels(grid, posterior.centre, np.sqrt(posterior.scale**2 + posterior.centre_variance), prior)
     own = kernels @ likelihood.T + 1e-300
     # The evidence of a unit is divided out of the weights to leave the others.
     others = posterior.weight[:, None] / own

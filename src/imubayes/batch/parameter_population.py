@@ -348,7 +348,8 @@ def _frame(each: UnitPopulation) -> pl.DataFrame:
     assert each.units is not None
     table, posteriors, shares = each.table, each.posteriors, each.units
     estimate, variance = posteriors.likelihood
-    known = posteriors.informative
+    # The estimate of a noise scale is one only if its data outweigh its prior.
+    known = posteriors.informative & ((posteriors.from_data > 0.5) | (each.scale == "linear"))
     own, own_sd = np.where(known, estimate, np.nan), np.where(known, np.sqrt(np.where(known, variance, 1.0)), np.nan)
     mean, sd = shares.mean, shares.sd
     if each.scale == "log":

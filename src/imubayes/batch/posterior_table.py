@@ -6,10 +6,12 @@ Both are plain Parquet, written in parts: a results folder holds
     model-<hash>/…                               the files that it names: effects of the user's own, noise priors
     model-<hash>/part-<key>/parameters.parquet   PARAMETERS: long form, one row per unit and parameter
     model-<hash>/part-<key>/units.parquet        UNITS: one row per unit, with the covariance of its parameters
-    model-<hash>/scores-<key>.parquet            scores of candidate effects, once `imubayes batch diagnose` has run
+    model-<hash>/population-<key>/               units given their population, once `imubayes batch population` has run
+    model-<hash>/scores-<key>/scores.parquet     scores of candidate effects, once `imubayes batch diagnose` has run
 
-A part is a folder that appears as a whole or not at all.  A campaign is identified by the digest of its files: the
-columns `model` and `digest` join the tables.  A unit that could not be fitted has one row in each, without a parameter.
+A part is a folder that appears as a whole or not at all, with a manifest of its files; so are the others.  A campaign
+is identified by the digest of its files: the columns `model` and `digest` join the tables.  A unit that could not be
+fitted has one row in each, without a parameter.
 """
 
 import datetime
@@ -22,9 +24,11 @@ import numpy as np
 import polars as pl
 
 from imubayes.foundations.errors import input_error
+from imubayes.results.folder_files import unbroken
 
 PARAMETER_FILE, UNIT_FILE, MODEL_FILE = "parameters.parquet", "units.parquet", "model.toml"
 _MODEL, _PART = "model-", "part-"
+_AGAIN = "remove that folder and run the same `imubayes batch` command again: what is missing is made again"
 _ORDER = ["unit", "date", "digest"]
 _ESTIMATES = ("names", "mean", "covariance")
 _LOGARITHMS = ("log_mean", "log_sd", "prior_log_mean", "prior_log_sd")
@@ -292,6 +296,11 @@ def model_folder(results: str | Path, model: str) -> Path:
     return Path(results) / f"{_MODEL}{model}"
 
 
+def kept_model(results: str | Path, model: str | None) -> Path:
+    """Return the model file of a batch, as it was written; raises InputError where it is not."""
+    return unbroken(model_folder(results, chosen_model(results, model)), _AGAIN) / MODEL_FILE
+
+
 def part_folder(results: str | Path, model: str, key: str) -> Path:
     """Return the folder of a part."""
     return model_folder(results, model) / f"{_PART}{key}"
@@ -341,4 +350,9 @@ def chosen_model(results: str | Path, model: str | None) -> str:
 
 def _parts(results: str | Path, model: str | None, name: str, columns: list[str] | None = None) -> list[pl.DataFrame]:
     folder = model_folder(results, chosen_model(results, model))
-    return [pl.read_parquet(file, columns=columns) for file in sorted(folder.glob(f"{_PART}*/{name}"))]
+    return [pl.read_parquet(part / name, columns=columns) for part in whole_parts(folder)]
+
+
+def whole_parts(folder: Path, prefix: str = _PART) -> list[Path]:
+    """Return the folders of a model that begin with a prefix, each as it was written; raises InputError else."""
+    return [unbroken(part, _AGAIN) for part in sorted(folder.glob(f"{prefix}*")) if part.is_dir()]

@@ -110,12 +110,6 @@ def _tables(results: Path, model_hash: str | None) -> tuple["pl.DataFrame", "pl.
     return read_parameters(results, model_hash), read_units(results, model_hash)
 
 
-def _kept_model(results: Path, model_hash: str | None) -> Path:
-    from imubayes.batch.posterior_table import MODEL_FILE, chosen_model, model_folder
-
-    return model_folder(results, chosen_model(results, model_hash)) / MODEL_FILE
-
-
 def _write(table: "pl.DataFrame", file: Path | None) -> None:
     from imubayes.foundations.files import replacing
 
@@ -182,10 +176,11 @@ def _hierarchical(results: Path, model_hash: str | None, trust: bool) -> "Hierar
     """Return the hierarchical fit of a batch, made where it is not kept."""
     start_jax()
     from imubayes.batch.hierarchical_fit import hierarchical_fit
+    from imubayes.batch.posterior_table import kept_model
 
     with progress() as tell:
         results, model_hash = _of_one_model(results, model_hash)
-        trusting(_kept_model(results, model_hash), trust)
+        trusting(kept_model(results, model_hash), trust)
         tell("compiling for the first units")
         return hierarchical_fit(results, model_hash, progress=tell)
 
@@ -222,13 +217,14 @@ def prior(
     from dataclasses import asdict
 
     from imubayes.batch.population_priors import next_unit_model
+    from imubayes.batch.posterior_table import kept_model
     from imubayes.display.population_report import prior_report
     from imubayes.foundations.files import refuse_existing
     from imubayes.model.model_file import read_carried_model
     from imubayes.results.result_folder import write_model
 
     found = _hierarchical(results, model_hash, trust).populations
-    kept = _kept_model(_of_one_model(results, model_hash)[0], found.model)
+    kept = kept_model(_of_one_model(results, model_hash)[0], found.model)
     spec, replaced = next_unit_model(read_carried_model(kept), found, name)
     refuse_existing(out)
     write_model(spec, out)
@@ -266,13 +262,13 @@ def diagnose(
     """
     start_jax()
     from imubayes.batch.pooled_discovery import pooled_discovery
-    from imubayes.batch.posterior_table import read_units
+    from imubayes.batch.posterior_table import kept_model, read_units
     from imubayes.batch.unit_scores import complete_scores
     from imubayes.display.batch_report import discovery_report
 
     results, model_hash = _of_one_model(results, model_hash)
     with progress() as tell:
-        trusting(_kept_model(results, model_hash), trust)
+        trusting(kept_model(results, model_hash), trust)
         scores = complete_scores(results, model_hash, lambda done, all_: tell(f"scores of {done} of {all_} campaigns"))
         tell("adding up the evidence")
         units = read_units(results, model_hash)

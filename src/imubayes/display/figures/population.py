@@ -1,4 +1,4 @@
-"""Picture of a population: the units of each parameter, alone and given the others, groups and outlying units marked."""
+"""Picture of a population: units of each parameter, alone and given the others, groups and outlying units marked."""
 
 from collections.abc import Sequence
 
@@ -12,10 +12,10 @@ from imubayes.display import figure_style as style
 from imubayes.display.loop.diagnosis_sentences import probability
 from imubayes.display.numbers_and_labels import pretty, shortened
 
-_MOST_UNITS, _LABELS = 60, 8
+_MOST_UNITS, _WIDE = 60, 0.5
 _CAPTION = (
-    "Each row is one unit, ordered by its value. Grey: its own estimate with standard uncertainty, the prior of its model "
-    "divided out; a line leads to its estimate given the population, in the colour of its group, with standard "
+    "Each row is one unit, ordered by its value. Grey: its own estimate with standard uncertainty, the prior of its "
+    "model divided out; a line leads to its estimate given the population, in the colour of its group, with standard "
     "uncertainty. Bands: one and two spreads of the first group about its mean. Units in vermilion are outlying at a "
     "false discovery rate of 5 %. Parameters are in the order in which their units deviate most."
 )
@@ -120,8 +120,13 @@ def _bands(axes: Axes, each: ParameterPopulation) -> None:
     for width, colour in ((2, style.BAND_WIDE), (1, style.BAND)):
         ends = np.array([each.mean - width * each.spread, each.mean + width * each.spread])
         axes.axvspan(*(np.exp(ends) if each.scale == "log" else ends), color=colour, zorder=0)
-    if each.scale == "log":
+    if _is_wide(each):
         axes.set_xscale("log")
+
+
+def _is_wide(each: ParameterPopulation) -> bool:
+    """Whether the units of a scale differ by so much that its logarithm is drawn."""
+    return each.scale == "log" and each.predictive_sd is not None and each.predictive_sd > _WIDE
 
 
 def _colours(each: ParameterPopulation, table: pl.DataFrame) -> list[str]:
