@@ -126,3 +126,14 @@ def test_units_given_their_population_are_within_their_uncertainty(tmp_path):
     assert lots >= 22
     for each in errors.values():
         assert 0.85 < np.sqrt(np.mean(np.square(each))) < 1.15
+
+
+def test_campaigns_and_models_in_memory_are_fitted_as_their_files(fitted, tmp_path):
+    folder, _, fits = fitted
+    campaigns = [imubayes.load_campaign(folder / "units" / unit) for unit in ("U001", "U002")]
+    found = imubayes.fit_archive(campaigns, imubayes.load_model(folder / "model.toml"), tmp_path / "out")
+    known = fits.parameters.filter(pl.col("unit").is_in(["U001", "U002"]))
+    assert np.allclose(found.parameters["mean"].to_numpy(), known["mean"].to_numpy())
+    assert (
+        imubayes.fit_archive(campaigns, imubayes.load_model(folder / "model.toml"), tmp_path / "out").units.height == 2
+    )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imubayes.batch.population_findings import laws_of
-from imubayes.batch.population_search import Covariate, search
+from imubayes.batch.population_search import UnitCovariate, search
 from imubayes.batch.population_structure import Law, UnitEstimates, fit_law
 
 WIDTH, SPREAD, ERROR = 20.0, 0.5, 1.0
@@ -16,21 +16,21 @@ def simulated(seed: int, count: int, tails: bool = False) -> tuple[np.random.Gen
     return random, TOTAL * (random.standard_t(4, count) if tails else random.standard_normal(count))
 
 
-def covariates(random: np.random.Generator, count: int) -> list[Covariate]:
+def covariates(random: np.random.Generator, count: int) -> list[UnitCovariate]:
     days = random.uniform(0, 1000, count)
     return [
-        Covariate("date", tuple(f"{day:.0f}" for day in days), days, "day"),
-        Covariate("serial number", tuple(map(str, range(count))), np.arange(count, dtype=float), "unit"),
-        Covariate("lot", tuple(random.choice(["A", "B", "C"], count))),
-        Covariate("table", tuple(random.choice(["p", "q"], count))),
+        UnitCovariate("date", tuple(f"{day:.0f}" for day in days), days, "day"),
+        UnitCovariate("serial number", tuple(map(str, range(count))), np.arange(count, dtype=float), "unit"),
+        UnitCovariate("lot", tuple(random.choice(["A", "B", "C"], count))),
+        UnitCovariate("table", tuple(random.choice(["p", "q"], count))),
     ]
 
 
-def found(values: np.ndarray, known: list[Covariate]):
+def found(values: np.ndarray, known: list[UnitCovariate]):
     return search(UnitEstimates(values, np.full(len(values), ERROR**2), WIDTH), known)
 
 
-def names(values: np.ndarray, known: list[Covariate]) -> list[str]:
+def names(values: np.ndarray, known: list[UnitCovariate]) -> list[str]:
     return [each.candidate.name for each in found(values, known).findings]
 
 

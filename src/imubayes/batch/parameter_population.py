@@ -33,7 +33,7 @@ from imubayes.batch.population import (
     shrunk,
 )
 from imubayes.batch.population_findings import PopulationLaws, laws_of
-from imubayes.batch.population_search import Covariate, Structure, search
+from imubayes.batch.population_search import Structure, UnitCovariate, search
 from imubayes.batch.population_structure import UnitEstimates
 from imubayes.foundations.records import Record, finite
 
@@ -213,7 +213,7 @@ def _of_scales(
     return outcome, replace(compared(within, outcome, found.mean, found.sd), others=others)
 
 
-def _structure(kind: str, posteriors: UnitPosteriors, covariates: list[Covariate]) -> Structure | None:
+def _structure(kind: str, posteriors: UnitPosteriors, covariates: list[UnitCovariate]) -> Structure | None:
     """Return the structure of the informative units; None for derived quantities and for few units."""
     used = np.flatnonzero(posteriors.informative)
     if kind == "derived" or len(used) <= LEAST_UNITS:

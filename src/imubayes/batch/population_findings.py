@@ -32,7 +32,7 @@ class PopulationFinding(Record):
     Attributes
     ----------
     kind : ``groups`` of unknown members, ``step`` or ``trend`` over an ordered covariate, ``levels`` of a covariate.
-    covariate, at : its name and the place of a step; empty for groups.
+    covariate, at : its name, with those that part the units alike, and the place of a step; empty for groups.
     probability : among all laws that were compared, given the findings before it.
     groups : the first one is the reference; empty for a trend.
     slope, slope_sd, per : of a trend; None for other kinds.
@@ -63,11 +63,13 @@ class PopulationLaws(Record):
     Attributes
     ----------
     findings : in the order in which they were found.
+    possible : a structure that is more probable than one group and not found; None without one.
     nothing_else : probability of one group beside the findings.
     alternatives : the most probable laws of the last comparison.
     """
 
     findings: tuple[PopulationFinding, ...]
+    possible: PopulationFinding | None
     nothing_else: float
     alternatives: tuple[PopulationAlternative, ...]
 
@@ -76,6 +78,7 @@ def laws_of(found: Structure, units: Sequence[str]) -> PopulationLaws:
     """Return the findings of one parameter by the names of its units."""
     return PopulationLaws(
         findings=tuple(_finding(each, units) for each in found.findings),
+        possible=None if found.possible is None else _finding(found.possible, units),
         nothing_else=found.one,
         alternatives=tuple(
             PopulationAlternative(law=each.candidate.name, probability=each.probability)
@@ -94,7 +97,7 @@ def _finding(found: Weighed, units: Sequence[str]) -> PopulationFinding:
     )
     return PopulationFinding(
         kind=candidate.kind,
-        covariate="" if covariate is None else covariate.name,
+        covariate=" or ".join((covariate.name, *found.also)) if covariate is not None else "",
         at=candidate.at,
         probability=found.probability,
         groups=() if slope else _groups(found, units),

@@ -137,6 +137,7 @@ def ends(count: int) -> np.ndarray:
 
 
 def normalised(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return weights that sum to 1, and the logarithm of their sum before."""
     log_evidence = float(np.logaddexp.reduce(log_weight))
     return np.exp(log_weight - log_evidence), log_evidence
 

@@ -5,11 +5,12 @@ two groups or more of unknown members, a step or a trend over dates or serial nu
 such as the lot, the table or the site.  The most probable one is kept as what is known, and the search goes on beside
 it until one group is more probable than all other laws.  A lot and a table may then both be found.
 
-The prior probability of a structure is 0.25 for each parameter, divided evenly over kinds and their covariates.
+A structure is found if its probability is above 0.8; a less probable one, above 0.5, is possible.  The prior
+probability of a structure is 0.25 for each parameter, divided evenly over kinds and their covariates.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -20,14 +21,18 @@ from imubayes.batch.population_structure import TAILS, Law, LawFit, UnitEstimate
 LawKind = Literal["one", "tails", "groups", "step", "trend", "levels"]
 PRIOR_STRUCTURE = 0.25
 """Prior probability that the units of a parameter have a structure (convention)."""
+FOUND = 0.8
+"""Least probability of a structure that is taken as known (convention)."""
 MEMBER, UNDECIDED = 0.5, 0.05
 """Probability from which a unit is listed with a group, and above which membership in another is possible."""
 _KINDS = 4
 _MOST_FINDINGS, _MOST_GROUPS, _LEAST_LEVEL = 3, 4, 2
+# Correlation of two designs from which on the units do not tell them apart.
+_ALIKE = 0.95
 
 
 @dataclass(frozen=True)
-class Covariate:
+class UnitCovariate:
     """A property of n units that may explain their differences.
 
     Attributes
@@ -49,10 +54,10 @@ class Covariate:
         stated = all(self.shown)
         return stated and len(set(self.shown)) > 1
 
-    def of(self, places: np.ndarray) -> "Covariate":
+    def of(self, places: np.ndarray) -> "UnitCovariate":
         """Return the covariate of some units."""
         ordered = None if self.ordered is None else self.ordered[places]
-        return Covariate(self.name, tuple(self.shown[int(place)] for place in places), ordered, self.per)
+        return UnitCovariate(self.name, tuple(self.shown[int(place)] for place in places), ordered, self.per)
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,7 @@ class Candidate:
 
     kind: LawKind
     law: Law
-    covariate: Covariate | None = None
+    covariate: UnitCovariate | None = None
     at: str = ""
 
     @property
@@ -72,11 +77,12 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Weighed:
-    """A candidate with its fit and its probability."""
+    """A candidate with its fit and its probability; `also` are covariates that part the units as its own does."""
 
     candidate: Candidate
     fit: LawFit
     probability: float
+    also: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,7 @@ class Structure:
     Attributes
     ----------
     findings : laws that were found, the first most evident; empty for one group.
+    possible : a law that is more probable than one group beside these, and not found; None without one.
     one : probability of no further structure beside them.
     rest : the last comparison, most probable first.
     explained : shape (n,), location of each unit by the findings, relative to the first groups.
@@ -93,13 +100,14 @@ class Structure:
     """
 
     findings: tuple[Weighed, ...]
+    possible: Weighed | None
     one: float
     rest: tuple[Weighed, ...]
     explained: np.ndarray = field(repr=False)
     doubt: np.ndarray = field(repr=False)
 
 
-def search(units: UnitEstimates, covariates: Sequence[Covariate]) -> Structure:
+def search(units: UnitEstimates, covariates: Sequence[UnitCovariate]) -> Structure:
     """Return the structure of the population of one parameter.
 
     Parameters
@@ -114,8 +122,10 @@ def search(units: UnitEstimates, covariates: Sequence[Covariate]) -> Structure:
         weighed = _compared(units, base, usable)
         one = sum(each.probability for each in weighed if each.candidate.kind in ("one", "tails"))
         best = weighed[0]
-        if one >= 0.5 or best.candidate.kind in ("one", "tails") or len(findings) == _MOST_FINDINGS:
-            return Structure(tuple(findings), one, tuple(weighed), *_explained(units, base, shares))
+        leads = one < 0.5 and best.candidate.kind not in ("one", "tails")
+        if not leads or one > 1 - FOUND or len(findings) == _MOST_FINDINGS:
+            possible = best if leads else None
+            return Structure(tuple(findings), possible, one, tuple(weighed), *_explained(units, base, shares))
         findings.append(best)
         shares = np.column_stack([shares, _shares(best, base.shape[1])])
         base = np.column_stack([base, _assigned(best, base.shape[1])])
@@ -149,7 +159,7 @@ def _assigned(found: Weighed, known: int) -> np.ndarray:
     return np.eye(found.candidate.law.groups)[group][:, 1:]
 
 
-def _compared(units: UnitEstimates, base: np.ndarray, covariates: Sequence[Covariate]) -> list[Weighed]:
+def _compared(units: UnitEstimates, base: np.ndarray, covariates: Sequence[UnitCovariate]) -> list[Weighed]:
     """Return all candidates beside a base design with their probabilities, most probable first."""
     fits: list[tuple[Candidate, LawFit, float]] = []
 
@@ -163,7 +173,7 @@ def _compared(units: UnitEstimates, base: np.ndarray, covariates: Sequence[Covar
     each = PRIOR_STRUCTURE / _KINDS
     best = plain.log_evidence
     for groups in range(2, _MOST_GROUPS + 1):
-        found = add(Candidate("groups", Law(base, groups)), each / 2 ** (groups - 1))
+        found = add(Candidate("groups", Law(base, groups)), each / 2 ** (groups - 2))
         if found.log_evidence < best:
             break
         best = found.log_evidence
@@ -178,29 +188,51 @@ def _compared(units: UnitEstimates, base: np.ndarray, covariates: Sequence[Covar
         add(Candidate("levels", Law(np.column_stack([base, _of_levels(one)])), one), each / len(levels))
     total = np.logaddexp.reduce([log for _, _, log in fits])
     weighed = [Weighed(candidate, fit, float(np.exp(log - total))) for candidate, fit, log in fits]
-    return sorted(weighed, key=lambda one: -one.probability)
+    return _merged(sorted(weighed, key=lambda one: -one.probability))
 
 
-def _line(covariate: Covariate) -> np.ndarray:
+def _merged(ordered: Sequence[Weighed]) -> list[Weighed]:
+    """Return candidates with those of the same kind that explain the units alike as one, most probable first."""
+    kept: list[Weighed] = []
+    for each in ordered:
+        place = next((place for place, one in enumerate(kept) if _alike(one.candidate, each.candidate)), None)
+        if place is None:
+            kept.append(each)
+            continue
+        one, covariate = kept[place], each.candidate.covariate
+        also = (*one.also, *([covariate.name] if covariate is not None else []))
+        kept[place] = replace(one, probability=one.probability + each.probability, also=also)
+    return sorted(kept, key=lambda one: -one.probability)
+
+
+def _alike(one: Candidate, other: Candidate) -> bool:
+    """Whether two steps or two trends follow the units in nearly the same way: over dates and serial numbers, say."""
+    if one.kind != other.kind or one.kind not in ("step", "trend"):
+        return False
+    mine, theirs = one.law.design[:, -1], other.law.design[:, -1]
+    return bool(abs(np.corrcoef(mine, theirs)[0, 1]) > _ALIKE)
+
+
+def _line(covariate: UnitCovariate) -> np.ndarray:
     """Return an ordered covariate with mean 0 and range 1."""
     assert covariate.ordered is not None
     return (covariate.ordered - covariate.ordered.mean()) / np.ptp(covariate.ordered)
 
 
-def _enough_levels(covariate: Covariate) -> bool:
+def _enough_levels(covariate: UnitCovariate) -> bool:
     """Whether two levels or more have several units, and the levels are fewer than half of the units."""
     _, counts = np.unique(covariate.shown, return_counts=True)
     return int(np.sum(counts >= _LEAST_LEVEL)) >= 2 and 2 * len(counts) <= len(covariate.shown)
 
 
-def _of_levels(covariate: Covariate) -> np.ndarray:
+def _of_levels(covariate: UnitCovariate) -> np.ndarray:
     """Return one column for each level after the most frequent one."""
     names, place, counts = np.unique(covariate.shown, return_inverse=True, return_counts=True)
     return np.delete(np.eye(len(names))[place], int(np.argmax(counts)), axis=1)
 
 
 def _likeliest_step(
-    units: UnitEstimates, base: np.ndarray, covariate: Covariate, plain: LawFit
+    units: UnitEstimates, base: np.ndarray, covariate: UnitCovariate, plain: LawFit
 ) -> tuple[Candidate | None, float]:
     """Return the likeliest step over an ordered covariate, and the logarithm of its share among all steps, negated.
 
@@ -226,7 +258,7 @@ def _likeliest_step(
     return Candidate("step", law, covariate, f"between {before[-1]} and {after[0]}"), share
 
 
-def _in_order(covariate: Covariate) -> Iterator[tuple[str, float]]:
+def _in_order(covariate: UnitCovariate) -> Iterator[tuple[str, float]]:
     assert covariate.ordered is not None
     for place in np.argsort(covariate.ordered, kind="stable"):
         yield covariate.shown[int(place)], float(covariate.ordered[place])
@@ -246,5 +278,5 @@ def _log_gains(units: UnitEstimates, base: np.ndarray, columns: np.ndarray, spre
     left = left - basis @ (basis.T @ left)
     information = np.sum(left**2, axis=0)
     pulled = left.T @ misfit
-    total = information + units.width**-2
-    return 0.5 * pulled**2 / total - 0.5 * np.log(total * units.width**2)
+    total = information + units.difference**-2
+    return 0.5 * pulled**2 / total - 0.5 * np.log(total * units.difference**2)

@@ -6,9 +6,9 @@ The estimates yᵢ with variances vᵢ of n units follow
 
 c is the location, xᵢ the known design of a law (a step, a trend, the levels of a covariate), δ_k the offset of a group
 whose members are not known, and τ the spread within a group.  The last term is a unit that belongs to no group: W is
-the width that the parameter may have at all, and m the median.  The priors are flat on c, N(0, W²) on β and δ, uniform
-on π, and 1/(τ + s) on τ, where s is a third of a typical standard uncertainty: they are the same in all laws, so that
-the evidences compare.
+the width that the parameter may have at all, and m the median.  The priors are flat on c, N(0, D²) on β and δ, uniform
+on π, and 1/(τ + s) on τ.  D is W or the range of the estimates, the smaller one, and s a third of a typical standard
+uncertainty.  They are the same in all laws, so that the evidences compare.
 
 The evidence of a law is integrated over τ on a grid.  At each τ the other parameters are found by expectation and
 maximisation (Dempster, Laird & Rubin 1977) and integrated by Laplace's method with the information of the complete
@@ -54,7 +54,13 @@ class UnitEstimates:
 
     @cached_property
     def middle(self) -> float:
+        """Median of the estimates, about which a unit outside all groups lies."""
         return float(np.median(self.estimate))
+
+    @cached_property
+    def difference(self) -> float:
+        """Standard deviation of the prior of differences between groups."""
+        return min(self.width, float(np.ptp(self.estimate)) or self.width)
 
     @cached_property
     def spreads(self) -> np.ndarray:
@@ -261,7 +267,7 @@ def _columns(units: UnitEstimates, law: Law) -> np.ndarray:
 
 def _prior_precision(units: UnitEstimates, law: Law) -> np.ndarray:
     size = 1 + law.design.shape[1] + law.groups - 1
-    precision = np.eye(size) / units.width**2
+    precision = np.eye(size) / units.difference**2
     # Flat but for a width that keeps the equations regular if every unit lies outside.
     precision[0, 0] *= _NEARLY_FLAT
     return precision
@@ -286,7 +292,7 @@ def _log_volume(
 ) -> np.ndarray:
     """Return the logarithm of the prior at the maximum times the volume about it, on the grid of τ."""
     size = coefficients.shape[1]
-    widths = -(size - 1) * (np.log(units.width) + 0.5 * np.log(2 * np.pi))
+    widths = -(size - 1) * (np.log(units.difference) + 0.5 * np.log(2 * np.pi))
     at_mode = widths - 0.5 * coefficients[:, 1:] ** 2 @ np.diag(prior)[1:]
     volume = 0.5 * size * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(gram)[1]
     count = len(units.estimate)

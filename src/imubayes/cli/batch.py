@@ -71,27 +71,18 @@ def fit_all(
         Print one JSON object on standard output.
     """
     start_jax()
-    from imubayes.batch.batch_folder import BatchSettings
-    from imubayes.batch.parameter_population import populations
-    from imubayes.batch.posterior_table import read_outcomes, read_parameters, read_units
-    from imubayes.batch.run_batch import run_batch
-    from imubayes.batch.units_in_doubt import units_in_doubt
-    from imubayes.batch.workers import executor_of
-    from imubayes.display.batch_report import batch_json, batch_report, progress_text
+    from imubayes.api.archives import fit_archive
+    from imubayes.display.batch_report import batch_json, batch_report
 
-    settings = BatchSettings(sample, diagnose, seed)
-    with progress() as tell, executor_of(workers, scheduler) as execute:
-        tell("listing the campaigns, and compiling for the first units")
-        state = run_batch(
-            archive, model, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
-        )
+    with progress() as tell:
+        fits = fit_archive(
+            archive, model, out, sample=sample, diagnose=diagnose, seed=seed, retry=retry, workers=workers,
+            scheduler=scheduler, progress=tell,
+        )  # fmt: skip
         tell("comparing the units")
-        doubts = units_in_doubt(
-            read_outcomes(out, state.key),
-            populations(read_parameters(out, state.key), read_units(out, state.key))[0],
-        )
-    units = read_outcomes(out, state.key)
-    show(lambda: batch_json(state, units, state.key, doubts), lambda: batch_report(state, units, out, doubts), as_json)
+        doubts, units, state = fits.in_doubt(), fits.units, fits.state
+    assert state is not None
+    show(lambda: batch_json(state, units, fits.model, doubts), lambda: batch_report(state, units, out, doubts), as_json)
     return 1 if (units["status"] != "fitted").any() else 0
 
 

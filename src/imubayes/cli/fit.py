@@ -14,6 +14,7 @@ from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
     from imubayes.foundations.campaign_data import Campaign
+    from imubayes.results.result import Result
 
 
 def classical(
@@ -252,6 +253,11 @@ def fit(
                 recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
                 until_digits=until_digits, population=population, progress=tell,
             )  # fmt: skip
+    return _shown(result, campaign, out, as_json, verbose)
+
+
+def _shown(result: "Result", campaign: Path, out: Path, as_json: bool, verbose: bool) -> int:
+    """Print a fit, and return the exit status."""
     from imubayes.display.fit_cautions import next_command
     from imubayes.display.fit_report import summary_report
 

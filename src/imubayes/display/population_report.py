@@ -45,7 +45,7 @@ _NOTE = (
 def _nothing(known: Sequence[ParameterPopulation]) -> Iterator[str]:
     """Yield that no parameter has groups, steps or trends, if none has."""
     searched = [each.laws for each in known if each.laws is not None]
-    if searched and not any(each.findings for each in searched):
+    if searched and not any(each.findings or each.possible for each in searched):
         least = min(each.nothing_else for each in searched)
         yield f"All units are of one group: probability {probability(least)} or more for each parameter."
 
@@ -72,6 +72,8 @@ def finding_lines(each: ParameterPopulation) -> Iterator[str]:
     for found in each.laws.findings:
         chance = f"(probability {probability(found.probability)})"
         yield f"{each.parameter}: {_finding(found, unit)} {chance}.{_beside(found)}"
+    if (found := each.laws.possible) is not None:
+        yield f"{each.parameter}: possibly {_finding(found, unit)} (probability {probability(found.probability)})."
 
 
 def _finding(found: PopulationFinding, unit: str) -> str:
