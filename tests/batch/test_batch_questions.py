@@ -6,8 +6,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.batch.changes import compare_models, regression, serial_number, trends
-from imubayes.batch.parameter_population import next_unit_model, populations
+from imubayes.batch.archive_covariates import serial_number
+from imubayes.batch.changes import compare_models, regression, trends
+from imubayes.batch.parameter_population import populations
+from imubayes.batch.population_priors import next_unit_model
 from imubayes.batch.posterior_table import (
     Outcome,
     Quantities,

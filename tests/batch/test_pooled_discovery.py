@@ -1,5 +1,7 @@
 """Evidence added over units: what each of them has too little of is found, and named; nothing is found in nothing."""
 
+from pathlib import Path
+
 import numpy as np
 import polars as pl
 import pytest
@@ -9,6 +11,7 @@ from imubayes.batch.pooled_evidence import effect_in_units, law_tables, pooled_s
 from imubayes.batch.posterior_table import packed
 from imubayes.batch.unit_scores import SCORES, CandidateKey, read_unit_scores
 from imubayes.foundations.errors import InputError
+from imubayes.results.folder_files import seal
 
 EFFECTS = ("quadratic", "twin", "drift", "pair", "width")
 ROWS, UNITS, SIZE = 40, 100, 50.0
@@ -180,13 +183,19 @@ def test_a_batch_without_scores_is_refused():
         pooled_discovery(SCORES.to_frame(), archive(7, np.zeros((2, 6)))[1])
 
 
+def _keep(place: Path, scores: pl.DataFrame) -> None:
+    place.mkdir()
+    scores.write_parquet(place / "scores.parquet")
+    seal(place)
+
+
 def test_scores_of_another_version_are_refused(tmp_path):
     folder = tmp_path / "model-m"
     folder.mkdir()
     (folder / "model.toml").touch()
-    archive(7, np.zeros((2, 6)))[0].write_parquet(folder / "scores-new.parquet")
+    _keep(folder / "scores-new", archive(7, np.zeros((2, 6)))[0])
     assert read_unit_scores(tmp_path).height == 12
-    pl.DataFrame({"digest": ["d"], "p": [0.5]}).write_parquet(folder / "scores-old.parquet")
+    _keep(folder / "scores-old", pl.DataFrame({"digest": ["d"], "p": [0.5]}))
     with pytest.raises(InputError, match="another version") as refused:
         read_unit_scores(tmp_path)
     assert "run imubayes batch again" in refused.value.issues[0].remedy

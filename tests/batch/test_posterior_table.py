@@ -25,6 +25,7 @@ from imubayes.batch.posterior_table import (
     unpacked,
 )
 from imubayes.foundations.errors import InputError
+from imubayes.results.folder_files import seal
 
 
 def fitted_unit(name: str = "A1") -> UnitPosterior:
@@ -68,6 +69,7 @@ def test_parts_are_read_together_in_one_order(tmp_path):
         folder.mkdir(parents=True)
         parameter_table("abc", [fitted_unit(name)]).write_parquet(folder / "parameters.parquet")
         unit_table("abc", "c", [fitted_unit(name)]).write_parquet(folder / "units.parquet")
+        seal(folder)
     (model_folder(tmp_path, "abc") / "model.toml").write_text("")
     assert read_units(tmp_path)["unit"].to_list() == ["A1", "C3"]
     assert read_parameters(tmp_path, "ab").group_by("unit", maintain_order=True).len()["len"].to_list() == [4, 4]
@@ -98,5 +100,6 @@ def test_outcomes_are_the_units_without_their_estimates(tmp_path):
     folder.mkdir(parents=True)
     (folder.parent / "model.toml").write_text("")
     unit_table("abc", "code", [fitted_unit()]).write_parquet(folder / "units.parquet")
+    seal(folder)
     outcomes, units = read_outcomes(tmp_path), read_units(tmp_path)
     assert outcomes.equals(units.drop("names", "mean", "covariance"))

@@ -1,22 +1,28 @@
 """Fit every campaign of an archive with one model, and ask all units at once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import polars as pl
 
+from imubayes.archive.store import pack_campaigns
 from imubayes.batch.batch_folder import BatchSettings, Sampling
 from imubayes.batch.changes import Trends, trends
+from imubayes.batch.hierarchical_fit import HierarchicalFit, hierarchical_fit
 from imubayes.batch.parameter_population import Populations, populations
 from imubayes.batch.pooled_discovery import PooledDiscovery, pooled_discovery
 from imubayes.batch.posterior_table import chosen_model, read_parameters, read_units
-from imubayes.batch.run_batch import run_batch
+from imubayes.batch.run_batch import BatchProgress, run_batch
 from imubayes.batch.unit_scores import complete_scores
+from imubayes.batch.units_in_doubt import UnitInDoubt, units_in_doubt
 from imubayes.batch.workers import executor_of
 from imubayes.display.batch_report import progress_text
 from imubayes.display.progress import progress_of
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.model.model_file import ModelSpec
+from imubayes.results.result_folder import write_model
 
 
 @dataclass(frozen=True)
@@ -27,6 +33,7 @@ class ArchiveFit:
     ----------
     folder : the results folder.
     model : hash of model, settings and code.
+    state : how far the batch was when it ended; None for one that was read.
 
     Examples
     --------
@@ -38,6 +45,7 @@ class ArchiveFit:
 
     folder: Path
     model: str
+    state: BatchProgress | None = None
 
     @cached_property
     def units(self) -> pl.DataFrame:
@@ -49,13 +57,24 @@ class ArchiveFit:
         """A row for each campaign and parameter: mean, sd and quantiles in the unit of the parameter."""
         return read_parameters(self.folder, self.model)
 
-    def population(self) -> Populations:
-        """Return mean and spread of every parameter over the units, and the units that are unlike the others."""
-        return populations(self.parameters, self.units)[0]
+    def population(self, progress: Callable[[str], None] | None = None) -> Populations:
+        """Return what parts the units, mean and spread of every parameter, and the units that are unlike the others.
 
-    def given_population(self) -> pl.DataFrame:
-        """Return the estimates of every unit with the population as prior."""
-        return populations(self.parameters, self.units)[1]
+        Each unit is fitted again with the population of the others as its prior; the results folder keeps that.
+        """
+        return self._hierarchical(progress).populations
+
+    def given_population(self, progress: Callable[[str], None] | None = None) -> pl.DataFrame:
+        """Return the estimates of every unit alone and with the population as prior."""
+        return self._hierarchical(progress).units
+
+    def _hierarchical(self, progress: Callable[[str], None] | None) -> HierarchicalFit:
+        with progress_of(progress) as tell:
+            return hierarchical_fit(self.folder, self.model, progress=tell)
+
+    def in_doubt(self) -> tuple[UnitInDoubt, ...]:
+        """Return the units that need a person: without estimates, with doubtful noise, or unlike the others."""
+        return units_in_doubt(self.units, populations(self.parameters, self.units)[0])
 
     def trends(self) -> Trends:
         """Return trends over dates and serial numbers, and drifts between calibrations of one unit."""
@@ -76,8 +95,8 @@ class ArchiveFit:
 
 
 def fit_archive(
-    archive: str | Path,
-    model: str | Path,
+    archive: str | Path | Sequence[Campaign],
+    model: str | Path | ModelSpec,
     out: str | Path,
     *,
     sample: Sampling = "none",
@@ -94,8 +113,8 @@ def fit_archive(
 
     Parameters
     ----------
-    archive : archive, or folder with campaign folders.
-    model : model file, or the name of a shipped model.
+    archive : archive, folder with campaign folders, or campaigns in memory, which are kept in the results folder.
+    model : model, its file, or the name of a shipped one.
     out : results folder.
     sample : units whose posterior is sampled: all, none, or flagged, those whose importance weights put the Laplace
         approximation in doubt.
@@ -120,11 +139,22 @@ def fit_archive(
     """
     settings = BatchSettings(sample, diagnose, seed)
     with progress_of(progress) as tell, executor_of(workers, scheduler) as execute:
-        tell("listing the campaigns")
+        tell("listing the campaigns, and compiling for the first units")
+        place = archive if isinstance(archive, str | Path) else pack_campaigns(archive, Path(out) / _CAMPAIGNS).folder
+        file = _written(model, Path(out) / _MODEL) if isinstance(model, ModelSpec) else model
         state = run_batch(
-            archive, model, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
+            place, file, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
         )
-    return ArchiveFit(Path(out), state.key)
+    return ArchiveFit(Path(out), state.key, state)
+
+
+_CAMPAIGNS, _MODEL = "campaigns", "model.toml"
+
+
+def _written(model: ModelSpec, file: Path) -> Path:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_model(model, file)
+    return file
 
 
 def load_archive_fit(folder: str | Path, model: str | None = None) -> ArchiveFit:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import lazy_loader
 
+from imubayes.batch.prior_of_archive import given_archive
 from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
@@ -38,6 +39,7 @@ def fit(
     replace: bool = False,
     settings: Settings | None = None,
     until_digits: Literal[1, 2] | None = None,
+    population: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
     """Fit all runs of a campaign jointly and sample the posterior.
@@ -54,6 +56,7 @@ def fit(
     settings : of the sampler, beyond the seed.
     until_digits : significant digits of the standard uncertainty that every quantity is to deserve (JCGM 101, 7.9.4);
         sampling goes on until then, or until memory allows no more.
+    population : results folder of a batch whose population is the prior of this unit.
     progress : called with a short text as the work goes on.
 
     Raises
@@ -69,7 +72,7 @@ def fit(
     -3.2
     """
     clock = time.perf_counter()
-    declared = bound(campaign, model)
+    declared = bound(campaign, model if population is None else _given_archive(campaign, model, population, progress))
     load_seconds = time.perf_counter() - clock
     folder = Path(out) if out is not None else None
     checkpoint = _checkpoint(declared, folder)
@@ -124,6 +127,18 @@ def load(folder: str | Path) -> Result:
     (True, 'accel-channel')
     """
     return read_result(folder)
+
+
+def _given_archive(
+    campaign: Campaign | str | Path,
+    model: ModelSpec | str | Path,
+    population: str | Path,
+    progress: Callable[[str], None] | None,
+) -> ModelSpec:
+    loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
+    spec = model if isinstance(model, ModelSpec) else read_model(model)
+    with progress_of(progress) as tell:
+        return given_archive(spec, population, loaded, tell)
 
 
 def bound(campaign: Campaign | str | Path, model: ModelSpec | str | Path) -> Model:

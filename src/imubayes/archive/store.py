@@ -146,12 +146,24 @@ def pack(folders: Sequence[Path], out: Path, progress: Callable[[str], None] | N
         if inspection.campaign is None:
             refused.append(Refusal(str(folder), inspection.issues, digest))
             continue
-        file = file_of(out, inspection.campaign)
-        with replacing(file, durable=True) as scratch:
-            campaign_file.write_campaign(inspection.campaign, scratch)
+        added.append(campaign_file.read_head(_kept(inspection.campaign, out)))
         known.add(digest[:_DIGITS])
-        added.append(campaign_file.read_head(file))
     return Packed(tuple(added), present, tuple(refused))
+
+
+def pack_campaigns(campaigns: Iterable[Campaign], out: Path) -> Archive:
+    """Return an archive to which campaigns in memory were added; those that it holds are passed over."""
+    for campaign in campaigns:
+        if not file_of(out, campaign).exists():
+            _kept(campaign, out)
+    return Archive(out)
+
+
+def _kept(campaign: Campaign, out: Path) -> Path:
+    file = file_of(out, campaign)
+    with replacing(file, durable=True) as scratch:
+        campaign_file.write_campaign(campaign, scratch)
+    return file
 
 
 def folder_digest(folder: Path) -> str:

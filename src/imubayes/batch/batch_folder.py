@@ -35,6 +35,7 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import new_folder, only_writer, replacing
 from imubayes.model.model_file import ModelSpec
+from imubayes.results.folder_files import seal
 
 Sampling = Literal["all", "flagged", "none"]
 """Which units are sampled by emcee: all, those whose Laplace approximation is in doubt, or none."""
@@ -159,6 +160,7 @@ def identity_of(campaign: Campaign, source: UnitSource, structure: str = "") -> 
         tables=tuple(sorted({run.table for run in campaign.runs if run.table})),
         mountings=tuple(sorted({run.mounting for run in campaign.runs if run.mounting})),
         procedures=tuple(sorted({run.procedure for run in campaign.runs})),
+        labels=tuple(f"{name}={value}" for name, value in sorted(campaign.labels.items())),
         latitude=math.degrees(campaign.site.latitude),
         height=campaign.site.height,
         gravity=campaign.site.gravity,
@@ -219,15 +221,14 @@ class PartFiles:
         for place, content in (*kept.items(), (folder / tables.MODEL_FILE, tomlkit.dumps(document).encode())):
             with replacing(place, durable=True) as scratch:
                 scratch.write_bytes(content)
+        seal(folder, tables.MODEL_FILE, *(place.name for place in kept if place.parent == folder))
 
     def done(self) -> list[DoneUnit]:
         """Return the units that the parts hold, in the order of the parts."""
         found: list[DoneUnit] = []
-        for file in sorted(tables.model_folder(self.results, self.key).glob(f"part-*/{tables.UNIT_FILE}")):
-            columns = pl.read_parquet(file, columns=["digest", "file", "status", "fingerprint"])
-            found.extend(
-                DoneUnit(digest, at, status, file.parent, was) for digest, at, status, was in columns.iter_rows()
-            )
+        for part in tables.whole_parts(tables.model_folder(self.results, self.key)):
+            columns = pl.read_parquet(part / tables.UNIT_FILE, columns=["digest", "file", "status", "fingerprint"])
+            found.extend(DoneUnit(digest, at, status, part, was) for digest, at, status, was in columns.iter_rows())
         return found
 
     def write(self, units: Sequence[tables.UnitPosterior]) -> None:
@@ -241,6 +242,7 @@ class PartFiles:
             ) as scratch:
                 tables.parameter_table(self.key, chosen).write_parquet(scratch / tables.PARAMETER_FILE)
                 tables.unit_table(self.key, self.code, chosen).write_parquet(scratch / tables.UNIT_FILE)
+                seal(scratch)
 
     def remove(self, part: Path) -> None:
         """Remove a part as a whole."""

@@ -15,13 +15,13 @@ Hausman, Econometrica 46, 1978).  A difference beyond that says that the old est
 lacks.
 """
 
-import re
 from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
 import polars as pl
 
+from imubayes.batch.archive_covariates import serial_number
 from imubayes.batch.parameter_population import posteriors_of, usable_rows
 from imubayes.batch.population import LEAST_UNITS, discoveries
 from imubayes.batch.population_laws import normal_law
@@ -194,8 +194,6 @@ def _parameter(changes: pl.DataFrame) -> ParameterChange:
     )
 
 
-_NUMBER = re.compile(r"(\d+)\D*$")
-
 DRIFTS = pl.Schema(
     {
         "unit": pl.String, "parameter": pl.String, "unit_of_measure": pl.String, "from": pl.Date, "to": pl.Date,
@@ -311,12 +309,6 @@ def dated_estimates(parameters: pl.DataFrame, units: pl.DataFrame) -> pl.DataFra
         )
         found.append(kept.filter(pl.Series(posteriors.informative) & kept["date"].is_not_null()))
     return pl.concat(found) if found else pl.DataFrame()
-
-
-def serial_number(unit: str) -> float | None:
-    """Return the last number in the name of a unit; None where it has none."""
-    found = _NUMBER.search(unit)
-    return float(found[1]) if found else None
 
 
 def _trends(rows: pl.DataFrame, scale: Literal["linear", "log"]) -> Iterator[Trend]:

@@ -118,7 +118,7 @@ def _bound(task: ChunkTask, source: UnitSource) -> BoundUnit | UnitPosterior:
     try:
         campaign = source.read()
         identity = identity_of(campaign, source)
-        model = bound_to(task.spec, campaign)
+        model = bound_to(task.spec_of(source), campaign)
         identity = replace(identity, structure=structure_key(model.problem))
     except Exception as error:
         return _timed(UnitPosterior(identity, failure(error, source)), source, time.perf_counter() - clock)
@@ -150,7 +150,7 @@ def _fitted(task: ChunkTask, group: Sequence[BoundUnit]) -> dict[str, UnitPoster
             if fit is None:
                 found = fit_alone(unit.model, task.settings, unit.identity)
             else:
-                found = sampled_where_in_doubt(fit, task.settings, unit.identity)
+                found = sampled_where_in_doubt(fit, task.settings, unit.identity, unit.model)
         except Exception as error:
             found = UnitPosterior(unit.identity, failure(error, unit.source))
         seconds = unit.seconds + shared + time.perf_counter() - clock

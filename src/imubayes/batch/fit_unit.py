@@ -24,10 +24,12 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc, skew
 
+from imubayes.adequacy.known_noise import compare_with_known
+from imubayes.adequacy.noise_tests import judged_noise_in, projected
 from imubayes.batch import group_moments as moments
 from imubayes.batch.batch_folder import BatchSettings, UnitSource
 from imubayes.batch.lanes import LANES, LaneMode, LaneStructure, Stacked, of_lane
-from imubayes.batch.posterior_table import Kind, Outcome, Quantities, UnitIdentity, UnitPosterior
+from imubayes.batch.posterior_table import Kind, Logarithms, Outcome, Quantities, UnitIdentity, UnitPosterior
 from imubayes.criticism.diagnose import judge
 from imubayes.foundations.arrays import Array, Float, on_host
 from imubayes.foundations.campaign_data import Campaign, channel_of_component
@@ -40,7 +42,7 @@ from imubayes.inference.laplace_marginal import Curvature
 from imubayes.inference.laplace_proposal import PARETO_K, LaplaceProposal, LogDensity, weigh
 from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
 from imubayes.inference.noise_scale_modes import resampled
-from imubayes.inference.parameter_fit import linearise
+from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.posterior_mode import Mode, log_evidence
 from imubayes.inference.run_fit import joint_fit, judged_fit, posterior_of_draws
@@ -308,20 +310,32 @@ def _sampled(model: Model, settings: BatchSettings) -> Fit:
     return joint_fit(model, Settings(seed=settings.seed))
 
 
-def sampled_where_in_doubt(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
+def sampled_where_in_doubt(
+    fit: Fit, settings: BatchSettings, identity: UnitIdentity, recorded: Model | None = None
+) -> UnitPosterior:
     """Return the tables' view of a Laplace approximation, sampled where it is in doubt and that was asked for."""
     if settings.sample != "flagged" or fit.posterior is None or not fit.converged:
-        return posterior_of(fit, settings, identity)
+        return posterior_of(fit, settings, identity, recorded)
     shape = weight_shape(fit, settings.seed)
-    found = posterior_of(_sampled(fit.model, settings) if shape.flagged else fit, settings, identity)
+    found = posterior_of(_sampled(fit.model, settings) if shape.flagged else fit, settings, identity, recorded)
     outcome = replace(
         found.outcome, flagged=shape.flagged, pareto_k=shape.pareto_k, weight_skewness=shape.skewness
     )  # fmt: skip
     return replace(found, outcome=outcome)
 
 
-def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
-    """Return the tables' view of a fit made in this process."""
+def _without_padding(fit: Fit, recorded: Model) -> Fit:
+    """Return a fit of the readings as they were recorded: further ones, of zero weight, are at their end."""
+    assert fit.mode is not None
+    about, count = fit.mode.about, len(recorded.problem.observations.value)
+    trimmed = Linearised(about.z, about.misfit[:count], about.jacobian[:count])
+    return replace(fit, model=recorded, mode=eqx.tree_at(lambda mode: mode.about, fit.mode, trimmed))
+
+
+def posterior_of(
+    fit: Fit, settings: BatchSettings, identity: UnitIdentity, recorded: Model | None = None
+) -> UnitPosterior:
+    """Return the tables' view of a fit made in this process; `recorded` is its model without padded readings."""
     problem, posterior = fit.model.problem, fit.posterior
     readings = int(np.sum(np.asarray(problem.observations.weight)))
     if posterior is None or fit.mode is None:
@@ -338,6 +352,13 @@ def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> U
         chi2=float(np.sum(whitened(problem, fit.mode.h, fit.mode.about.misfit) ** 2)),
         log_evidence=float(log_evidence(fit.mode)),
     )
+    if fit.converged:
+        at = projected(_without_padding(fit, recorded or fit.model))
+        outcome = replace(
+            outcome,
+            noise_violations=tuple(dict.fromkeys(each.kind for each in judged_noise_in(at).violations)),
+            noise_contradicted=tuple(dict.fromkeys(each.parameter for each in compare_with_known(at).contradicted)),
+        )
     values = in_units(fit.model, posterior.points)
     return UnitPosterior(identity, outcome, quantities_of(fit, values), np.atleast_2d(np.cov(values.T, ddof=0)))
 
@@ -364,11 +385,16 @@ def quantities_of(fit: Fit, values: np.ndarray) -> tuple[Quantities, ...]:
     quantiles = quantiles_of(values)
     size = len(model.layout)
 
+    noise = slice(size, None)
+    logarithms = Logarithms(
+        _log_moments(model, values)[:, noise], *(each[noise] for each in _log_likelihoods(model, posterior.points))
+    )
+
     def of_kind(kind: Kind, chosen: slice) -> Quantities:
         return Quantities(
             kind, tuple(p.name for p in declared[chosen]), tuple(p.unit for p in declared[chosen]),
             values[:, chosen].mean(axis=0), values[:, chosen].std(axis=0), quantiles[:, chosen],
-            prior_mean[chosen], prior_sd[chosen], share[chosen],
+            prior_mean[chosen], prior_sd[chosen], share[chosen], logarithms if kind == "noise" else None,
         )  # fmt: skip
 
     found = (of_kind("parameter", slice(0, size)), of_kind("noise", slice(size, None)))
@@ -402,6 +428,40 @@ def _derived(fit: Fit) -> tuple[Quantities, ...]:
             prior.mean(axis=0), prior.std(axis=0), share,
         ),
     )  # fmt: skip
+
+
+def _log_moments(model: Model, values: np.ndarray) -> np.ndarray:
+    """Return mean and sd of the logarithms of draws (S, D), and those of the prior, (4, D); NaN where not positive."""
+    knots, weights = np.polynomial.hermite_e.hermegauss(_KNOTS)
+    share = weights / weights.sum()
+    grid = in_units(model, np.repeat(knots[:, None], values.shape[1], axis=1))
+    result = np.full((4, values.shape[1]), np.nan)
+    positive = np.all(values > 0, axis=0) & np.all(grid > 0, axis=0)
+    draws, prior = np.log(values[:, positive]), np.log(grid[:, positive])
+    mean = share @ prior
+    result[:, positive] = draws.mean(axis=0), draws.std(axis=0), mean, np.sqrt(share @ (prior - mean) ** 2)
+    return result
+
+
+# Points of a likelihood and how far they reach, in posterior standard deviations; width of the kernels in these.
+_GRID, _REACH, _KERNEL = 25, 2.5, 0.3
+
+
+def _log_likelihoods(model: Model, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return logarithms of values and of their likelihood, (D, G) each, of the components of z from draws (S, D).
+
+    The posterior density is that of normal kernels at the draws, these drawn together so that the variance remains; the
+    prior is standard normal in z.
+    """
+    mean, deviation = points.mean(axis=0), points.std(axis=0)
+    steps = np.linspace(-_REACH, _REACH, _GRID)
+    grid = mean + deviation * steps[:, None]
+    centres = (points - mean) / (np.where(deviation > 0, deviation, 1.0) * np.sqrt(1 + _KERNEL**2))
+    width = _KERNEL / np.sqrt(1 + _KERNEL**2)
+    kernels = np.exp(-0.5 * ((steps[:, None, None] - centres) / width) ** 2).mean(axis=1)
+    values = in_units(model, grid)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.log(values).T, (np.log(kernels) + 0.5 * grid**2).T
 
 
 def _prior_moments(model: Model) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""From the table of a batch to the population of every parameter, and to the prior of the next unit.
+"""From the table of a batch to the population of every parameter, and to what is known of each unit given the others.
 
 A unit counts once, with its latest calibration: two calibrations of one unit are not two draws from the population.
 Parameters are taken on the scale on which their prior is normal, or nearly: as they are, or as logarithms.  A prior
@@ -6,28 +6,40 @@ that is neither normal nor lognormal is replaced by the one with its mean and st
 the data determine this matters little, and the others carry no information.  Each parameter is treated by itself,
 with its marginal posterior: correlations between parameters of a unit are not used.
 
-The predictive distribution of the next unit, N(μ, τ²) with mean and spread uncertain, replaces the prior of each
-parameter whose population is known; the others keep theirs.  Parameters of mountings and tables keep theirs too: they
-belong to the equipment of a campaign, not to a kind of unit.  A parameter that cannot be negative and whose prior
-reaches down to zero keeps it there: a half-normal prior with the second moment of the population.
+Structure comes first: groups of units, steps, trends and covariates (`imubayes.batch.population_search`) are taken out
+of the estimates, and mean and spread are those of the units within a group.  A noise scale is taken as its logarithm,
+and its population has the prior of the model on its mean: few units determine a noise scale, and those that do not
+still bound it.
 """
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 import polars as pl
 
-from imubayes.batch.population import Population, ShrunkUnits, UnitPosteriors, population, shrunk
-from imubayes.foundations.errors import input_error
-from imubayes.foundations.quantity_names import QuantityName
+from imubayes.batch.archive_covariates import covariates_of
+from imubayes.batch.noise_scale_population import ScaleLikelihoods, scale_population
+from imubayes.batch.population import (
+    LEAST_UNITS,
+    Population,
+    ShrunkUnits,
+    UnitPosteriors,
+    compared,
+    population,
+    population_of,
+    shrunk,
+)
+from imubayes.batch.population_findings import PopulationLaws, laws_of
+from imubayes.batch.population_search import Structure, UnitCovariate, search
+from imubayes.batch.population_structure import UnitEstimates
 from imubayes.foundations.records import Record, finite
-from imubayes.model.effect_registry import Registry
-from imubayes.model.model_file import EffectSpec, ModelSpec
-from imubayes.parameters.declarations import declared_parameters
 
+Scale = Literal["linear", "log"]
+StatedPriors = Mapping[str, tuple[float, float]]
+"""Mean and standard deviation of the prior of a model by parameter, on the scale of its population."""
 # Relative agreement of (sd/prior sd)² with 1 − from_data, which is computed where the prior is normal.
 _NORMAL_PRIOR = 0.05
 
@@ -66,11 +78,12 @@ class ParameterPopulation(Record):
     scale : ``linear``, or ``log``: the numbers below are of the natural logarithm of the parameter in its unit.
     units, informative : number of units, and of those whose data carry information.
     law, freedom : ``normal`` or ``student`` with its degrees of freedom.
-    mean, mean_sd, mean_interval : of the population mean, with its 95 % interval.
+    mean, mean_sd, mean_interval : of the population mean, with its 95 % interval; of the first group if there are some.
     spread, spread_sd, spread_interval : half the width of the central 68.3 % of the population.
-    predictive_sd : standard deviation of the next unit, mean and spread being uncertain.
+    next_mean, predictive_sd : mean and standard deviation of the next unit, mean and spread being uncertain.
     information_error : bits lost to the Monte Carlo error of the units' posteriors.
-    outlying : units at a false discovery rate of 5 %.
+    outlying : units at a false discovery rate of 5 %, within their groups.
+    laws : groups, steps, trends and covariates; None for derived quantities and if too few units are informative.
     """
 
     parameter: str
@@ -88,9 +101,11 @@ class ParameterPopulation(Record):
     spread: float | None
     spread_sd: float | None
     spread_interval: tuple[float, float] | None
+    next_mean: float | None
     predictive_sd: float | None
     information_error: float
     outlying: tuple[OutlyingUnit, ...]
+    laws: PopulationLaws | None
 
 
 class Populations(Record):
@@ -104,23 +119,22 @@ class Populations(Record):
     parameters: tuple[ParameterPopulation, ...]
 
 
-def populations(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Populations, pl.DataFrame]:
+def populations(
+    parameters: pl.DataFrame, units: pl.DataFrame, stated: StatedPriors = MappingProxyType({})
+) -> tuple[Populations, pl.DataFrame]:
     """Return the population of every parameter, and the units with it as prior (schema `SHRUNK`).
 
     Parameters
     ----------
     parameters, units : as `imubayes.batch.posterior_table.read_parameters` and `read_units` return them.
+    stated : mean and standard deviation of the prior of the model, of parameters that these units were fitted with
+        other priors of.
     """
     found, frames = [], [SHRUNK.to_frame()]
-    for rows in usable_rows(parameters):
-        # Rows are in the order of the dates: the last one of a unit is its latest calibration.
-        table = rows.unique("unit", keep="last", maintain_order=True).sort("unit")
-        posteriors, scale = posteriors_of(table, units)
-        outcome = population(posteriors)
-        shares = shrunk(posteriors, outcome) if outcome.posterior is not None else None
-        found.append(_record(table, scale, posteriors, outcome, shares))
-        if shares is not None:
-            frames.append(_frame(table, scale, posteriors, shares))
+    for each in unit_populations(parameters, units, stated):
+        found.append(_record(each))
+        if each.units is not None:
+            frames.append(_frame(each))
     record = Populations(
         model=units["model"][0] if units.height else "",
         units=units["unit"].n_unique(),
@@ -131,6 +145,100 @@ def populations(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Populati
     return record, pl.concat(frames)
 
 
+@dataclass(frozen=True)
+class UnitPopulation:
+    """The population of one parameter, with its units.
+
+    Attributes
+    ----------
+    table : rows of the parameter, one for each unit, ordered by unit.
+    scale : ``linear`` or ``log``, on which all numbers are.
+    posteriors : of the units.
+    structure : groups, steps, trends and covariates; None if it was not searched.
+    population : of the units within their groups.
+    units : of the units given the population; None without one.
+    """
+
+    table: pl.DataFrame
+    scale: Scale
+    posteriors: UnitPosteriors
+    structure: Structure | None
+    population: Population
+    units: ShrunkUnits | None
+
+
+def unit_populations(
+    parameters: pl.DataFrame, units: pl.DataFrame, stated: StatedPriors = MappingProxyType({})
+) -> Iterator[UnitPopulation]:
+    """Yield the population of every parameter; arguments as of `populations`."""
+    by_digest = units.unique("digest", keep="first")
+    for rows in usable_rows(parameters):
+        # Rows are in the order of the dates: the last one of a unit is its latest calibration.
+        table = rows.unique("unit", keep="last", maintain_order=True).sort("unit")
+        posteriors, scale = posteriors_of(table, units)
+        posteriors = posteriors.with_stated(stated.get(table["parameter"][0]))
+        of_units = table.select("digest").join(by_digest, on="digest", how="left", maintain_order="left")
+        structure = _structure(table["kind"][0], posteriors, covariates_of(of_units))
+        explained = np.zeros(table.height)
+        if structure is not None:
+            explained[posteriors.informative] = structure.explained
+        within = posteriors.shifted(explained)
+        if _has_likelihoods(table):
+            outcome, known = _of_scales(table, within, explained, stated.get(table["parameter"][0]))
+        else:
+            outcome = population(within)
+            known = shrunk(within, outcome) if outcome.posterior is not None else None
+        if known is not None and structure is not None and structure.findings:
+            known = _with_structure(known, within, outcome, structure)
+        yield UnitPopulation(table, scale, posteriors, structure, outcome, known)
+
+
+def _has_likelihoods(table: pl.DataFrame) -> bool:
+    """Whether the rows are of a noise scale whose logarithm has a likelihood in every unit."""
+    return table["log_likelihood"].null_count() == 0 and bool(table["log_likelihood"].explode().is_finite().all())
+
+
+def _of_scales(
+    table: pl.DataFrame, within: UnitPosteriors, explained: np.ndarray, stated: tuple[float, float] | None
+) -> tuple[Population, ShrunkUnits | None]:
+    """Return the population of a noise scale, and its units given it."""
+    informative = int(within.informative.sum())
+    if table.height < LEAST_UNITS:
+        return Population(table.height, informative, f"fewer than {LEAST_UNITS} units have an estimate of it"), None
+    prior = stated or (float(np.median(within.prior_mean + explained)), float(np.median(within.prior_sd)))
+    grids, values = (np.array(table[name].to_list()) for name in ("log_grid", "log_likelihood"))
+    found = scale_population(ScaleLikelihoods.of(grids - explained[:, None], values, prior), prior)
+    outcome = population_of(found.posterior, table.height, informative)
+    others = found.others_mean, found.others_sd
+    return outcome, replace(compared(within, outcome, found.mean, found.sd), others=others)
+
+
+def _structure(kind: str, posteriors: UnitPosteriors, covariates: list[UnitCovariate]) -> Structure | None:
+    """Return the structure of the informative units; None for derived quantities and for few units."""
+    used = np.flatnonzero(posteriors.informative)
+    if kind == "derived" or len(used) <= LEAST_UNITS:
+        return None
+    estimate, variance = (each[used] for each in posteriors.likelihood)
+    prior = posteriors.stated_sd
+    # A parameter may scatter more than its prior says: the data then show how far it reaches.
+    width = max(float(np.std(estimate)), prior if np.isfinite(prior) else 0.0)
+    if not np.isfinite(width) or width <= 0:
+        width = max(10 * float(np.std(estimate)), 1e-300)
+    return search(UnitEstimates(estimate, variance, width), [each.of(used) for each in covariates])
+
+
+def _with_structure(known: ShrunkUnits, within: UnitPosteriors, outcome: Population, found: Structure) -> ShrunkUnits:
+    """Return units given their group: its location is added, and so is its variance as far as the unit relies on it."""
+    used = within.informative
+    explained, doubt = np.zeros(len(known.mean)), np.zeros(len(known.mean))
+    explained[used], doubt[used] = found.explained, found.doubt
+    variance = within.likelihood[1]
+    relies = np.where(used, 1 / (1 + outcome.spread**2 / variance), 1.0)
+    # A unit that was not measured may be in any of the groups.
+    explained[~used], doubt[~used] = np.mean(found.explained), np.var(found.explained) + np.mean(found.doubt)
+    return replace(known, mean=known.mean + explained, sd=np.sqrt(known.sd**2 + relies**2 * doubt))
+
+
 def usable_rows(parameters: pl.DataFrame) -> Iterator[pl.DataFrame]:
     """Yield the rows of each parameter that have an estimate, in the order of their dates, undated ones first."""
     usable = parameters.filter((pl.col("status") == "fitted") & pl.col("mean").is_not_null())
@@ -139,8 +247,8 @@ def usable_rows(parameters: pl.DataFrame) -> Iterator[pl.DataFrame]:
         yield rows
 
 
-def posteriors_of(table: pl.DataFrame, units: pl.DataFrame) -> tuple[UnitPosteriors, Literal["linear", "log"]]:
-    """Return the posteriors of one parameter on the scale on which its prior is nearly normal.
+def posteriors_of(table: pl.DataFrame, units: pl.DataFrame) -> tuple[UnitPosteriors, Scale]:
+    """Return the posteriors of one parameter on the scale on which its prior is nearly normal; noise as logarithms.
 
     Parameters
     ----------
@@ -148,9 +256,12 @@ def posteriors_of(table: pl.DataFrame, units: pl.DataFrame) -> tuple[UnitPosteri
     units : table of the units, with the number of draws behind each.
     """
     draws = dict(zip(units["digest"], units["draws"].fill_null(np.inf), strict=True))
-    columns = {name: table[name].cast(pl.Float64).fill_null(np.nan).to_numpy() for name in _NUMBERS}
+    columns = {name: table[name].cast(pl.Float64).fill_null(np.nan).to_numpy() for name in (*_NUMBERS, *_LOGARITHMS)}
     mean, sd, prior_mean, prior_sd = (columns[name] for name in _NUMBERS[:4])
     number = np.array([draws[digest] for digest in table["digest"]], dtype=float)
+    logarithms = [columns[name] for name in _LOGARITHMS]
+    if table["kind"][0] == "noise" and np.all(np.isfinite(logarithms)):
+        return UnitPosteriors(*logarithms, number), "log"
     with np.errstate(divide="ignore", invalid="ignore"):
         as_normal = np.abs((sd / prior_sd) ** 2 / (1 - columns["from_data"]) - 1) < _NORMAL_PRIOR
     positive = bool(np.all(columns["q2_5"] > 0))
@@ -169,22 +280,20 @@ def posteriors_of(table: pl.DataFrame, units: pl.DataFrame) -> tuple[UnitPosteri
     return UnitPosteriors(middle, width, *prior, number), "log"
 
 
+_LOGARITHMS = ("log_mean", "log_sd", "prior_log_mean", "prior_log_sd")
 _NUMBERS = ("mean", "sd", "prior_mean", "prior_sd", "from_data", "q2_5", "q50", "q97_5")
 
 
-def _record(
-    table: pl.DataFrame,
-    scale: Literal["linear", "log"],
-    posteriors: UnitPosteriors,
-    outcome: Population,
-    shares: ShrunkUnits | None,
-) -> ParameterPopulation:
+def _record(each: UnitPopulation) -> ParameterPopulation:
+    outcome, table = each.population, each.table
     given = outcome.posterior is not None
+    names = table.filter(pl.Series(each.posteriors.informative))["unit"].to_list()
+    next_mean, next_sd = _next_unit(each)
     return ParameterPopulation(
         parameter=table["parameter"][0],
         unit_of_measure=table["unit_of_measure"][0],
         kind=table["kind"][0],
-        scale=scale,
+        scale=each.scale,
         units=outcome.units,
         informative=outcome.informative,
         reason=outcome.reason,
@@ -196,10 +305,26 @@ def _record(
         spread=finite(outcome.spread),
         spread_sd=finite(outcome.spread_sd),
         spread_interval=outcome.spread_interval if given else None,
-        predictive_sd=finite(outcome.predictive_sd),
+        next_mean=finite(next_mean),
+        predictive_sd=finite(next_sd),
         information_error=outcome.information_error,
-        outlying=_outlying(table, posteriors, shares) if shares is not None else (),
+        outlying=_outlying(table, each.posteriors, each.units) if each.units is not None else (),
+        laws=laws_of(each.structure, names) if each.structure is not None else None,
     )
+
+
+def _next_unit(each: UnitPopulation) -> tuple[float, float]:
+    """Return mean and sd of the next unit: as the latest one over dates and serial numbers, or of any group."""
+    outcome, structure = each.population, each.structure
+    if structure is None or not structure.findings:
+        return outcome.mean, outcome.predictive_sd
+    latest = structure.explained
+    for found in structure.findings:
+        covariate = found.candidate.covariate
+        if covariate is not None and covariate.ordered is not None:
+            latest = structure.explained[covariate.ordered == np.max(covariate.ordered)]
+    variance = np.var(latest) + np.mean(structure.doubt)
+    return outcome.mean + float(np.mean(latest)), float(np.sqrt(outcome.predictive_sd**2 + variance))
 
 
 def _outlying(table: pl.DataFrame, posteriors: UnitPosteriors, shares: ShrunkUnits) -> tuple[OutlyingUnit, ...]:
@@ -218,13 +343,16 @@ def _outlying(table: pl.DataFrame, posteriors: UnitPosteriors, shares: ShrunkUni
     )
 
 
-def _frame(table: pl.DataFrame, scale: str, posteriors: UnitPosteriors, shares: ShrunkUnits) -> pl.DataFrame:
+def _frame(each: UnitPopulation) -> pl.DataFrame:
     """Return the units of a parameter with the population as prior; logarithms become values again."""
+    assert each.units is not None
+    table, posteriors, shares = each.table, each.posteriors, each.units
     estimate, variance = posteriors.likelihood
-    known = posteriors.informative
+    # The estimate of a noise scale is one only if its data outweigh its prior.
+    known = posteriors.informative & ((posteriors.from_data > 0.5) | (each.scale == "linear"))
     own, own_sd = np.where(known, estimate, np.nan), np.where(known, np.sqrt(np.where(known, variance, 1.0)), np.nan)
     mean, sd = shares.mean, shares.sd
-    if scale == "log":
+    if each.scale == "log":
         own, mean = np.exp(own), np.exp(mean)
         own_sd, sd = own * own_sd, mean * sd
     columns = {
@@ -235,108 +363,3 @@ def _frame(table: pl.DataFrame, scale: str, posteriors: UnitPosteriors, shares: 
     return kept.with_columns(pl.Series(name, values) for name, values in columns.items()).with_columns(
         pl.col(pl.Float64).fill_nan(None)
     )
-
-
-_DIGITS = 4
-
-
-@dataclass(frozen=True)
-class ReplacedPrior:
-    """A prior of the new model, and the one that it replaces; empty where that was the default of the effect."""
-
-    parameter: str
-    prior: str
-    before: str
-
-
-# Families of priors with their mode at zero.
-_FROM_ZERO = ("halfnormal", "halfcauchy")
-
-
-def prior_text(found: ParameterPopulation, before: str) -> str:
-    """Return the predictive distribution of the next unit as a prior of a model file; `before` is that of the batch."""
-    assert found.mean is not None, found.reason
-    assert found.predictive_sd is not None, found.reason
-    unit = f" {found.unit_of_measure}" if found.unit_of_measure not in ("", "1") else ""
-    if found.scale == "log":
-        return f"lognormal({math.exp(found.mean):.{_DIGITS}g}{unit}, {found.predictive_sd:.{_DIGITS}g})"
-    if before.partition("(")[0] in _FROM_ZERO:
-        return f"halfnormal({math.hypot(found.mean, found.predictive_sd):.{_DIGITS}g}{unit})"
-    return f"normal({found.mean:.{_DIGITS}g}{unit}, {found.predictive_sd:.{_DIGITS}g}{unit})"
-
-
-def next_unit_model(spec: ModelSpec, found: Populations, name: str = "") -> tuple[ModelSpec, list[ReplacedPrior]]:
-    """Return the model of the next unit, with what was replaced.
-
-    An effect whose channels have priors of their own is written once for each channel.
-
-    Parameters
-    ----------
-    spec : the model of the batch.
-    found : its populations.
-    name : of the new model; that of the old one with ``-population`` where empty.
-
-    Raises
-    ------
-    InputError
-        where no parameter has a population.
-    """
-    registry = Registry().with_files(spec.files)
-    known = {each.parameter: each for each in found.parameters if each.kind != "derived"}
-    effects: list[EffectSpec] = []
-    replaced: list[ReplacedPrior] = []
-    for effect in spec.effects:
-        kind = registry.find(effect.name, effect.where)
-        of_channel = (effect.per or ",".join(kind.per)) == "channel"
-        channels = _channels(effect, known) if of_channel else []
-        before = len(replaced)
-        defaults = {field: each.prior for field, each in declared_parameters(kind).items()}
-        parts = [_with_priors(effect, defaults, channel, known, replaced) for channel in channels]
-        effects.extend(parts if len(replaced) > before else [effect])
-    if not replaced:
-        raise input_error(
-            "no parameter has a population",
-            f"results of model {found.model}",
-            "parameters that five units or more carry information on",
-            "fit more units, or see the reasons with `imubayes batch population`",
-        )
-    return replace(spec, name=name or f"{spec.name}-population", effects=tuple(effects)), replaced
-
-
-def _channels(effect: EffectSpec, known: Mapping[str, ParameterPopulation]) -> list[str]:
-    """Return the channels that an effect has parameters on in the batch."""
-    labels = (QuantityName.of(key).labels for key in _own(effect.name, known))
-    found = dict.fromkeys(each[0] for each in labels if len(each) == 1)
-    return [label for label in found if effect.channels is None or label in effect.channels]
-
-
-def _own(name: str, known: Mapping[str, ParameterPopulation]) -> Sequence[str]:
-    return [key for key in known if QuantityName.of(key).effect == name]
-
-
-def _with_priors(
-    effect: EffectSpec,
-    defaults: Mapping[str, str],
-    channel: str,
-    known: Mapping[str, ParameterPopulation],
-    replaced: list[ReplacedPrior],
-) -> EffectSpec:
-    """Return an effect on one channel with the priors that the population gives it; `defaults` are those declared."""
-    priors = dict(effect.prior)
-    for field, each in _fields(effect.name, channel, known):
-        if each.mean is not None:
-            before = priors.get(field, "")
-            text = prior_text(each, before or defaults[field])
-            replaced.append(ReplacedPrior(each.parameter, text, before))
-            priors[field] = text
-    # The next unit may lack a channel that others had.
-    return replace(effect, channels=(channel,), prior=priors, optional=True)
-
-
-def _fields(
-    name: str, channel: str, known: Mapping[str, ParameterPopulation]
-) -> Iterator[tuple[str, ParameterPopulation]]:
-    for key in _own(name, known):
-        parts = QuantityName.of(key)
-        if parts.labels == (channel,):
-            yield parts.parameter, known[key]

@@ -25,13 +25,19 @@ logarithm of an estimate is too small by half its variance.  J. Heinzel and S. V
 the sum as the information error and recommend at most 0.2 bits.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import stats
 
-from imubayes.batch.population_laws import GridPosterior, mixing, mixture, normal_law, student_law
+from imubayes.batch.population_laws import (
+    GridPosterior,
+    mixing,
+    mixture,
+    normal_law,
+    student_law,
+)
 from imubayes.foundations.tail_probabilities import normal_survival
 
 LEAST_FROM_DATA = 0.05
@@ -51,6 +57,7 @@ class UnitPosteriors:
     mean, sd : shape (n,), posterior mean and standard deviation.
     prior_mean, prior_sd : shape (n,), of the prior; an infinite standard deviation is a flat prior.
     draws : shape (n,), effective number of draws that mean and sd were estimated from; infinite where they are exact.
+    stated : mean and standard deviation of the prior of the model, if these posteriors have other priors.
     """
 
     mean: np.ndarray
@@ -58,6 +65,36 @@ class UnitPosteriors:
     prior_mean: np.ndarray
     prior_sd: np.ndarray
     draws: np.ndarray
+    stated: tuple[float, float] | None = None
+
+    @property
+    def stated_sd(self) -> float:
+        """Standard deviation of the prior of the model; infinite for a flat one."""
+        return self.stated[1] if self.stated is not None else float(np.median(self.prior_sd))
+
+    def with_stated(self, prior: tuple[float, float] | None) -> "UnitPosteriors":
+        """Return the posteriors with the prior of the model, if units were fitted with other priors."""
+        if prior is None:
+            return self
+        return replace(self, stated=prior)
+
+    def shifted(self, by: np.ndarray) -> "UnitPosteriors":
+        """Return the posteriors of the parameter less what is known of each unit, (n,)."""
+        return replace(self, mean=self.mean - by, prior_mean=self.prior_mean - by)
+
+    @cached_property
+    def natural(self) -> tuple[np.ndarray, np.ndarray]:
+        """Linear term and precision of the log likelihood of each unit, (n,) each; 0 without information."""
+        used = self.informative
+        with np.errstate(divide="ignore", invalid="ignore"):
+            linear = self.mean / self.sd**2 - np.where(np.isinf(self.prior_sd), 0, self.prior_mean / self.prior_sd**2)
+            precision = 1 / self.sd**2 - 1 / self.prior_sd**2
+        return np.where(used, linear, 0.0), np.where(used, precision, 0.0)
+
+    @cached_property
+    def usable(self) -> np.ndarray:
+        """Whether a unit has a posterior, shape (n,) bool."""
+        return np.isfinite(self.mean) & np.isfinite(self.sd) & (self.sd > 0)
 
     @cached_property
     def from_data(self) -> np.ndarray:
@@ -72,8 +109,7 @@ class UnitPosteriors:
         error of a variance estimated from so many draws.
         """
         least = np.maximum(LEAST_FROM_DATA, np.sqrt(2 / self.draws))
-        usable = np.isfinite(self.mean) & np.isfinite(self.sd) & (self.sd > 0)
-        return usable & (self.from_data > least)
+        return self.usable & (self.from_data > least)
 
     @cached_property
     def likelihood(self) -> tuple[np.ndarray, np.ndarray]:
@@ -201,6 +237,8 @@ class ShrunkUnits:
     p : shape (n,), two-sided p-value of that distance, the unit itself not counted to the population; 1 without
         information.
     outlying : shape (n,), bool, at a false discovery rate of 5 % (Benjamini–Yekutieli).
+    others : mean and standard deviation of each unit given the other units alone, shape (n,) each; None where they
+        follow from those given all units and the likelihood of the unit.
     """
 
     mean: np.ndarray
@@ -208,6 +246,7 @@ class ShrunkUnits:
     distance: np.ndarray
     p: np.ndarray
     outlying: np.ndarray
+    others: tuple[np.ndarray, np.ndarray] | None = None
 
 
 def population(units: UnitPosteriors) -> Population:
@@ -216,12 +255,16 @@ def population(units: UnitPosteriors) -> Population:
     informative = int(used.sum())
     if informative < LEAST_UNITS:
         return Population(count, informative, f"fewer than {LEAST_UNITS} units carry information on it")
-    estimate, variance = (each[used] for each in units.likelihood)
-    posterior = _law(estimate, variance)
+    posterior = _law(*(each[used] for each in units.likelihood))
     bits = information_error(posterior, units)
     if bits > MOST_BITS:
         reason = f"the information error is {bits:.2g} bits, above {MOST_BITS:g}: the units need more draws"
         return Population(count, informative, reason, posterior.freedom, information_error=bits)
+    return population_of(posterior, count, informative, bits)
+
+
+def population_of(posterior: GridPosterior, count: int, informative: int, bits: float = 0.0) -> Population:
+    """Return the population of `count` units with a posterior of centre and scale."""
     factor = core_width(posterior.freedom)
     mean, mean_sd = posterior.of_centre()
     spread, spread_sd = posterior.of_scale(factor)
@@ -266,23 +309,30 @@ def shrunk(units: UnitPosteriors, found: Population) -> ShrunkUnits:
     if found.posterior is None:
         raise ValueError(found.reason)
     estimate, variance = units.likelihood
-    moments = _normal_moments if np.isinf(found.freedom) else _student_moments
-    mean, sd = moments(found.posterior, estimate, variance)
-    distance, p = _distances(found, estimate, variance, units.informative)
+    if np.isinf(found.freedom):
+        mean, sd = _normal_moments(found.posterior, *units.natural)
+    else:
+        mean, sd = _student_moments(found.posterior, estimate, variance)
+    return compared(units, found, mean, sd)
+
+
+def compared(units: UnitPosteriors, found: Population, mean: np.ndarray, sd: np.ndarray) -> ShrunkUnits:
+    """Return units of given mean and sd with their distances from the population."""
+    distance, p = _distances(found, *units.likelihood, units.informative)
     return ShrunkUnits(mean, sd, distance, p, discoveries(p, OUTLYING_RATE))
 
 
 def _normal_moments(
-    posterior: GridPosterior, estimate: np.ndarray, variance: np.ndarray
+    posterior: GridPosterior, linear: np.ndarray, precision: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and standard deviation of each unit under the normal law, (n,) each."""
-    first, second = np.zeros(len(estimate)), np.zeros(len(estimate))
+    first, second = np.zeros(len(linear)), np.zeros(len(linear))
     parts = (posterior.weight, posterior.centre, posterior.centre_variance, posterior.scale**2)
     for weight, centre, uncertainty, spread in zip(*parts, strict=True):
-        share = spread / (spread + variance)
-        mean = centre + share * (estimate - centre)
+        left = 1 / (1 + precision * spread)
+        mean = left * (centre + linear * spread)
         first += weight * mean
-        second += weight * (mean**2 + spread * (1 - share) + (1 - share) ** 2 * uncertainty)
+        second += weight * (mean**2 + spread * left + left**2 * uncertainty)
     return first, np.sqrt(np.maximum(second - first**2, 0.0))
 
 

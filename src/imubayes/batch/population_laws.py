@@ -94,8 +94,8 @@ def normal_law(estimate: np.ndarray, variance: np.ndarray) -> GridPosterior:
     scale = _scales(estimate, variance)
     log_density, centre, precision = _at_scales(estimate, variance, scale)
     constant = 0.5 * (1 - len(estimate)) * np.log(2 * np.pi)
-    log_weight = constant + log_density + np.log(np.gradient(scale) * _ends(len(scale)))
-    weight, log_evidence = _normalised(log_weight)
+    log_weight = constant + log_density + np.log(np.gradient(scale) * ends(len(scale)))
+    weight, log_evidence = normalised(log_weight)
     return GridPosterior(weight, centre, 1 / precision, scale, np.inf, log_evidence)
 
 
@@ -129,14 +129,15 @@ def _width(scale: np.ndarray, log_density: np.ndarray) -> float:
     return float(max(scale[min(near[-1] + 1, len(scale) - 1)] - scale[max(near[0] - 1, 0)], 1e-300)) / 2
 
 
-def _ends(count: int) -> np.ndarray:
+def ends(count: int) -> np.ndarray:
     """Return the factors of the trapezoidal rule: the first and last points stand for half a step."""
     factor = np.ones(count)
     factor[[0, -1]] = 0.5
     return factor
 
 
-def _normalised(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
+def normalised(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return weights that sum to 1, and the logarithm of their sum before."""
     log_evidence = float(np.logaddexp.reduce(log_weight))
     return np.exp(log_weight - log_evidence), log_evidence
 
@@ -149,19 +150,19 @@ def student_law(estimate: np.ndarray, variance: np.ndarray, freedom: float) -> G
     centres, scales = np.linspace(middle - reach, middle + reach, _COARSE), np.linspace(0.0, 3 * spread, _COARSE)
     for side in (_COARSE, _SIDE):
         seen = _student_density(estimate, variance, freedom, centres, scales)
-        centres = _refined(centres, seen.max(axis=1), side)
-        scales = np.maximum(_refined(scales, seen.max(axis=0), side), 0.0)
+        centres = refined(centres, seen.max(axis=1), side)
+        scales = np.maximum(refined(scales, seen.max(axis=0), side), 0.0)
     log_density = _student_density(estimate, variance, freedom, centres, scales)
-    step, grow = centres[1] - centres[0], np.gradient(scales) * _ends(_SIDE)
+    step, grow = centres[1] - centres[0], np.gradient(scales) * ends(_SIDE)
     log_weight = log_density + np.log(step * grow + _TINY)
-    weight, log_evidence = _normalised(log_weight.reshape(-1))
+    weight, log_evidence = normalised(log_weight.reshape(-1))
     kept = weight > 1e-8 * weight.max()
     centre, scale = (each.reshape(-1)[kept] for each in np.meshgrid(centres, scales, indexing="ij"))
     within = np.full(len(centre), step**2 / 12)
     return GridPosterior(weight[kept] / weight[kept].sum(), centre, within, scale, freedom, log_evidence)
 
 
-def _refined(grid: np.ndarray, log_density: np.ndarray, count: int) -> np.ndarray:
+def refined(grid: np.ndarray, log_density: np.ndarray, count: int) -> np.ndarray:
     """Return a grid of so many points over the part of a grid where the density has not vanished."""
     kept = np.flatnonzero(log_density > log_density.max() - 14)
     step = grid[1] - grid[0]

@@ -6,10 +6,12 @@ Both are plain Parquet, written in parts: a results folder holds
     model-<hash>/…                               the files that it names: effects of the user's own, noise priors
     model-<hash>/part-<key>/parameters.parquet   PARAMETERS: long form, one row per unit and parameter
     model-<hash>/part-<key>/units.parquet        UNITS: one row per unit, with the covariance of its parameters
-    model-<hash>/scores-<key>.parquet            scores of candidate effects, once `imubayes batch diagnose` has run
+    model-<hash>/population-<key>/               units given their population, once `imubayes batch population` has run
+    model-<hash>/scores-<key>/scores.parquet     scores of candidate effects, once `imubayes batch diagnose` has run
 
-A part is a folder that appears as a whole or not at all.  A campaign is identified by the digest of its files: the
-columns `model` and `digest` join the tables.  A unit that could not be fitted has one row in each, without a parameter.
+A part is a folder that appears as a whole or not at all, with a manifest of its files; so are the others.  A campaign
+is identified by the digest of its files: the columns `model` and `digest` join the tables.  A unit that could not be
+fitted has one row in each, without a parameter.
 """
 
 import datetime
@@ -22,11 +24,14 @@ import numpy as np
 import polars as pl
 
 from imubayes.foundations.errors import input_error
+from imubayes.results.folder_files import unbroken
 
 PARAMETER_FILE, UNIT_FILE, MODEL_FILE = "parameters.parquet", "units.parquet", "model.toml"
 _MODEL, _PART = "model-", "part-"
+_AGAIN = "remove that folder and run the same `imubayes batch` command again: what is missing is made again"
 _ORDER = ["unit", "date", "digest"]
 _ESTIMATES = ("names", "mean", "covariance")
+_LOGARITHMS = ("log_mean", "log_sd", "prior_log_mean", "prior_log_sd")
 
 Status = Literal["fitted", "not_converged", "refused", "failed"]
 """`fitted`; `not_converged`: no estimates; `refused`: the campaign cannot be used; `failed`: an unexpected error."""
@@ -40,6 +45,8 @@ PARAMETERS = pl.Schema(
         "mean": pl.Float64, "sd": pl.Float64,
         "q2_5": pl.Float64, "q25": pl.Float64, "q50": pl.Float64, "q75": pl.Float64, "q97_5": pl.Float64,
         "prior_mean": pl.Float64, "prior_sd": pl.Float64, "from_data": pl.Float64,
+        "log_mean": pl.Float64, "log_sd": pl.Float64, "prior_log_mean": pl.Float64, "prior_log_sd": pl.Float64,
+        "log_grid": pl.List(pl.Float64), "log_likelihood": pl.List(pl.Float64),
         "status": pl.String, "reason": pl.String, "verdict": pl.String, "seconds": pl.Float64,
     }
 )  # fmt: skip
@@ -48,10 +55,12 @@ UNITS = pl.Schema(
         "model": pl.String, "code": pl.String, "unit": pl.String, "campaign": pl.String, "digest": pl.String,
         "file": pl.String, "date": pl.Date, "year": pl.Int32, "structure": pl.String,
         "tables": pl.List(pl.String), "mountings": pl.List(pl.String), "procedures": pl.List(pl.String),
+        "labels": pl.List(pl.String),
         "latitude": pl.Float64, "height": pl.Float64, "gravity": pl.Float64,
         "status": pl.String, "reason": pl.String, "where": pl.String, "fingerprint": pl.String, "verdict": pl.String,
         "method": pl.String, "flagged": pl.Boolean, "pareto_k": pl.Float64, "weight_skewness": pl.Float64,
         "draws": pl.Float64,
+        "noise_violations": pl.List(pl.String), "noise_contradicted": pl.List(pl.String),
         "readings": pl.Int64, "chi2": pl.Float64, "log_evidence": pl.Float64, "seconds": pl.Float64,
         "names": pl.List(pl.String), "mean": pl.List(pl.Float64), "covariance": pl.List(pl.Float64),
     }
@@ -68,6 +77,7 @@ class UnitIdentity:
     date : of the first run that is dated.
     structure : key of the structure; empty where the campaign was fitted alone.
     tables, mountings, procedures : names, sorted.
+    labels : what the campaign states of its unit and its making, such as ``lot=B7``, sorted.
     latitude, height, gravity : of the site: deg, m, m/s².
     """
 
@@ -80,6 +90,7 @@ class UnitIdentity:
     tables: tuple[str, ...] = ()
     mountings: tuple[str, ...] = ()
     procedures: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
     latitude: float | None = None
     height: float | None = None
     gravity: float | None = None
@@ -95,6 +106,7 @@ class Quantities:
     quantiles : shape (5, D), at 2.5, 25, 50, 75 and 97.5 %.
     prior_mean, prior_sd : NaN where the prior has none.
     from_data : 1 − posterior variance / prior variance; NaN for a quantity that no parameter changes.
+    logarithms : of noise scales; None for other kinds.
     """
 
     kind: Kind
@@ -106,6 +118,23 @@ class Quantities:
     prior_mean: np.ndarray
     prior_sd: np.ndarray
     from_data: np.ndarray
+    logarithms: "Logarithms | None" = None
+
+
+@dataclass(frozen=True)
+class Logarithms:
+    """What the data say of the natural logarithms of D noise scales; NaN for one that is not positive.
+
+    Attributes
+    ----------
+    moments : shape (4, D), mean and standard deviation, posterior and prior.
+    grid, likelihood : shape (D, G), logarithms of the scale, and of its likelihood there up to a constant, all other
+        parameters integrated over with their priors.
+    """
+
+    moments: np.ndarray
+    grid: np.ndarray
+    likelihood: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -121,6 +150,9 @@ class Outcome:
     flagged : whether the Laplace approximation is in doubt by its importance weights; None where they were not asked.
     pareto_k, weight_skewness : of these weights.
     draws : effective number of draws that means and standard deviations were estimated from; None where they are exact.
+    noise_violations : how the noise departs from its model, such as ``autocorrelation``.
+    noise_contradicted : noise scales that exceed what is known of them beforehand.  With either, intervals of the unit
+        must not be trusted.
     readings : number of readings.
     chi2 : squared norm of the whitened residuals.
     log_evidence : Laplace estimate of log p(y).
@@ -137,6 +169,8 @@ class Outcome:
     pareto_k: float | None = None
     weight_skewness: float | None = None
     draws: float | None = None
+    noise_violations: tuple[str, ...] = ()
+    noise_contradicted: tuple[str, ...] = ()
     readings: int = 0
     chi2: float = float("nan")
     log_evidence: float = float("nan")
@@ -194,6 +228,7 @@ def _long_form(model: str, unit: UnitPosterior) -> pl.DataFrame:
         }
         for name in ("mean", "sd", "prior_mean", "prior_sd", "from_data"):
             columns[name] = np.concatenate([getattr(part, name) for part in parts])
+        columns |= _of_logarithms(parts)
         quantiles = np.concatenate([part.quantiles for part in parts], axis=1)
         columns |= dict(zip(("q2_5", "q25", "q50", "q75", "q97_5"), quantiles, strict=True))
     same = {
@@ -206,6 +241,21 @@ def _long_form(model: str, unit: UnitPosterior) -> pl.DataFrame:
     return frame.with_columns(
         pl.lit(same.get(name), dtype=kind).alias(name) for name, kind in PARAMETERS.items() if name not in present
     ).select(PARAMETERS.names())
+
+
+def _of_logarithms(parts: Sequence[Quantities]) -> dict[str, list | np.ndarray]:
+    """Return the columns of the logarithms of noise scales, null for other kinds."""
+    moments = [
+        np.full((4, len(part.names)), np.nan) if part.logarithms is None else part.logarithms.moments for part in parts
+    ]
+    columns: dict[str, list | np.ndarray] = dict(zip(_LOGARITHMS, np.concatenate(moments, axis=1), strict=True))
+    for name in ("grid", "likelihood"):
+        rows = [
+            [None] * len(part.names) if part.logarithms is None else getattr(part.logarithms, name).tolist()
+            for part in parts
+        ]
+        columns[f"log_{name}"] = [row for part in rows for row in part]
+    return columns
 
 
 def unit_table(model: str, code: str, units: Sequence[UnitPosterior]) -> pl.DataFrame:
@@ -244,6 +294,11 @@ def models_in(results: str | Path) -> list[str]:
 def model_folder(results: str | Path, model: str) -> Path:
     """Return the folder of a model's parts."""
     return Path(results) / f"{_MODEL}{model}"
+
+
+def kept_model(results: str | Path, model: str | None) -> Path:
+    """Return the model file of a batch, as it was written; raises InputError where it is not."""
+    return unbroken(model_folder(results, chosen_model(results, model)), _AGAIN) / MODEL_FILE
 
 
 def part_folder(results: str | Path, model: str, key: str) -> Path:
@@ -295,4 +350,9 @@ def chosen_model(results: str | Path, model: str | None) -> str:
 
 def _parts(results: str | Path, model: str | None, name: str, columns: list[str] | None = None) -> list[pl.DataFrame]:
     folder = model_folder(results, chosen_model(results, model))
-    return [pl.read_parquet(file, columns=columns) for file in sorted(folder.glob(f"{_PART}*/{name}"))]
+    return [pl.read_parquet(part / name, columns=columns) for part in whole_parts(folder)]
+
+
+def whole_parts(folder: Path, prefix: str = _PART) -> list[Path]:
+    """Return the folders of a model that begin with a prefix, each as it was written; raises InputError else."""
+    return [unbroken(part, _AGAIN) for part in sorted(folder.glob(f"{prefix}*")) if part.is_dir()]

@@ -6,8 +6,8 @@ here computes: chunks are fitted by an executor.
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from imubayes.batch import batch_folder
@@ -20,11 +20,22 @@ CHUNK = 32
 
 @dataclass(frozen=True)
 class ChunkTask:
-    """A chunk to fit, as it is sent to a worker."""
+    """A chunk to fit, as it is sent to a worker.
+
+    Attributes
+    ----------
+    spec : the model of all units.
+    of_unit : models of units that have priors of their own, by digest.
+    """
 
     spec: ModelSpec
     settings: batch_folder.BatchSettings
     sources: tuple[batch_folder.UnitSource, ...]
+    of_unit: Mapping[str, ModelSpec] = field(default_factory=dict)
+
+    def spec_of(self, source: batch_folder.UnitSource) -> ModelSpec:
+        """Return the model of a unit."""
+        return self.of_unit.get(source.digest, self.spec)
 
 
 @dataclass(frozen=True)

@@ -28,17 +28,18 @@ import polars as pl
 
 from imubayes.batch.batch_folder import UnitSource
 from imubayes.batch.fit_unit import bound_to
-from imubayes.batch.posterior_table import MODEL_FILE, chosen_model, model_folder, packed, read_units
+from imubayes.batch.posterior_table import chosen_model, kept_model, model_folder, packed, read_units, whole_parts
 from imubayes.criticism.evidence.effect_variants import EffectVariant
 from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf, Hypothesis, scale_mode
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, Issue, input_error, kept_if_possible
-from imubayes.foundations.files import replacing
+from imubayes.foundations.files import new_folder
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.model_file import ModelSpec, read_carried_model
 from imubayes.responses.candidate_effects import Response, candidate_responses
+from imubayes.results.folder_files import seal
 
 _RANK = 1e-10
 """Singular values of the model's Jacobian, relative to the largest, below which a direction is rounding."""
@@ -196,13 +197,13 @@ def _candidates(of: EvidenceOf, left: np.ndarray) -> Iterator[tuple[CandidateKey
             yield CandidateKey(each.effect, shape, scope, part), replace(each, owners=owned, places=places)
 
 
-_PREFIX, _CHUNK, _DIGITS = "scores-", 32, 16
+_PREFIX, _SCORES, _CHUNK, _DIGITS = "scores-", "scores.parquet", 32, 16
 
 
 def read_unit_scores(results: str | Path, model: str | None = None) -> pl.DataFrame:
     """Return the scores of a batch, schema `SCORES`; raises InputError where they are of another version."""
     folder = model_folder(results, chosen_model(results, model))
-    tables = {file: pl.read_parquet(file) for file in sorted(folder.glob(f"{_PREFIX}*.parquet"))}
+    tables = {part: pl.read_parquet(part / _SCORES) for part in whole_parts(folder, _PREFIX)}
     for file, table in tables.items():
         if table.schema != SCORES:
             raise input_error(
@@ -240,7 +241,7 @@ def complete_scores(
     units = read_units(results, model).filter(pl.col("status") == "fitted")
     key = chosen_model(results, model)
     folder = model_folder(results, key)
-    spec, tables = read_carried_model(folder / MODEL_FILE), [read_unit_scores(results, key)]
+    spec, tables = read_carried_model(kept_model(results, key)), [read_unit_scores(results, key)]
     known = set(tables[0]["digest"])
     missing = [row for row in units.iter_rows(named=True) if row["digest"] not in known]
     issues: list[Issue] = []
@@ -250,8 +251,9 @@ def complete_scores(
         tables.append(found)
         if len(found):
             name = hashlib.sha256("\0".join(row["digest"] for row in rows).encode()).hexdigest()[:_DIGITS]
-            with kept_if_possible(folder), replacing(folder / f"{_PREFIX}{name}.parquet", durable=True) as scratch:
-                found.write_parquet(scratch)
+            with kept_if_possible(folder), new_folder(folder / f"{_PREFIX}{name}", durable=True) as scratch:
+                found.write_parquet(scratch / _SCORES)
+                seal(scratch)
         if progress is not None:
             progress(min(start + _CHUNK, len(missing)), len(missing))
     return ScoresOfUnits(pl.concat(tables), tuple(issues))

@@ -333,6 +333,7 @@ def _campaign(
         tables.folder,
         entry.unit.grade,
         None if (percent := entry.evaluation.delta_k_threshold_percent) is None else percent / 100,
+        labels=entry.unit.labels,
     )
 
 

@@ -94,6 +94,8 @@ class UnitEntry(_Entry):
     """type of the unit, in words"""
     grade: Grade | None = None
     """to which default priors belong; from the noise where absent"""
+    labels: dict[Name, Text] = {}
+    """what may distinguish units of an archive, such as lot, operator or software"""
 
 
 class ChannelEntry(_Entry):
@@ -354,6 +356,8 @@ class ModelFile(_Entry):
     """of the model"""
     files: list[FileWithin] = []
     """Python files that define effects, beside the model file"""
+    priors_from: Text = ""
+    """what the priors were taken from, such as the population of an archive; told with each fit"""
     delta_k_threshold_percent: Positive | None = None
     """as in the campaign, and before it"""
     effect: list[EffectEntry] = Field(min_length=1)

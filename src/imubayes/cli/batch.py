@@ -15,6 +15,8 @@ from imubayes.cli.session import Flag, Json, Trust, progress, show, start_jax, t
 if TYPE_CHECKING:
     import polars as pl
 
+    from imubayes.batch.hierarchical_fit import HierarchicalFit
+
 
 batch = cyclopts.App(
     name="batch",
@@ -69,20 +71,18 @@ def fit_all(
         Print one JSON object on standard output.
     """
     start_jax()
-    from imubayes.batch.batch_folder import BatchSettings
-    from imubayes.batch.posterior_table import read_outcomes
-    from imubayes.batch.run_batch import run_batch
-    from imubayes.batch.workers import executor_of
-    from imubayes.display.batch_report import batch_json, batch_report, progress_text
+    from imubayes.api.archives import fit_archive
+    from imubayes.display.batch_report import batch_json, batch_report
 
-    settings = BatchSettings(sample, diagnose, seed)
-    with progress() as tell, executor_of(workers, scheduler) as execute:
-        tell("listing the campaigns")
-        state = run_batch(
-            archive, model, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
-        )
-    units = read_outcomes(out, state.key)
-    show(lambda: batch_json(state, units, state.key), lambda: batch_report(state, units, out), as_json)
+    with progress() as tell:
+        fits = fit_archive(
+            archive, model, out, sample=sample, diagnose=diagnose, seed=seed, retry=retry, workers=workers,
+            scheduler=scheduler, progress=tell,
+        )  # fmt: skip
+        tell("comparing the units")
+        doubts, units, state = fits.in_doubt(), fits.units, fits.state
+    assert state is not None
+    show(lambda: batch_json(state, units, fits.model, doubts), lambda: batch_report(state, units, out, doubts), as_json)
     return 1 if (units["status"] != "fitted").any() else 0
 
 
@@ -101,12 +101,6 @@ def _tables(results: Path, model_hash: str | None) -> tuple["pl.DataFrame", "pl.
     return read_parameters(results, model_hash), read_units(results, model_hash)
 
 
-def _kept_model(results: Path, model_hash: str | None) -> Path:
-    from imubayes.batch.posterior_table import MODEL_FILE, chosen_model, model_folder
-
-    return model_folder(results, chosen_model(results, model_hash)) / MODEL_FILE
-
-
 def _write(table: "pl.DataFrame", file: Path | None) -> None:
     from imubayes.foundations.files import replacing
 
@@ -119,12 +113,17 @@ def _write(table: "pl.DataFrame", file: Path | None) -> None:
 def population(
     results: Path,
     *,
+    alone: Flag = False,
+    parameter: list[str] | None = None,
     out: Path | None = None,
     picture: Path | None = None,
     model_hash: str | None = None,
     as_json: Json = False,
+    trust: Trust = False,
 ) -> None:
-    """Show mean and spread of every parameter over the units, and the units that are unlike the others.
+    """Show what parts the units, mean and spread of every parameter, and the units that are unlike the others.
+
+    Each unit is fitted again with the population of the others as its prior; that is kept in the results folder.
 
     Example: imubayes batch population results/batch --out units.parquet
 
@@ -132,25 +131,49 @@ def population(
     ----------
     results
         Results folder of a batch.
+    alone
+        Take the fits of each unit alone; no campaign is read.
+    parameter
+        Parameters to draw; by default those that deviate most.
     out
         Parquet file to write: each unit with the population as its prior.
     picture
-        PNG file to write: a strip of units for each parameter.
+        PNG file to write: the units of each parameter.
     model_hash
         Model, where the folder holds results of several.
     as_json
         Print one JSON object on standard output.
+    trust
+        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
     """
-    from imubayes.batch.parameter_population import populations
-    from imubayes.display.batch_report import population_report
+    from imubayes.display.population_report import population_report
 
-    found, units = populations(*_tables(results, model_hash))
+    fit = None if alone else _hierarchical(results, model_hash, trust)
+    if fit is None:
+        from imubayes.batch.parameter_population import populations
+
+        found, units = populations(*_tables(results, model_hash))
+    else:
+        found, units = fit.populations, fit.units
     _write(units, out)
     if picture is not None:
-        from imubayes.display.figures.batch import population_picture
+        from imubayes.display.figures.population import population_picture
 
-        population_picture(found, units).save(picture)
-    show(lambda: found, lambda: population_report(found), as_json)
+        population_picture(found, units, parameter or ()).save(picture)
+    show(lambda: found, lambda: population_report(found, fit), as_json)
+
+
+def _hierarchical(results: Path, model_hash: str | None, trust: bool) -> "HierarchicalFit":
+    """Return the hierarchical fit of a batch, made where it is not kept."""
+    start_jax()
+    from imubayes.batch.hierarchical_fit import hierarchical_fit
+    from imubayes.batch.posterior_table import kept_model
+
+    with progress() as tell:
+        results, model_hash = _of_one_model(results, model_hash)
+        trusting(kept_model(results, model_hash), trust)
+        tell("compiling for the first units")
+        return hierarchical_fit(results, model_hash, progress=tell)
 
 
 @batch.command
@@ -184,15 +207,15 @@ def prior(
     """
     from dataclasses import asdict
 
-    from imubayes.batch.parameter_population import next_unit_model, populations
-    from imubayes.display.batch_report import prior_report
+    from imubayes.batch.population_priors import next_unit_model
+    from imubayes.batch.posterior_table import kept_model
+    from imubayes.display.population_report import prior_report
     from imubayes.foundations.files import refuse_existing
     from imubayes.model.model_file import read_carried_model
     from imubayes.results.result_folder import write_model
 
-    found, _ = populations(*_tables(results, model_hash))
-    kept = _kept_model(_of_one_model(results, model_hash)[0], found.model)
-    trusting(kept, trust)
+    found = _hierarchical(results, model_hash, trust).populations
+    kept = kept_model(_of_one_model(results, model_hash)[0], found.model)
     spec, replaced = next_unit_model(read_carried_model(kept), found, name)
     refuse_existing(out)
     write_model(spec, out)
@@ -230,13 +253,13 @@ def diagnose(
     """
     start_jax()
     from imubayes.batch.pooled_discovery import pooled_discovery
-    from imubayes.batch.posterior_table import read_units
+    from imubayes.batch.posterior_table import kept_model, read_units
     from imubayes.batch.unit_scores import complete_scores
     from imubayes.display.batch_report import discovery_report
 
     results, model_hash = _of_one_model(results, model_hash)
     with progress() as tell:
-        trusting(_kept_model(results, model_hash), trust)
+        trusting(kept_model(results, model_hash), trust)
         scores = complete_scores(results, model_hash, lambda done, all_: tell(f"scores of {done} of {all_} campaigns"))
         tell("adding up the evidence")
         units = read_units(results, model_hash)

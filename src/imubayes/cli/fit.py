@@ -14,6 +14,7 @@ from imubayes.foundations.errors import input_error
 
 if TYPE_CHECKING:
     from imubayes.foundations.campaign_data import Campaign
+    from imubayes.results.result import Result
 
 
 def classical(
@@ -206,6 +207,7 @@ def fit(
     resume: bool = False,
     replace: Flag = False,
     until_digits: Literal[1, 2] | None = None,
+    population: Path | None = None,
     as_json: Json = False,
     verbose: bool = False,
     trust: Trust = False,
@@ -232,6 +234,8 @@ def fit(
         Replace a sampled result in the result folder.
     until_digits
         Sample until every standard uncertainty deserves so many significant digits (JCGM 101, 7.9.4).
+    population
+        Results folder of `imubayes batch`: the population of its units is the prior of this one.
     as_json
         Print summary.json on standard output.
     verbose
@@ -247,8 +251,13 @@ def fit(
         with progress("compiling") as tell:
             result = fit_campaign(
                 recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
-                until_digits=until_digits, progress=tell,
+                until_digits=until_digits, population=population, progress=tell,
             )  # fmt: skip
+    return _shown(result, campaign, out, as_json, verbose)
+
+
+def _shown(result: "Result", campaign: Path, out: Path, as_json: bool, verbose: bool) -> int:
+    """Print a fit, and return the exit status."""
     from imubayes.display.fit_cautions import next_command
     from imubayes.display.fit_report import summary_report
 

@@ -13,56 +13,19 @@ from typing import Any
 import polars as pl
 
 from imubayes.batch.changes import Drift, ModelComparison, ParameterChange, Trend, Trends
-from imubayes.batch.parameter_population import ParameterPopulation, Populations, ReplacedPrior
 from imubayes.batch.pooled_discovery import PooledCandidate, PooledDiscovery, PooledFinding
+from imubayes.batch.population import LEAST_UNITS
+from imubayes.batch.posterior_table import MODEL_FILE, model_folder
 from imubayes.batch.run_batch import BatchProgress
+from imubayes.batch.units_in_doubt import UnitInDoubt
+from imubayes.display.fit_cautions import NOISE_WORDS
 from imubayes.display.layout import Cell, Report, Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import probability
-from imubayes.display.numbers_and_labels import chance_text, concise, counted, significant
+from imubayes.display.numbers_and_labels import chance_text, concise, counted, listed
 from imubayes.foundations.errors import Issue
 
-_MOST_OUTLYING = 15
 # Trends and drifts that are not significant, shown beside those that are.
 _MOST_OTHERS = 5
-
-
-def population_report(found: Populations) -> Report:
-    """Return mean and spread of every parameter, and the outlying units."""
-    said = f"{counted(found.units, 'unit')}, {counted(found.campaigns, 'campaign')}, {found.left_out} without estimates"
-    known = [each for each in found.parameters if each.mean is not None]
-    head = ("parameter", "unit", "units", "mean", "spread", "law", "error / bit")
-    sheet = Sheet("Population", head, [_population_row(each) for each in known], left=(0, 1, 5), note=_NOTE)
-    rows = [
-        cells(each.parameter, unit.unit, concise(unit.value, unit.sd), f"{unit.distance:+.1f} sd")
-        for each in known
-        for unit in each.outlying[:_MOST_OUTLYING]
-    ]
-    outlying = Sheet("Outlying units", ("parameter", "unit", "estimate", "distance"), rows, left=(0, 1))
-    unknown = [f"{each.parameter}: {each.reason}" for each in found.parameters if each.mean is None]
-    return Report([said], [sheet.with_few(0, 3, 4, 1), outlying], unknown)
-
-
-_NOTE = (
-    "spread: half the width of the central 68.3 %; (log): of the natural logarithm; error: information lost to draws"
-)
-
-
-def _population_row(each: ParameterPopulation) -> Sequence[Cell]:
-    assert each.mean is not None
-    unit = each.unit_of_measure + (" (log)" if each.scale == "log" else "")
-    law = "normal" if each.freedom is None else f"t, ν = {each.freedom:g}"
-    return cells(
-        each.parameter, unit, f"{each.informative}/{each.units}",
-        concise(each.mean, each.mean_sd or 0.0), concise(each.spread or 0.0, each.spread_sd or 0.0),
-        law, significant(each.information_error, 1) if each.information_error else "0"
-    )  # fmt: skip
-
-
-def prior_report(replaced: Sequence[ReplacedPrior], out: Path) -> Report:
-    """Return which priors the model of the next unit has from the population."""
-    rows = [cells(each.parameter, each.prior, each.before or "default") for each in replaced]
-    sheet = Sheet("Priors from the population", ("parameter", "prior", "before"), rows, left=(0, 1, 2))
-    return Report([], [sheet], [f"model written to {out}"])
 
 
 def comparison_report(found: ModelComparison) -> Report:
@@ -165,12 +128,13 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min {int(seconds % 60)} s" if minutes else f"{int(seconds)} s"
 
 
-def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path) -> Report:
-    """Return what a batch did, and the units without estimates.
+def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path, doubts: Sequence[UnitInDoubt] = ()) -> Report:
+    """Return what a batch did, the units without estimates, and the other units that need a person.
 
     Parameters
     ----------
     units : the table of units of the model.
+    doubts : why units need a person.
     """
     said = f"{counted(state.done, 'unit')} fitted in {_duration(state.seconds)}, {state.before} done before"
     failed = units.filter(pl.col("status") != "fitted")
@@ -184,18 +148,53 @@ def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path) -> Report
     narrow = Sheet(title, ("unit", "status, reason, file"), slim, left=(0, 1), dividers=apart)
     head = ("unit", "status", "reason", "file")
     sheet = Sheet(title, head, [cells(*row) for row in rows], left=(0, 1, 2, 3), narrow=narrow)
+    looked_at = [each for each in doubts if each.doubt != "no_estimates"]
     closing = [f"result in {out}: {units.height - failed.height} fitted, {failed.height} without estimates"]
     if failed.height > _SHOWN:
         closing.insert(0, f"{failed.height - _SHOWN} more are in units.parquet")
-    return Report([said], [sheet], closing)
+    if len({each.unit for each in looked_at}) > _SHOWN:
+        closing.append(f"units to look at: {len({each.unit for each in looked_at})}; all are in --json")
+    closing += [f"next: imubayes {each}" for each in _commands(units, out, looked_at)]
+    return Report([said], [sheet, _to_look_at(looked_at)], closing)
 
 
-def batch_json(state: BatchProgress, units: pl.DataFrame, model: str) -> dict[str, Any]:
+def _to_look_at(doubts: Sequence[UnitInDoubt]) -> Sheet:
+    """Return the units that need a person, with the reasons."""
+    by_unit: dict[str, list[UnitInDoubt]] = {}
+    for each in doubts:
+        by_unit.setdefault(each.unit, []).append(each)
+    rows = [cells(unit, "; ".join(map(_reason, reasons))) for unit, reasons in list(by_unit.items())[:_SHOWN]]
+    return Sheet("Units to look at", ("unit", "reason"), rows, left=(0, 1))
+
+
+def _reason(each: UnitInDoubt) -> str:
+    if each.doubt == "population":
+        return f"{each.about[0]} lies {each.distance:+.1f} sd from the population"
+    named = [NOISE_WORDS.get(one, f"{one} exceeds what is known of it") for one in each.about]
+    return f"intervals must not be trusted: {listed(named, 3)}"
+
+
+def _commands(units: pl.DataFrame, out: Path, doubts: Sequence[UnitInDoubt]) -> list[str]:
+    """Return what to run next: the fit of the first doubtful unit, and what only all units together show."""
+    first = next((each for each in doubts if each.doubt == "noise"), None)
+    alone = [f"fit {first.file} --model {_model_of(units, out)} --out {out}-{first.unit}"] if first is not None else []
+    several = units.filter(pl.col("status") == "fitted").height >= LEAST_UNITS
+    return [*alone, *([f"batch population {out}", f"batch diagnose {out}"] if several else [])]
+
+
+def _model_of(units: pl.DataFrame, out: Path) -> Path:
+    return model_folder(out, units["model"][0]) / MODEL_FILE
+
+
+def batch_json(
+    state: BatchProgress, units: pl.DataFrame, model: str, doubts: Sequence[UnitInDoubt] = ()
+) -> dict[str, Any]:
     """Return what a batch did, for `--json`."""
     failed = units.filter(pl.col("status") != "fitted").select("unit", "campaign", "digest", "status", "reason", "file")
     return {
         "format": 1, "model": model, "units": units.height, "fitted": units.height - failed.height,
         "done_now": state.done, "done_before": state.before, "seconds": state.seconds, "failed": failed.to_dicts(),
+        "doubts": [each.model_dump() for each in doubts],
     }  # fmt: skip
 
 

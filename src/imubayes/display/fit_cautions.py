@@ -145,7 +145,18 @@ def notices(summary: Summary) -> tuple[str, ...]:
     suspected = summary.noise_suspected and not alarm_of(summary)
     noise = (_SUSPECTED.format(violation_text(summary.noise_suspected)),) if suspected else ()
     aside = (f"Set aside: {set_aside_text(each)}." for each in summary.set_aside)
-    return (*aside, *left_out_lines(summary.left_out), *noise, *map(_rests_on_prior, summary.prior_scatter))
+    rests = (*left_out_lines(summary.left_out), *noise, *map(_rests_on_prior, summary.prior_scatter))
+    return (*_of_population(summary), *aside, *rests)
+
+
+def _of_population(summary: Summary) -> tuple[str, ...]:
+    """Return where the priors come from if not from the user, after what contradicts them."""
+    source = summary.provenance.priors_from
+    if not source:
+        return ()
+    unlike = [f"{each.name} lies {each.distance:.1f} sd apart" for each in summary.prior_conflicts]
+    conflict = (f"The unit is unlike the units that its priors are from: {listed(unlike, 3)}.",) if unlike else ()
+    return (*conflict, f"Priors are from {source}.")
 
 
 def set_aside_text(found: SetAside) -> str:

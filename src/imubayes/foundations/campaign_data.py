@@ -317,6 +317,7 @@ class Campaign:
     `digest` identifies the data (SHA-256 of files as read), `folder` is where they were read; both empty where the
     campaign came from no files.  `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all
     inputs, as a ratio; None for the default.  `set_aside` are readings that a model has taken out of its runs.
+    `labels` are what the campaign states of its unit or its making that may distinguish units, such as the lot.
 
     Examples
     --------
@@ -339,6 +340,7 @@ class Campaign:
     grade: Grade | None = None
     delta_k_threshold: float | None = None
     set_aside: tuple[SetAside, ...] = ()
+    labels: Mapping[str, str] = field(default_factory=dict)
 
     def of_kind(self, kind: str) -> list[Channel]:
         """Return the channels of a kind, in order."""

@@ -111,6 +111,7 @@ class ModelSpec:
     that of the campaign.  `correlations` are those of the priors of noise parameters.  `noise_priors` is the noise
     of the unit from its static records, which takes the place of the model's own once bound to a campaign.  `set_aside`
     are readings that are left out.  `classes` are effects of the user that are defined in this session and in no file.
+    `priors_from` is what the priors were taken from, in words; empty for priors of the user.
 
     Examples
     --------
@@ -128,6 +129,7 @@ class ModelSpec:
     noise_priors: "ModelSpec | None" = None
     set_aside: tuple[SetAside, ...] = ()
     classes: tuple[type, ...] = ()
+    priors_from: str = ""
 
 
 _FILE = "trusted.json"
@@ -288,6 +290,7 @@ def spec_of_file(file: ModelFile, path: Path) -> ModelSpec:
         correlations=correlations,
         noise_priors=None if file.noise_priors is None else _noise_priors(path.parent / file.noise_priors),
         set_aside=tuple(SetAside.model_validate(entry.model_dump()) for entry in file.set_aside),
+        priors_from=file.priors_from,
     )
 
 

@@ -132,6 +132,7 @@ def provenance(fit: Fit, seed: int) -> FitProvenance:
         model_sha256=model_hash(fit.model),
         seed=seed,
         software=software(),
+        priors_from=fit.model.spec.priors_from,
     )
 
 

@@ -315,6 +315,32 @@ def _kept(file: Path) -> KeptFile:
     return KeptFile(name=file.name, size=len(content), sha256=hashlib.sha256(content).hexdigest())
 
 
+def seal(folder: Path, *names: str) -> None:
+    """Write a manifest of files of a folder that is written once, all of them if none is named."""
+    files = [folder / name for name in names] or sorted(file for file in folder.iterdir() if file.name != MANIFEST)
+    write_text(folder / MANIFEST, Manifest(fit=tuple(map(_kept, files))).json_text())
+
+
+def unbroken(folder: Path, remedy: str) -> Path:
+    """Return a sealed folder.
+
+    Raises
+    ------
+    InputError
+        if a file is missing, truncated or altered, or the folder has no manifest.
+    """
+    file = folder / MANIFEST
+    if not file.is_file():
+        what = f"the folder has no {MANIFEST}: an earlier version made it, or it is not whole"
+        raise input_error(what, str(file), "a folder with a manifest of its files", remedy)
+    try:
+        listed = Manifest.model_validate_json(file.read_bytes()).fit
+    except (OSError, ValidationError) as error:
+        raise input_error(f"{MANIFEST} cannot be read", str(file), "a manifest as it was written", remedy) from error
+    refuse(_faults(folder, listed, remedy))
+    return folder
+
+
 @lru_cache(maxsize=4096)
 def _sha256(file: Path, state: tuple[int, int, int]) -> str:
     """Return the digest of a file; `state` is its inode, size and time, by which a change is noticed."""

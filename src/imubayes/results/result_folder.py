@@ -196,10 +196,28 @@ def model_text(spec: ModelSpec) -> str:
     document["name"] = spec.name
     if spec.files:
         document["files"] = [Path(file).name for file in spec.files]
+    if spec.priors_from:
+        document["priors_from"] = spec.priors_from
     if spec.delta_k_threshold is not None:
         document["delta_k_threshold_percent"] = 100 * spec.delta_k_threshold
     if spec.noise_priors is not None:
         document["noise_priors"] = spec.noise_priors.where
+    document["effect"] = _effects(spec)
+    document.update(_set_aside(spec))
+    if spec.correlations:
+        blocks = tomlkit.aot()
+        for block in spec.correlations:
+            entry = tomlkit.table()
+            entry["parameters"] = list(block.parameters)
+            entry["matrix"] = [list(row) for row in block.matrix]
+            if block.optional:
+                entry["optional"] = True
+            blocks.append(entry)
+        document["prior_correlation"] = blocks
+    return tomlkit.dumps(document)
+
+
+def _effects(spec: ModelSpec) -> tomlkit.items.AoT:
     effects = tomlkit.aot()
     for effect in spec.effects:
         entry = tomlkit.table()
@@ -217,16 +235,4 @@ def model_text(spec: ModelSpec) -> str:
         for key, value in effect.options.items():
             entry[key] = value
         effects.append(entry)
-    document["effect"] = effects
-    document.update(_set_aside(spec))
-    if spec.correlations:
-        blocks = tomlkit.aot()
-        for block in spec.correlations:
-            entry = tomlkit.table()
-            entry["parameters"] = list(block.parameters)
-            entry["matrix"] = [list(row) for row in block.matrix]
-            if block.optional:
-                entry["optional"] = True
-            blocks.append(entry)
-        document["prior_correlation"] = blocks
-    return tomlkit.dumps(document)
+    return effects

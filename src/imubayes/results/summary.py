@@ -71,6 +71,7 @@ class FitProvenance(Record):
     data_sha256, model_sha256 : identify the data and the model, as in `fit.json`.
     seed : of the sampler.
     software : versions that made the fit.
+    priors_from : what the priors were taken from, in words; empty for priors of the user.
     """
 
     serial: str
@@ -81,6 +82,7 @@ class FitProvenance(Record):
     model_sha256: str
     seed: int
     software: tuple[SoftwareVersion, ...]
+    priors_from: str = ""
 
 
 class Quantity(Record):

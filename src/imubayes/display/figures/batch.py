@@ -1,28 +1,19 @@
-"""Pictures of a batch: population, trend over dates, pooled evidence by campaign, and before against after."""
+"""Pictures of a batch: trend over dates, pooled evidence by campaign, and before against after."""
 
 from collections.abc import Sequence
 
 import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgba
-from matplotlib.patches import Patch
 
-from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.batch.pooled_discovery import PooledDiscovery, PooledFinding
 from imubayes.display import figure_style as style
-from imubayes.display.numbers_and_labels import pretty, value_and_sd
+from imubayes.display.numbers_and_labels import pretty
 from imubayes.foundations.units import DAYS_PER_YEAR
 
 _MOST_ROWS, _MOST_PANELS, _MOST_UNITS = 20, 6, 60
 # Standard uncertainties above so many times the median do not set the limits of an axis.
 _VAGUE = 5.0
-_POPULATION = (
-    "A point is one unit with its own estimate, the prior of its model divided out, in spreads from the "
-    "population mean; faint points carry little information. Bands: one and two spreads. Units in vermilion are "
-    "outlying at a false discovery rate of 5 %. In a sound population two thirds of the points that are not faint "
-    "lie in the inner band."
-)
 _TREND = (
     "Each point is one calibration: the estimate with its standard uncertainty, the prior of the model divided "
     "out; very uncertain ones may reach beyond the axis. Lines join the calibrations of one unit. Without trend and "
@@ -39,52 +30,6 @@ _CHANGE = (
     "vermilion: significant at a false discovery rate of 5 %. Where the old model was complete, the points "
     "scatter about zero."
 )
-
-
-@style.themed
-def population_picture(found: Populations, units: pl.DataFrame) -> style.Picture:
-    """Return a strip of units for each parameter.
-
-    Parameters
-    ----------
-    found, units : as `imubayes.batch.parameter_population.populations` returns them.
-    """
-    known = [each for each in found.parameters if each.mean is not None and each.spread][:_MOST_ROWS]
-    figure = style.picture(11.0, 0.32 * max(len(known), 2) + 0.7, "Population of the units", _POPULATION)
-    axes = style.panels(figure, 1, 1, (2.6, 0.5, 1.7, 0.1))[0, 0]
-    axes.axvspan(-2, 2, color=style.BAND_WIDE, zorder=0)
-    axes.axvspan(-1, 1, color=style.BAND, zorder=0)
-    random = np.random.default_rng(0)
-    for row, each in enumerate(known):
-        _strip(axes, row, each, units.filter(pl.col("parameter") == each.parameter), random)
-    style.name_rows(axes, [each.parameter for each in known])
-    axes.set(ylim=(len(known) - 0.4, -0.6), xlim=(-6, 6), xlabel="estimate / spreads from the population mean")
-    bands = (Patch(color=style.BAND, label="±1 spread"), Patch(color=style.BAND_WIDE, label="±2 spreads"))
-    style.legend_above(figure, [*bands, style.dot(style.BLUE, "unit"), style.dot(style.VERMILION, "outlying")])
-    return figure
-
-
-def _strip(axes: Axes, row: int, each: ParameterPopulation, units: pl.DataFrame, random: np.random.Generator) -> None:
-    """Draw the units of one parameter; those beyond the limits stand at the edge."""
-    assert each.mean is not None
-    assert each.spread is not None
-    shown = units.filter(pl.col("estimate").is_not_null())
-    own, sd = shown["estimate"].to_numpy(), shown["estimate_sd"].to_numpy()
-    if each.scale == "log":
-        own, sd = np.log(own), sd / own
-    place = np.clip((own - each.mean) / each.spread, -5.9, 5.9)
-    outlying = shown["outlying"].to_numpy()
-    height = row + random.uniform(-0.28, 0.28, len(place))
-    # A unit known to its spread or worse says little of it.
-    alpha = np.clip(1 / (1 + (sd / each.spread) ** 2), 0.15, 0.9)
-    colours = [
-        to_rgba(style.VERMILION) if out else to_rgba(style.BLUE, float(a))
-        for out, a in zip(outlying, alpha, strict=True)
-    ]
-    axes.scatter(place, height, s=14, c=colours, linewidths=0, zorder=3)
-    middle, width = value_and_sd(each.mean, each.spread)
-    text = f"{middle} ± {width} {pretty(each.unit_of_measure)}{' (log)' if each.scale == 'log' else ''}"
-    axes.text(6.15, row, text, va="center", fontsize=8, color=style.QUIET)
 
 
 @style.themed

@@ -1,0 +1,139 @@
+"""An archive fitted with its population as prior: from campaign folders of an own simulation to lots by name."""
+
+import shutil
+
+import numpy as np
+import polars as pl
+import pytest
+from accelerometer_archive import Archive, write_archive
+
+import imubayes
+from imubayes.api.archives import ArchiveFit
+from imubayes.batch.hierarchical_fit import hierarchical_fit, unit_priors
+from imubayes.batch.parameter_population import unit_populations
+from imubayes.cli.main import run
+from imubayes.foundations.errors import InputError
+
+BIAS, SLOPE = "accel_bias.bias[ax]", "accel_bias_temperature.slope[ax]"
+ARCHIVE = Archive(units=12, lot=5, shift=40.0, run_scatter=0.2)
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("archive")
+    truth = write_archive(folder, ARCHIVE, 7)
+    return folder, truth, imubayes.fit_archive(folder / "units", folder / "model.toml", folder / "out")
+
+
+def scores(table: pl.DataFrame, truth: dict, parameter: str, key: str, value: str, sd: str) -> np.ndarray:
+    rows = table.filter(pl.col("parameter") == parameter)
+    true = np.array([truth[unit][key] for unit in rows["unit"]])
+    return (rows[value].to_numpy() - true) / rows[sd].to_numpy()
+
+
+def test_the_scatter_that_no_unit_determines_is_known_from_all(fitted):
+    _, truth, fits = fitted
+    found = hierarchical_fit(fits.folder, fits.model)
+    assert (found.rounds, found.settled, found.left_out) == (found.rounds, True, ())
+    alone = scores(found.units, truth, BIAS, "bias", "estimate", "estimate_sd")
+    given = scores(found.units, truth, BIAS, "bias", "shrunk", "shrunk_sd")
+    rows = found.units.filter(pl.col("parameter") == BIAS)
+    assert rows["shrunk_sd"].mean() < 0.6 * rows["estimate_sd"].mean()
+    assert np.sqrt(np.mean(alone**2)) < 0.6
+    assert 0.6 < np.sqrt(np.mean(given**2)) < 1.6
+    scatter = next(each for each in found.populations.parameters if each.parameter == "run_scatter.tau[ax]")
+    assert scatter.mean == pytest.approx(np.log(ARCHIVE.run_scatter), abs=3 * scatter.mean_sd)
+
+
+def test_a_lot_is_listed_with_its_units_by_the_command(fitted, capsys):
+    folder, truth, fits = fitted
+    assert run(["batch", "population", str(fits.folder), "--picture", str(folder / "p.png")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    lot = [unit for unit, own in truth.items() if own["lot"]]
+    assert f"{SLOPE}: 2 groups of units, {', '.join(lot)} +" in said
+    (finding,) = next(each for each in fits.population().parameters if each.parameter == SLOPE).laws.findings
+    assert finding.groups[1].units == tuple(lot)
+    assert finding.groups[1].offset == pytest.approx(ARCHIVE.shift, abs=4 * finding.groups[1].offset_sd)
+    assert (folder / "p.png").stat().st_size > 10_000
+
+
+def test_what_is_kept_is_not_fitted_again_and_damage_is_refused(fitted, tmp_path):
+    _, _, fits = fitted
+    copy = tmp_path / "out"
+    shutil.copytree(fits.folder, copy)
+
+    def refuses(tasks):
+        raise AssertionError("fitted again")
+
+    assert hierarchical_fit(copy, fits.model, refuses).settled
+    for place in sorted(copy.rglob("*.parquet")):
+        content = bytearray(place.read_bytes())
+        content[len(content) // 2] ^= 4
+        place.write_bytes(content)
+        with pytest.raises(InputError, match="was altered since it was written"):
+            ArchiveFit(copy, fits.model).population()
+        content[len(content) // 2] ^= 4
+        place.write_bytes(content)
+    assert hierarchical_fit(copy, fits.model, refuses).settled
+
+
+def test_a_new_unit_has_the_archive_as_prior_and_its_own_campaign_is_refused(fitted):
+    folder, _, fits = fitted
+    model = folder / "model.toml"
+    with pytest.raises(InputError, match="is one of those that the population is from"):
+        imubayes.fit(folder / "units" / "U003", model, sample=False, population=fits.folder)
+    write_archive(folder / "later", Archive(units=1, run_scatter=0.2), 8)
+    new = folder / "later" / "units" / "U901"
+    (folder / "later" / "units" / "U001").rename(new)
+    text = (new / "campaign.toml").read_text().replace("U001", "U901")
+    (new / "campaign.toml").write_text(text)
+    alone, given = (imubayes.fit(new, model, sample=False, population=prior) for prior in (None, fits.folder))
+    assert given[BIAS].sd < 0.6 * alone[BIAS].sd
+    assert given.summary.provenance.priors_from.startswith("the population of 12 units")
+    assert alone.summary.provenance.priors_from == ""
+
+
+def test_the_prior_of_a_unit_is_what_the_others_say_of_it(fitted):
+    _, _, fits = fitted
+    parameters, units = fits.parameters, fits.units
+    known = unit_priors(list(unit_populations(parameters, units)))
+    digest = units.filter(pl.col("unit") == "U002")["digest"][0]
+    others = units.filter(pl.col("unit") != "U002")
+    without = {
+        each.table["parameter"][0]: each.population
+        for each in unit_populations(parameters.filter(pl.col("unit") != "U002"), others)
+    }
+    scale = "accel_scale_factor.scale[ax]"
+    assert known[digest][scale].mean == pytest.approx(without[scale].mean, abs=0.3 * without[scale].mean_sd)
+    assert known[digest][scale].sd == pytest.approx(without[scale].predictive_sd, rel=0.25)
+
+
+@pytest.mark.slow
+def test_units_given_their_population_are_within_their_uncertainty(tmp_path):
+    """12 units with two runs each, 24 archives: rms of the normalised errors, and lots found."""
+    errors, lots = {"bias": [], "slope": []}, 0
+    for seed in range(24):
+        folder = tmp_path / str(seed)
+        truth = write_archive(folder, Archive(lot=4, run_scatter=(0.05, 0.2, 0.5)[seed % 3]), 500 + seed)
+        fits = imubayes.fit_archive(folder / "units", folder / "model.toml", folder / "out")
+        table = fits.given_population()
+        for key, parameter in (("bias", BIAS), ("slope", SLOPE)):
+            errors[key].extend(scores(table, truth, parameter, key, "shrunk", "shrunk_sd"))
+        lot = tuple(unit for unit, own in truth.items() if own["lot"])
+        slope = next(each for each in fits.population().parameters if each.parameter == SLOPE)
+        lots += any(group.units == lot for finding in slope.laws.findings for group in finding.groups)
+    print({key: round(float(np.sqrt(np.mean(np.square(each)))), 3) for key, each in errors.items()}, f"{lots} of 24")
+    assert lots >= 22
+    for each in errors.values():
+        assert 0.85 < np.sqrt(np.mean(np.square(each))) < 1.15
+
+
+def test_campaigns_and_models_in_memory_are_fitted_as_their_files(fitted, tmp_path):
+    folder, _, fits = fitted
+    campaigns = [imubayes.load_campaign(folder / "units" / unit) for unit in ("U001", "U002")]
+    found = imubayes.fit_archive(campaigns, imubayes.load_model(folder / "model.toml"), tmp_path / "out")
+    known = fits.parameters.filter(pl.col("unit").is_in(["U001", "U002"]))
+    assert np.allclose(found.parameters["mean"].to_numpy(), known["mean"].to_numpy())
+    assert (
+        imubayes.fit_archive(campaigns, imubayes.load_model(folder / "model.toml"), tmp_path / "out").units.height == 2
+    )
