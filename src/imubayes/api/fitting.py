@@ -54,8 +54,7 @@ def fit(
     resume : continue the checkpoint in `out`.
     replace : whether a sampled result in `out` may be replaced; one that was not sampled always is.
     settings : of the sampler, beyond the seed.
-    until_digits : significant digits of the standard uncertainty that every quantity is to deserve (JCGM 101, 7.9.4);
-        sampling goes on until then, or until memory allows no more.
+    until_digits : significant digits of every standard uncertainty to sample for (JCGM 101, 7.9.4), as memory allows.
     population : results folder of a batch whose population is the prior of this unit.
     progress : called with a short text as the work goes on.
 
@@ -86,9 +85,9 @@ def fit(
         result = result_of(fitted, folder, seed, load_seconds)
         if folder is not None:
             result = write_result(result, node_of(fitted.model, result.summary, seed))
-            if sample:  # a quick fit of the loop leaves them to its first report
-                tell("uncertainty budgets")
-                report_budgets.keep_budgets(result)
+        if folder is not None and sample:  # a quick fit of the loop leaves them to its first report
+            tell("uncertainty budgets")
+            report_budgets.keep_budgets(result)
     return result
 
 

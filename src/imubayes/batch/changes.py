@@ -22,9 +22,9 @@ import numpy as np
 import polars as pl
 
 from imubayes.batch.archive_covariates import serial_number
-from imubayes.batch.parameter_population import posteriors_of, usable_rows
 from imubayes.batch.population import LEAST_UNITS, discoveries
 from imubayes.batch.population_laws import normal_law
+from imubayes.batch.unit_populations import posteriors_of, usable_rows
 from imubayes.foundations.records import Record, finite
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival, t_survival
 from imubayes.foundations.units import DAYS_PER_YEAR

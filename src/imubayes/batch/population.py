@@ -72,11 +72,10 @@ class UnitPosteriors:
         """Standard deviation of the prior of the model; infinite for a flat one."""
         return self.stated[1] if self.stated is not None else float(np.median(self.prior_sd))
 
-    def with_stated(self, prior: tuple[float, float] | None) -> "UnitPosteriors":
-        """Return the posteriors with the prior of the model, if units were fitted with other priors."""
-        if prior is None:
-            return self
-        return replace(self, stated=prior)
+    def of(self, chosen: np.ndarray) -> "UnitPosteriors":
+        """Return the posteriors of some units."""
+        arrays = (self.mean, self.sd, self.prior_mean, self.prior_sd, self.draws)
+        return UnitPosteriors(*(each[chosen] for each in arrays), self.stated)
 
     def shifted(self, by: np.ndarray) -> "UnitPosteriors":
         """Return the posteriors of the parameter less what is known of each unit, (n,)."""
@@ -223,6 +222,13 @@ class Population:
     predictive_sd: float = np.nan
     information_error: float = 0.0
     posterior: GridPosterior | None = field(default=None, repr=False)
+
+    def with_mean(self, mean: float, sd: float) -> "Population":
+        """Return the population with a mean and its standard deviation from elsewhere, as a normal distribution."""
+        half = float(stats.norm.ppf((1 + MASS) / 2)) * sd
+        predictive = float(np.sqrt(self.predictive_sd**2 - self.mean_sd**2 + sd**2))
+        interval = mean - half, mean + half
+        return replace(self, mean=mean, mean_sd=sd, mean_interval=interval, predictive_sd=predictive)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from imubayes.batch.parameter_population import Populations, Scale
+from imubayes.batch.parameter_population import Populations
+from imubayes.batch.unit_populations import Scale
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.quantity_names import QuantityName
 from imubayes.model.effect_registry import Registry

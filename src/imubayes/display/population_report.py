@@ -54,12 +54,10 @@ def _of_rounds(fit: HierarchicalFit | None) -> Iterator[str]:
     if fit is None:
         yield "Each unit was fitted alone."
         return
-    if not fit.rounds:
-        yield "No unit could be fitted again with its population: each was fitted alone."
-        return
-    yield f"Each unit was fitted again with the population of the others as prior, in {counted(fit.rounds, 'round')}."
-    if not fit.settled:
-        yield "The populations did not settle: means or spreads still moved in the last round."
+    if fit.fitted:
+        yield f"Fitted again with the noise scales of the others as prior: {counted(fit.fitted, 'unit')}."
+    else:
+        yield "Each unit was fitted alone: its noise scales are not better known from the others."
     if fit.left_out:
         yield f"Fitted alone: {listed(fit.left_out, 3)}."
 

@@ -1,0 +1,105 @@
+"""Population means of all parameters jointly: as dense algebra has them, and no more certain than the runs allow."""
+
+import datetime
+
+import numpy as np
+import polars as pl
+import pytest
+
+from imubayes.batch.joint_population import JointPopulation, JointUnits
+from imubayes.batch.parameter_population import populations
+from imubayes.batch.posterior_table import (
+    Outcome,
+    Quantities,
+    UnitIdentity,
+    UnitPosterior,
+    parameter_table,
+    unit_table,
+)
+
+PRIOR = np.array([100.0, 80.0, 5.0])
+MEAN, SPREAD = np.array([40.0, -30.0, 1.0]), np.array([12.0, 9.0, 0.8])
+
+
+def units_of(seed: int, count: int, rows: np.ndarray, noise: float) -> tuple[np.ndarray, list[UnitPosterior]]:
+    """Return true values and posteriors of units that measure `rows` (k, 3) of their parameters."""
+    random, found, truth = np.random.default_rng(seed), [], []
+    for place in range(count):
+        own = random.normal(MEAN, SPREAD)
+        data = rows @ own + random.normal(0, noise, len(rows))
+        covariance = np.linalg.inv(rows.T @ rows / noise**2 + np.diag(PRIOR**-2.0))
+        mean, sd = covariance @ rows.T @ data / noise**2, np.sqrt(np.diag(covariance))
+        quantiles = mean + sd * np.array([-1.96, -0.674, 0.0, 0.674, 1.96])[:, None]
+        quantities = Quantities(
+            "parameter", ("a.a[ax]", "b.b[ax]", "c.c[ax]"), ("ug", "ppm", "ug"), mean, sd, quantiles, np.zeros(3),
+            PRIOR, 1 - (sd / PRIOR) ** 2,
+        )  # fmt: skip
+        identity = UnitIdentity(f"U{place:02d}", "c", f"d{place}", "f", datetime.date(2024, 1, 1))
+        found.append(UnitPosterior(identity, Outcome("fitted"), (quantities,), covariance))
+        truth.append(own)
+    return np.array(truth), found
+
+
+def tables(units: list[UnitPosterior]) -> tuple[pl.DataFrame, pl.DataFrame]:
+    return parameter_table("m", units), unit_table("m", "code", units)
+
+
+def test_means_and_units_are_those_of_dense_algebra():
+    random = np.random.default_rng(1)
+    count, size = 4, 3
+    roots = random.normal(size=(count, 2, size))
+    information = np.einsum("nkp,nkq->npq", roots, roots)
+    linear = np.einsum("npq,nq->np", information, random.normal(size=(count, size)))
+    units = JointUnits(
+        ("a", "b", "c"), tuple("wxyz"), np.zeros(size), np.ones(size), information, linear,
+        np.ones((count, size), bool), np.full(count, np.inf),
+    )  # fmt: skip
+    variance, offsets = np.array([0.3, 0.7, 0.05]), random.normal(size=(count, size))
+    found = JointPopulation(units, variance, np.ones((count, size)), offsets)
+    # All unknowns at once: the units, then their mean.
+    whole = count * size
+    precision, right = np.zeros((whole + size, whole + size)), np.zeros(whole + size)
+    precision[whole:, whole:] = np.eye(size)
+    for place in range(count):
+        own = slice(place * size, (place + 1) * size)
+        law = np.diag(1 / variance)
+        precision[own, own] += information[place] + law
+        precision[own, whole:] -= law
+        precision[whole:, own] -= law
+        precision[whole:, whole:] += law
+        right[own] += linear[place] + law @ offsets[place]
+        right[whole:] -= law @ offsets[place]
+    covariance = np.linalg.inv(precision)
+    mean = covariance @ right
+    np.testing.assert_allclose(found.means[0], mean[whole:], rtol=1e-9)
+    np.testing.assert_allclose(found.means[1], covariance[whole:, whole:], rtol=1e-9)
+    np.testing.assert_allclose(found.given[0].ravel(), mean[:whole], rtol=1e-9)
+    np.testing.assert_allclose(found.given[1].ravel() ** 2, np.diag(covariance)[:whole], rtol=1e-9)
+
+
+def test_a_sum_that_all_units_measure_leaves_its_parts_as_uncertain_as_their_priors():
+    """Forty units that measure a + b and c alone: the mean of a + b is known, and those of a and b are not."""
+    _, units = units_of(2, 40, np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), 0.5)
+    record, _ = populations(*tables(units))
+    a, b, c = record.parameters
+    least = PRIOR[0] * PRIOR[1] / np.hypot(PRIOR[0], PRIOR[1])
+    for each in (a, b):
+        assert each.mean_sd > 0.9 * least
+    assert a.mean + b.mean == pytest.approx(MEAN[0] + MEAN[1], abs=4 * 15 / np.sqrt(40))
+    assert c.mean_sd < 0.3
+
+
+def test_units_given_the_others_are_within_their_uncertainty_whatever_they_measure():
+    rows = np.array([[1.0, 1.0, 0.0], [1.0, -0.2, 0.0], [0.0, 0.0, 1.0]])
+    errors, means = [], []
+    for seed in range(20):
+        truth, units = units_of(10 + seed, 15, rows, 8.0)
+        record, given = populations(*tables(units))
+        for place, name in enumerate(("a.a[ax]", "b.b[ax]")):
+            of_name = given.filter(pl.col("parameter") == name)
+            errors.extend((of_name["shrunk"].to_numpy() - truth[:, place]) / of_name["shrunk_sd"].to_numpy())
+            each = record.parameters[place]
+            means.append((each.mean - MEAN[place]) / each.mean_sd)
+            assert of_name["shrunk_sd"].mean() < of_name["estimate_sd"].mean()
+    assert 0.9 < np.sqrt(np.mean(np.square(errors))) < 1.1
+    assert 0.7 < np.sqrt(np.mean(np.square(means))) < 1.3
