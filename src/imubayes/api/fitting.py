@@ -50,10 +50,9 @@ def fit(
     model : a model, its file, or the name of a shipped one.
     out : result folder to write; None for none.
     sample : whether to sample, or to stay with the Laplace approximation.
-    seed : of the sampler.
+    seed, settings : of the sampler.
     resume : continue the checkpoint in `out`.
     replace : whether a sampled result in `out` may be replaced; one that was not sampled always is.
-    settings : of the sampler, beyond the seed.
     until_digits : significant digits of every standard uncertainty to sample for (JCGM 101, 7.9.4), as memory allows.
     population : results folder of a batch whose population is the prior of this unit.
     progress : called with a short text as the work goes on.
