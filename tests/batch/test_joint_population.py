@@ -103,3 +103,44 @@ def test_units_given_the_others_are_within_their_uncertainty_whatever_they_measu
             assert of_name["shrunk_sd"].mean() < of_name["estimate_sd"].mean()
     assert 0.9 < np.sqrt(np.mean(np.square(errors))) < 1.1
     assert 0.7 < np.sqrt(np.mean(np.square(means))) < 1.3
+
+
+@pytest.mark.slow
+def test_populations_and_units_are_those_of_the_joint_model_sampled():
+    """Fifteen units: means, spreads and units against emcee on the marginal of means and spreads of all parameters."""
+    import emcee
+
+    rows, noise = np.array([[1.0, 1.0, 0.0], [1.0, -0.2, 0.0], [0.0, 0.0, 1.0]]), 8.0
+    _, units = units_of(3, 15, rows, noise)
+    record, given = populations(*tables(units))
+    information = rows.T @ rows / noise**2
+    linear = np.array([(information + np.diag(PRIOR**-2.0)) @ unit.quantities[0].mean for unit in units])
+    error = np.linalg.inv(information)
+    estimates = linear @ error
+
+    def log_density(point: np.ndarray) -> float:
+        spread = np.exp(point[3:])
+        variance, misfit = error + np.diag(spread**2), estimates - point[:3]
+        fit = np.einsum("np,pq,nq", misfit, np.linalg.inv(variance), misfit)
+        prior = np.sum((point[:3] / PRIOR) ** 2) - 2 * np.sum(point[3:])
+        return float(-0.5 * (fit + len(estimates) * np.linalg.slogdet(variance)[1] + prior))
+
+    start = np.concatenate([MEAN, np.log(SPREAD)]) + 0.05 * np.random.default_rng(0).normal(size=(40, 6))
+    sampler = emcee.EnsembleSampler(40, 6, log_density)
+    state = sampler.run_mcmc(emcee.State(start, random_state=np.random.RandomState(1).get_state()), 1500)
+    sampler.reset()
+    sampler.run_mcmc(state, 6000)
+    points = sampler.get_chain(flat=True)[::20]
+    precision = np.exp(-2 * points[:, 3:])
+    inner = np.linalg.inv(information + precision[:, :, None] * np.eye(3))
+    unit = np.einsum("spq,snq->snp", inner, linear[None] + (points[:, :3] * precision)[:, None, :])
+    mean = unit.mean(axis=0)
+    sd = np.sqrt(unit.var(axis=0) + np.einsum("spp->sp", inner).mean(axis=0))
+    for place, each in enumerate(record.parameters):
+        rows_of = given.filter(pl.col("parameter") == each.parameter)
+        spread = np.exp(points[:, 3 + place])
+        assert each.mean == pytest.approx(points[:, place].mean(), abs=0.25 * points[:, place].std())
+        assert each.mean_sd == pytest.approx(points[:, place].std(), rel=0.1)
+        assert each.spread == pytest.approx(spread.mean(), abs=0.2 * spread.std())
+        assert np.max(np.abs(rows_of["shrunk"].to_numpy() - mean[:, place]) / sd[:, place]) < 0.35
+        assert np.max(np.abs(np.log(rows_of["shrunk_sd"].to_numpy() / sd[:, place]))) < 0.15

@@ -72,6 +72,9 @@ def trends_report(found: Trends) -> Report:
         f"{counted(changed, 'drifting parameter')} of {len(found.drifts)}; false discovery rate {100 * found.rate:g} %"
     ]
     few = replace(of_columns(drifts, (0, 1, 2, 5)), note="")
+    told.append(
+        "`imubayes batch population` weighs a trend against steps, groups of units and what the campaigns state."
+    )
     return Report(told, [trends.with_few(0, 1, 2, 3, 5), replace(drifts, narrow=few)])
 
 
