@@ -1,8 +1,8 @@
 """The population of an archive: cost over the number of units, beside emcee on the same hierarchical model.
 
 Tables of posteriors are simulated: six parameters of which two are determined as a sum alone, in units of three lots.
-All units have one design, which makes the density of emcee cheap.  It samples the marginal of means and spreads, from which the units would follow; a thousand independent draws are
-what a user needs of it.
+All units have one design, which makes the density of emcee cheap.  It samples the marginal of means and spreads, from
+which the units would follow; a thousand independent draws are what a user needs of it.
 """
 
 import datetime

@@ -39,6 +39,12 @@ def test_each_of_several_tagged_files_is_a_run(tmp_path: Path) -> None:
     assert {"turns-x-1", "turns-y-2", "turns-z-3"} < set(runs)
     # Each rest lies on the face that its own accelerometers tell.
     assert [runs[f"recording-{k}"]["mounting"] for k in (1, 2, 3)] == ["x-up", "y-up", "z-up"]
+
+
+@pytest.mark.slow
+def test_biases_of_a_session_of_tagged_files_are_within_their_uncertainty(tmp_path: Path) -> None:
+    files = [turn(tmp_path / f"turn-{'xyz'[axis]}.txt", axis, axis) for axis in range(3)]
+    read = read_recordings(files, turn_deg=360, latitude_deg=48, gyro_unit="deg/s")
     read.write(tmp_path / "unit")
     fitted = imubayes.fit(tmp_path / "unit", imubayes.new(tmp_path / "unit").model, sample=False)
     for name, bias in (("gx", 0.3), ("gy", 1.2), ("gz", -4.0)):
