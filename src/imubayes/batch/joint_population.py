@@ -69,9 +69,9 @@ class JointUnits:
         names = tuple(table["parameter"].unique(maintain_order=True))
         centre, width = _priors(table, names)
         rows = [_likelihood(row, names, centre, width) for row in units.iter_rows(named=True)]
-        parts = [np.stack(part) for part in zip(*rows, strict=True)]
+        information, linear, present = (np.stack(part) for part in zip(*rows, strict=True))
         draws = units["draws"].fill_null(np.inf).to_numpy()
-        return JointUnits(names, tuple(units["digest"]), centre, width, *parts, draws)
+        return JointUnits(names, tuple(units["digest"]), centre, width, information, linear, present, draws)
 
 
 def _priors(table: pl.DataFrame, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:

@@ -74,8 +74,10 @@ class UnitPosteriors:
 
     def of(self, chosen: np.ndarray) -> "UnitPosteriors":
         """Return the posteriors of some units."""
-        arrays = (self.mean, self.sd, self.prior_mean, self.prior_sd, self.draws)
-        return UnitPosteriors(*(each[chosen] for each in arrays), self.stated)
+        return UnitPosteriors(
+            self.mean[chosen], self.sd[chosen], self.prior_mean[chosen], self.prior_sd[chosen], self.draws[chosen],
+            self.stated,
+        )  # fmt: skip
 
     def shifted(self, by: np.ndarray) -> "UnitPosteriors":
         """Return the posteriors of the parameter less what is known of each unit, (n,)."""

@@ -246,12 +246,11 @@ def _likeliest_step(
     if not large.any():
         return None, 0.0
     columns, edges = columns[:, large], np.asarray(edges)[large]
-    spread = plain.spread
-    for _ in range(2):
-        gain = _log_gains(units, base, columns, spread)
-        best = int(np.argmax(gain))
-        law = Law(np.column_stack([base, columns[:, best]]))
-        spread = fit_law(units, law).spread
+    first = int(np.argmax(_log_gains(units, base, columns, plain.spread)))
+    spread = fit_law(units, Law(np.column_stack([base, columns[:, first]]))).spread
+    gain = _log_gains(units, base, columns, spread)
+    best = int(np.argmax(gain))
+    law = Law(np.column_stack([base, columns[:, best]]))
     after = [shown for shown, value in _in_order(covariate) if value > edges[best]]
     before = [shown for shown, value in _in_order(covariate) if value < edges[best]]
     share = float(np.logaddexp.reduce(gain)) - float(gain[best]) - np.log(len(edges))

@@ -190,28 +190,53 @@ def _within(ordered: np.ndarray, cuts: Sequence[int]) -> float:
     return sum(float(np.var(part)) * len(part) for part in np.split(ordered, cuts))
 
 
+@dataclass(frozen=True)
+class _Maximum:
+    """A law at the maximum over its parameters, for each of T values of τ; estimates are about their median.
+
+    Attributes
+    ----------
+    coefficients, gram : shapes (T, p), (T, p, p).
+    shares : shape (T, K), probabilities of the components.
+    fitted, membership, outside : shapes (T, n, K), (T, n, K), (T, n, 1).
+    log_likelihood : shape (T,).
+    """
+
+    coefficients: np.ndarray
+    gram: np.ndarray
+    shares: np.ndarray
+    fitted: np.ndarray
+    membership: np.ndarray
+    outside: np.ndarray
+    log_likelihood: np.ndarray
+
+
 def _fit_from(units: UnitEstimates, law: Law, start: np.ndarray, taus: np.ndarray, rounds: int) -> LawFit:
     """Return a law fitted by expectation and maximisation from given memberships, on a grid of τ at once."""
     columns, precision, centred = _columns(units, law), _prior_precision(units, law), units.estimate - units.middle
-    membership = np.broadcast_to(start, (len(taus), *start.shape))
     factor = np.repeat(np.asarray(law.components), law.groups)
     variance = (taus[:, None, None] * factor) ** 2 + units.variance[:, None]
-    for _ in range(rounds):
-        weight, before = membership / variance, membership
-        coefficients, gram = _weighted_least_squares(columns, centred, weight, precision)
+
+    def step(membership: np.ndarray) -> _Maximum:
+        coefficients, gram = _weighted_least_squares(columns, centred, membership / variance, precision)
         shares = membership.sum(axis=1) + 1.0
         shares /= shares.sum(axis=1, keepdims=True)
         fitted = np.einsum("knp,tp->tnk", columns, coefficients)
         log_density = np.log(shares)[:, None, :] + _log_normal(centred[:, None] - fitted, variance)
-        membership, outside, log_likelihood = _memberships(units, log_density)
-        if np.max(np.abs(membership - before)) < _SETTLED:
+        return _Maximum(coefficients, gram, shares, fitted, *_memberships(units, log_density))
+
+    before = np.broadcast_to(start, (len(taus), *start.shape))
+    found = step(before)
+    for _ in range(rounds - 1):
+        if np.max(np.abs(found.membership - before)) < _SETTLED:
             break
-    log_weight = log_likelihood + _log_volume(units, law, coefficients, gram, shares, precision)
+        before = found.membership
+        found = step(before)
+    log_weight = found.log_likelihood + _log_volume(units, law, found, precision)
     if law.groups > 1:
-        several = membership.sum(axis=1).min(axis=1) > _LEAST_MEMBERS
-        log_weight = np.where(_apart(law, coefficients, taus) & several, log_weight, -np.inf)
-    coefficients[:, 0] += units.middle
-    return _averaged(law, log_weight, taus, coefficients, gram, membership, outside, fitted + units.middle)
+        several = found.membership.sum(axis=1).min(axis=1) > _LEAST_MEMBERS
+        log_weight = np.where(_apart(law, found.coefficients, taus) & several, log_weight, -np.inf)
+    return _averaged(units, law, log_weight, taus, found)
 
 
 def _weighted_least_squares(
@@ -228,27 +253,20 @@ def _weighted_least_squares(
     return np.linalg.solve(gram, pulled[..., None])[..., 0], gram
 
 
-def _averaged(
-    law: Law,
-    log_weight: np.ndarray,
-    taus: np.ndarray,
-    coefficients: np.ndarray,
-    gram: np.ndarray,
-    membership: np.ndarray,
-    outside: np.ndarray,
-    fitted: np.ndarray,
-) -> LawFit:
+def _averaged(units: UnitEstimates, law: Law, log_weight: np.ndarray, taus: np.ndarray, found: _Maximum) -> LawFit:
     """Return the average over the grid of τ, equal steps of which have equal prior weight."""
     log_evidence = float(np.logaddexp.reduce(log_weight)) - np.log(len(taus))
     weight = np.exp(log_weight - np.max(log_weight)) if np.isfinite(log_evidence) else np.full(len(taus), 1.0)
     weight = weight / weight.sum()
-    mean = weight @ coefficients
-    spread = coefficients - mean
-    covariance = np.einsum("t,tpq->pq", weight, np.linalg.inv(gram)) + np.einsum("t,tp,tq->pq", weight, spread, spread)
-    belongs = np.concatenate([membership, outside], axis=2)
+    mean = weight @ found.coefficients
+    spread = found.coefficients - mean
+    covariance = np.einsum("t,tpq->pq", weight, np.linalg.inv(found.gram))
+    covariance += np.einsum("t,tp,tq->pq", weight, spread, spread)
+    belongs = np.concatenate([found.membership, found.outside], axis=2)
+    mean[0] += units.middle
     return LawFit(
         law, log_evidence, mean, covariance, np.einsum("t,tnk->nk", weight, belongs),
-        np.einsum("t,tnk->nk", weight, fitted), float(weight @ taus),
+        np.einsum("t,tnk->nk", weight, found.fitted) + units.middle, float(weight @ taus),
     )  # fmt: skip
 
 
@@ -287,14 +305,13 @@ def _memberships(units: UnitEstimates, log_density: np.ndarray) -> tuple[np.ndar
     return share[:, :, :-1], share[:, :, -1:], total.sum(axis=1)
 
 
-def _log_volume(
-    units: UnitEstimates, law: Law, coefficients: np.ndarray, gram: np.ndarray, shares: np.ndarray, prior: np.ndarray
-) -> np.ndarray:
+def _log_volume(units: UnitEstimates, law: Law, found: _Maximum, prior: np.ndarray) -> np.ndarray:
     """Return the logarithm of the prior at the maximum times the volume about it, on the grid of τ."""
+    coefficients, shares = found.coefficients, found.shares
     size = coefficients.shape[1]
     widths = -(size - 1) * (np.log(units.difference) + 0.5 * np.log(2 * np.pi))
     at_mode = widths - 0.5 * coefficients[:, 1:] ** 2 @ np.diag(prior)[1:]
-    volume = 0.5 * size * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(gram)[1]
+    volume = 0.5 * size * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(found.gram)[1]
     count = len(units.estimate)
     members = shares * (count + law.count) - 1
     # The likelihood holds π at its maximum: the integral over a uniform π, relative to that value.

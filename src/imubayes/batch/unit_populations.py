@@ -242,9 +242,9 @@ def posteriors_of(table: pl.DataFrame, units: pl.DataFrame) -> tuple[UnitPosteri
     columns = {name: table[name].cast(pl.Float64).fill_null(np.nan).to_numpy() for name in (*_NUMBERS, *_LOGARITHMS)}
     mean, sd, prior_mean, prior_sd = (columns[name] for name in _NUMBERS[:4])
     number = np.array([draws[digest] for digest in table["digest"]], dtype=float)
-    logarithms = [columns[name] for name in _LOGARITHMS]
-    if table["kind"][0] == "noise" and np.all(np.isfinite(logarithms)):
-        return UnitPosteriors(*logarithms, number), "log"
+    middle, width, before, wide = (columns[name] for name in _LOGARITHMS)
+    if table["kind"][0] == "noise" and np.all(np.isfinite([middle, width, before, wide])):
+        return UnitPosteriors(middle, width, before, wide, number), "log"
     with np.errstate(divide="ignore", invalid="ignore"):
         as_normal = np.abs((sd / prior_sd) ** 2 / (1 - columns["from_data"]) - 1) < _NORMAL_PRIOR
     positive = bool(np.all(columns["q2_5"] > 0))

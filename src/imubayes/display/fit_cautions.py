@@ -151,7 +151,7 @@ def notices(summary: Summary) -> tuple[str, ...]:
 
 def _of_population(summary: Summary) -> tuple[str, ...]:
     """Return where the priors come from if not from the user, after what contradicts them."""
-    source = summary.provenance.priors_from
+    source = summary.provenance.priors_from if summary.provenance is not None else ""
     if not source:
         return ()
     unlike = [f"{each.name} lies {each.distance:.1f} sd apart" for each in summary.prior_conflicts]

@@ -19,6 +19,7 @@ import h5py
 import numpy as np
 import polars as pl
 import tomlkit
+from tomlkit.items import AoT
 
 from imubayes.foundations.files import refuse_existing, write_text
 from imubayes.inference.posterior_groups import SAMPLE, Group, Groups, Labelled, Labels, posterior_groups
@@ -217,7 +218,7 @@ def model_text(spec: ModelSpec) -> str:
     return tomlkit.dumps(document)
 
 
-def _effects(spec: ModelSpec) -> tomlkit.items.AoT:
+def _effects(spec: ModelSpec) -> AoT:
     effects = tomlkit.aot()
     for effect in spec.effects:
         entry = tomlkit.table()
