@@ -35,7 +35,6 @@ _ROUNDS, _FEW_ROUNDS, _SETTLED = 30, 6, 1e-4
 # A single unit is no group: it lies outside.
 _LEAST_MEMBERS = 1.5
 _NEARLY_FLAT = 1e-8
-_TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,6 @@ class LawFit:
     log_evidence : up to a constant that all laws share.
     coefficients, covariance : shapes (p,), (p, p), of c, β and the offsets of the groups after the first.
     membership : shape (n, K + 1), probability of a unit to belong to each component; the last belongs to none.
-    fitted : shape (n, K), location of each unit in each component.
     spread : τ, posterior mean.
     """
 
@@ -109,17 +107,7 @@ class LawFit:
     coefficients: np.ndarray
     covariance: np.ndarray
     membership: np.ndarray
-    fitted: np.ndarray
     spread: float
-
-    @cached_property
-    def explained(self) -> np.ndarray:
-        """Location of each unit given its membership in the groups, less the location of the first, shape (n,)."""
-        share = self.membership[:, :-1]
-        total = share.sum(axis=1)
-        # A unit outside all groups is compared with the nearest one by its own design, the groups by their weights.
-        weight = np.where(total[:, None] > _TINY, share / np.maximum(total, _TINY)[:, None], 1 / share.shape[1])
-        return np.sum(weight * self.fitted, axis=1) - self.coefficients[0]
 
 
 def fit_law(units: UnitEstimates, law: Law) -> LawFit:
@@ -198,14 +186,13 @@ class _Maximum:
     ----------
     coefficients, gram : shapes (T, p), (T, p, p).
     shares : shape (T, K), probabilities of the components.
-    fitted, membership, outside : shapes (T, n, K), (T, n, K), (T, n, 1).
+    membership, outside : shapes (T, n, K), (T, n, 1).
     log_likelihood : shape (T,).
     """
 
     coefficients: np.ndarray
     gram: np.ndarray
     shares: np.ndarray
-    fitted: np.ndarray
     membership: np.ndarray
     outside: np.ndarray
     log_likelihood: np.ndarray
@@ -223,7 +210,7 @@ def _fit_from(units: UnitEstimates, law: Law, start: np.ndarray, taus: np.ndarra
         shares /= shares.sum(axis=1, keepdims=True)
         fitted = np.einsum("knp,tp->tnk", columns, coefficients)
         log_density = np.log(shares)[:, None, :] + _log_normal(centred[:, None] - fitted, variance)
-        return _Maximum(coefficients, gram, shares, fitted, *_memberships(units, log_density))
+        return _Maximum(coefficients, gram, shares, *_memberships(units, log_density))
 
     before = np.broadcast_to(start, (len(taus), *start.shape))
     found = step(before)
@@ -264,10 +251,7 @@ def _averaged(units: UnitEstimates, law: Law, log_weight: np.ndarray, taus: np.n
     covariance += np.einsum("t,tp,tq->pq", weight, spread, spread)
     belongs = np.concatenate([found.membership, found.outside], axis=2)
     mean[0] += units.middle
-    return LawFit(
-        law, log_evidence, mean, covariance, np.einsum("t,tnk->nk", weight, belongs),
-        np.einsum("t,tnk->nk", weight, found.fitted) + units.middle, float(weight @ taus),
-    )  # fmt: skip
+    return LawFit(law, log_evidence, mean, covariance, np.einsum("t,tnk->nk", weight, belongs), float(weight @ taus))
 
 
 def _columns(units: UnitEstimates, law: Law) -> np.ndarray:
