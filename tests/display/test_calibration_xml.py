@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from imubayes.display.qualification.calibration_xml import DCC, SI, covariance_file, dcc_file
+from exported_uncertainties import disagreements
+from imubayes.display.qualification.calibration_xml import COLUMNS, DCC, SI, covariance_file, dcc_file
 from imubayes.foundations.errors import InputError
 from imubayes.qualification.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
 from imubayes.qualification.certificate import Certificate, CertifiedItem, Environment, Missing
@@ -77,9 +78,13 @@ def report(**changes) -> QualificationReport:
     budgets = UncertaintyBudgets.model_construct(
         quantities=tuple(
             QuantityBudget.model_construct(
-                name=name, degrees_of_freedom=None if place else 12.0, standard_uncertainty=place + 2.0
+                name=each.name,
+                standard_uncertainty=each.standard_uncertainty,
+                interval=each.interval,
+                coverage_factor=each.coverage_factor,
+                expanded_uncertainty=each.expanded_uncertainty,
             )
-            for place, name in enumerate(names)
+            for each in STANDARDS
         ),
         correlation=CorrelationMatrix(names=names, rows=((1.0,), (0.75, 1.0), (0, 0, 1.0), (0.1, 0, 0, 1.0))),
     )
@@ -226,13 +231,26 @@ def test_what_a_dcc_needs_is_asked_for_at_once():
 def test_the_covariance_is_that_of_the_quantities_in_their_units():
     rows = list(csv.reader(io.StringIO(covariance_file(report()).decode())))
     head, *lines = rows
-    assert head[:5] == ["name", "unit", "value", "standard_uncertainty", "degrees_of_freedom"]
+    own = len(COLUMNS)
+    assert tuple(head[:own]) == COLUMNS
     names = [line[0] for line in lines]
-    assert head[5:] == names == ["K_0[ax]", "K_0[ay]", "Θ[ax]"]
-    covariance = np.array([[float(cell) for cell in line[5:]] for line in lines])
+    assert head[own:] == names == ["K_0[ax]", "K_0[ay]", "Θ[ax]"]
+    covariance = np.array([[float(cell) for cell in line[own:]] for line in lines])
     u = np.array([float(line[3]) for line in lines])
     np.testing.assert_allclose(u, [2e-6 * G, 3e-6 * G, 1.0])
     np.testing.assert_allclose(covariance, covariance.T)
     np.testing.assert_allclose(np.diag(covariance), u**2)
     assert covariance[0, 1] == pytest.approx(0.75 * u[0] * u[1])
-    assert [line[4] for line in lines] == ["12", "inf", "inf"]
+
+
+def test_one_quantity_has_one_expanded_uncertainty_in_all_forms():
+    """Student's t with the degrees of freedom of the table makes the U of the pages: GTC forms t u."""
+    assert disagreements(report()) == []
+    table = list(csv.DictReader(io.StringIO(covariance_file(report()).decode())))
+    # k of the posterior is 2.00; the scatter of 11 degrees of freedom in u would make it 2.20 a second time.
+    assert [float(row["degrees_of_freedom"] or "nan") for row in table[:2]] == pytest.approx([60.4, 60.4], rel=1e-2)
+    assert (table[2]["interval"], table[2]["degrees_of_freedom"]) == ("shortest", "")
+    assert [float(table[2][end]) for end in ("low", "high")] == [3.0, 7.0]
+    # Planted fault: u of one form is that of another evaluation.
+    broken = STANDARDS[0].model_copy(update={"standard_uncertainty": 2.2})
+    assert len(disagreements(report(standards=(broken, *STANDARDS[1:])))) == 1

@@ -176,7 +176,7 @@ def test_accelerometers_need_a_traced_gravity_and_an_accreditation_its_capabilit
 
 
 def test_one_quantity_has_one_capability_under_both_of_its_names(tmp_path):
-    """30 ppm of the error of a scale factor of 1000 are 0.03 of the scale factor; ν has no part in what is added."""
+    """30 ppm of the error of a scale factor of 1000 are 0.03 of the scale factor; k stays."""
     entry = '[[certificate.cmc]]\nquantity = "gyro_scale_factor.scale"\nexpanded = 30\nunit = "ppm"\n'
     block, ledger = read_certificate(written(tmp_path, WHOLE + entry))
     error = 3.0 * np.random.default_rng(4).standard_normal(4000)
@@ -193,7 +193,7 @@ def test_one_quantity_has_one_capability_under_both_of_its_names(tmp_path):
         quantities=tuple(
             QuantityBudget.model_construct(
                 name=name, standard_uncertainty=x.std(), monte_carlo_error=0.0, lines=(), contributed=x.std(),
-                remainder=0.0, degrees_of_freedom=10.0, expanded_uncertainty=1.96 * x.std(),
+                remainder=0.0, coverage_factor=1.96, interval="symmetric", expanded_uncertainty=1.96 * x.std(),
             )
             for name, x in draws.items()
         )
@@ -203,9 +203,9 @@ def test_one_quantity_has_one_capability_under_both_of_its_names(tmp_path):
     assert made.unit.coverage(other).expanded == pytest.approx(0.03)
     assert made.unit.coverage(angle).expanded == unit.coverage(angle).expanded
     error_budget, _, bias_budget = made.budgets.quantities
-    factor = 30 / unit.coverage(own).expanded
-    assert error_budget.degrees_of_freedom == pytest.approx(10 * factor**4)
-    assert bias_budget.degrees_of_freedom == 10
+    assert error_budget.expanded_uncertainty == pytest.approx(30, rel=1e-3)
+    assert made.unit.coverage(own).factor == unit.coverage(own).factor
+    assert bias_budget == budgets.quantities[2]
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def limit(digits: int) -> LimitOutcome:
 def report(digits: int) -> QualificationReport:
     budget = QuantityBudget.model_construct(
         name=NAME, unit="ug/g^2", standard_uncertainty=U, expanded_uncertainty=1.8, coverage_factor=1.96,
-        degrees_of_freedom=None, remainder=0.0, components=False, scaled=1.0, lines=(), halved=(), next_run=None,
+        interval="symmetric", remainder=0.0, components=False, scaled=1.0, lines=(), halved=(), next_run=None,
     )  # fmt: skip
     conformity = Conformity(specification="x", sha256="", outcome="pass", obstacles=(), limits=(limit(digits),))
     budgets = UncertaintyBudgets.model_construct(

@@ -34,6 +34,7 @@ import numpy as np
 from imubayes.foundations.records import Record
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.laplace_marginal import inverse_of_precision
+from imubayes.qualification.coverage import IntervalShape
 from imubayes.qualification.decision_rules import CONTRADICTION_ERRORS, MOST_WIDENED
 from imubayes.qualification.linear_part import LinearPart, QuantityDerivatives, second_order, unbent
 
@@ -146,7 +147,8 @@ class BudgetLine(Record):
     sensitivity : ∂quantity/∂input, in the unit of the quantity over that of the input.
     contribution : standard uncertainty that the input contributes, in the unit of the quantity.
     share : of the posterior variance.
-    degrees_of_freedom : None where they are infinite.
+    relative_uncertainty : relative standard uncertainty of a contribution of type A, as the scatter of its runs is
+        known from few rows (GUM E.4.3: 1/√(2ν)); None for what is known exactly.  u of the quantity contains it.
     """
 
     kind: InputKind
@@ -161,7 +163,7 @@ class BudgetLine(Record):
     sensitivity: float | None = None
     contribution: float
     share: float
-    degrees_of_freedom: float | None = None
+    relative_uncertainty: float | None = None
 
 
 class HalvedInput(Record):
@@ -198,9 +200,8 @@ class QuantityBudget(Record):
     scaled : factor on the contributions of the linear approximation where draws are wider or narrower than it; else 1.
     remainder : share of the posterior variance beyond them: higher orders and Monte Carlo error.
     components : whether inputs contribute through the components of a vector, as to an angle near zero.
-    degrees_of_freedom : effective, by Welch–Satterthwaite; None where they are infinite.
-    coverage_factor, expanded_uncertainty : U, half the length of the 95 % coverage interval, and k = U/u, from ν where
-        the posterior is symmetric.
+    interval : kind of the 95 % coverage interval.
+    coverage_factor, expanded_uncertainty : U, half the length of that interval, and k = U/u.
     halved : what u would be if one contribution were halved, the most useful first.
     next_run : the run that would narrow the quantity most; None where none narrows it by a hundredth.
     """
@@ -214,7 +215,7 @@ class QuantityBudget(Record):
     scaled: float
     remainder: float
     components: bool
-    degrees_of_freedom: float | None
+    interval: IntervalShape
     coverage_factor: float
     expanded_uncertainty: float
     halved: tuple[HalvedInput, ...]

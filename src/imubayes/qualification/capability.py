@@ -60,7 +60,7 @@ def with_capability(
             factor, middle, before = floor / stated.expanded, unit.quantities.marginal(name).mean, known.get(name)
             draws[name] = middle + factor * (draws[name] - middle)
             if before is not None:
-                known[name] = KnownUncertainty(factor * before.standard, factor * before.error, before.degrees)
+                known[name] = KnownUncertainty(factor * before.standard, factor * before.error, before.factor)
             raised.append(CapabilityFloor(name=name, unit=quantity.unit, expanded=floor, own=stated.expanded))
     quantities = replace(unit.quantities, draws=draws)
     factors = {each.name: each.expanded / each.own for each in raised}
@@ -87,14 +87,13 @@ def _raised(budget: QuantityBudget, factor: float) -> QuantityBudget:
     """Return a budget with what makes its U larger by a factor; nothing that was measured would narrow it."""
     if factor == 1:
         return budget
-    u, share, degrees = budget.standard_uncertainty, factor**-2, budget.degrees_of_freedom
+    u, share = budget.standard_uncertainty, factor**-2
     own = u * factor * math.sqrt(1 - share)
     lines = [line.model_copy(update={"share": line.share * share}) for line in budget.lines]
     added = BudgetLine(kind="cmc", input="", type="B", contribution=own, share=1 - share)
     return budget.model_copy(
         update={
             "standard_uncertainty": factor * u,
-            "degrees_of_freedom": degrees and degrees * factor**4,  # the CMC has none of its own (GUM G.4.1)
             "monte_carlo_error": factor * budget.monte_carlo_error,
             "lines": (added, *lines),
             "contributed": math.hypot(budget.contributed, own),

@@ -14,7 +14,7 @@ from imubayes.foundations.errors import InputError, Issue, closest_first, input_
 from imubayes.foundations.records import Presented
 from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.qualification import decision_rules as rules
-from imubayes.qualification.coverage import coverage_factor, coverage_of
+from imubayes.qualification.coverage import NORMAL_FACTOR, coverage_of
 from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.propagation import Propagated
 from imubayes.qualification.specification import ProductionEntry, RuleEntry, issues_of_rule, rule_of
@@ -173,7 +173,7 @@ def _estimate(
         ends = np.array([(tolerance.lower - value) / u, (tolerance.upper - value) / u])
         below = normal_survival(-ends)
         p = float(below[1] - below[0])
-        return rules.MeasuredValue(value, u, coverage_factor(math.inf) * u, rules.compared(p, p, 0.0))
+        return rules.MeasuredValue(value, u, NORMAL_FACTOR * u, rules.compared(p, p, 0.0))
     draws = _draws(measured, output) if isinstance(measured, Propagated) else np.asarray(measured, dtype=float)
     if not np.isfinite(draws).all() or not np.ptp(draws) > 0:
         raise input_error("the draws are not finite or all the same", "measured", "finite draws", "correct it")

@@ -7,13 +7,14 @@ conformity to each limit, traceability, what stands against the certificate, wha
 has no unit for is left out and named.
 
 The table of covariances is for programs that propagate uncertainty (GTC, METAS UncLib): a CSV file with a line for each
-quantity: its name, D-SI unit, value, standard uncertainty and degrees of freedom, and its row of the covariance.
-GTC takes them by `multiple_ureal` and `set_correlation`, UncLib by `ulinprop` of values and covariance.
+quantity: its name, D-SI unit, value and standard uncertainty, what the pages state of it, and its row of the
+covariance.  GTC takes them by `multiple_ureal` and `set_correlation`, UncLib by `ulinprop` of values and covariance.
+Degrees of freedom are those with which Student's t gives the k of the pages (`imubayes.qualification.coverage`).  A
+quantity whose interval is not symmetric has neither k, U nor degrees of freedom.
 """
 
 import csv
 import io
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from xml.etree import ElementTree
 
@@ -26,6 +27,7 @@ from imubayes.display.qualification.words import limits_text, value_text
 from imubayes.foundations.errors import Issue, refuse
 from imubayes.foundations.quantity_names import name_of
 from imubayes.qualification.certificate import Certificate, Party
+from imubayes.qualification.coverage import COVERAGE_PROBABILITY, equivalent_degrees
 from imubayes.qualification.decision_rules import Outcome
 from imubayes.qualification.report_record import QualificationReport, StandardEstimate
 
@@ -37,7 +39,12 @@ _CONFORMITY: dict[Outcome, str] = {
     "pass": "pass", "conditional_pass": "conditionalPass", "conditional_fail": "conditionalFail", "fail": "fail",
     "withheld": "noPass",
 }  # fmt: skip
-_PROBABILITY = "0.95"
+_PROBABILITY = f"{COVERAGE_PROBABILITY:g}"
+COLUMNS = (
+    "name", "unit", "value", "standard_uncertainty", "coverage_factor", "expanded_uncertainty", "degrees_of_freedom",
+    "interval", "low", "high", "coverage_probability",
+)  # fmt: skip
+"""Columns of the table of covariances before those of the covariance."""
 
 
 def dcc_file(report: QualificationReport) -> bytes:
@@ -277,7 +284,7 @@ def _quantity(parent: ElementTree.Element, each: StandardEstimate, omitted: floa
 
 def _number(value: float | None, factor: float) -> str:
     assert value is not None, "withheld numbers are left out"
-    return f"{value * factor:.9g}"
+    return f"{value * factor:.12g}"
 
 
 def covariance_file(report: QualificationReport) -> bytes:
@@ -294,15 +301,12 @@ def covariance_file(report: QualificationReport) -> bytes:
     buffer = io.StringIO()
     table = csv.writer(buffer, lineterminator="\n")
     names = [each.name for each, _, _ in found]
-    table.writerow(["name", "unit", "value", "standard_uncertainty", "degrees_of_freedom", *names])
+    table.writerow([*COLUMNS, *names])
     u = np.array([uncertainty for _, _, uncertainty in found])
     for k, (each, known, uncertainty) in enumerate(found):
-        assert each.d_si is not None, "quantities without a D-SI unit are left out"
-        degrees = _degrees(report, known)
         line = [float(uncertainty * u[j] * correlation(known, other)) for j, (_, other, _) in enumerate(found)]
         line[k] = float(uncertainty**2)
-        value = _number(each.estimate, each.d_si.factor)
-        table.writerow([each.name, each.d_si.unit, value, f"{uncertainty:.9g}", degrees, *(f"{v:.9g}" for v in line)])
+        table.writerow([*_stated(each), *(f"{v:.12g}" for v in line)])
     return buffer.getvalue().encode()
 
 
@@ -315,7 +319,15 @@ def _with_budget(report: QualificationReport) -> Iterator[tuple[StandardEstimate
             yield each, own, each.standard_uncertainty * abs(each.d_si.factor)
 
 
-def _degrees(report: QualificationReport, name: str) -> str:
-    assert report.budgets is not None, "there are quantities with budgets"
-    found = next(each.degrees_of_freedom for each in report.budgets.quantities if each.name == name)
-    return "inf" if found is None or not math.isfinite(found) else f"{found:.6g}"
+def _stated(each: StandardEstimate) -> list[str]:
+    """Return what is stated of a quantity, in its D-SI unit, in the order of the columns."""
+    assert each.d_si is not None, "quantities without a D-SI unit are left out"
+    factor = each.d_si.factor
+    ends = sorted((each.low or 0.0, each.high or 0.0), key=lambda end: end * factor)
+    symmetric = [""] * 3
+    if each.interval == "symmetric" and each.coverage_factor is not None:
+        k, u = each.coverage_factor, each.expanded_uncertainty
+        symmetric = [f"{k:.12g}", _number(u, abs(factor)), f"{equivalent_degrees(k):.12g}"]
+    numbers = (each.estimate, factor), (each.standard_uncertainty, abs(factor)), *((end, factor) for end in ends)
+    value, uncertainty, low, high = (_number(*pair) for pair in numbers)
+    return [each.name, each.d_si.unit, value, uncertainty, *symmetric, str(each.interval), low, high, _PROBABILITY]
