@@ -29,7 +29,7 @@ from imubayes.results.stored_tables import complete
 from imubayes.results.summary import is_constant
 
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
-_METHOD = 12
+_METHOD = 13
 _MOST_HALVED = 3
 # Decimals of a correlation: two scale factors that share the error of gravity differ from 1 in the fifth.
 _DECIMALS = 8
