@@ -24,6 +24,7 @@ from imubayes.display.qualification.document import (
 from imubayes.display.qualification.pdf_file import _blocks, breakable, missing_characters, shown_by_code_points
 from imubayes.display.qualification.report_files import html_page
 from imubayes.foundations.campaign_data import Campaign, Run, Site
+from imubayes.foundations.earth import normal_gravity
 from imubayes.foundations.errors import InputError
 from imubayes.qualification.budget_parts import QuantityBudget, UncertaintyBudgets
 from imubayes.qualification.capability import with_capability
@@ -161,6 +162,46 @@ def test_standards_are_held_against_the_equipment_of_the_runs(tmp_path):
     assert isinstance(items, Items)
     assert "head, which runs used" in items.items[0]
     assert "rate table: head" in items.items[1]
+
+
+def test_gravity_by_its_formula_is_claimed_by_no_standard(tmp_path):
+    """A campaign without gravity_m_s2 takes normal gravity, whatever certificate of gravity a laboratory has."""
+    gravity = '\n[[certificate.standard]]\nname = "gravity"\nequipment = ["gravity"]\ncertificate = "G-12"\n'
+    gravity += "valid_until = 2027-11-02\n"
+    block, _ = read_certificate(written(tmp_path, WHOLE + gravity))
+    measured = replace(campaign_of(), channels=channels())
+    assert lacking(block, measured) == set()
+    formula = replace(measured, site=replace(measured.site, gravity=normal_gravity(0.8, 500.0)))
+    assert lacking(block, formula) == {("normal_gravity", ""), ("unused", "gravity: gravity")}
+    # A standard whose name alone claims it.
+    named, _ = read_certificate(written(tmp_path, (WHOLE + gravity).replace('equipment = ["gravity"]\n', "")))
+    assert lacking(named, formula) == lacking(block, formula)
+    # Gyros alone have no result that gravity enters.
+    assert lacking(read_certificate(written(tmp_path, WHOLE))[0], replace(formula, channels=channels()[:1])) == set()
+
+
+def test_what_is_read_beside_the_outputs_needs_its_standard(tmp_path):
+    """Coefficients per °C are certified: the thermometer is equipment, if an effect of the model reads it."""
+    block, _ = read_certificate(written(tmp_path, WHOLE))
+    campaign = campaign_of()
+    covariates = {"temperature": np.zeros(1), "time": np.zeros(1)}
+    campaign = replace(campaign, runs=tuple(replace(run, covariates=covariates) for run in campaign.runs))
+
+    def of(found: Certificate, *read: str) -> set[tuple[str, str]]:
+        return {(each.item, each.of) for each in missing_items(found, campaign, read)}
+
+    assert of(block) == set()
+    assert of(block, "temperature_rate", "turning", "converter_temperature") == {("untraced", "temperature")}
+    assert of(block, "temperature", "campaign_time") == {("untraced", "temperature"), ("untraced", "time")}
+    both = 'equipment = ["rate", "temperature"]'
+    traced, _ = read_certificate(written(tmp_path, WHOLE.replace('equipment = ["rate"]', both)))
+    assert of(traced, "temperature") == set()
+    assert of(traced) == set(), "read by no effect, and yet recorded"
+    other = WHOLE.replace('equipment = ["rate"]', 'equipment = ["rate", "converter_temperature"]')
+    assert of(read_certificate(written(tmp_path, other))[0]) == {("unused", "rate table: converter_temperature")}
+    assert of(read_certificate(written(tmp_path, WHOLE.replace("2027-11-02", "2026-11-02")))[0], "temperature") == {
+        ("untraced", "temperature")
+    }
 
 
 def test_accelerometers_need_a_traced_gravity_and_an_accreditation_its_capabilities(tmp_path):

@@ -32,7 +32,6 @@ from imubayes.qualification.specification import read_specification
 from imubayes.qualification.standard_quantities import digital_unit, standard_symbol
 from imubayes.qualification.taken_as_exact import OMITTED, TakenAsExact
 from imubayes.qualification.unit_under_test import TestedUnit
-from imubayes.responses.uncertain_equipment import is_normal_gravity
 from imubayes.results.change_records import read_diagnosis
 from imubayes.results.fit_file import software
 from imubayes.results.folder_files import HISTORY, checked
@@ -62,7 +61,7 @@ def subject_of(campaign: Campaign, result: Result) -> subject.Subject:
         latitude_deg=math.degrees(site.latitude),
         height_m=site.height,
         gravity_m_s2=site.gravity,
-        gravity_is_normal=is_normal_gravity(site),
+        gravity_is_normal=site.has_normal_gravity,
         gravity_uncertainty_ug=_in(site.gravity_uncertainty, to_si("ug", site.gravity)),
         channels=tuple(
             subject.ReportedChannel(
@@ -174,7 +173,7 @@ def report_of(
     missing: tuple[Missing, ...] = ()
     if block is not None:
         invalid = [Missing(item="validity")] if obstacles(found, diagnosis) else []
-        missing = (*missing_items(block, campaign), *_omitted(standards, exact), *invalid)
+        missing = (*missing_items(block, campaign, covariates_read(found)), *_omitted(standards, exact), *invalid)
     expired: tuple[Obstacle, ...] = ("expired_standard",) if any(each.item == "expired" for each in missing) else ()
     assessment = assess(found, specification, diagnosis, unit, expired) if specification is not None else None
     scope = scope_of(campaign, found, diagnosis)
@@ -199,6 +198,13 @@ def report_of(
         missing=missing,
         floors=floors,
     )
+
+
+def covariates_read(result: Result) -> tuple[str, ...]:
+    """Return the covariates that the effects of a model read: their errors enter its results."""
+    model = result.fit.model
+    effects = (model.registry.effects[effect.name] for effect in model.spec.effects)
+    return tuple(dict.fromkeys(need for effect in effects for need in effect.needs))
 
 
 def _evaluated(

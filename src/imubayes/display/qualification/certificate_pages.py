@@ -17,6 +17,8 @@ _OF_STANDARDS: tuple[certificates.MissingItem, ...] = (
     "standard_validity",
     "expired",
     "untraced",
+    "unused",
+    "normal_gravity",
 )
 _MISSING: dict[certificates.MissingItem, str] = {
     "number": "unique identification of the certificate (7.8.2.1 d)",
@@ -38,6 +40,8 @@ _MISSING: dict[certificates.MissingItem, str] = {
     "expired": "a valid certificate of {of}: it expired before the last run that used it (6.5)",
     "untraced": "a standard for {of}, which runs used: none of those listed names it (7.8.4.1 c)",
     "unused": "a standard that was used, as no run used this one — {of} (7.8.4.1 c)",
+    "normal_gravity": "a measured gravity, `gravity_m_s2` of the site: the campaign has the formula of normal gravity, "
+    "which no standard traces (6.5)",
     "received_late": "a date of receipt that is not after the first run (7.8.2.1 h)",
     "issued_early": "a date of issue that is not before the last run (7.8.2.1 j)",
     "validity": "results of a fit that converged and of a model that a diagnosis found adequate (7.2.2, 7.7.1)",
@@ -45,6 +49,14 @@ _MISSING: dict[certificates.MissingItem, str] = {
     "omitted": "all known contributions in U: those that it omits of {of} are on the first page (7.6.1)",
     "signatories": "persons who authorise the certificate (7.8.2.1 o)",
 }
+
+
+# What has no standard, in words: of gravity by its formula the item has no name.
+_USED = {
+    "": "gravity, by the formula of normal gravity", "temperature": "temperature of the unit",
+    "converter_temperature": "temperature of the converter", "time": "time of the runs",
+    "reference_gyro": "reference gyro", "current_injection": "injected current",
+}  # fmt: skip
 
 
 def certificate_facts(report: QualificationReport, found: certificates.Certificate) -> list[tuple[str, str]]:
@@ -96,21 +108,10 @@ def all_statements(report: QualificationReport, found: certificates.Certificate)
 
 def statements(report: QualificationReport, found: certificates.Certificate) -> Iterator[str]:
     """Yield traceability, conditions, capability, what results and U are of, remarks and accreditation."""
-    if found.standard and not any(each.item in _OF_STANDARDS for each in report.missing):
-        yield "The results are metrologically traceable to the SI through the standards used."
+    yield from _traceability(report, found)
     yield f"Conditions: {_conditions(found.environment)}. Adjustment: {found.adjustment or _NOT_STATED}."
     yield unit_g_text(report)
-    if report.floors:
-        own = {each.members[0]: (each.symbol, each.label) for each in report.standards if len(each.members) == 1}
-        named = "; ".join(
-            f"{' '.join(own.get(each.name) or standard_symbol(each.name))}: {significant(each.own, 2)} → "
-            f"{significant(each.expanded, 2)} {pretty(each.unit)}"
-            for each in report.floors
-        )
-        yield (
-            "U by the budget is smaller than the calibration and measurement capability (CMC) of the laboratory, and "
-            f"the CMC is stated in its place (ILAC-P14), for {named}."
-        )
+    yield from _floors(report)
     yield (
         "The results relate only to the item calibrated, at the time and under the conditions of the calibration. The "
         "expanded uncertainty U is the standard uncertainty times the coverage factor k, which for the posterior of "
@@ -125,6 +126,30 @@ def statements(report: QualificationReport, found: certificates.Certificate) -> 
         yield (
             f"{found.accreditation.rstrip('.')}. The accreditation covers the quantities with a CMC: "
             f"{', '.join(covered)}. Other results are outside its scope."
+        )
+
+
+def _traceability(report: QualificationReport, found: certificates.Certificate) -> Iterator[str]:
+    """Yield what the results are traceable through, or what no standard traces."""
+    if found.standard and not any(each.item in _OF_STANDARDS for each in report.missing):
+        yield "The results are metrologically traceable to the SI through the standards used."
+    untraced = [_USED.get(each.of, each.of) for each in report.missing if each.item in ("untraced", "normal_gravity")]
+    if untraced:
+        yield f"No standard traces: {', '.join(untraced)}. Results that depend on these are not shown to be traceable."
+
+
+def _floors(report: QualificationReport) -> Iterator[str]:
+    """Yield which U are the capability of the laboratory; nothing where none is."""
+    if report.floors:
+        own = {each.members[0]: (each.symbol, each.label) for each in report.standards if len(each.members) == 1}
+        named = "; ".join(
+            f"{' '.join(own.get(each.name) or standard_symbol(each.name))}: {significant(each.own, 2)} → "
+            f"{significant(each.expanded, 2)} {pretty(each.unit)}"
+            for each in report.floors
+        )
+        yield (
+            "U by the budget is smaller than the calibration and measurement capability (CMC) of the laboratory, and "
+            f"the CMC is stated in its place (ILAC-P14), for {named}."
         )
 
 
