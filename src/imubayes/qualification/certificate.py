@@ -32,8 +32,8 @@ standards of equipment that no run used or that had expired, dates in the wrong 
 
 Equipment is what the runs used: tables by name; ``reference_gyro`` and ``current_injection``, procedures with a
 standard of their own; ``gravity``, of accelerometers; and the instruments of what was read beside the outputs and
-enters the results, ``temperature``, ``converter_temperature``, ``time`` and ``vibration``.  A claim is held against what
-was used: no standard of gravity was, if the campaign has the formula of normal gravity.
+enters the results, ``temperature``, ``converter_temperature``, ``time`` and ``vibration``.  A claim is held against
+what was used: no standard of gravity was, if the campaign has the formula of normal gravity.
 """
 
 import datetime
