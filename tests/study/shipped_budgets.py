@@ -88,7 +88,7 @@ class Closing:
     @property
     def row(self) -> str:
         """The row of the table."""
-        largest = f"{100 * self.largest:.1f} %".replace("-", "−")
+        largest = f"{round(100 * self.largest, 1) + 0.0:.1f} %".replace("-", "−")
         return f"| {self.campaign} | {self.quantities} | {largest} | `{self.of}` | {self.beyond} | {self.scaled} |"
 
 

@@ -265,6 +265,15 @@ class LimitOutcome(Record):
     global_consumer_risk: Probability | None
     global_producer_risk: Probability | None
 
+    @property
+    def accepts_nothing(self) -> bool:
+        """Whether the guard band leaves no acceptance zone: between the limits, or above zero of a length."""
+        lowest = 0.0 if self.lower is None and self.interval == "shortest" else self.lower
+        if self.guard_band is None or lowest is None or self.upper is None:
+            return False
+        guarded = lowest if self.lower is None else lowest + self.guard_band
+        return guarded > self.upper - self.guard_band
+
 
 class Conformity(Record):
     """The unit against its specification.

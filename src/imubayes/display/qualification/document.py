@@ -50,9 +50,14 @@ class Items:
     type: Literal["items"] = "items"
 
 
-def without_empty_columns(table: Sheet) -> Sheet:
-    """Return a table without empty columns, such as the unit of an input where all inputs are runs."""
-    return of_columns(table, [place for place in range(len(table.head)) if any(row[place].text for row in table.rows)])
+def without_empty_columns(table: Sheet, of: str | None = None) -> Sheet:
+    """Return a table without empty columns, such as the unit of an input where all inputs are runs; `of` one head."""
+    kept = (
+        place
+        for place, head in enumerate(table.head)
+        if of not in (None, head) or any(row[place].text for row in table.rows)
+    )
+    return of_columns(table, list(kept))
 
 
 @dataclass(frozen=True)
