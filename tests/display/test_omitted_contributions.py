@@ -100,7 +100,7 @@ def test_every_stated_quantity_that_omits_something_has_its_factor():
 def test_what_u_omits_stands_in_its_own_row():
     """A reader who copies y ± U of an angle sees beside it that a wobble of the table would make it three times."""
     found = omitted_beside(report())
-    assert found[ANGLE] == "× 3.16: table wobble, encoder harmonic"
+    assert found[ANGLE] == "× 3.16: table wobble, …"
     assert found[BIAS] == found["accel_bias[ax]"] == "× 1.41: encoder harmonic"
     (table,) = [each for each in mounting_section(report().mounting_angles, "", found) if isinstance(each, Sheet)]
     assert table.rows[0][table.head.index(BESIDE)].text == found[ANGLE]

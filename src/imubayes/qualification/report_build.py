@@ -27,6 +27,7 @@ from imubayes.qualification.capability import with_capability
 from imubayes.qualification.certificate import CapabilityFloor, Certificate, Missing, missing_items, read_certificate
 from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, Obstacle, assess, obstacles
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
+from imubayes.qualification.measurement_equation import measurement_model
 from imubayes.qualification.report_budgets import UnitWithBudgets, unit_with_budgets
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.standard_quantities import digital_unit, standard_symbol
@@ -193,6 +194,7 @@ def report_of(
         budgets=None if evaluated is None else evaluated.budgets,
         left_out=left_out_of(campaign, found, diagnosis),
         scope=scope,
+        measurement=measurement_model(found),
         pictures=pictures_of(found, unit, assessment, angles),
         certificate=block,
         missing=missing,

@@ -18,6 +18,7 @@ from imubayes.qualification.conformity import Obstacle
 from imubayes.qualification.coverage import IntervalShape
 from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
 from imubayes.qualification.marginal import Statistic
+from imubayes.qualification.measurement_equation import MeasurementModel
 from imubayes.qualification.report_pictures import PictureData
 from imubayes.qualification.report_subject import Provenance, Subject
 from imubayes.qualification.standard_quantities import DigitalUnit, Standard
@@ -445,6 +446,7 @@ class QualificationReport(Record):
     conformity : None where no specification was given.
     exact : what the model takes as exact of site and equipment; what is included is in every uncertainty.
     budgets : None where the fit did not converge.
+    measurement : the equations of the model.
     pictures : what the pictures show, as numbers.
     certificate : what the laboratory states; None where it states nothing.
     missing : what ISO/IEC 17025 requires of a certificate and this one lacks, and what contradicts the campaign.
@@ -469,6 +471,7 @@ class QualificationReport(Record):
     budgets: UncertaintyBudgets | None = None
     left_out: Omissions
     scope: StatisticalScope
+    measurement: MeasurementModel = MeasurementModel()
     pictures: PictureData
     certificate: Certificate | None = None
     missing: tuple[Missing, ...] = ()

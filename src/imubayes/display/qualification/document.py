@@ -83,7 +83,17 @@ class Drawings:
     type: Literal["drawings"] = "drawings"
 
 
-Block = Heading | Paragraph | Items | Sheet | Drawings
+@dataclass(frozen=True)
+class Equations:
+    """Equations one below the other: as MathML, as the mathematics of Typst, and in words for who does not see them."""
+
+    mathml: Sequence[str]
+    typst: Sequence[str]
+    words: Sequence[str]
+    type: Literal["equations"] = "equations"
+
+
+Block = Heading | Paragraph | Items | Sheet | Drawings | Equations
 
 
 @dataclass(frozen=True)

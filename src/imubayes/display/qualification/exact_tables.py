@@ -44,8 +44,8 @@ class Omission:
     causes: tuple[ExactInput, ...]
 
 
-BESIDE = "U without"
-"""Head of the column with the factor by which what U omits would multiply it, and with what that is."""
+BESIDE = "U omits"
+"""Head of the column with the factor by which what U omits would multiply it, and with the largest cause of that."""
 
 
 def included_table(report: QualificationReport) -> Sheet | None:
@@ -101,7 +101,7 @@ def omissions(report: QualificationReport) -> list[Omission]:
 def omitted_beside(report: QualificationReport) -> dict[str, str]:
     """Return, for the name of every estimate whose U omits something, the factor on U and its cause, as text."""
     return {
-        name: f"× {ratio_text(found.ratio)}: {', '.join(_named(cause) for cause in found.causes)}"
+        name: f"× {ratio_text(found.ratio)}: {_named(found.causes[0])}" + ", …" * (len(found.causes) > 1)
         for names, found in _omitted(report)
         for name in names
     }

@@ -28,6 +28,7 @@ from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.calibration_xml import covariance_file, dcc_file
 from imubayes.display.qualification.certificate_pages import certificate_facts, certificate_section, missing_section
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportDocument
+from imubayes.display.qualification.equations import measurement_section
 from imubayes.display.qualification.pdf_file import pdf_file
 from imubayes.display.qualification.quantity_drawings import forest_drawings
 from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
@@ -178,6 +179,7 @@ def _results(report: QualificationReport, omitted: Sequence[exact_tables.Omissio
     yield from result_sections.converter_section(report.thermal_linearity, report.results)
     if report.conformity is not None and report.conformity.limits:
         yield first_page.risk_table(report.conformity.limits)
+    yield from measurement_section(report.measurement)
     yield from model_sections.scope_section(report.scope)
 
 
