@@ -184,6 +184,7 @@ def test_statements_are_those_of_the_pages():
         name="K_0[ax]", symbol="K_0", label="ax", unit="ug", lower=-101.0, upper=101.0, temperature_range=(10.0, 45.0),
         estimate=100.0, standard_uncertainty=2.0, expanded_uncertainty=4.0, coverage_factor=2.0,
         monte_carlo=STANDARDS[0].monte_carlo, rule="ilac_g8_non_binary", outcome="conditional_pass",
+        guard_band=4.0,
     )  # fmt: skip
     found = Conformity(specification="FQ", sha256="", outcome="conditional_pass", obstacles=(), limits=(limit,))
 

@@ -151,7 +151,7 @@ def test_standards_are_held_against_the_equipment_of_the_runs(tmp_path):
     assert of(TABLE.replace("2027-11-02", "2026-11-02")) == set()
     assert of(TABLE.replace("2027-11-02", "2026-10-31")) == {("expired", "rate table")}
     # A standard of all runs, of no equipment by name, is asked for at the last run.
-    other = TABLE.replace('equipment = ["rate"]', "").replace("2027-11-02", "2026-11-03")
+    other = TABLE.replace('equipment = ["rate"]', 'serial = "2"').replace("2027-11-02", "2026-11-03")
     assert of(TABLE + other) == {("expired", "rate table")}
     assert of(other) == {("expired", "rate table"), ("untraced", "rate")}
     # Named as the table is, it needs no list.
@@ -239,14 +239,49 @@ def test_one_quantity_has_one_capability_under_both_of_its_names(tmp_path):
             for name, x in draws.items()
         )
     )  # fmt: skip
-    made, raised = with_capability(UnitWithBudgets(unit, budgets, TakenAsExact()), block.cmc, ledger)
-    assert {each.name: each.expanded for each in raised} == pytest.approx({own: 30, other: 0.03})
+    made, applied = with_capability(UnitWithBudgets(unit, budgets, TakenAsExact()), block.cmc, ledger)
+    assert {each.name: each.expanded for each in applied.floors} == pytest.approx({own: 30, other: 0.03})
     assert made.unit.coverage(other).expanded == pytest.approx(0.03)
     assert made.unit.coverage(angle).expanded == unit.coverage(angle).expanded
     error_budget, _, bias_budget = made.budgets.quantities
     assert error_budget.expanded_uncertainty == pytest.approx(30, rel=1e-3)
     assert made.unit.coverage(own).factor == unit.coverage(own).factor
     assert bias_budget == budgets.quantities[2]
+
+
+def test_a_laboratory_has_one_list_of_capabilities_for_all_its_units(tmp_path):
+    """Quantities that other units have are unused; a name that no unit has is a mistake."""
+    entry = '[[certificate.cmc]]\nquantity = "{}"\nexpanded = 30\nunit = "{}"\n'
+    names = (("gyro_bias.bias", "deg/h"), ("converter_gain_drift.slope", "ppm/degC"), ("scale_factor[g7]", "1"))
+    block, ledger = read_certificate(written(tmp_path, WHOLE + "".join(entry.format(*each) for each in names)))
+    bias = 3.0 * np.random.default_rng(4).standard_normal(4000)
+    name = "gyro_bias.bias[gx]"
+    entries = {name: Quantity(name=name, unit="deg/h", mean=0.0, sd=3.0, from_data=0.99)}
+    known = PosteriorQuantities(entries, {name: bias}, {name: 4000.0})
+    unit = TestedUnit(known, channels()[:1], {}, 9.8, None, ThermalModel({}, {}, 25.0))
+    found = UnitWithBudgets(unit, UncertaintyBudgets.model_construct(quantities=()), TakenAsExact())
+    _, applied = with_capability(found, block.cmc, ledger)
+    assert [each.name for each in applied.floors] == [name]
+    assert applied.unused == ("converter_gain_drift.slope", "scale_factor[g7]")
+    wrong, ledger = read_certificate(written(tmp_path, WHOLE + entry.format("converter_gain_drift.slop", "ppm/degC")))
+    with pytest.raises(InputError, match=r"no quantity 'converter_gain_drift\.slop'"):
+        with_capability(found, wrong.cmc, ledger)
+
+
+def test_a_standard_that_is_listed_twice_and_a_number_of_two_issuers_are_named(tmp_path):
+    def of(text: str) -> set[tuple[str, str]]:
+        return lacking(read_certificate(written(tmp_path, WHOLE.replace(TABLE, text)))[0])
+
+    issued = TABLE.replace("valid_until", 'issued_by = "NMI"\nvalid_until')
+    assert of(TABLE + TABLE) == {("repeated_standard", "rate table")}
+    other = TABLE.replace('name = "rate table"', 'name = "rate table"\nserial = "2"')
+    assert of(TABLE + other) == set(), "two tables of one name, told apart by their serial numbers"
+    second = issued.replace("rate table", "head").replace('NMI"', 'Maker"')
+    assert of(issued + second) == {("shared_certificate", "NMI 2026-0815: NMI, Maker")}
+    assert of(issued + issued.replace("rate table", "head")) == set(), "one certificate for two standards"
+    *_, items = missing_section([Missing(item="repeated_standard", of="head")])
+    assert isinstance(items, Items)
+    assert "head is listed more than once" in items.items[0]
 
 
 @pytest.mark.parametrize(
@@ -345,6 +380,7 @@ def test_an_empty_column_is_left_out():
         ('"WI-12"', '"WI\\u0007"', "WI"),  # neither XML nor PDF has control characters
         ('"WI-12"', '"\\u200b\\u200b"', "blank"),
         ('name = "Customer"', 'name = "Customer"\ncountry = "de"', "'de' is not allowed here"),
+        ('name = "Customer"', 'name = "Customer"\ncountry = "UK"', "no country of ISO 3166-1"),
     ],
 )
 def test_hostile_values_are_refused_with_their_place(tmp_path, old, new, what):

@@ -38,6 +38,7 @@ what was used: no standard of gravity was, if the campaign has the formula of no
 
 import datetime
 import unicodedata
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,6 +52,7 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import instruments
 from imubayes.foundations.records import Record
 from imubayes.procedures.ambient import instant, starts_of
+from imubayes.qualification.countries import COUNTRIES
 
 
 def _visible(text: str) -> str:
@@ -72,6 +74,12 @@ def _no_number(value: object) -> object:
     return value
 
 
+def _assigned(country: str) -> str:
+    if country not in COUNTRIES:
+        raise ValueError(f"{country!r} is no country of ISO 3166-1, such as GB of the United Kingdom")
+    return country
+
+
 Text = Annotated[file_schemas.Text, Field(min_length=1, max_length=2000), AfterValidator(_visible)]
 Date = Annotated[datetime.date, BeforeValidator(_no_number)]
 Celsius = Annotated[float, Field(strict=True, ge=-273.15)]
@@ -88,7 +96,9 @@ class Party(_CertificatePart):
 
     name: Text | None = Field(default=None, description="of the organisation")
     address: Text | None = Field(default=None, description="as on a letter, one line")
-    country: Annotated[str, Field(pattern=file_schemas.COUNTRY)] | None = Field(default=None, description="ISO 3166-1")
+    country: Annotated[str, Field(pattern=file_schemas.COUNTRY), AfterValidator(_assigned)] | None = Field(
+        default=None, description="ISO 3166-1"
+    )
     email: Text | None = Field(default=None, description="for questions")
 
 
@@ -184,15 +194,16 @@ MissingItem = Literal[
     "number", "date", "laboratory_name", "laboratory_address", "location", "customer_name", "customer_address",
     "method", "item_description", "serial", "received", "performed", "environment", "standards",
     "standard_certificate", "standard_validity", "expired", "untraced", "unused", "normal_gravity",
-    "received_late", "issued_early",
+    "repeated_standard", "shared_certificate", "received_late", "issued_early",
     "omitted", "validity", "cmc", "signatories",
 ]  # fmt: skip
 """What ISO/IEC 17025 requires and a certificate lacks.
 
 `expired` is a standard whose validity ended before the last run that used it, `untraced` equipment of the runs that no
 standard names, `unused` what a standard names and no run used, `normal_gravity` a measured gravity in place of its
-formula, `omitted` what U is known to lack, `validity` that of the model or the fit, `cmc` the capabilities of a
-laboratory that states an accreditation.
+formula, `repeated_standard` one that is listed twice, `shared_certificate` a number that several issuers gave,
+`omitted` what U is known to lack, `validity` that of the model or the fit, `cmc` the capabilities of a laboratory that
+states an accreditation.
 """
 
 
@@ -301,6 +312,7 @@ def _of_standards(
     used, traced = {**equipment.recorded, **equipment.needed}, set[str]()
     if equipment.normal_gravity:
         yield Missing(item="normal_gravity")
+    yield from _repeated(standards)
     for standard in standards:
         own = {standard.name, *standard.equipment}
         traced |= own
@@ -318,6 +330,20 @@ def _of_standards(
     for name in equipment.needed:
         if name not in traced:
             yield Missing(item="untraced", of=name)
+
+
+def _repeated(standards: Sequence[MeasurementStandard]) -> Iterator[Missing]:
+    """Yield the standards that are listed more than once, and the certificates that have several issuers."""
+    entries = Counter((each.name, each.serial, each.certificate) for each in standards)
+    for name in dict.fromkeys(name for (name, _, _), times in entries.items() if times > 1):
+        yield Missing(item="repeated_standard", of=name)
+    issuers: dict[str, dict[str, None]] = {}
+    for each in standards:
+        if each.certificate and each.issued_by:
+            issuers.setdefault(each.certificate, {})[each.issued_by] = None
+    for certificate, by in issuers.items():
+        if len(by) > 1:
+            yield Missing(item="shared_certificate", of=f"{certificate}: {', '.join(by)}")
 
 
 def _day(start: str) -> datetime.date:

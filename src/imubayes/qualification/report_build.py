@@ -23,8 +23,8 @@ from imubayes.qualification import report_estimates as estimates
 from imubayes.qualification import report_pictures as pictures
 from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
-from imubayes.qualification.capability import with_capability
-from imubayes.qualification.certificate import CapabilityFloor, Certificate, Missing, missing_items, read_certificate
+from imubayes.qualification.capability import AppliedCapability, with_capability
+from imubayes.qualification.certificate import Certificate, Missing, missing_items, read_certificate
 from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, Obstacle, assess, obstacles
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
 from imubayes.qualification.measurement_equation import measurement_model
@@ -167,7 +167,7 @@ def report_of(
     diagnosis, tree = read_diagnosis(found.folder), _tree(found.folder)
     campaign = found.fit.model.campaign
     block, ledger = certificate_of(specification, certificate)  # a fault of a file is told before all that takes long
-    evaluated, floors = _evaluated(found, block, ledger)
+    evaluated, capability = _evaluated(found, block, ledger)
     unit = None if evaluated is None else evaluated.unit
     exact = TakenAsExact() if evaluated is None else evaluated.exact
     angles, standards = estimates.mounting_angles(found, unit), estimates.standard_estimates(unit)
@@ -198,7 +198,8 @@ def report_of(
         pictures=pictures_of(found, unit, assessment, angles),
         certificate=block,
         missing=missing,
-        floors=floors,
+        floors=capability.floors,
+        unused_capabilities=capability.unused,
     )
 
 
@@ -211,11 +212,11 @@ def covariates_read(result: Result) -> tuple[str, ...]:
 
 def _evaluated(
     result: Result, block: Certificate | None, ledger: Ledger | None
-) -> tuple[UnitWithBudgets | None, tuple[CapabilityFloor, ...]]:
+) -> tuple[UnitWithBudgets | None, AppliedCapability]:
     """Return the unit with budgets, no U below the capability (CMC); None where the fit did not converge."""
     evaluated = unit_with_budgets(result) if result.converged else None
     if evaluated is None or block is None or ledger is None:
-        return evaluated, ()
+        return evaluated, AppliedCapability()
     return with_capability(evaluated, block.cmc, ledger)
 
 

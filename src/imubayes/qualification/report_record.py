@@ -451,6 +451,7 @@ class QualificationReport(Record):
     certificate : what the laboratory states; None where it states nothing.
     missing : what ISO/IEC 17025 requires of a certificate and this one lacks, and what contradicts the campaign.
     floors : quantities whose U is the capability of the laboratory.
+    unused_capabilities : quantities with a capability that the result does not have.
     supplied : what the author of the report added; the package computed none of it.
     """
 
@@ -476,6 +477,7 @@ class QualificationReport(Record):
     certificate: Certificate | None = None
     missing: tuple[Missing, ...] = ()
     floors: tuple[CapabilityFloor, ...] = ()
+    unused_capabilities: tuple[str, ...] = ()
     supplied: tuple[ReportSection, ...] = ()
 
     @property

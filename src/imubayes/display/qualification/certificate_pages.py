@@ -19,6 +19,8 @@ _OF_STANDARDS: tuple[certificates.MissingItem, ...] = (
     "untraced",
     "unused",
     "normal_gravity",
+    "repeated_standard",
+    "shared_certificate",
 )
 _MISSING: dict[certificates.MissingItem, str] = {
     "number": "unique identification of the certificate (7.8.2.1 d)",
@@ -42,6 +44,8 @@ _MISSING: dict[certificates.MissingItem, str] = {
     "unused": "a standard that was used, as no run used this one — {of} (7.8.4.1 c)",
     "normal_gravity": "a measured gravity, `gravity_m_s2` of the site: the campaign has the formula of normal gravity, "
     "which no standard traces (6.5)",
+    "repeated_standard": "one entry for each standard: {of} is listed more than once (7.8.4.1 c)",
+    "shared_certificate": "the right number of a certificate: one number is of several issuers — {of} (7.8.4.1 c)",
     "received_late": "a date of receipt that is not after the first run (7.8.2.1 h)",
     "issued_early": "a date of issue that is not before the last run (7.8.2.1 j)",
     "validity": "results of a fit that converged and of a model that a diagnosis found adequate (7.2.2, 7.7.1)",
@@ -122,7 +126,8 @@ def statements(report: QualificationReport, found: certificates.Certificate) -> 
     if found.remarks:
         yield f"Remarks: {found.remarks}"
     if found.accreditation and not report.missing:
-        covered = dict.fromkeys(" ".join(standard_symbol(each.quantity)).strip() for each in found.cmc)
+        used = (each.quantity for each in found.cmc if each.quantity not in report.unused_capabilities)
+        covered = dict.fromkeys(" ".join(standard_symbol(quantity)).strip() for quantity in used)
         yield (
             f"{found.accreditation.rstrip('.')}. The accreditation covers the quantities with a CMC: "
             f"{', '.join(covered)}. Other results are outside its scope."
@@ -151,6 +156,9 @@ def _floors(report: QualificationReport) -> Iterator[str]:
             "U by the budget is smaller than the calibration and measurement capability (CMC) of the laboratory, and "
             f"the CMC is stated in its place (ILAC-P14), for {named}."
         )
+    if report.unused_capabilities:
+        listed = ", ".join(report.unused_capabilities)
+        yield f"Capabilities (CMC) that nothing in this certificate uses, as it has none of these quantities: {listed}."
 
 
 def _standards_table(report: QualificationReport, standards: Sequence[certificates.MeasurementStandard]) -> Sheet:
