@@ -6,21 +6,24 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from imubayes.display.layout import Cell, Sheet
-from imubayes.display.qualification.certificate_pages import missing_section
+from imubayes.display.qualification.certificate_pages import certificate_facts, missing_section, statements
 from imubayes.display.qualification.document import (
     Banner,
     Drawing,
     Drawings,
     Heading,
     Items,
+    Paragraph,
     ReportDocument,
     without_empty_columns,
 )
+from imubayes.display.qualification.first_page import alarms
 from imubayes.display.qualification.pdf_file import _blocks, breakable, missing_characters, shown_by_code_points
 from imubayes.display.qualification.report_files import html_page
 from imubayes.foundations.campaign_data import Campaign, Run, Site
@@ -28,9 +31,23 @@ from imubayes.foundations.earth import normal_gravity
 from imubayes.foundations.errors import InputError
 from imubayes.qualification.budget_parts import QuantityBudget, UncertaintyBudgets
 from imubayes.qualification.capability import with_capability
-from imubayes.qualification.certificate import Certificate, Missing, missing_items, read_certificate
+from imubayes.qualification.certificate import (
+    REQUIRED,
+    Certificate,
+    Missing,
+    MissingItem,
+    missing_items,
+    read_certificate,
+)
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
 from imubayes.qualification.report_budgets import UnitWithBudgets
+from imubayes.qualification.report_record import (
+    Adequacy,
+    QualificationReport,
+    ReportedConvergence,
+    StatisticalScope,
+)
+from imubayes.qualification.report_subject import Provenance, Subject
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.taken_as_exact import TakenAsExact
 from imubayes.qualification.temperature_range import ThermalModel
@@ -127,7 +144,77 @@ def test_what_is_not_stated_is_missing_on_the_last_page(tmp_path, line, item):
     *_, items = missing_section(missing_items(block, campaign_of()))
     assert isinstance(items, Items)
     assert len(items.items) == 1
-    assert "(7.8." in items.items[0]
+    # 7.8 asks for no number and no date of a standard's certificate.
+    assert ("(7.8." in items.items[0]) == (item in REQUIRED) == (not item.startswith("standard_"))
+
+
+def test_requires_stands_beside_what_the_standard_requires_alone():
+    """Contradictions, capabilities and dates of standards are no content that ISO/IEC 17025, 7.8, asks for."""
+    items: tuple[MissingItem, ...] = get_args(MissingItem)
+    blocks = list(missing_section([Missing(item=item, of="x") for item in items]))
+    first, required, second, others = (
+        block.text if isinstance(block, Heading) else block for block in blocks if not isinstance(block, Paragraph)
+    )
+    assert (first, second) == ("Missing from this certificate", "Not in order")
+    assert isinstance(required, Items)
+    assert isinstance(others, Items)
+    assert all("(7.8." in text for text in required.items)
+    assert not any("7.8" in text for text in others.items)
+    assert len(required.items) == len(REQUIRED)
+    assert len(required.items) + len(others.items) == len(items)
+    said = [alarm for alarm in alarms(_report(Missing(item="cmc"), Missing(item="date"))) if "requires" in alarm]
+    assert said == [
+        "No certificate of an accredited laboratory: ISO/IEC 17025 requires 1 item more, listed at the end."
+    ]
+    assert alarms(_report(Missing(item="cmc"))) == ["Not in order: 1 item, listed at the end."]
+
+
+def _report(*missing: Missing) -> QualificationReport:
+    return QualificationReport.model_construct(
+        convergence=ReportedConvergence.model_construct(converged=True), missing=missing, certificate=Certificate(),
+        adequacy=Adequacy.model_construct(verdict="adequate", intervals_valid=True, prior_conflicts=()),
+        conformity=None, standards=(), floors=(), unused_capabilities=(), subject=_SUBJECT, exact=TakenAsExact(),
+        provenance=Provenance.model_construct(effects=()),
+        scope=StatisticalScope.model_construct(first_start=None, last_start=None),
+    )  # fmt: skip
+
+
+_SUBJECT = Subject.model_construct(
+    serial="U7", campaign="c", latitude_deg=34.0, height_m=400.0, gravity_m_s2=9.8, gravity_is_normal=False,
+    gravity_uncertainty_ug=None,
+)  # fmt: skip
+OTHERS = """
+customer_data = "limits of the specification"
+sampling = "one of a lot of 20, drawn by the customer"
+
+[certificate.amendment]
+of = "2026-0101"
+changes = "serial number"
+reason = "misread"
+
+[[certificate.external]]
+provider = "Centrifuge Laboratory"
+results = "runs c1 to c4"
+"""
+
+
+def test_a_reissue_results_of_others_data_of_the_customer_and_sampling_are_stated(tmp_path):
+    """ISO/IEC 17025, 7.8.8, 7.8.2.1 p and k, 7.8.2.2."""
+    text = WHOLE.replace("\n[certificate.laboratory]", OTHERS + "\n[certificate.laboratory]", 1)
+    block, _ = read_certificate(written(tmp_path, text))
+    said = "\n".join(statements(_report(), block))
+    for part in (
+        "Replaces certificate 2026-0101. Changed: serial number; reason: misread.",
+        "Results of an external provider, Centrifuge Laboratory: runs c1 to c4.",
+        "Provided by the customer: limits of the specification. The laboratory is not responsible for this",
+        "Sampling: one of a lot of 20",
+    ):
+        assert part in said
+    assert dict(certificate_facts(_report(), block))["Amendment"].startswith("Replaces certificate 2026-0101")
+    part = read_certificate(written(tmp_path, text.replace('reason = "misread"', "replaces = false")))[0]
+    assert "Amendment to certificate 2026-0101. Changed: serial number." in "\n".join(statements(_report(), part))
+    with pytest.raises(InputError, match=r"a number of its own"):
+        read_certificate(written(tmp_path, text.replace('of = "2026-0101"', 'of = "2026-0117"')))
 
 
 def test_serial_and_dates_are_of_the_campaign(tmp_path):
@@ -160,8 +247,10 @@ def test_standards_are_held_against_the_equipment_of_the_runs(tmp_path):
     assert of(TABLE.replace('["rate"]', '["rate", "head", "gravity"]')) == {("unused", "rate table: head")}
     *_, items = missing_section([Missing(item="untraced", of="head"), Missing(item="unused", of="rate table: head")])
     assert isinstance(items, Items)
+    assert "rate table: head" in items.items[0]
+    *_, items = missing_section([Missing(item="untraced", of="head")])
+    assert isinstance(items, Items)
     assert "head, which runs used" in items.items[0]
-    assert "rate table: head" in items.items[1]
 
 
 def test_gravity_by_its_formula_is_claimed_by_no_standard(tmp_path):
@@ -281,7 +370,7 @@ def test_a_standard_that_is_listed_twice_and_a_number_of_two_issuers_are_named(t
     assert of(issued + issued.replace("rate table", "head")) == set(), "one certificate for two standards"
     *_, items = missing_section([Missing(item="repeated_standard", of="head")])
     assert isinstance(items, Items)
-    assert "head is listed more than once" in items.items[0]
+    assert items.items[0] == "one standard is listed more than once — head"
 
 
 @pytest.mark.parametrize(

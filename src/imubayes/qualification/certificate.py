@@ -26,9 +26,9 @@ It stands as ``[certificate]`` in the specification, or in a file of its own::
     expanded = 2
     unit = "ug"
 
-Nothing of it is required of the file; what ISO/IEC 17025:2017, 7.8.2 and 7.8.4, require of a certificate and the block
-lacks is listed as missing on its last page, and so is what contradicts the campaign: equipment that no standard traces,
-standards of equipment that no run used or that had expired, dates in the wrong order.
+Nothing of it is required of the file.  What ISO/IEC 17025:2017, 7.8.2 and 7.8.4, require of a certificate and the block
+lacks is listed as missing on its last page.  What contradicts the campaign, and what other documents ask, is listed
+beside it: standards of equipment that no run used or that had expired, dates in the wrong order, capabilities.
 
 Equipment is what the runs used: tables by name; ``reference_gyro`` and ``current_injection``, procedures with a
 standard of their own; ``gravity``, of accelerometers; and the instruments of what was read beside the outputs and
@@ -44,7 +44,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from imubayes.campaign import file_schemas
 from imubayes.campaign.toml_documents import Ledger, read_document
@@ -154,6 +154,24 @@ class CapabilityEntry(_CertificatePart):
     unit: Text = Field(description="of that")
 
 
+class Amendment(_CertificatePart):
+    """What an amended or reissued certificate changes (ISO/IEC 17025:2017, 7.8.8)."""
+
+    of: Text = Field(description="number of the certificate that is amended or replaced")
+    changes: Text = Field(description="information that is changed")
+    reason: Text | None = Field(default=None, description="of the change")
+    replaces: bool = Field(
+        default=True, description="whether this is a complete new certificate in its place, and no amendment to it"
+    )
+
+
+class ExternalResult(_CertificatePart):
+    """Results that an external provider obtained."""
+
+    provider: Text = Field(description="who obtained them")
+    results: Text = Field(description="which they are, such as runs of the campaign")
+
+
 class Signatory(_CertificatePart):
     """A person who authorises the certificate."""
 
@@ -178,9 +196,21 @@ class Certificate(_CertificatePart):
     environment: Environment = Field(default=Environment(), description="conditions during the calibration")
     adjustment: Text | None = Field(default=None, description="results before and after, where it was adjusted")
     deviations: Text | None = Field(default=None, description="from the method")
+    amendment: Amendment | None = Field(default=None, description="where it amends or replaces an issued certificate")
+    external: tuple[ExternalResult, ...] = Field(default=(), description="results of external providers")
+    customer_data: Text | None = Field(
+        default=None, description="information that the customer provided, such as limits"
+    )
+    sampling: Text | None = Field(default=None, description="plan and method by which the item was sampled")
     remarks: Text | None = Field(default=None, description="of the laboratory")
     accreditation: Text | None = Field(default=None, description="text of the accreditation mark")
     signatory: tuple[Signatory, ...] = Field(default=(), description="who authorises the certificate")
+
+    @model_validator(mode="after")
+    def _has_a_number_of_its_own(self) -> "Certificate":
+        if self.amendment is not None and self.amendment.of == self.number:
+            raise ValueError(f"a certificate that amends or replaces {self.number!r} has a number of its own")
+        return self
 
 
 class CertificateFile(_CertificatePart):
@@ -197,7 +227,7 @@ MissingItem = Literal[
     "repeated_standard", "shared_certificate", "received_late", "issued_early",
     "omitted", "validity", "cmc", "signatories",
 ]  # fmt: skip
-"""What ISO/IEC 17025 requires and a certificate lacks.
+"""What a certificate lacks, or what in it contradicts the campaign.
 
 `expired` is a standard whose validity ended before the last run that used it, `untraced` equipment of the runs that no
 standard names, `unused` what a standard names and no run used, `normal_gravity` a measured gravity in place of its
@@ -207,11 +237,24 @@ states an accreditation.
 """
 
 
+REQUIRED: frozenset[MissingItem] = frozenset({
+    "number", "date", "laboratory_name", "laboratory_address", "location", "customer_name", "customer_address",
+    "method", "item_description", "serial", "received", "performed", "environment", "standards", "untraced",
+    "normal_gravity", "signatories",
+})  # fmt: skip
+"""What ISO/IEC 17025:2017 requires of a certificate, 7.8.2.1 and 7.8.4.1."""
+
+
 class Missing(Record):
     """One thing that is missing, and of which standard where it is one's."""
 
     item: MissingItem
     of: str = ""
+
+    @property
+    def required(self) -> bool:
+        """Whether ISO/IEC 17025 requires it of a certificate; else it is a contradiction, or other documents ask it."""
+        return self.item in REQUIRED
 
 
 class CapabilityFloor(Record):
@@ -283,7 +326,7 @@ def equipment_used(campaign: Campaign, covariates: Collection[str] = ()) -> Equi
 
 
 def missing_items(found: Certificate, campaign: Campaign, covariates: Collection[str] = ()) -> tuple[Missing, ...]:
-    """Return what ISO/IEC 17025 requires and a certificate lacks, and what in it contradicts the campaign.
+    """Return what ISO/IEC 17025 requires and a certificate lacks, what in it contradicts the campaign, and a CMC.
 
     Parameters
     ----------

@@ -72,11 +72,20 @@ def alarms(report: record.QualificationReport) -> list[str]:
 
 
 def _incomplete(report: record.QualificationReport) -> list[str]:
-    """Return that what ISO/IEC 17025 requires of a certificate is missing; nothing where nothing is."""
-    if report.certificate is None or not report.missing:
+    """Return that what ISO/IEC 17025 requires of a certificate is missing, and that more is not in order."""
+    if report.certificate is None:
         return []
-    named = counted(len(report.missing), "item")
-    return [f"No certificate of an accredited laboratory: ISO/IEC 17025 requires {named} more, listed at the end."]
+    required = sum(each.required for each in report.missing)
+    others = len(report.missing) - required
+    found = []
+    if required:
+        named = counted(required, "item")
+        found.append(
+            f"No certificate of an accredited laboratory: ISO/IEC 17025 requires {named} more, listed at the end."
+        )
+    if others:
+        found.append(f"Not in order: {counted(others, 'item')}, listed at the end.")
+    return found
 
 
 def facts(report: record.QualificationReport) -> list[tuple[str, str]]:
