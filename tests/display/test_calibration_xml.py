@@ -19,10 +19,13 @@ from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,
     MonteCarloError,
+    MountingAngle,
     QualificationReport,
+    ReportedCombination,
     ReportedConvergence,
     StandardEstimate,
     StatisticalScope,
+    ThermalLinearity,
 )
 from imubayes.qualification.report_subject import Provenance, Subject
 from imubayes.qualification.standard_quantities import DigitalUnit
@@ -95,7 +98,7 @@ def report(**changes) -> QualificationReport:
         ),
         "convergence": ReportedConvergence.model_construct(converged=True),
         "adequacy": Adequacy.model_construct(verdict="adequate", intervals_valid=True, prior_conflicts=()),
-        "mounting_angles": (), "combinations": (), "results": (),
+        "mounting_angles": (), "combinations": (), "results": (), "thermal_linearity": (),
         "provenance": Provenance.model_construct(
             model="m", data_sha256="d" * 64, software=(SoftwareVersion(package="imubayes", version="1"),)
         ),
@@ -163,11 +166,13 @@ def test_numbers_are_in_d_si_units_with_their_coverage():
     assert expanded is not None
     assert [float(child.text or "nan") for child in expanded] == pytest.approx([4e-6 * G, 2.0, 0.95])
     assert other.find(f".//{{{SI}}}expandedMU") is not None
-    # A posterior that is not symmetric has its interval in words.
+    # A posterior that is not symmetric has u and its interval.
     assert angle.find(f".//{{{SI}}}expandedMU") is None
-    assert "[3.0; 7.0]" in "".join(angle.itertext())
+    interval = angle.find(f".//{{{SI}}}coverageIntervalMU")
+    assert interval is not None
+    assert [float(child.text or "nan") for child in interval] == [1.0, 3.0, 7.0, 0.95]
     text = "".join(root.itertext())
-    assert "K_9[ax] in ug" in text, "what is left out is named"
+    assert "bias K_9 of ax in ug" in text, "what is left out is named"
     assert "测试 <customer>" in text
     assert [each.text for each in root.iter(f"{{{DCC}}}conformity")] == ["conditionalPass"]
     assert root.findtext(f".//{{{DCC}}}receiptDate") == "2026-10-30"
@@ -182,7 +187,8 @@ def test_statements_are_those_of_the_pages():
     """Decision rule, conformity to each limit, traceability, and what stands against the certificate."""
     limit = LimitOutcome.model_construct(
         name="K_0[ax]", symbol="K_0", label="ax", unit="ug", lower=-101.0, upper=101.0, temperature_range=(10.0, 45.0),
-        estimate=100.0, standard_uncertainty=2.0, expanded_uncertainty=4.0, coverage_factor=2.0,
+        estimate=100.0, standard_uncertainty=2.0, expanded_uncertainty=4.0, coverage_factor=2.0, d_si=MICRO_G,
+        low=96.0, high=104.0,
         monte_carlo=STANDARDS[0].monte_carlo, rule="ilac_g8_non_binary", outcome="conditional_pass",
         guard_band=4.0,
     )  # fmt: skip
@@ -216,6 +222,45 @@ def test_statements_are_those_of_the_pages():
     ):  # fmt: skip
         assert text in lacking, text
     assert "metrologically traceable" not in lacking
+
+
+def test_every_certified_quantity_has_a_result():
+    """Limits at their worst temperature, mounting angles, combinations and Δk beside those of the standards."""
+    made = {"interval": "equal-tailed", "low": 1.0, "high": 4.0, "estimate": 2.0, "standard_uncertainty": 0.8}
+    made |= {"monte_carlo": STANDARDS[0].monte_carlo, "withheld": None, "unit": "deg"}
+    limit = LimitOutcome.model_construct(
+        name="K_0[ax]", symbol="K_0", label="ax", lower=None, upper=101.0, temperature_range=(10.0, 45.0),
+        coverage_factor=2.0, expanded_uncertainty=1.6, rule="simple_acceptance", outcome="pass", guard_band=0.0,
+        d_si=MICRO_G, **(made | {"interval": "symmetric", "unit": "ug"}),
+    )  # fmt: skip
+    degree, one = DigitalUnit(unit=r"\degree", factor=-1.0), DigitalUnit(unit=r"\one")
+    angle = MountingAngle.model_construct(
+        name="mounting_angle[gx,up]", channel="gx", mounting="up", d_si=degree, **made
+    )
+    together = ReportedCombination.model_construct(
+        name="a+b", quantities=("a", "b"), weights=(1.0, 1.0), constant=0.0, middle_of="", d_si=one, **made
+    )
+    linear = ThermalLinearity.model_construct(name="delta_k[ax,r]", channel="ax", run="r", d_si=one, **made)
+    document = dcc_file(
+        report(
+            conformity=Conformity(specification="FQ", sha256="", outcome="pass", obstacles=(), limits=(limit,)),
+            mounting_angles=(angle,), combinations=(together,), thermal_linearity=(linear,),
+        )
+    )  # fmt: skip
+    assert faults(document) == []
+    results = ElementTree.fromstring(document).findall(f".//{{{DCC}}}result")
+    names = {
+        each.findtext(f"{{{DCC}}}name/{{{DCC}}}content"): [
+            quantity.findtext(f"{{{DCC}}}name/{{{DCC}}}content") for quantity in each.iter(f"{{{DCC}}}quantity")
+        ]
+        for each in results
+    }
+    assert names["Limits of the specification"] == ["K_0 of ax, worst from 10 °C to 45 °C"]
+    assert names["True mounting angles"] == ["true angle of gx in up"]
+    assert names["Determined combinations"] == ["a + b"]
+    assert names["Thermal linearity"] == ["Δk of ax in r"]
+    (interval,) = results[-3].iter(f"{{{SI}}}coverageIntervalMU")
+    assert [float(child.text or "nan") for child in interval] == [0.8, -4.0, -1.0, 0.95], "in a unit of another sign"
 
 
 def test_what_a_dcc_needs_is_asked_for_at_once():

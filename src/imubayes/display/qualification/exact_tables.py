@@ -100,11 +100,12 @@ def omissions(report: QualificationReport) -> list[Omission]:
 
 def omitted_beside(report: QualificationReport) -> dict[str, str]:
     """Return, for the name of every estimate whose U omits something, the factor on U and its cause, as text."""
-    return {
-        name: f"× {ratio_text(found.ratio)}: {_named(found.causes[0])}" + ", …" * (len(found.causes) > 1)
-        for names, found in _omitted(report)
-        for name in names
-    }
+    return {name: _factor_and_cause(found) for names, found in _omitted(report) for name in names}
+
+
+def _factor_and_cause(found: Omission) -> str:
+    cause = f": {_named(found.causes[0])}" if found.causes else ""
+    return f"× {ratio_text(found.ratio)}{cause}" + ", …" * (len(found.causes) > 1)
 
 
 def _omitted(report: QualificationReport) -> Iterator[tuple[tuple[str, ...], Omission]]:
