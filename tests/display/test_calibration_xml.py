@@ -28,7 +28,7 @@ from imubayes.qualification.report_record import (
     ThermalLinearity,
 )
 from imubayes.qualification.report_subject import Provenance, Subject
-from imubayes.qualification.standard_quantities import DigitalUnit
+from imubayes.qualification.standard_quantities import DigitalUnit, digital_unit
 from imubayes.qualification.taken_as_exact import QuantityShift, TakenAsExact
 from imubayes.results.summary import SoftwareVersion
 
@@ -222,6 +222,28 @@ def test_statements_are_those_of_the_pages():
     ):  # fmt: skip
         assert text in lacking, text
     assert "metrologically traceable" not in lacking
+
+
+@pytest.mark.parametrize(
+    ("unit", "written", "factor"),
+    [
+        ("deg/h/degC", r"\degree\per\hour\kelvin", 1.0),
+        ("ug/g^2", r"\second\tothe{2}\per\metre", 1e-6 / G),
+        ("deg/h/g", r"\degree\second\tothe{2}\per\hour\metre", 1 / G),
+        ("ug/degC", r"\metre\per\second\tothe{2}\kelvin", 1e-6 * G),
+        ("ppm", r"\ppm", 1.0),
+    ],
+)
+def test_a_unit_of_d_si_has_one_line_of_fraction(unit, written, factor):
+    """D-SI knows one ``\\per``, and all that follows is below the line; a second one is no unit."""
+    found = digital_unit(unit, G)
+    assert found is not None
+    assert found.unit == written
+    assert found.factor == pytest.approx(factor)
+    document = dcc_file(report()).decode().replace(r"\metre\per\second\tothe{2}", found.unit, 1)
+    assert faults(document.encode()) == []
+    wrong = document.replace(found.unit, found.unit + r"\per\kelvin\per\hour", 1)
+    assert faults(wrong.encode())
 
 
 def test_every_certified_quantity_has_a_result():
