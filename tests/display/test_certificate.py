@@ -1,6 +1,8 @@
 """The certificate block: what a laboratory states is on the pages, what ISO/IEC 17025 asks beside it is listed."""
 
+import bisect
 import datetime
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,19 +14,33 @@ import numpy as np
 import pytest
 
 from imubayes.display.layout import Cell, Sheet
-from imubayes.display.qualification.certificate_pages import certificate_facts, missing_section, statements
+from imubayes.display.qualification.certificate_pages import (
+    certificate_facts,
+    certificate_section,
+    missing_section,
+    statements,
+)
 from imubayes.display.qualification.document import (
     Banner,
+    Block,
     Drawing,
     Drawings,
     Heading,
     Items,
     Paragraph,
     ReportDocument,
+    typeset,
     without_empty_columns,
 )
 from imubayes.display.qualification.first_page import alarms
-from imubayes.display.qualification.pdf_file import _blocks, breakable, missing_characters, shown_by_code_points
+from imubayes.display.qualification.pdf_file import (
+    _blocks,
+    _content,
+    _members,
+    breakable,
+    missing_characters,
+    shown_by_code_points,
+)
 from imubayes.display.qualification.report_files import html_page
 from imubayes.foundations.campaign_data import Campaign, Run, Site
 from imubayes.foundations.earth import normal_gravity
@@ -183,6 +199,32 @@ _SUBJECT = Subject.model_construct(
     serial="U7", campaign="c", latitude_deg=34.0, height_m=400.0, gravity_m_s2=9.8, gravity_is_normal=False,
     gravity_uncertainty_ug=None,
 )  # fmt: skip
+
+
+def test_signatures_stand_on_no_page_alone(tmp_path):
+    """However long what stands before them is: on paper, the last statements are with them."""
+    typst = pytest.importorskip("typst", reason="typst is not installed")
+    block, _ = read_certificate(written(tmp_path, WHOLE))
+    template = files("imubayes.display").joinpath("templates/qualification.typ").read_text(encoding="utf-8")
+    (tmp_path / "main.typ").write_text(template, encoding="utf-8")
+    (tmp_path / "report.json").write_text("{}", encoding="utf-8")
+    certified = list(certificate_section(_report().model_copy(update={"certificate": block})))
+    assert [each.kept for each in certified if isinstance(each, Paragraph)][-3:] == [False, True, True]
+
+    def pages(lines: int, blocks: Sequence[Block]) -> list[bytes]:
+        document = ReportDocument("t", "s", Banner("", "", ""), (), (), (*[Paragraph("x")] * lines, *blocks))
+        content = _content(document, None) | {"families": []}
+        (tmp_path / "document.json").write_text(json.dumps(content, default=_members), encoding="utf-8")
+        made = typst.compile(str(tmp_path / "main.typ"), root=str(tmp_path), format="svg", ignore_system_fonts=True)
+        return made if isinstance(made, list) else [made]
+
+    alone = [replace(each, kept=False) if isinstance(each, Paragraph) else each for each in certified]
+    # The first number of lines with which the signatures have no room on the first page.
+    full = bisect.bisect_left(range(40), True, key=lambda lines: len(pages(lines, alone)) > 1)
+    letters = [pages(full, blocks)[-1].count(b"<use") for blocks in (alone, certified)]
+    assert letters[1] > letters[0] + 300, "the last statements go with the signatures"
+
+
 OTHERS = """
 customer_data = "limits of the specification"
 sampling = "one of a lot of 20, drawn by the customer"
@@ -414,6 +456,27 @@ def test_figures_are_numbered_and_cells_are_plain():
         "gyro_|misalignment.|toward_|o[|gx]",
         "67.245",
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "printed"),
+    [
+        ("-22.4 ± 1.8", "−22.4 ± 1.8"), ("41 [-12; 131]", "41 [−12; 131]"), ("-20 … 20", "−20 … 20"), ("-.5", "−.5"),
+        ("1.2e-05", "1.2e−05"), ("2026-11-20", "2026-11-20"), ("WI-12, D-K-00000-01", "WI-12, D-K-00000-01"),
+        ("head-flat--20", "head-flat--20"), ("gain[-20C]", "gain[-20C]"), ("x[a,-20]", "x[a,-20]"),
+        ("normal(-3, 5)", "normal(-3, 5)"), ("run `imubayes fit -1` at -1 °C", "run `imubayes fit -1` at −1 °C"),
+        ("(-3 dB)", "(−3 dB)"),
+    ],
+)  # fmt: skip
+def test_negative_numbers_have_a_minus_sign_on_the_page(text, printed):
+    """And names, dates, commands and priors that are copied stay as they are."""
+    table = Sheet("t", ("a",), [[Cell(text)]], note=text)
+    made = typeset(ReportDocument("t", "s", Banner("", text, ""), [text], [("a", text)], (Paragraph(text), table)))
+    paragraph, sheet = made.blocks
+    assert isinstance(paragraph, Paragraph)
+    assert isinstance(sheet, Sheet)
+    found = {made.banner.sentence, made.alarms[0], made.facts[0][1], paragraph.text, sheet.rows[0][0].text, sheet.note}
+    assert found == {printed}
 
 
 def test_characters_without_a_font_are_found():

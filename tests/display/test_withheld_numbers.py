@@ -6,7 +6,7 @@ import pytest
 from imubayes.display.layout import Sheet
 from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.document import Block
-from imubayes.display.qualification.first_page import alarms, banner, limits_table, risk_table
+from imubayes.display.qualification.first_page import alarms, banner, limits_table, risk_table, rules_text
 from imubayes.display.qualification.result_sections import mounting_section, result_section
 from imubayes.display.qualification.words import (
     chance,
@@ -225,6 +225,11 @@ def test_a_guard_band_that_leaves_no_acceptance_zone_says_so(changes, nothing):
         }
     )
     assert any(NAME in alarm and "no acceptance zone" in alarm for alarm in alarms(made)) == nothing
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "(1 limit)"), (2, "(2 limits)")])
+def test_limits_are_counted_in_english(count, said):
+    assert said in rules_text([limit(2)] * count)[0]
 
 
 @pytest.mark.parametrize("outcome", ["pass", "fail"])

@@ -55,6 +55,8 @@ _MISSING: dict[certificates.MissingItem, str] = {
 }
 
 
+# Statements that stand on the page of the signatures, at least.
+_WITH_SIGNATURES = 2
 # What has no standard, in words: of gravity by its formula the item has no name.
 _USED = {
     "": "gravity, by the formula of normal gravity", "temperature": "temperature of the unit",
@@ -93,8 +95,10 @@ def certificate_section(report: QualificationReport) -> Iterator[Block]:
     yield Paragraph(_method(found))
     if found.standard:
         yield _standards_table(report, found.standard)
-    for text in statements(report, found):
-        yield Paragraph(text)
+    said = list(statements(report, found))
+    for place, text in enumerate(said):
+        # A page with signatures alone could be added to any certificate.
+        yield Paragraph(text, kept=bool(found.signatory) and place >= len(said) - _WITH_SIGNATURES)
     if found.signatory:
         rows = [cells(each.name, each.function or "–", "_" * 14, "_" * 36) for each in found.signatory]
         yield Sheet("Authorised by", ("name", "function", "date", "signature"), rows, (0, 1, 2, 3))

@@ -207,7 +207,7 @@ def rules_text(limits: Sequence[record.LimitOutcome]) -> list[str]:
         symbol = limit.symbol or family_of(limit.name)
         groups.setdefault(f"{words.rule_text(limit)} ({words.RULE_MEANS[limit.rule]})", []).append(symbol)
     return [
-        f"Decision rule: {rule}, for {', '.join(dict.fromkeys(symbols))} ({len(symbols)} limits)."
+        f"Decision rule: {rule}, for {', '.join(dict.fromkeys(symbols))} ({counted(len(symbols), 'limit')})."
         for rule, symbols in groups.items()
     ]
 

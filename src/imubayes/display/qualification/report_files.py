@@ -27,7 +27,7 @@ from imubayes.display.qualification import (
 from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.calibration_xml import covariance_file, dcc_file
 from imubayes.display.qualification.certificate_pages import certificate_facts, certificate_section, missing_section
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportDocument
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportDocument, typeset
 from imubayes.display.qualification.equations import measurement_section
 from imubayes.display.qualification.pdf_file import pdf_file
 from imubayes.display.qualification.quantity_drawings import forest_drawings
@@ -116,7 +116,7 @@ def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNE
     number = f"{block.number} · " if block is not None and block.number else ""
     of = "" if block is None else f" {block.number or ''}".rstrip()
     own = () if block is None else certificate_facts(report, block)
-    return ReportDocument(
+    document = ReportDocument(
         title="Uncertainty report for qualification" if block is None else f"{block.title}{of}",
         subtitle=f"Unit {serial}",
         banner=first_page.banner(report),
@@ -126,6 +126,7 @@ def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNE
         author=(block and block.laboratory.name) or "imubayes",
         footer=f"{number}Unit {serial} · data {made.data_sha256[:12]} · model {made.model_sha256[:12]}",
     )
+    return typeset(document)
 
 
 def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[Block | None]:
