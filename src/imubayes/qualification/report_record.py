@@ -5,11 +5,13 @@ The document is made from this record alone, so that each of its numbers is in t
 None.
 """
 
+import math
 from typing import Literal
 
 from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.explanation_records import Evidence, Verdict
+from imubayes.foundations.errors import closest_first
 from imubayes.foundations.records import Record
 from imubayes.inference.identifiability import PriorConflict, ProcedureShare, WeakDirection
 from imubayes.qualification.budget_parts import UncertaintyBudgets
@@ -26,8 +28,6 @@ from imubayes.qualification.taken_as_exact import TakenAsExact
 from imubayes.results.summary import CombinedQuantities, NoiseViolation, RunSummary
 
 IntervalKind = Literal["95 % coverage interval, of the kind stated with each"]
-
-
 NumberWithheld = Literal["not_converged", "no_draws", "monte_carlo_error"]
 """Why a number is not stated: there is no posterior; it has no draws; or these leave no digit of its uncertainty."""
 
@@ -269,11 +269,10 @@ class LimitOutcome(Record):
     @property
     def accepts_nothing(self) -> bool:
         """Whether the guard band leaves no acceptance zone: between the limits, or above zero of a length."""
-        lowest = 0.0 if self.lower is None and self.interval == "shortest" else self.lower
-        if self.guard_band is None or lowest is None or self.upper is None:
+        lowest = 0.0 if self.interval == "shortest" else -math.inf
+        if self.guard_band is None or self.upper is None:
             return False
-        guarded = lowest if self.lower is None else lowest + self.guard_band
-        return guarded > self.upper - self.guard_band
+        return (lowest if self.lower is None else self.lower + self.guard_band) > self.upper - self.guard_band
 
 
 class Conformity(Record):
@@ -485,6 +484,13 @@ class QualificationReport(Record):
         """Everything that the tables state."""
         stated = (*self.results, *self.mounting_angles, *self.standards, *self.combinations)
         return (*stated, *self.thermal_linearity)
+
+    def __getitem__(self, name: str) -> ReportedEstimate:
+        """Return what is stated of a quantity by its name; raises `KeyError` for one that the report does not have."""
+        known = {each.name: each for each in self.estimates}
+        if name not in known:
+            raise KeyError(f"the report has no quantity '{name}': {closest_first(name, known, most=5)}")
+        return known[name]
 
     @property
     def accepted(self) -> bool:
