@@ -422,7 +422,7 @@ def test_no_accreditation_on_a_result_that_was_never_diagnosed(result, tmp_path)
     given = ("--certificate", str(tmp_path / "certificate.toml"))
     _, record, page = written(result, tmp_path, *given)
     assert "validity" in {each.item for each in record.missing}
-    assert "of a model that a diagnosis found adequate" in visible(page)
+    assert "no diagnosis found its model adequate" in visible(page)
     judged(result, "adequate")
     assert "validity" not in {each.item for each in written(result, tmp_path, *given)[1].missing}
 
