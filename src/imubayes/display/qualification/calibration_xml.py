@@ -10,10 +10,10 @@ omits.  What D-SI has no unit for is left out and named.
 The table of covariances is for programs that propagate uncertainty (GTC, METAS UncLib): a CSV file with a line for each
 quantity: its name, D-SI unit, value and standard uncertainty, what the pages state of it, and its row of the
 covariance.  Degrees of freedom are those with which Student's t gives the k of the pages
-(`imubayes.qualification.coverage`): `ureal(value, u, degrees)` of GTC has their U.  Of several quantities together GTC's
-`multiple_ureal` takes one number, infinity, and `set_correlation` their correlations, and UncLib's `ulinprop` values and
-covariance alone: u of a function of them is right, and k, between 1.96 and 2.00, is that of a normal distribution.  A
-quantity whose interval is not symmetric has neither k, U nor degrees of freedom.
+(`imubayes.qualification.coverage`): `ureal(value, u, degrees)` of GTC has their U.  Of several quantities together
+GTC's `multiple_ureal` takes one number, infinity, and `set_correlation` their correlations; UncLib's `ulinprop` takes
+values and covariance alone.  u of a function of them is right, and k, between 1.96 and 2.00, is that of a normal
+distribution.  A quantity whose interval is not symmetric has neither k, U nor degrees of freedom.
 """
 
 import csv
