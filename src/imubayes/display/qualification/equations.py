@@ -180,7 +180,11 @@ def measurement_section(model: MeasurementModel) -> Iterator[Block]:
     yield Paragraph(_INTRODUCTION)
     for each in model.equations:
         yield Paragraph(f"{_KINDS.get(each.kind, each.kind)} {', '.join(each.channels)}:")
-        yield Equations(*([write(line) for line in each.lines] for write in (mathml, typst_mathematics, plain)))
+        yield Equations(
+            [mathml(line) for line in each.lines],
+            [typst_mathematics(line) for line in each.lines],
+            [plain(line) for line in each.lines],
+        )
     rows = [
         cells(Cell(each.symbol, formula=True), each.family, each.meaning, pretty(each.unit)) for each in model.symbols
     ]

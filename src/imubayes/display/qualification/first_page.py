@@ -36,8 +36,8 @@ def _approximate(convergence: record.ReportedConvergence) -> str:
 def _sentence(found: record.Conformity) -> str:
     met = sum(limit.outcome in ("pass", "conditional_pass") for limit in found.limits)
     of = len(found.limits)
-    are = "is" if of == 1 else "are"
-    limits = f"{met} of {counted(of, 'limit')} of the specification “{found.specification}” {are} met under the decision rule."
+    those = f"{counted(of, 'limit')} of the specification “{found.specification}” {'is' if of == 1 else 'are'}"
+    limits = f"{met} of {those} met under the decision rule."
     if not found.limits:
         return f"The limits of the specification “{found.specification}” could not be judged: the fit did not converge."
     if found.outcome == "withheld" and found.obstacles:
