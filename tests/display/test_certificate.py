@@ -444,7 +444,7 @@ def test_numbers_have_nothing_in_them(number):
 
 def test_figures_are_numbered_and_cells_are_plain():
     drawing = Drawing("<svg/>", 4.0, "x")
-    rows = [[Cell("gyro_misalignment.toward_o[gx]"), Cell("67.245")]]
+    rows = [[Cell("gyro_misalignment.toward_o[gx]"), Cell("67.245 ± 0.12")]]
     made = Sheet("t", ("a", "b"), rows)
 
     blocks = (Heading("x"), Drawings([drawing], "First."), made, Drawings([drawing], "Second."))
@@ -454,7 +454,7 @@ def test_figures_are_numbered_and_cells_are_plain():
     table = next(part for part in parts if part["type"] == "table")
     assert [cell["text"].replace("\u200b", "|") for cell in table["rows"][0]] == [
         "gyro_|misalignment.|toward_|o[|gx]",
-        "67.245",
+        "67.245\u00a0±\u00a00.12",
     ]
 
 

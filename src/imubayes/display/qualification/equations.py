@@ -179,7 +179,7 @@ def measurement_section(model: MeasurementModel) -> Iterator[Block]:
     yield Heading("Measurement model")
     yield Paragraph(_INTRODUCTION)
     for each in model.equations:
-        yield Paragraph(f"{_KINDS.get(each.kind, each.kind)} {', '.join(each.channels)}:")
+        yield Paragraph(f"{_KINDS.get(each.kind, each.kind)} {', '.join(each.channels)}:", kept=True)
         yield Equations(
             [mathml(line) for line in each.lines],
             [typst_mathematics(line) for line in each.lines],

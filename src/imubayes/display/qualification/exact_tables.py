@@ -45,7 +45,7 @@ class Omission:
 
 
 BESIDE = "U omits"
-"""Head of the column with the factor by which what U omits would multiply it, and with the largest cause of that."""
+"""Head of the column with the factor by which what U omits would multiply it."""
 
 
 def included_table(report: QualificationReport) -> Sheet | None:
@@ -99,13 +99,8 @@ def omissions(report: QualificationReport) -> list[Omission]:
 
 
 def omitted_beside(report: QualificationReport) -> dict[str, str]:
-    """Return, for the name of every estimate whose U omits something, the factor on U and its cause, as text."""
-    return {name: _factor_and_cause(found) for names, found in _omitted(report) for name in names}
-
-
-def _factor_and_cause(found: Omission) -> str:
-    cause = f": {_named(found.causes[0])}" if found.causes else ""
-    return f"× {ratio_text(found.ratio)}{cause}" + ", …" * (len(found.causes) > 1)
+    """Return, for the name of every estimate whose U omits something, the factor by which that would multiply it."""
+    return {name: f"× {ratio_text(found.ratio)}" for names, found in _omitted(report) for name in names}
 
 
 def _omitted(report: QualificationReport) -> Iterator[tuple[tuple[str, ...], Omission]]:
@@ -180,11 +175,11 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
 
 def omitted_note(found: Sequence[Omission], kind: Kind) -> str:
     """Return what U omits in one table, as a sentence for its note; empty where it omits nothing."""
-    own = [each for each in found if each.kind == kind]
-    if not own:
+    causes = dict.fromkeys(_named(cause) for each in found if each.kind == kind for cause in each.causes)
+    if not any(each.kind == kind for each in found):
         return ""
-    names = _factors(own) if kind != "standard" else ", ".join(dict.fromkeys(each.symbol for each in own))
-    return f" Known contributions would multiply u and U, which omit them (first page): {names}."
+    named = f", of {', '.join(causes)}" if causes else ""
+    return f" {BESIDE}: known contributions{named}, would multiply u and U of this line, which omit them (first page)."
 
 
 def _factors(found: Sequence[Omission]) -> str:
