@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from imubayes.display.qualification.calibration_xml import DCC, SI, covariance_file, dcc_file
+from exported_uncertainties import disagreements
+from imubayes.display.qualification.calibration_xml import COLUMNS, DCC, SI, covariance_file, dcc_file
 from imubayes.foundations.errors import InputError
 from imubayes.qualification.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
 from imubayes.qualification.certificate import Certificate, CertifiedItem, Environment, Missing
@@ -18,13 +19,16 @@ from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,
     MonteCarloError,
+    MountingAngle,
     QualificationReport,
+    ReportedCombination,
     ReportedConvergence,
     StandardEstimate,
     StatisticalScope,
+    ThermalLinearity,
 )
 from imubayes.qualification.report_subject import Provenance, Subject
-from imubayes.qualification.standard_quantities import DigitalUnit
+from imubayes.qualification.standard_quantities import DigitalUnit, digital_unit
 from imubayes.qualification.taken_as_exact import QuantityShift, TakenAsExact
 from imubayes.results.summary import SoftwareVersion
 
@@ -77,9 +81,13 @@ def report(**changes) -> QualificationReport:
     budgets = UncertaintyBudgets.model_construct(
         quantities=tuple(
             QuantityBudget.model_construct(
-                name=name, degrees_of_freedom=None if place else 12.0, standard_uncertainty=place + 2.0
+                name=each.name,
+                standard_uncertainty=each.standard_uncertainty,
+                interval=each.interval,
+                coverage_factor=each.coverage_factor,
+                expanded_uncertainty=each.expanded_uncertainty,
             )
-            for place, name in enumerate(names)
+            for each in STANDARDS
         ),
         correlation=CorrelationMatrix(names=names, rows=((1.0,), (0.75, 1.0), (0, 0, 1.0), (0.1, 0, 0, 1.0))),
     )
@@ -90,7 +98,7 @@ def report(**changes) -> QualificationReport:
         ),
         "convergence": ReportedConvergence.model_construct(converged=True),
         "adequacy": Adequacy.model_construct(verdict="adequate", intervals_valid=True, prior_conflicts=()),
-        "mounting_angles": (), "combinations": (), "results": (),
+        "mounting_angles": (), "combinations": (), "results": (), "thermal_linearity": (),
         "provenance": Provenance.model_construct(
             model="m", data_sha256="d" * 64, software=(SoftwareVersion(package="imubayes", version="1"),)
         ),
@@ -158,11 +166,13 @@ def test_numbers_are_in_d_si_units_with_their_coverage():
     assert expanded is not None
     assert [float(child.text or "nan") for child in expanded] == pytest.approx([4e-6 * G, 2.0, 0.95])
     assert other.find(f".//{{{SI}}}expandedMU") is not None
-    # A posterior that is not symmetric has its interval in words.
+    # A posterior that is not symmetric has u and its interval.
     assert angle.find(f".//{{{SI}}}expandedMU") is None
-    assert "[3.0; 7.0]" in "".join(angle.itertext())
+    interval = angle.find(f".//{{{SI}}}coverageIntervalMU")
+    assert interval is not None
+    assert [float(child.text or "nan") for child in interval] == [1.0, 3.0, 7.0, 0.95]
     text = "".join(root.itertext())
-    assert "K_9[ax] in ug" in text, "what is left out is named"
+    assert "bias K_9 of ax in ug" in text, "what is left out is named"
     assert "测试 <customer>" in text
     assert [each.text for each in root.iter(f"{{{DCC}}}conformity")] == ["conditionalPass"]
     assert root.findtext(f".//{{{DCC}}}receiptDate") == "2026-10-30"
@@ -177,8 +187,10 @@ def test_statements_are_those_of_the_pages():
     """Decision rule, conformity to each limit, traceability, and what stands against the certificate."""
     limit = LimitOutcome.model_construct(
         name="K_0[ax]", symbol="K_0", label="ax", unit="ug", lower=-101.0, upper=101.0, temperature_range=(10.0, 45.0),
-        estimate=100.0, standard_uncertainty=2.0, expanded_uncertainty=4.0, coverage_factor=2.0,
+        estimate=100.0, standard_uncertainty=2.0, expanded_uncertainty=4.0, coverage_factor=2.0, d_si=MICRO_G,
+        low=96.0, high=104.0,
         monte_carlo=STANDARDS[0].monte_carlo, rule="ilac_g8_non_binary", outcome="conditional_pass",
+        guard_band=4.0,
     )  # fmt: skip
     found = Conformity(specification="FQ", sha256="", outcome="conditional_pass", obstacles=(), limits=(limit,))
 
@@ -204,11 +216,73 @@ def test_statements_are_those_of_the_pages():
     )
     for text in (
         "No certificate of an accredited laboratory: ISO/IEC 17025 requires 1 item more",
-        "Missing from this certificate: a standard for gravity", "The model was never diagnosed",
+        "Missing from this certificate: traceability of gravity, which runs used: no standard names it (7.8.4.1 c)",
+        "The model was never diagnosed",
         "Known contributions that U omits would multiply it by 1.41.",
     ):  # fmt: skip
         assert text in lacking, text
     assert "metrologically traceable" not in lacking
+
+
+@pytest.mark.parametrize(
+    ("unit", "written", "factor"),
+    [
+        ("deg/h/degC", r"\degree\per\hour\kelvin", 1.0),
+        ("ug/g^2", r"\second\tothe{2}\per\metre", 1e-6 / G),
+        ("deg/h/g", r"\degree\second\tothe{2}\per\hour\metre", 1 / G),
+        ("ug/degC", r"\metre\per\second\tothe{2}\kelvin", 1e-6 * G),
+        ("ppm", r"\ppm", 1.0),
+    ],
+)
+def test_a_unit_of_d_si_has_one_line_of_fraction(unit, written, factor):
+    """D-SI knows one ``\\per``, and all that follows is below the line; a second one is no unit."""
+    found = digital_unit(unit, G)
+    assert found is not None
+    assert found.unit == written
+    assert found.factor == pytest.approx(factor)
+    document = dcc_file(report()).decode().replace(r"\metre\per\second\tothe{2}", found.unit, 1)
+    assert faults(document.encode()) == []
+    wrong = document.replace(found.unit, found.unit + r"\per\kelvin\per\hour", 1)
+    assert faults(wrong.encode())
+
+
+def test_every_certified_quantity_has_a_result():
+    """Limits at their worst temperature, mounting angles, combinations and Δk beside those of the standards."""
+    made = {"interval": "equal-tailed", "low": 1.0, "high": 4.0, "estimate": 2.0, "standard_uncertainty": 0.8}
+    made |= {"monte_carlo": STANDARDS[0].monte_carlo, "withheld": None, "unit": "deg"}
+    limit = LimitOutcome.model_construct(
+        name="K_0[ax]", symbol="K_0", label="ax", lower=None, upper=101.0, temperature_range=(10.0, 45.0),
+        coverage_factor=2.0, expanded_uncertainty=1.6, rule="simple_acceptance", outcome="pass", guard_band=0.0,
+        d_si=MICRO_G, **(made | {"interval": "symmetric", "unit": "ug"}),
+    )  # fmt: skip
+    degree, one = DigitalUnit(unit=r"\degree", factor=-1.0), DigitalUnit(unit=r"\one")
+    angle = MountingAngle.model_construct(
+        name="mounting_angle[gx,up]", channel="gx", mounting="up", d_si=degree, **made
+    )
+    together = ReportedCombination.model_construct(
+        name="a+b", quantities=("a", "b"), weights=(1.0, 1.0), constant=0.0, middle_of="", d_si=one, **made
+    )
+    linear = ThermalLinearity.model_construct(name="delta_k[ax,r]", channel="ax", run="r", d_si=one, **made)
+    document = dcc_file(
+        report(
+            conformity=Conformity(specification="FQ", sha256="", outcome="pass", obstacles=(), limits=(limit,)),
+            mounting_angles=(angle,), combinations=(together,), thermal_linearity=(linear,),
+        )
+    )  # fmt: skip
+    assert faults(document) == []
+    results = ElementTree.fromstring(document).findall(f".//{{{DCC}}}result")
+    names = {
+        each.findtext(f"{{{DCC}}}name/{{{DCC}}}content"): [
+            quantity.findtext(f"{{{DCC}}}name/{{{DCC}}}content") for quantity in each.iter(f"{{{DCC}}}quantity")
+        ]
+        for each in results
+    }
+    assert names["Limits of the specification"] == ["K_0 of ax, worst from 10 °C to 45 °C"]
+    assert names["True mounting angles"] == ["true angle of gx in up"]
+    assert names["Determined combinations"] == ["a + b"]
+    assert names["Thermal linearity"] == ["Δk of ax in r"]
+    (interval,) = results[-3].iter(f"{{{SI}}}coverageIntervalMU")
+    assert [float(child.text or "nan") for child in interval] == [0.8, -4.0, -1.0, 0.95], "in a unit of another sign"
 
 
 def test_what_a_dcc_needs_is_asked_for_at_once():
@@ -226,13 +300,26 @@ def test_what_a_dcc_needs_is_asked_for_at_once():
 def test_the_covariance_is_that_of_the_quantities_in_their_units():
     rows = list(csv.reader(io.StringIO(covariance_file(report()).decode())))
     head, *lines = rows
-    assert head[:5] == ["name", "unit", "value", "standard_uncertainty", "degrees_of_freedom"]
+    own = len(COLUMNS)
+    assert tuple(head[:own]) == COLUMNS
     names = [line[0] for line in lines]
-    assert head[5:] == names == ["K_0[ax]", "K_0[ay]", "Θ[ax]"]
-    covariance = np.array([[float(cell) for cell in line[5:]] for line in lines])
+    assert head[own:] == names == ["K_0[ax]", "K_0[ay]", "Θ[ax]"]
+    covariance = np.array([[float(cell) for cell in line[own:]] for line in lines])
     u = np.array([float(line[3]) for line in lines])
     np.testing.assert_allclose(u, [2e-6 * G, 3e-6 * G, 1.0])
     np.testing.assert_allclose(covariance, covariance.T)
     np.testing.assert_allclose(np.diag(covariance), u**2)
     assert covariance[0, 1] == pytest.approx(0.75 * u[0] * u[1])
-    assert [line[4] for line in lines] == ["12", "inf", "inf"]
+
+
+def test_one_quantity_has_one_expanded_uncertainty_in_all_forms():
+    """Student's t with the degrees of freedom of the table makes the U of the pages: GTC forms t u."""
+    assert disagreements(report()) == []
+    table = list(csv.DictReader(io.StringIO(covariance_file(report()).decode())))
+    # k of the posterior is 2.00; the scatter of 11 degrees of freedom in u would make it 2.20 a second time.
+    assert [float(row["degrees_of_freedom"] or "nan") for row in table[:2]] == pytest.approx([60.4, 60.4], rel=1e-2)
+    assert (table[2]["interval"], table[2]["degrees_of_freedom"]) == ("shortest", "")
+    assert [float(table[2][end]) for end in ("low", "high")] == [3.0, 7.0]
+    # Planted fault: u of one form is that of another evaluation.
+    broken = STANDARDS[0].model_copy(update={"standard_uncertainty": 2.2})
+    assert len(disagreements(report(standards=(broken, *STANDARDS[1:])))) == 1

@@ -1,35 +1,69 @@
 """The certificate block: what a laboratory states is on the pages, what ISO/IEC 17025 asks beside it is listed."""
 
+import bisect
 import datetime
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from imubayes.display.layout import Cell, Sheet
-from imubayes.display.qualification.certificate_pages import missing_section
+from imubayes.display.qualification.certificate_pages import (
+    certificate_facts,
+    certificate_section,
+    missing_section,
+    statements,
+)
 from imubayes.display.qualification.document import (
     Banner,
+    Block,
     Drawing,
     Drawings,
     Heading,
     Items,
+    Paragraph,
     ReportDocument,
+    typeset,
     without_empty_columns,
 )
-from imubayes.display.qualification.pdf_file import _blocks, breakable, missing_characters, shown_by_code_points
+from imubayes.display.qualification.first_page import alarms
+from imubayes.display.qualification.pdf_file import (
+    _blocks,
+    _content,
+    _members,
+    breakable,
+    missing_characters,
+    shown_by_code_points,
+)
 from imubayes.display.qualification.report_files import html_page
 from imubayes.foundations.campaign_data import Campaign, Run, Site
+from imubayes.foundations.earth import normal_gravity
 from imubayes.foundations.errors import InputError
 from imubayes.qualification.budget_parts import QuantityBudget, UncertaintyBudgets
 from imubayes.qualification.capability import with_capability
-from imubayes.qualification.certificate import Certificate, Missing, missing_items, read_certificate
+from imubayes.qualification.certificate import (
+    REQUIRED,
+    Certificate,
+    Missing,
+    MissingItem,
+    missing_items,
+    read_certificate,
+)
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
 from imubayes.qualification.report_budgets import UnitWithBudgets
+from imubayes.qualification.report_record import (
+    Adequacy,
+    QualificationReport,
+    ReportedConvergence,
+    StatisticalScope,
+)
+from imubayes.qualification.report_subject import Provenance, Subject
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.taken_as_exact import TakenAsExact
 from imubayes.qualification.temperature_range import ThermalModel
@@ -126,7 +160,103 @@ def test_what_is_not_stated_is_missing_on_the_last_page(tmp_path, line, item):
     *_, items = missing_section(missing_items(block, campaign_of()))
     assert isinstance(items, Items)
     assert len(items.items) == 1
-    assert "(7.8." in items.items[0]
+    # 7.8 asks for no number and no date of a standard's certificate.
+    assert ("(7.8." in items.items[0]) == (item in REQUIRED) == (not item.startswith("standard_"))
+
+
+def test_requires_stands_beside_what_the_standard_requires_alone():
+    """Contradictions, capabilities and dates of standards are no content that ISO/IEC 17025, 7.8, asks for."""
+    items: tuple[MissingItem, ...] = get_args(MissingItem)
+    blocks = list(missing_section([Missing(item=item, of="x") for item in items]))
+    first, required, second, others = (
+        block.text if isinstance(block, Heading) else block for block in blocks if not isinstance(block, Paragraph)
+    )
+    assert (first, second) == ("Missing from this certificate", "Not in order")
+    assert isinstance(required, Items)
+    assert isinstance(others, Items)
+    assert all("(7.8." in text for text in required.items)
+    assert not any("7.8" in text for text in others.items)
+    assert len(required.items) == len(REQUIRED)
+    assert len(required.items) + len(others.items) == len(items)
+    said = [alarm for alarm in alarms(_report(Missing(item="cmc"), Missing(item="date"))) if "requires" in alarm]
+    assert said == [
+        "No certificate of an accredited laboratory: ISO/IEC 17025 requires 1 item more, listed at the end."
+    ]
+    assert alarms(_report(Missing(item="cmc"))) == ["Not in order: 1 item, listed at the end."]
+
+
+def _report(*missing: Missing) -> QualificationReport:
+    return QualificationReport.model_construct(
+        convergence=ReportedConvergence.model_construct(converged=True), missing=missing, certificate=Certificate(),
+        adequacy=Adequacy.model_construct(verdict="adequate", intervals_valid=True, prior_conflicts=()),
+        conformity=None, standards=(), floors=(), unused_capabilities=(), subject=_SUBJECT, exact=TakenAsExact(),
+        provenance=Provenance.model_construct(effects=()),
+        scope=StatisticalScope.model_construct(first_start=None, last_start=None),
+    )  # fmt: skip
+
+
+_SUBJECT = Subject.model_construct(
+    serial="U7", campaign="c", latitude_deg=34.0, height_m=400.0, gravity_m_s2=9.8, gravity_is_normal=False,
+    gravity_uncertainty_ug=None,
+)  # fmt: skip
+
+
+def test_signatures_stand_on_no_page_alone(tmp_path):
+    """However long what stands before them is: on paper, the last statements are with them."""
+    typst = pytest.importorskip("typst", reason="typst is not installed")
+    block, _ = read_certificate(written(tmp_path, WHOLE))
+    template = files("imubayes.display").joinpath("templates/qualification.typ").read_text(encoding="utf-8")
+    (tmp_path / "main.typ").write_text(template, encoding="utf-8")
+    (tmp_path / "report.json").write_text("{}", encoding="utf-8")
+    certified = list(certificate_section(_report().model_copy(update={"certificate": block})))
+    assert [each.kept for each in certified if isinstance(each, Paragraph)][-3:] == [False, True, True]
+
+    def pages(lines: int, blocks: Sequence[Block]) -> list[bytes]:
+        document = ReportDocument("t", "s", Banner("", "", ""), (), (), (*[Paragraph("x")] * lines, *blocks))
+        content = _content(document, None) | {"families": []}
+        (tmp_path / "document.json").write_text(json.dumps(content, default=_members), encoding="utf-8")
+        made = typst.compile(str(tmp_path / "main.typ"), root=str(tmp_path), format="svg", ignore_system_fonts=True)
+        return made if isinstance(made, list) else [made]
+
+    alone = [replace(each, kept=False) if isinstance(each, Paragraph) else each for each in certified]
+    # The first number of lines with which the signatures have no room on the first page.
+    full = bisect.bisect_left(range(40), True, key=lambda lines: len(pages(lines, alone)) > 1)
+    letters = [pages(full, blocks)[-1].count(b"<use") for blocks in (alone, certified)]
+    assert letters[1] > letters[0] + 300, "the last statements go with the signatures"
+
+
+OTHERS = """
+customer_data = "limits of the specification"
+sampling = "one of a lot of 20, drawn by the customer"
+
+[certificate.amendment]
+of = "2026-0101"
+changes = "serial number"
+reason = "misread"
+
+[[certificate.external]]
+provider = "Centrifuge Laboratory"
+results = "runs c1 to c4"
+"""
+
+
+def test_a_reissue_results_of_others_data_of_the_customer_and_sampling_are_stated(tmp_path):
+    """ISO/IEC 17025, 7.8.8, 7.8.2.1 p and k, 7.8.2.2."""
+    text = WHOLE.replace("\n[certificate.laboratory]", OTHERS + "\n[certificate.laboratory]", 1)
+    block, _ = read_certificate(written(tmp_path, text))
+    said = "\n".join(statements(_report(), block))
+    for part in (
+        "Replaces certificate 2026-0101. Changed: serial number; reason: misread.",
+        "Results of an external provider, Centrifuge Laboratory: runs c1 to c4.",
+        "Provided by the customer: limits of the specification. The laboratory is not responsible for this",
+        "Sampling: one of a lot of 20",
+    ):
+        assert part in said
+    assert dict(certificate_facts(_report(), block))["Amendment"].startswith("Replaces certificate 2026-0101")
+    part = read_certificate(written(tmp_path, text.replace('reason = "misread"', "replaces = false")))[0]
+    assert "Amendment to certificate 2026-0101. Changed: serial number." in "\n".join(statements(_report(), part))
+    with pytest.raises(InputError, match=r"a number of its own"):
+        read_certificate(written(tmp_path, text.replace('of = "2026-0101"', 'of = "2026-0117"')))
 
 
 def test_serial_and_dates_are_of_the_campaign(tmp_path):
@@ -150,7 +280,7 @@ def test_standards_are_held_against_the_equipment_of_the_runs(tmp_path):
     assert of(TABLE.replace("2027-11-02", "2026-11-02")) == set()
     assert of(TABLE.replace("2027-11-02", "2026-10-31")) == {("expired", "rate table")}
     # A standard of all runs, of no equipment by name, is asked for at the last run.
-    other = TABLE.replace('equipment = ["rate"]', "").replace("2027-11-02", "2026-11-03")
+    other = TABLE.replace('equipment = ["rate"]', 'serial = "2"').replace("2027-11-02", "2026-11-03")
     assert of(TABLE + other) == {("expired", "rate table")}
     assert of(other) == {("expired", "rate table"), ("untraced", "rate")}
     # Named as the table is, it needs no list.
@@ -159,8 +289,50 @@ def test_standards_are_held_against_the_equipment_of_the_runs(tmp_path):
     assert of(TABLE.replace('["rate"]', '["rate", "head", "gravity"]')) == {("unused", "rate table: head")}
     *_, items = missing_section([Missing(item="untraced", of="head"), Missing(item="unused", of="rate table: head")])
     assert isinstance(items, Items)
+    assert "rate table: head" in items.items[0]
+    *_, items = missing_section([Missing(item="untraced", of="head")])
+    assert isinstance(items, Items)
     assert "head, which runs used" in items.items[0]
-    assert "rate table: head" in items.items[1]
+
+
+def test_gravity_by_its_formula_is_claimed_by_no_standard(tmp_path):
+    """A campaign without gravity_m_s2 takes normal gravity, whatever certificate of gravity a laboratory has."""
+    gravity = '\n[[certificate.standard]]\nname = "gravity"\nequipment = ["gravity"]\ncertificate = "G-12"\n'
+    gravity += "valid_until = 2027-11-02\n"
+    block, _ = read_certificate(written(tmp_path, WHOLE + gravity))
+    measured = replace(campaign_of(), channels=channels())
+    assert lacking(block, measured) == set()
+    formula = replace(measured, site=replace(measured.site, gravity=normal_gravity(0.8, 500.0)))
+    assert lacking(block, formula) == {("normal_gravity", ""), ("unused", "gravity: gravity")}
+    # A standard whose name alone claims it.
+    named, _ = read_certificate(written(tmp_path, (WHOLE + gravity).replace('equipment = ["gravity"]\n', "")))
+    assert lacking(named, formula) == lacking(block, formula)
+    # Gyros alone have no result that gravity enters.
+    assert lacking(read_certificate(written(tmp_path, WHOLE))[0], replace(formula, channels=channels()[:1])) == set()
+
+
+def test_what_is_read_beside_the_outputs_needs_its_standard(tmp_path):
+    """Coefficients per °C are certified: the thermometer is equipment, if an effect of the model reads it."""
+    block, _ = read_certificate(written(tmp_path, WHOLE))
+    campaign = campaign_of()
+    covariates = {"temperature": np.zeros(1), "time": np.zeros(1)}
+    campaign = replace(campaign, runs=tuple(replace(run, covariates=covariates) for run in campaign.runs))
+
+    def of(found: Certificate, *read: str) -> set[tuple[str, str]]:
+        return {(each.item, each.of) for each in missing_items(found, campaign, read)}
+
+    assert of(block) == set()
+    assert of(block, "temperature_rate", "turning", "converter_temperature") == {("untraced", "temperature")}
+    assert of(block, "temperature", "campaign_time") == {("untraced", "temperature"), ("untraced", "time")}
+    both = 'equipment = ["rate", "temperature"]'
+    traced, _ = read_certificate(written(tmp_path, WHOLE.replace('equipment = ["rate"]', both)))
+    assert of(traced, "temperature") == set()
+    assert of(traced) == set(), "read by no effect, and yet recorded"
+    other = WHOLE.replace('equipment = ["rate"]', 'equipment = ["rate", "converter_temperature"]')
+    assert of(read_certificate(written(tmp_path, other))[0]) == {("unused", "rate table: converter_temperature")}
+    assert of(read_certificate(written(tmp_path, WHOLE.replace("2027-11-02", "2026-11-02")))[0], "temperature") == {
+        ("untraced", "temperature")
+    }
 
 
 def test_accelerometers_need_a_traced_gravity_and_an_accreditation_its_capabilities(tmp_path):
@@ -176,7 +348,7 @@ def test_accelerometers_need_a_traced_gravity_and_an_accreditation_its_capabilit
 
 
 def test_one_quantity_has_one_capability_under_both_of_its_names(tmp_path):
-    """30 ppm of the error of a scale factor of 1000 are 0.03 of the scale factor; ν has no part in what is added."""
+    """30 ppm of the error of a scale factor of 1000 are 0.03 of the scale factor; k stays."""
     entry = '[[certificate.cmc]]\nquantity = "gyro_scale_factor.scale"\nexpanded = 30\nunit = "ppm"\n'
     block, ledger = read_certificate(written(tmp_path, WHOLE + entry))
     error = 3.0 * np.random.default_rng(4).standard_normal(4000)
@@ -193,19 +365,54 @@ def test_one_quantity_has_one_capability_under_both_of_its_names(tmp_path):
         quantities=tuple(
             QuantityBudget.model_construct(
                 name=name, standard_uncertainty=x.std(), monte_carlo_error=0.0, lines=(), contributed=x.std(),
-                remainder=0.0, degrees_of_freedom=10.0, expanded_uncertainty=1.96 * x.std(),
+                remainder=0.0, coverage_factor=1.96, interval="symmetric", expanded_uncertainty=1.96 * x.std(),
             )
             for name, x in draws.items()
         )
     )  # fmt: skip
-    made, raised = with_capability(UnitWithBudgets(unit, budgets, TakenAsExact()), block.cmc, ledger)
-    assert {each.name: each.expanded for each in raised} == pytest.approx({own: 30, other: 0.03})
+    made, applied = with_capability(UnitWithBudgets(unit, budgets, TakenAsExact()), block.cmc, ledger)
+    assert {each.name: each.expanded for each in applied.floors} == pytest.approx({own: 30, other: 0.03})
     assert made.unit.coverage(other).expanded == pytest.approx(0.03)
     assert made.unit.coverage(angle).expanded == unit.coverage(angle).expanded
     error_budget, _, bias_budget = made.budgets.quantities
-    factor = 30 / unit.coverage(own).expanded
-    assert error_budget.degrees_of_freedom == pytest.approx(10 * factor**4)
-    assert bias_budget.degrees_of_freedom == 10
+    assert error_budget.expanded_uncertainty == pytest.approx(30, rel=1e-3)
+    assert made.unit.coverage(own).factor == unit.coverage(own).factor
+    assert bias_budget == budgets.quantities[2]
+
+
+def test_a_laboratory_has_one_list_of_capabilities_for_all_its_units(tmp_path):
+    """Quantities that other units have are unused; a name that no unit has is a mistake."""
+    entry = '[[certificate.cmc]]\nquantity = "{}"\nexpanded = 30\nunit = "{}"\n'
+    names = (("gyro_bias.bias", "deg/h"), ("converter_gain_drift.slope", "ppm/degC"), ("scale_factor[g7]", "1"))
+    block, ledger = read_certificate(written(tmp_path, WHOLE + "".join(entry.format(*each) for each in names)))
+    bias = 3.0 * np.random.default_rng(4).standard_normal(4000)
+    name = "gyro_bias.bias[gx]"
+    entries = {name: Quantity(name=name, unit="deg/h", mean=0.0, sd=3.0, from_data=0.99)}
+    known = PosteriorQuantities(entries, {name: bias}, {name: 4000.0})
+    unit = TestedUnit(known, channels()[:1], {}, 9.8, None, ThermalModel({}, {}, 25.0))
+    found = UnitWithBudgets(unit, UncertaintyBudgets.model_construct(quantities=()), TakenAsExact())
+    _, applied = with_capability(found, block.cmc, ledger)
+    assert [each.name for each in applied.floors] == [name]
+    assert applied.unused == ("converter_gain_drift.slope", "scale_factor[g7]")
+    wrong, ledger = read_certificate(written(tmp_path, WHOLE + entry.format("converter_gain_drift.slop", "ppm/degC")))
+    with pytest.raises(InputError, match=r"no quantity 'converter_gain_drift\.slop'"):
+        with_capability(found, wrong.cmc, ledger)
+
+
+def test_a_standard_that_is_listed_twice_and_a_number_of_two_issuers_are_named(tmp_path):
+    def of(text: str) -> set[tuple[str, str]]:
+        return lacking(read_certificate(written(tmp_path, WHOLE.replace(TABLE, text)))[0])
+
+    issued = TABLE.replace("valid_until", 'issued_by = "NMI"\nvalid_until')
+    assert of(TABLE + TABLE) == {("repeated_standard", "rate table")}
+    other = TABLE.replace('name = "rate table"', 'name = "rate table"\nserial = "2"')
+    assert of(TABLE + other) == set(), "two tables of one name, told apart by their serial numbers"
+    second = issued.replace("rate table", "head").replace('NMI"', 'Maker"')
+    assert of(issued + second) == {("shared_certificate", "NMI 2026-0815: NMI, Maker")}
+    assert of(issued + issued.replace("rate table", "head")) == set(), "one certificate for two standards"
+    *_, items = missing_section([Missing(item="repeated_standard", of="head")])
+    assert isinstance(items, Items)
+    assert items.items[0] == "one standard is listed more than once — head"
 
 
 @pytest.mark.parametrize(
@@ -237,7 +444,7 @@ def test_numbers_have_nothing_in_them(number):
 
 def test_figures_are_numbered_and_cells_are_plain():
     drawing = Drawing("<svg/>", 4.0, "x")
-    rows = [[Cell("gyro_misalignment.toward_o[gx]"), Cell("67.245")]]
+    rows = [[Cell("gyro_misalignment.toward_o[gx]"), Cell("67.245 ± 0.12")]]
     made = Sheet("t", ("a", "b"), rows)
 
     blocks = (Heading("x"), Drawings([drawing], "First."), made, Drawings([drawing], "Second."))
@@ -247,8 +454,29 @@ def test_figures_are_numbered_and_cells_are_plain():
     table = next(part for part in parts if part["type"] == "table")
     assert [cell["text"].replace("\u200b", "|") for cell in table["rows"][0]] == [
         "gyro_|misalignment.|toward_|o[|gx]",
-        "67.245",
+        "67.245\u00a0±\u00a00.12",
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "printed"),
+    [
+        ("-22.4 ± 1.8", "−22.4 ± 1.8"), ("41 [-12; 131]", "41 [−12; 131]"), ("-20 … 20", "−20 … 20"), ("-.5", "−.5"),
+        ("1.2e-05", "1.2e−05"), ("2026-11-20", "2026-11-20"), ("WI-12, D-K-00000-01", "WI-12, D-K-00000-01"),
+        ("head-flat--20", "head-flat--20"), ("gain[-20C]", "gain[-20C]"), ("x[a,-20]", "x[a,-20]"),
+        ("normal(-3, 5)", "normal(-3, 5)"), ("run `imubayes fit -1` at -1 °C", "run `imubayes fit -1` at −1 °C"),
+        ("(-3 dB)", "(−3 dB)"),
+    ],
+)  # fmt: skip
+def test_negative_numbers_have_a_minus_sign_on_the_page(text, printed):
+    """And names, dates, commands and priors that are copied stay as they are."""
+    table = Sheet("t", ("a",), [[Cell(text)]], note=text)
+    made = typeset(ReportDocument("t", "s", Banner("", text, ""), [text], [("a", text)], (Paragraph(text), table)))
+    paragraph, sheet = made.blocks
+    assert isinstance(paragraph, Paragraph)
+    assert isinstance(sheet, Sheet)
+    found = {made.banner.sentence, made.alarms[0], made.facts[0][1], paragraph.text, sheet.rows[0][0].text, sheet.note}
+    assert found == {printed}
 
 
 def test_characters_without_a_font_are_found():
@@ -304,6 +532,7 @@ def test_an_empty_column_is_left_out():
         ('"WI-12"', '"WI\\u0007"', "WI"),  # neither XML nor PDF has control characters
         ('"WI-12"', '"\\u200b\\u200b"', "blank"),
         ('name = "Customer"', 'name = "Customer"\ncountry = "de"', "'de' is not allowed here"),
+        ('name = "Customer"', 'name = "Customer"\ncountry = "UK"', "no country of ISO 3166-1"),
     ],
 )
 def test_hostile_values_are_refused_with_their_place(tmp_path, old, new, what):

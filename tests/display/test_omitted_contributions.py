@@ -5,16 +5,25 @@ import math
 import pytest
 
 from imubayes.display.layout import Sheet
-from imubayes.display.qualification.exact_tables import included_table, omissions, omitted_note, omitted_table
-from imubayes.display.qualification.result_sections import combination_section
+from imubayes.display.qualification.exact_tables import (
+    BESIDE,
+    included_table,
+    omissions,
+    omitted_beside,
+    omitted_note,
+    omitted_table,
+)
+from imubayes.display.qualification.result_sections import combination_section, mounting_section, standards_section
 from imubayes.qualification.budget_parts import QuantityBudget, UncertaintyBudgets
 from imubayes.qualification.report_record import (
     MountingAngle,
     QualificationReport,
     ReportedCombination,
+    ReportedConvergence,
     ResultLine,
     StandardEstimate,
 )
+from imubayes.qualification.report_subject import Provenance
 from imubayes.qualification.taken_as_exact import ExactInput, QuantityShift, TakenAsExact
 
 BIAS, ANGLE, SUM, SEAT = "accel_bias.bias[ax]", "mounting_angle[ax,up]", "a[ax]+b[up]", "table_axis_tilt.x[rate]"
@@ -58,6 +67,8 @@ def report(withheld: bool = False) -> QualificationReport:
         ),
         results=tuple(ResultLine(name=name, unit="arcsec", kind="parameter", **stated) for name in (BIAS, SEAT)),
         budgets=UncertaintyBudgets.model_construct(quantities=tuple(budgets)),
+        convergence=ReportedConvergence.model_construct(converged=True),
+        not_estimated=(), provenance=Provenance.model_construct(effects=()),
         exact=TakenAsExact(
             inputs=(
                 exact_input("gravity_anomaly", {BIAS: 0.8}, included=True),
@@ -82,8 +93,22 @@ def test_every_stated_quantity_that_omits_something_has_its_factor():
     assert angles[0] == "true mounting angles"
     assert angles[-1].startswith("table wobble (5.0 arcsec), encoder")
     assert others[:2] == ("others of the result table", "× 2.00 (1, see there)")
-    assert omitted_note(omissions(report()), "angle").endswith("ax,up × 3.16.")
+    said = omitted_note(omissions(report()), "angle")
+    assert said.startswith(" U omits: known contributions, of table wobble, encoder harmonic, would multiply u and U")
     assert omitted_note(omissions(report()), "combination") == ""
+
+
+def test_what_u_omits_stands_in_its_own_row():
+    """A reader who copies y ± U of an angle sees beside it that a wobble of the table would make it three times."""
+    found = omitted_beside(report())
+    assert found[ANGLE] == "× 3.16"
+    assert found[BIAS] == found["accel_bias[ax]"] == "× 1.41"
+    (table,) = [each for each in mounting_section(report().mounting_angles, "", found) if isinstance(each, Sheet)]
+    assert table.rows[0][table.head.index(BESIDE)].text == found[ANGLE]
+    (standards, *_) = [each for each in standards_section(report(), "", found) if isinstance(each, Sheet)]
+    assert standards.rows[0][standards.head.index(BESIDE)].text == found[BIAS]
+    (table,) = [each for each in mounting_section(report().mounting_angles) if isinstance(each, Sheet)]
+    assert BESIDE not in table.head
 
 
 def test_what_is_withheld_has_no_factor_and_nothing_omitted_is_no_table():

@@ -6,7 +6,7 @@ import pytest
 from imubayes.display.layout import Sheet
 from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.document import Block
-from imubayes.display.qualification.first_page import limits_table, risk_table
+from imubayes.display.qualification.first_page import alarms, banner, limits_table, risk_table, rules_text
 from imubayes.display.qualification.result_sections import mounting_section, result_section
 from imubayes.display.qualification.words import (
     chance,
@@ -22,12 +22,14 @@ from imubayes.qualification.coverage import KnownUncertainty, coverage_of
 from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.report_estimates import monte_carlo_error
 from imubayes.qualification.report_record import (
+    Adequacy,
     Conformity,
     LimitOutcome,
     MonteCarloError,
     MountingAngle,
     Probability,
     QualificationReport,
+    ReportedConvergence,
     ReportedEstimate,
     ResultLine,
 )
@@ -68,7 +70,7 @@ def limit(digits: int) -> LimitOutcome:
 def report(digits: int) -> QualificationReport:
     budget = QuantityBudget.model_construct(
         name=NAME, unit="ug/g^2", standard_uncertainty=U, expanded_uncertainty=1.8, coverage_factor=1.96,
-        degrees_of_freedom=None, remainder=0.0, components=False, scaled=1.0, lines=(), halved=(), next_run=None,
+        interval="symmetric", remainder=0.0, components=False, scaled=1.0, lines=(), halved=(), next_run=None,
     )  # fmt: skip
     conformity = Conformity(specification="x", sha256="", outcome="pass", obstacles=(), limits=(limit(digits),))
     budgets = UncertaintyBudgets.model_construct(
@@ -76,7 +78,7 @@ def report(digits: int) -> QualificationReport:
     )
     return QualificationReport.model_construct(
         results=(line(digits),), mounting_angles=(), standards=(), combinations=(), thermal_linearity=(),
-        conformity=conformity, budgets=budgets,
+        conformity=conformity, budgets=budgets, certificate=None, missing=(),
     )  # fmt: skip
 
 
@@ -195,6 +197,54 @@ def test_decisions_and_risks_have_symbol_and_channel():
     named = limit(2).model_copy(update={"symbol": "K_2", "label": "az"})
     quantity, channel = risk_table([named]).rows[0][:2]
     assert (quantity.text, quantity.formula, channel.text) == ("K_2", True, "az")
+
+
+@pytest.mark.parametrize(
+    ("changes", "nothing"),
+    [
+        ({"guard_band": 39.9}, False),
+        ({"guard_band": 40.1}, True),
+        ({"guard_band": 100.0, "lower": None}, False),  # an estimate far below is accepted
+        ({"guard_band": 41.0, "lower": None, "interval": "shortest"}, True),  # a length is not below zero
+        ({"guard_band": 39.0, "lower": None, "interval": "shortest"}, False),
+        ({"guard_band": None}, False),
+    ],
+)
+def test_a_guard_band_that_leaves_no_acceptance_zone_says_so(changes, nothing):
+    """A FAIL that no unit could have passed is told from one of this unit: in the row, and before all tables."""
+    found = limit(2).model_copy(update=changes | {"outcome": "fail"})
+    assert found.accepts_nothing == nothing
+    decision = limits_table([found]).rows[0][-1].text
+    assert decision == ("FAIL: the guard band leaves no acceptance zone" if nothing else "FAIL")
+    assert ("no acceptance zone" in risk_table([found]).rows[0][3].text) == nothing
+    made = report(2).model_copy(
+        update={
+            "conformity": Conformity(specification="x", sha256="", outcome="fail", obstacles=(), limits=(found,)),
+            "convergence": ReportedConvergence.model_construct(converged=True, sampled=True),
+            "adequacy": Adequacy.model_construct(verdict="adequate", intervals_valid=True, prior_conflicts=()),
+        }
+    )
+    assert any(NAME in alarm and "no acceptance zone" in alarm for alarm in alarms(made)) == nothing
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "(1 limit)"), (2, "(2 limits)")])
+def test_limits_are_counted_in_english(count, said):
+    assert said in rules_text([limit(2)] * count)[0]
+
+
+@pytest.mark.parametrize("outcome", ["pass", "fail"])
+def test_a_decision_on_an_approximation_says_so_on_the_first_page(outcome):
+    def sentence(sampled: bool) -> str:
+        changed = report(2).conformity
+        assert changed is not None
+        update = {
+            "conformity": changed.model_copy(update={"outcome": outcome}),
+            "convergence": ReportedConvergence.model_construct(converged=True, sampled=sampled),
+        }
+        return banner(report(2).model_copy(update=update)).sentence
+
+    assert "The posterior was not sampled" in sentence(sampled=False)
+    assert "sampled" not in sentence(sampled=True)
 
 
 @pytest.mark.parametrize(

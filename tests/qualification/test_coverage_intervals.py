@@ -11,6 +11,7 @@ from imubayes.qualification.coverage import (
     coverage_factor,
     coverage_of,
     coverage_of_length,
+    equivalent_degrees,
     shortest_interval,
 )
 from imubayes.qualification.marginal import Marginal
@@ -27,7 +28,7 @@ def test_k_is_that_of_the_degrees_of_freedom_whatever_the_draws(degrees):
     """Quantiles of 16 000 draws over u scatter by 2 %; k of the same posterior is the same number every time."""
     scale = 0.7
     law = stats.norm(3.0, scale) if math.isinf(degrees) else stats.t(degrees, 3.0, scale)
-    known = KnownUncertainty(float(law.std()), 1e-4, degrees)
+    known = KnownUncertainty(float(law.std()), 1e-4, coverage_factor(degrees))
     found = [coverage_of(marginal(law, seed), known) for seed in range(20)]
     symmetric = [each for each in found if each.shape == "symmetric"]
     assert len(symmetric) >= 18
@@ -50,10 +51,26 @@ def test_a_posterior_of_another_shape_keeps_the_interval_of_its_draws(law):
 
 
 def test_few_degrees_of_freedom_have_no_standard_deviation_to_multiply():
-    assert coverage_of(marginal(stats.t(3), 1), KnownUncertainty(1.7, 0.1, 3.0)).shape == "equal-tailed"
+    assert (
+        coverage_of(marginal(stats.t(3), 1), KnownUncertainty(1.7, 0.1, coverage_factor(3.0))).shape == "equal-tailed"
+    )
     # GUM table G.2: 2.26 at 9, 1.96 without limit; k is of the posterior's own standard deviation.
-    assert coverage_factor(9.0) * math.sqrt(9 / 7) == pytest.approx(2.262, abs=5e-4)
+    assert (coverage_factor(9.0) or 0.0) * math.sqrt(9 / 7) == pytest.approx(2.262, abs=5e-4)
     assert coverage_factor(math.inf) == pytest.approx(1.95996, abs=1e-5)
+
+
+@pytest.mark.parametrize("degrees", [4.5, 11.0, 60.0, 1e4, math.inf])
+def test_a_program_that_forms_t_times_u_is_given_degrees_of_freedom_that_make_the_same_u(degrees):
+    """u contains that the scatter is known from few rows: t of its degrees of freedom counts it twice."""
+    scale = 0.7
+    u = scale * (1.0 if math.isinf(degrees) else math.sqrt(degrees / (degrees - 2)))
+    expanded = float((stats.norm if math.isinf(degrees) else stats.t(degrees)).ppf(0.975)) * scale
+    k = coverage_factor(degrees)
+    assert k is not None
+    assert k * u == pytest.approx(expanded, rel=1e-9)
+    assert stats.t.ppf(0.975, equivalent_degrees(k)) * u == pytest.approx(expanded, rel=1e-9)
+    if degrees < 100:
+        assert stats.t.ppf(0.975, degrees) * u > 1.01 * expanded
 
 
 @pytest.mark.parametrize("length", [0.0, 1.0, 8.0])

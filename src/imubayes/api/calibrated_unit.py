@@ -279,7 +279,7 @@ def report(
     out: str | Path | Sequence[str | Path] = (),
     progress: Callable[[str], None] | None = None,
 ) -> QualificationReport:
-    """Return the uncertainty report of a result as a record, and write it as page, PDF or JSON.
+    """Return the uncertainty report of a result as a record, of which ``report[name]`` is an estimate, and write it.
 
     Parameters
     ----------
@@ -288,8 +288,7 @@ def report(
     certificate : file with the certificate block (`imubayes schema certificate`); that of the specification where None.
     annexes : of page and PDF: results, budgets, evidence; None for all of a page, and the results alone of a PDF.
     sections : functions of the report that return further sections, such as a statement of traceability.
-    out : files to write, by their endings: .html, .pdf, .json, .xml (DCC), .csv (covariance); none where the record
-        alone is asked for.
+    out : file or files to write, by their endings: .html, .pdf, .json, .xml (DCC), .csv (covariance).
     progress : called with a short text as the work goes on.
 
     Raises
@@ -301,9 +300,11 @@ def report(
     Examples
     --------
     >>> import imubayes
-    >>> found = imubayes.report("results/accel-channel", out=["report.html"])
+    >>> found = imubayes.report("results/accel-channel", out="report.html")
     >>> found.accepted
     True
+    >>> imubayes.conformity(found["converter_gain_drift.slope[ax]"], lower=-5, upper=5).outcome
+    'pass'
     """
     files = [Path(file) for file in several(out)]
     # The record alone needs nothing that draws.

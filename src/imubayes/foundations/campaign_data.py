@@ -20,7 +20,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from imubayes.foundations.earth import table_to_local, towards
+from imubayes.foundations.earth import normal_gravity, table_to_local, towards
 from imubayes.foundations.quantity_names import INPUT_AXIS, QuantityName, name_of
 from imubayes.foundations.records import Record
 
@@ -69,6 +69,11 @@ class Site:
     height: float
     gravity: float
     gravity_uncertainty: float | None = None
+
+    @property
+    def has_normal_gravity(self) -> bool:
+        """Whether gravity is that of the ellipsoid at latitude and height, which nobody measured at the site."""
+        return self.gravity == normal_gravity(self.latitude, self.height)
 
 
 @dataclass(frozen=True)

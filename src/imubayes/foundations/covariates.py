@@ -40,6 +40,8 @@ class Covariate:
     source : what brings it into a run, where the column alone does not.
     periodic : whether it is an angle, which enters formulas by harmonics.
     symmetric : whether it acts alike in both directions, so that a resonance lies at its magnitude.
+    instrument : what a standard for its readings is called among the equipment of a certificate; empty where the table,
+        the reference or the current source of a run supplies it, or the model.
     absent : what a run without it has; empty where it has some value that nobody knows, so that an effect that needs
         it cannot be bound to that run.
     """
@@ -61,6 +63,7 @@ class Covariate:
     periodic: bool = False
     symmetric: bool = False
     absent: str = ""
+    instrument: str = ""
 
     def factor(self, gravity: float = STANDARD_GRAVITY) -> float:
         """Return the factor from `unit` to SI at a site of the given gravity, m/s²."""
@@ -111,13 +114,17 @@ def _outer_axes() -> Iterable[Covariate]:
 
 _ARTICLE = {"outer": "an", "middle": "a"}
 _KELVIN_PER_SECOND = "degC/s"
+_CLOCK = "time"
 _ENTRIES = (
-    Covariate("time", "time_s", "s", "s", "time since the start of the run", symbol="t"),
+    Covariate("time", "time_s", "s", "s", "time since the start of the run", symbol="t", instrument=_CLOCK),
     Covariate(
         "campaign_time", "campaign_time_h", "h", "s", "time since the first run", "derived", shown=False,
-        source="time_s, and 'start' of the run where other runs have it",
+        source="time_s, and 'start' of the run where other runs have it", instrument=_CLOCK,
     ),
-    Covariate("power_on", "power_on_s", "s", "s", "time since power-on", symbol="t_on", absent="long since on"),
+    Covariate(
+        "power_on", "power_on_s", "s", "s", "time since power-on", symbol="t_on", absent="long since on",
+        instrument=_CLOCK,
+    ),
     Covariate(
         "table_rate", "table_rate_deg_s", "deg/s", "rad/s", "table rate", regressor=False, absent="a table at rest"
     ),
@@ -136,25 +143,29 @@ _ENTRIES = (
     *_outer_axes(),
     Covariate(
         "temperature", "temperature_degC", "degC", "degC", "temperature", symbol="ΔT", centre=25.0,
-        source="temperature_degC, as a column or for the whole run",
+        source="temperature_degC, as a column or for the whole run", instrument="temperature",
     ),
     Covariate(
         "temperature_rate", "temperature_rate_degC_min", "degC/min", _KELVIN_PER_SECOND,
         "the rate of change of temperature", "derived", shown=False, symbol="dT/dt", symmetric=True,
+        instrument="temperature",
         source="time_s and a temperature_degC that changes",
     ),
     Covariate(
         "converter_temperature", "converter_temperature_degC", "degC", "degC", "converter temperature", symbol="ΔT_c",
-        centre=25.0, source="converter_temperature_degC, as a column or for the whole run",
+        centre=25.0, instrument="converter_temperature",
+        source="converter_temperature_degC, as a column or for the whole run",
     ),
     Covariate(
         "converter_temperature_rate", "converter_temperature_rate_degC_min", "degC/min", _KELVIN_PER_SECOND,
         "the rate of change of the converter's temperature", "derived", shown=False,
+        instrument="converter_temperature",
         source="time_s and a converter_temperature_degC that changes",
     ),
     Covariate("current", "current_mA", "mA", "A", "injected current", absent="none"),
     Covariate(
-        "vibration", "vibration_g_rms", "g", "m/s^2", "vibration, rms", shown=False, regressor=False, absent="none"
+        "vibration", "vibration_g_rms", "g", "m/s^2", "vibration, rms", shown=False, regressor=False, absent="none",
+        instrument="vibration",
     ),
     *(
         Covariate(
@@ -220,6 +231,12 @@ CONDITIONS: dict[str, str] = {
     "accelerometer": "an accelerometer",
 }
 """What would bring an effect out that no run shows, other than a covariate → the same in words."""
+
+
+def instruments(names: Iterable[str]) -> tuple[str, ...]:
+    """Return what standards for the readings of covariates are called; other words, such as conditions, have none."""
+    known = (COVARIATES[name].instrument for name in names if name in COVARIATES)
+    return tuple(dict.fromkeys(filter(None, known)))
 
 
 def remedy(need: str) -> str:

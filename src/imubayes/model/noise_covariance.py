@@ -387,7 +387,7 @@ def rows_correlate(problem: Problem) -> bool:
     return any(issubclass(layer.noise, components.SeriesNoise) for layer in problem.noise)
 
 
-def row_correlations(problem: Problem, values: Float[Array, " H"]) -> Float[Array, " G"]:
+def row_correlations(problem: Problem, values: Float[Array, "*batch H"]) -> Float[Array, "*batch G"]:
     """Return the correlation of neighbouring rows of every run and channel, at values of the noise scales in SI."""
     one_row = np.zeros(problem.observations.in_time.shape[0])
     for layer in problem.noise:

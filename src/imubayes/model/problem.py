@@ -66,7 +66,7 @@ class NoiseLayer(eqx.Module):
     places: dict[str, Array]
     acts: Float[Array, " M"]
 
-    def correlations(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
+    def correlations(self, h: Float[Array, "*batch H"]) -> Float[Array, "*batch M"]:
         """Return the correlation of neighbouring rows of every run and channel."""
         return self._evaluate(h, _correlation)
 

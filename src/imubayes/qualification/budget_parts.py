@@ -16,9 +16,15 @@ The posterior variance itself is found by control variates.  The variance of som
 cent, which is what a budget has to add up to.  The linear part u of q has a variance V that is known
 (`imubayes.qualification.linear_part`), so V + (s²(q) − s²(u)), both sample variances of the same draws, has the Monte
 Carlo error of the difference alone: that of the nonlinear part.  V is the variance of u under the nested Laplace
-approximation.  Where the sampled u contradict it by more than their Monte Carlo error allows, the posterior is not that
-of the approximation and the sample variance itself is taken: the curvature that Gauss–Newton neglects, for one, changes
-widths by some per cent.
+approximation.  Two findings end that:
+
+- The sampled u hold what is not q.  A sum that is known a thousand times better than its members has a u with what is
+  left of their bend beyond the second order.  The regression of u on q then has the slope 1, and that of q on u less;
+  where it is q that bends, it is the other way round.  If the draws of q have the variance V, as they do if q is linear
+  in what the data tell, V stands, with the Monte Carlo error of the draws that confirm it.
+- The sampled u contradict V by more than their Monte Carlo error allows.  Then the posterior is not that of the
+  approximation and the sample variance itself is taken: the curvature that Gauss–Newton neglects, for one, changes
+  widths by some per cent.
 
 The slope of q on u, 1 where q is linear, holds what odd orders add to the linear part (statistical linearisation).
 What is left is regressed on the second-order part likewise: that of a function of quantities is taken from its members,
@@ -34,6 +40,7 @@ import numpy as np
 from imubayes.foundations.records import Record
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.laplace_marginal import inverse_of_precision
+from imubayes.qualification.coverage import IntervalShape
 from imubayes.qualification.decision_rules import CONTRADICTION_ERRORS, MOST_WIDENED
 from imubayes.qualification.linear_part import LinearPart, QuantityDerivatives, second_order, unbent
 
@@ -146,7 +153,8 @@ class BudgetLine(Record):
     sensitivity : ∂quantity/∂input, in the unit of the quantity over that of the input.
     contribution : standard uncertainty that the input contributes, in the unit of the quantity.
     share : of the posterior variance.
-    degrees_of_freedom : None where they are infinite.
+    relative_uncertainty : relative standard uncertainty of a contribution of type A, as the scatter of its runs is
+        known from few rows (GUM E.4.3: 1/√(2ν)); None for what is known exactly.  u of the quantity contains it.
     """
 
     kind: InputKind
@@ -161,7 +169,7 @@ class BudgetLine(Record):
     sensitivity: float | None = None
     contribution: float
     share: float
-    degrees_of_freedom: float | None = None
+    relative_uncertainty: float | None = None
 
 
 class HalvedInput(Record):
@@ -198,9 +206,8 @@ class QuantityBudget(Record):
     scaled : factor on the contributions of the linear approximation where draws are wider or narrower than it; else 1.
     remainder : share of the posterior variance beyond them: higher orders and Monte Carlo error.
     components : whether inputs contribute through the components of a vector, as to an angle near zero.
-    degrees_of_freedom : effective, by Welch–Satterthwaite; None where they are infinite.
-    coverage_factor, expanded_uncertainty : U, half the length of the 95 % coverage interval, and k = U/u, from ν where
-        the posterior is symmetric.
+    interval : kind of the 95 % coverage interval.
+    coverage_factor, expanded_uncertainty : U, half the length of that interval, and k = U/u.
     halved : what u would be if one contribution were halved, the most useful first.
     next_run : the run that would narrow the quantity most; None where none narrows it by a hundredth.
     """
@@ -214,7 +221,7 @@ class QuantityBudget(Record):
     scaled: float
     remainder: float
     components: bool
-    degrees_of_freedom: float | None
+    interval: IntervalShape
     coverage_factor: float
     expanded_uncertainty: float
     halved: tuple[HalvedInput, ...]
@@ -235,6 +242,8 @@ class UncertaintyBudgets(Record):
     correlation: CorrelationMatrix
 
 
+# Share of a sampled linear part that is not the quantity's, from which on it matters: half of what a budget may miss.
+_LEFT = 0.01
 # Relative spread below which a quantity does not vary.
 _ROUNDING = 1e-13
 
@@ -302,9 +311,12 @@ def posterior_variances(
     found = []
     for place, (name, values) in enumerate(draws.values.items()):
         of_linear = KnownVariance(float(known[place]), float(known_error[place]))
-        variance = _variance(values, linear[:, place], of_linear, draws.effective[name])
-        rest = values - variance[2] * linear[:, place]
-        found.append((*variance, _explained(rest, second_order(part, derivatives, place, w))))
+        made = variance_of(values, linear[:, place], of_linear, draws.effective[name])
+        bend = 0.0
+        if made.follows:
+            rest = values - made.slope * linear[:, place]
+            bend = _explained(rest, second_order(part, derivatives, place, w))
+        found.append((made.value, made.error, made.slope, made.widened, bend))
     return PosteriorVariances(*np.array(found).reshape(-1, 5).T)
 
 
@@ -324,27 +336,42 @@ class KnownVariance:
     error: float
 
 
-def _variance(
-    values: np.ndarray, linear: np.ndarray, known: KnownVariance, effective: float
-) -> tuple[float, float, float, float]:
-    """Return the variance of draws (S,), its Monte Carlo error, the slope on the linear part (S,), and its widening.
+@dataclass(frozen=True)
+class PosteriorVariance:
+    """Variance of a quantity, its Monte Carlo error, its slope on the sampled linear part, and the widening of that.
 
-    The linear part serves as control variate.
+    `follows` is whether that linear part is the quantity's own; if not, nothing is regressed on it.
     """
+
+    value: float
+    error: float
+    slope: float = 1.0
+    widened: float = 1.0
+    follows: bool = True
+
+
+def variance_of(values: np.ndarray, linear: np.ndarray, known: KnownVariance, effective: float) -> PosteriorVariance:
+    """Return the variance of draws (S,); their linear part, (S,), serves as control variate where it has that known."""
     finite = np.isfinite(values)
     if not values[finite].std() > _ROUNDING * np.max(np.abs(values[finite])):
-        return 0.0, 0.0, 1.0, 1.0
+        return PosteriorVariance(0.0, 0.0)
     about, along = (each[finite] - each[finite].mean() for each in (values, linear))
     q, u = about**2, along**2
     effective = min(effective, float(len(q)))
     errors = {"plain": q.std(), "linear": u.std(), "difference": (q - u).std()}
     plain, of_linear, of_difference = (float(error) / np.sqrt(effective) for error in errors.values())
+    # Slopes of the quantity on its linear part, and the other way round.
+    product = float(np.mean(about * along))
+    slope, back = (product / max(float(square.mean()), np.finfo(float).tiny) for square in (u, q))
+    confirmed = float(np.hypot(plain, known.error))
+    confirms = abs(float(q.mean()) - known.value) <= CONTRADICTION_ERRORS * confirmed
+    if confirms and 1 - slope > max(_LEFT, abs(back - 1)):
+        return PosteriorVariance(known.value, confirmed, follows=False)
     agrees = abs(float(u.mean()) - known.value) <= CONTRADICTION_ERRORS * np.hypot(of_linear, known.error)
     if agrees and of_difference < plain:
-        slope = float(np.mean(about * along) / u.mean())
-        return known.value + float((q - u).mean()), float(np.hypot(of_difference, known.error)), slope, 1.0
+        value = known.value + float((q - u).mean())
+        return PosteriorVariance(value, float(np.hypot(of_difference, known.error)), slope)
     widened = float(np.sqrt(u.mean() / known.value)) if not agrees and known.value > 0 else 1.0
     if max(widened, 1 / max(widened, _ROUNDING)) > MOST_WIDENED:
         widened = 1.0
-    slope = float(np.mean(about * along) / u.mean()) if widened != 1.0 else 1.0
-    return float(q.mean()), plain, slope, widened
+    return PosteriorVariance(float(q.mean()), plain, slope if widened != 1.0 else 1.0, widened)

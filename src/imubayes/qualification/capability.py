@@ -8,18 +8,28 @@ capability: that of one is that of the other, in its unit.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imubayes.campaign.toml_documents import Ledger
-from imubayes.foundations.quantity_names import QuantityName
+from imubayes.foundations.quantity_names import (
+    AXIS_ANGLE,
+    DELTA_K,
+    MOUNTING_ANGLE,
+    SCALE_FACTOR,
+    QuantityName,
+    family_of,
+)
+from imubayes.model.effect_registry import Registry
+from imubayes.parameters.declarations import declared_parameters
 from imubayes.qualification.budget_parts import BudgetLine, QuantityBudget
 from imubayes.qualification.certificate import CapabilityEntry, CapabilityFloor
-from imubayes.qualification.conformity import resolved_limits
+from imubayes.qualification.conformity import members_of, resolved_limits
 from imubayes.qualification.coverage import KnownUncertainty
 from imubayes.qualification.report_budgets import UnitWithBudgets
 from imubayes.qualification.specification import LimitEntry, SpecificationFile
+from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES
 from imubayes.qualification.unit_under_test import TestedUnit, is_measured
 
 _PATH = ("certificate", "cmc")
@@ -28,22 +38,38 @@ _PATH = ("certificate", "cmc")
 _SAME = 5e-4
 
 
+@dataclass(frozen=True)
+class AppliedCapability:
+    """The quantities whose U is the capability, and those with one that the result does not have."""
+
+    floors: tuple[CapabilityFloor, ...] = ()
+    unused: tuple[str, ...] = ()
+
+
 def with_capability(
     found: UnitWithBudgets, entries: Sequence[CapabilityEntry], ledger: Ledger
-) -> tuple[UnitWithBudgets, tuple[CapabilityFloor, ...]]:
-    """Return a unit and its budgets with no U below the capability, and the quantities whose U that is.
+) -> tuple[UnitWithBudgets, AppliedCapability]:
+    """Return a unit and its budgets with no U below the capability, and what of it was applied.
+
+    A laboratory has one list of capabilities for all that it calibrates: quantities that other results have are unused.
 
     Raises
     ------
     InputError
-        for a quantity that the result does not have, one that is the length of a vector, and a unit of another kind.
+        for a quantity that no result has, one that is the length of a vector, and a unit of another kind.
     """
     if not entries:
-        return found, ()
+        return found, AppliedCapability()
+    known = calibrated_families()
+    unused = [
+        place
+        for place, each in enumerate(entries)
+        if family_of(each.quantity) in known and not members_of(each.quantity, found.unit.quantities.entries)
+    ]
     limits = [LimitEntry(quantity=each.quantity, upper=each.expanded, unit=each.unit) for each in entries]
     unit, listed = found.unit, SpecificationFile(format=1, name="cmc", limit=limits)
     floors: dict[str, float] = {}
-    for limit in resolved_limits(listed, ledger, unit, _PATH):
+    for limit in resolved_limits(listed, ledger, unit, _PATH, unused):
         name = limit.quantity.name
         floors[name] = max(limit.tolerance.upper, floors.get(name, 0.0))
     if lengths := floors.keys() & unit.lengths.keys():
@@ -60,14 +86,22 @@ def with_capability(
             factor, middle, before = floor / stated.expanded, unit.quantities.marginal(name).mean, known.get(name)
             draws[name] = middle + factor * (draws[name] - middle)
             if before is not None:
-                known[name] = KnownUncertainty(factor * before.standard, factor * before.error, before.degrees)
+                known[name] = KnownUncertainty(factor * before.standard, factor * before.error, before.factor)
             raised.append(CapabilityFloor(name=name, unit=quantity.unit, expanded=floor, own=stated.expanded))
     quantities = replace(unit.quantities, draws=draws)
     factors = {each.name: each.expanded / each.own for each in raised}
     budgets = tuple(_raised(each, factors.get(each.name, 1.0)) for each in found.budgets.quantities)
     made = found.budgets.model_copy(update={"quantities": budgets})
     widened = replace(unit, quantities=quantities, known=known, floors=floors)
-    return replace(found, unit=widened, budgets=made), tuple(raised)
+    applied = AppliedCapability(tuple(raised), tuple(entries[place].quantity for place in unused))
+    return replace(found, unit=widened, budgets=made), applied
+
+
+def calibrated_families() -> frozenset[str]:
+    """Return the families of the quantities that some result has: of effects, derived ones, and of the standards."""
+    effects = Registry().effects.values()
+    own = {f"{effect.name}.{name}" for effect in effects for name in declared_parameters(effect)}
+    return frozenset(own | {SCALE_FACTOR, MOUNTING_ANGLE, AXIS_ANGLE, DELTA_K} | {q.key for q in STANDARD_QUANTITIES})
 
 
 def _of_the_same(unit: TestedUnit, floors: Mapping[str, float]) -> dict[str, float]:
@@ -87,14 +121,13 @@ def _raised(budget: QuantityBudget, factor: float) -> QuantityBudget:
     """Return a budget with what makes its U larger by a factor; nothing that was measured would narrow it."""
     if factor == 1:
         return budget
-    u, share, degrees = budget.standard_uncertainty, factor**-2, budget.degrees_of_freedom
+    u, share = budget.standard_uncertainty, factor**-2
     own = u * factor * math.sqrt(1 - share)
     lines = [line.model_copy(update={"share": line.share * share}) for line in budget.lines]
     added = BudgetLine(kind="cmc", input="", type="B", contribution=own, share=1 - share)
     return budget.model_copy(
         update={
             "standard_uncertainty": factor * u,
-            "degrees_of_freedom": degrees and degrees * factor**4,  # the CMC has none of its own (GUM G.4.1)
             "monte_carlo_error": factor * budget.monte_carlo_error,
             "lines": (added, *lines),
             "contributed": math.hypot(budget.contributed, own),

@@ -17,7 +17,7 @@ It stands as ``[certificate]`` in the specification, or in a file of its own::
 
     [[certificate.standard]]
     name = "rate table"
-    equipment = ["rate"]         # of the campaign: tables by name, and procedures with a standard of their own
+    equipment = ["rate"]         # what it is or traces in the campaign: see below
     certificate = "NMI 2026-0815"
     valid_until = 2027-03-01
 
@@ -26,25 +26,33 @@ It stands as ``[certificate]`` in the specification, or in a file of its own::
     expanded = 2
     unit = "ug"
 
-Nothing of it is required of the file; what ISO/IEC 17025:2017, 7.8.2 and 7.8.4, require of a certificate and the block
-lacks is listed as missing on its last page, and so is what contradicts the campaign: equipment that no standard traces
-(gravity, of accelerometers, is one), standards of equipment that no run used or that had expired, dates in the wrong
-order.
+Nothing of it is required of the file.  What ISO/IEC 17025:2017, 7.8.2 and 7.8.4, require of a certificate and the block
+lacks is listed as missing on its last page.  What contradicts the campaign, and what other documents ask, is listed
+beside it: standards of equipment that no run used or that had expired, dates in the wrong order, capabilities.
+
+Equipment is what the runs used: tables by name; ``reference_gyro`` and ``current_injection``, procedures with a
+standard of their own; ``gravity``, of accelerometers; and the instruments of what was read beside the outputs and
+enters the results, ``temperature``, ``converter_temperature``, ``time`` and ``vibration``.  A claim is held against
+what was used: no standard of gravity was, if the campaign has the formula of normal gravity.
 """
 
 import datetime
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from imubayes.campaign import file_schemas
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import instruments
 from imubayes.foundations.records import Record
 from imubayes.procedures.ambient import instant, starts_of
+from imubayes.qualification.countries import COUNTRIES
 
 
 def _visible(text: str) -> str:
@@ -66,6 +74,12 @@ def _no_number(value: object) -> object:
     return value
 
 
+def _assigned(country: str) -> str:
+    if country not in COUNTRIES:
+        raise ValueError(f"{country!r} is no country of ISO 3166-1, such as GB of the United Kingdom")
+    return country
+
+
 Text = Annotated[file_schemas.Text, Field(min_length=1, max_length=2000), AfterValidator(_visible)]
 Date = Annotated[datetime.date, BeforeValidator(_no_number)]
 Celsius = Annotated[float, Field(strict=True, ge=-273.15)]
@@ -82,7 +96,9 @@ class Party(_CertificatePart):
 
     name: Text | None = Field(default=None, description="of the organisation")
     address: Text | None = Field(default=None, description="as on a letter, one line")
-    country: Annotated[str, Field(pattern=file_schemas.COUNTRY)] | None = Field(default=None, description="ISO 3166-1")
+    country: Annotated[str, Field(pattern=file_schemas.COUNTRY), AfterValidator(_assigned)] | None = Field(
+        default=None, description="ISO 3166-1"
+    )
     email: Text | None = Field(default=None, description="for questions")
 
 
@@ -101,7 +117,9 @@ class MeasurementStandard(_CertificatePart):
 
     name: Text = Field(description="what it is: rate table, dividing head, gravity, thermometer")
     equipment: tuple[Text, ...] = Field(
-        default=(), description="of the campaign that it is or traces: tables by name, procedures with a standard"
+        default=(),
+        description="that it is or traces: tables by name, reference_gyro, current_injection, gravity, temperature, "
+        "converter_temperature, time, vibration",
     )
     serial: Text | None = Field(default=None, description="its serial number")
     certificate: Text | None = Field(default=None, description="number of its calibration certificate")
@@ -136,6 +154,24 @@ class CapabilityEntry(_CertificatePart):
     unit: Text = Field(description="of that")
 
 
+class Amendment(_CertificatePart):
+    """What an amended or reissued certificate changes (ISO/IEC 17025:2017, 7.8.8)."""
+
+    of: Text = Field(description="number of the certificate that is amended or replaced")
+    changes: Text = Field(description="information that is changed")
+    reason: Text | None = Field(default=None, description="of the change")
+    replaces: bool = Field(
+        default=True, description="whether this is a complete new certificate in its place, and no amendment to it"
+    )
+
+
+class ExternalResult(_CertificatePart):
+    """Results that an external provider obtained."""
+
+    provider: Text = Field(description="who obtained them")
+    results: Text = Field(description="which they are, such as runs of the campaign")
+
+
 class Signatory(_CertificatePart):
     """A person who authorises the certificate."""
 
@@ -160,9 +196,21 @@ class Certificate(_CertificatePart):
     environment: Environment = Field(default=Environment(), description="conditions during the calibration")
     adjustment: Text | None = Field(default=None, description="results before and after, where it was adjusted")
     deviations: Text | None = Field(default=None, description="from the method")
+    amendment: Amendment | None = Field(default=None, description="where it amends or replaces an issued certificate")
+    external: tuple[ExternalResult, ...] = Field(default=(), description="results of external providers")
+    customer_data: Text | None = Field(
+        default=None, description="information that the customer provided, such as limits"
+    )
+    sampling: Text | None = Field(default=None, description="plan and method by which the item was sampled")
     remarks: Text | None = Field(default=None, description="of the laboratory")
     accreditation: Text | None = Field(default=None, description="text of the accreditation mark")
     signatory: tuple[Signatory, ...] = Field(default=(), description="who authorises the certificate")
+
+    @model_validator(mode="after")
+    def _has_a_number_of_its_own(self) -> "Certificate":
+        if self.amendment is not None and self.amendment.of == self.number:
+            raise ValueError(f"a certificate that amends or replaces {self.number!r} has a number of its own")
+        return self
 
 
 class CertificateFile(_CertificatePart):
@@ -175,15 +223,26 @@ class CertificateFile(_CertificatePart):
 MissingItem = Literal[
     "number", "date", "laboratory_name", "laboratory_address", "location", "customer_name", "customer_address",
     "method", "item_description", "serial", "received", "performed", "environment", "standards",
-    "standard_certificate", "standard_validity", "expired", "untraced", "unused", "received_late", "issued_early",
+    "standard_certificate", "standard_validity", "expired", "untraced", "unused", "normal_gravity",
+    "repeated_standard", "shared_certificate", "received_late", "issued_early",
     "omitted", "validity", "cmc", "signatories",
 ]  # fmt: skip
-"""What ISO/IEC 17025 requires and a certificate lacks.
+"""What a certificate lacks, or what in it contradicts the campaign.
 
 `expired` is a standard whose validity ended before the last run that used it, `untraced` equipment of the runs that no
-standard names, `unused` what a standard names and no run used, `omitted` what U is known to lack, `validity` that of
-the model or the fit, `cmc` the capabilities of a laboratory that states an accreditation.
+standard names, `unused` what a standard names and no run used, `normal_gravity` a measured gravity in place of its
+formula, `repeated_standard` one that is listed twice, `shared_certificate` a number that several issuers gave,
+`omitted` what U is known to lack, `validity` that of the model or the fit, `cmc` the capabilities of a laboratory that
+states an accreditation.
 """
+
+
+REQUIRED: frozenset[MissingItem] = frozenset({
+    "number", "date", "laboratory_name", "laboratory_address", "location", "customer_name", "customer_address",
+    "method", "item_description", "serial", "received", "performed", "environment", "standards", "untraced",
+    "normal_gravity", "signatories",
+})  # fmt: skip
+"""What ISO/IEC 17025:2017 requires of a certificate, 7.8.2.1 and 7.8.4.1."""
 
 
 class Missing(Record):
@@ -191,6 +250,11 @@ class Missing(Record):
 
     item: MissingItem
     of: str = ""
+
+    @property
+    def required(self) -> bool:
+        """Whether ISO/IEC 17025 requires it of a certificate; else it is a contradiction, or other documents ask it."""
+        return self.item in REQUIRED
 
 
 class CapabilityFloor(Record):
@@ -219,22 +283,55 @@ def read_certificate(file: str | Path) -> tuple[Certificate, Ledger]:
 GRAVITY = "gravity"
 # Procedures whose stimulus comes from a standard that is no table.
 _WITH_STANDARD = ("reference_gyro", "current_injection")
-# What a standard may be of beside the equipment that needs one.
-_OTHERS = (GRAVITY, "temperature")
 
 
-def _equipment_of(campaign: Campaign) -> dict[str, str | None]:
-    """Return what runs used as standards, each with the start of its last run: tables, procedures with one, gravity."""
-    found: dict[str, str | None] = {}
-    gravity = (GRAVITY,) if any(channel.kind == "accelerometer" for channel in campaign.channels) else ()
+@dataclass(frozen=True)
+class EquipmentUsed:
+    """What runs used that a standard may trace, each with the start of the last run that did.
+
+    Attributes
+    ----------
+    needed : what enters the results: tables, procedures with a standard, gravity, instruments of covariates.
+    recorded : what is known and enters no result: instruments of covariates that no effect of the model reads, gravity
+        of a unit without accelerometers.
+    normal_gravity : whether gravity is that of the formula, which no standard gave.
+    """
+
+    needed: Mapping[str, str | None]
+    recorded: Mapping[str, str | None]
+    normal_gravity: bool
+
+
+def equipment_used(campaign: Campaign, covariates: Collection[str] = ()) -> EquipmentUsed:
+    """Return what the runs of a campaign used as standards.
+
+    Parameters
+    ----------
+    covariates : that the effects of the model read.
+    """
+    accelerometers = any(channel.kind == "accelerometer" for channel in campaign.channels)
+    read, normal = instruments(covariates), campaign.site.has_normal_gravity
+    gravity = () if normal else (GRAVITY,)
+    needed, recorded = dict[str, str | None](), dict[str, str | None]()
     for run in campaign.runs:
-        for name in filter(None, (run.table, run.procedure if run.procedure in _WITH_STANDARD else None, *gravity)):
-            found[name] = max(filter(None, (found.get(name), run.start)), key=instant, default=None)
-    return found
+        own = instruments(run.covariates)
+        procedure = run.procedure if run.procedure in _WITH_STANDARD else None
+        enters = [run.table, procedure, *(name for name in own if name in read)]
+        beside = [name for name in own if name not in read]
+        (enters if accelerometers else beside).extend(gravity)
+        for listed, names in ((needed, enters), (recorded, beside)):
+            for name in filter(None, names):
+                listed[name] = max(filter(None, (listed.get(name), run.start)), key=instant, default=None)
+    return EquipmentUsed(needed, recorded, accelerometers and normal)
 
 
-def missing_items(found: Certificate, campaign: Campaign) -> tuple[Missing, ...]:
-    """Return what ISO/IEC 17025 requires and a certificate lacks, and what in it contradicts the campaign."""
+def missing_items(found: Certificate, campaign: Campaign, covariates: Collection[str] = ()) -> tuple[Missing, ...]:
+    """Return what ISO/IEC 17025 requires and a certificate lacks, what in it contradicts the campaign, and a CMC.
+
+    Parameters
+    ----------
+    covariates : that the effects of the model read.
+    """
     item, laboratory, customer = found.item, found.laboratory, found.customer
     starts = starts_of(campaign.runs)
     required: dict[MissingItem, object] = {
@@ -248,17 +345,22 @@ def missing_items(found: Certificate, campaign: Campaign) -> tuple[Missing, ...]
         "signatories": found.signatory, "cmc": found.cmc or not found.accreditation,
     }  # fmt: skip
     absent = [Missing(item=name) for name, given in required.items() if not given]
-    return (*absent, *(_of_standards(found.standard, campaign, starts) if found.standard else ()))
+    used = equipment_used(campaign, covariates)
+    return (*absent, *(_of_standards(found.standard, used, starts) if found.standard else ()))
 
 
 def _of_standards(
-    standards: Sequence[MeasurementStandard], campaign: Campaign, starts: Sequence[str]
+    standards: Sequence[MeasurementStandard], equipment: EquipmentUsed, starts: Sequence[str]
 ) -> Iterator[Missing]:
-    used, traced = _equipment_of(campaign), set[str]()
+    used, traced = {**equipment.recorded, **equipment.needed}, set[str]()
+    if equipment.normal_gravity:
+        yield Missing(item="normal_gravity")
+    yield from _repeated(standards)
     for standard in standards:
         own = {standard.name, *standard.equipment}
         traced |= own
-        for name in (name for name in standard.equipment if name not in (*used, *_OTHERS)):
+        claimed = (*standard.equipment, *({standard.name} & {GRAVITY}))
+        for name in dict.fromkeys(name for name in claimed if name not in used):
             yield Missing(item="unused", of=f"{standard.name}: {name}")
         if standard.certificate is None:
             yield Missing(item="standard_certificate", of=standard.name)
@@ -268,9 +370,23 @@ def _of_standards(
             yield Missing(item="standard_validity", of=standard.name)
         elif last is not None and _day(last) > standard.valid_until:
             yield Missing(item="expired", of=standard.name)
-    for name in used:
+    for name in equipment.needed:
         if name not in traced:
             yield Missing(item="untraced", of=name)
+
+
+def _repeated(standards: Sequence[MeasurementStandard]) -> Iterator[Missing]:
+    """Yield the standards that are listed more than once, and the certificates that have several issuers."""
+    entries = Counter((each.name, each.serial, each.certificate) for each in standards)
+    for name in dict.fromkeys(name for (name, _, _), times in entries.items() if times > 1):
+        yield Missing(item="repeated_standard", of=name)
+    issuers: dict[str, dict[str, None]] = {}
+    for each in standards:
+        if each.certificate and each.issued_by:
+            issuers.setdefault(each.certificate, {})[each.issued_by] = None
+    for certificate, by in issuers.items():
+        if len(by) > 1:
+            yield Missing(item="shared_certificate", of=f"{certificate}: {', '.join(by)}")
 
 
 def _day(start: str) -> datetime.date:

@@ -10,7 +10,7 @@ not support.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -77,13 +77,15 @@ class ConformityOfQuantity:
 
 
 def resolved_limits(
-    file: SpecificationFile, ledger: Ledger, unit: TestedUnit, path: tuple[str, ...] = ("limit",)
-) -> tuple[ResolvedLimit, ...]:
+    file: SpecificationFile, ledger: Ledger, unit: TestedUnit, path: tuple[str, ...] = ("limit",),
+    left_out: Collection[int] = (),
+) -> tuple[ResolvedLimit, ...]:  # fmt: skip
     """Return the limits of a specification, one per quantity, in the units of the quantities.
 
     Parameters
     ----------
     path : of the list of limits in its file.
+    left_out : places of limits in the list that are not looked at.
 
     Raises
     ------
@@ -92,7 +94,9 @@ def resolved_limits(
     """
     found: list[ResolvedLimit] = []
     for place, entry in enumerate(file.limit):
-        names = _members(entry.quantity, unit.quantities.entries)
+        if place in left_out:
+            continue
+        names = members_of(entry.quantity, unit.quantities.entries)
         if not names:
             families = dict.fromkeys(family_of(name) for name in unit.quantities.entries)
             options = unit.quantities.entries if QuantityName.of(entry.quantity).labels else families
@@ -113,7 +117,7 @@ def resolved_limits(
     return tuple(found)
 
 
-def _members(asked: str, entries: Mapping[str, Quantity]) -> list[str]:
+def members_of(asked: str, entries: Mapping[str, Quantity]) -> list[str]:
     """Return the quantities of a name, or of a family.
 
     A sum of several quantities is of no family, though it begins with the name of one: it may hold errors of the

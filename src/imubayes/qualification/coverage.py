@@ -2,8 +2,13 @@
 
 The draws of a posterior give its quantiles with a Monte Carlo error, which U should not have where the posterior is
 known.  Where both ends of the interval of the draws agree, within their errors, with those of a normal posterior, or of
-Student's t with the effective degrees of freedom ν of its budget, the interval is y ± k u with k from ν (GUM G.6.4).  A
-posterior t with ν degrees of freedom has the standard deviation u = s √(ν/(ν − 2)), so that k = t_p(ν) √((ν − 2)/ν).
+Student's t with the degrees of freedom ν of the scatter that its budget knows, the interval is y ± k u.
+
+No degrees of freedom belong to u.  In the GUM, s is an estimate from few readings, and t_p(ν) in U = t_p(ν) s accounts
+for that (G.3).  The standard deviation of a posterior accounts for it already: that of Student's t with ν degrees of
+freedom and the scale s is u = s √(ν/(ν − 2)), so that the same U is k u with k = t_p(ν) √((ν − 2)/ν) (JCGM 101, 6.4.9).
+A program that multiplies u by t_p(ν) counts it twice: with ν = 11 it makes U ten per cent larger.  Such programs are
+given the ν′ for which t_p(ν′) = k.
 
 The length of a vector, as the angle between true and nominal axis, is not normal near zero: the mean of its draws is
 about u where the vector is zero.  Its estimate is the length of the mean vector, its interval the shortest (JCGM 101,
@@ -22,6 +27,11 @@ from imubayes.qualification.marginal import Marginal, MonteCarloErrors
 
 IntervalShape = Literal["symmetric", "equal-tailed", "shortest"]
 COVERAGE_PROBABILITY = 0.95
+_ONE_SIDED = (1 + COVERAGE_PROBABILITY) / 2
+NORMAL_FACTOR = float(special.ndtri(_ONE_SIDED))
+"""k of 95 % for a normal posterior, 1.96."""
+# Relative difference of two coverage factors that are one.
+_SAME = 1e-9
 # Monte Carlo errors by which an end of the interval may differ from that of the distribution with a known k; degrees of
 # freedom below which the standard deviation of t is no measure of its width.
 _AGREES, _LEAST_DEGREES = 3.0, 4.0
@@ -37,6 +47,7 @@ class Coverage:
     low, high : ends of the 95 % coverage interval.
     shape : kind of interval.
     errors : Monte Carlo errors of these numbers.
+    known : k where the interval is y ± k u with a k that is known; None for the ends of draws.
     """
 
     estimate: float
@@ -45,37 +56,53 @@ class Coverage:
     high: float
     shape: IntervalShape
     errors: MonteCarloErrors
+    known: float | None = None
 
     @property
     def expanded(self) -> float:
         """U: half the length of the interval."""
-        return (self.high - self.low) / 2
+        return (self.high - self.low) / 2 if self.known is None else self.known * self.standard
 
     @property
     def factor(self) -> float:
         """K = U/u; 0 for a quantity that does not vary."""
+        if self.known is not None:
+            return self.known
         return self.expanded / self.standard if self.standard > 0 else 0.0
 
 
 @dataclass(frozen=True)
 class KnownUncertainty:
-    """A standard uncertainty that is known better than from draws: u, its Monte Carlo error, and ν.
+    """A standard uncertainty that is known better than from draws: u, its Monte Carlo error, and k.
 
-    `mean_error` is the Monte Carlo error of the estimate where that is not u over the root of the draws.
+    `factor` is that of the interval where the draws have its shape; None where they have another one.  `mean_error` is
+    the Monte Carlo error of the estimate where that is not u over the root of the draws.
     """
 
     standard: float
     error: float
-    degrees: float = math.inf
+    factor: float | None = NORMAL_FACTOR
     mean_error: float | None = None
 
 
-def coverage_factor(degrees: float) -> float:
-    """Return k of 95 % for a posterior of Student's t with ν > 2 degrees of freedom and known standard deviation."""
-    one_sided = (1 + COVERAGE_PROBABILITY) / 2
+def coverage_factor(degrees: float) -> float | None:
+    """Return k of 95 % for a posterior of Student's t with ν degrees of freedom and known standard deviation.
+
+    None where there are so few that the standard deviation is no measure of the width.
+    """
     if math.isinf(degrees):
-        return float(special.ndtri(one_sided))
-    return float(special.stdtrit(degrees, one_sided)) * math.sqrt((degrees - 2) / degrees)
+        return NORMAL_FACTOR
+    if degrees <= _LEAST_DEGREES:
+        return None
+    return float(special.stdtrit(degrees, _ONE_SIDED)) * math.sqrt((degrees - 2) / degrees)
+
+
+def equivalent_degrees(factor: float) -> float:
+    """Return ν′ for which Student's t has the factor k of 95 %, t_p(ν′) = k; infinite for that of a normal posterior.
+
+    It is for programs that form U = t_p(ν′) u, and says nothing of how well u is known.
+    """
+    return math.inf if factor <= NORMAL_FACTOR * (1 + _SAME) else float(special.stdtridf(_ONE_SIDED, factor))
 
 
 def effective_degrees(contributions: np.ndarray, degrees: np.ndarray, variance: float | None = None) -> float:
@@ -98,15 +125,15 @@ def coverage_of(marginal: Marginal, known: KnownUncertainty | None = None) -> Co
     """
     errors, (low, high) = marginal.errors, marginal.interval
     known = known or KnownUncertainty(marginal.sd, errors.sd)
-    if known.degrees > _LEAST_DEGREES and marginal.sd > 0:
-        mean, k = marginal.mean, coverage_factor(known.degrees)
+    if known.factor is not None and marginal.sd > 0:
+        mean, k = marginal.mean, known.factor
         # The shape is that of the draws alone: their standard deviation has an error of its own.
         of_draws = abs(mean - k * marginal.sd - low), abs(mean + k * marginal.sd - high)
         if of_draws[0] <= _AGREES * errors.low and of_draws[1] <= _AGREES * errors.high:
             of_mean = errors.mean if known.mean_error is None else known.mean_error
             half, of_end = k * known.standard, math.hypot(of_mean, k * known.error)
             own = MonteCarloErrors(of_mean, known.error, of_end, of_end)
-            return Coverage(mean, known.standard, mean - half, mean + half, "symmetric", own)
+            return Coverage(mean, known.standard, mean - half, mean + half, "symmetric", own, k)
     return Coverage(marginal.mean, known.standard, low, high, "equal-tailed", errors)
 
 

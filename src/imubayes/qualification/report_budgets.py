@@ -17,7 +17,7 @@ from imubayes.inference.experiment_design import expected_deviations
 from imubayes.parameters.declarations import Parameter
 from imubayes.qualification import budget_parts
 from imubayes.qualification import uncertainty_budget as budget
-from imubayes.qualification.coverage import KnownUncertainty, effective_degrees
+from imubayes.qualification.coverage import KnownUncertainty, coverage_factor, effective_degrees
 from imubayes.qualification.decision_rules import LEAST_SHARE, USEFUL_RUN
 from imubayes.qualification.posterior_quantities import posterior_quantities, slopes
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, draws_of_standard
@@ -29,7 +29,7 @@ from imubayes.results.stored_tables import complete
 from imubayes.results.summary import is_constant
 
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
-_METHOD = 11
+_METHOD = 13
 _MOST_HALVED = 3
 # Decimals of a correlation: two scale factors that share the error of gravity differ from 1 in the fifth.
 _DECIMALS = 8
@@ -74,8 +74,8 @@ def _known(unit: TestedUnit, found: budget_parts.QuantityBudget) -> KnownUncerta
     """Return what a budget knows of an uncertainty; what is taken as exact moves no estimate by chance."""
     own = found.standard_uncertainty**2 - sum(line.contribution**2 for line in found.lines if line.kind == "exact")
     of_mean = math.sqrt(max(own, 0.0) / unit.quantities.effective[found.name])
-    degrees = found.degrees_of_freedom or math.inf
-    return KnownUncertainty(found.standard_uncertainty, found.monte_carlo_error, degrees, of_mean)
+    factor = found.coverage_factor if found.interval == "symmetric" else None
+    return KnownUncertainty(found.standard_uncertainty, found.monte_carlo_error, factor, of_mean)
 
 
 def keep_budgets(result: Result) -> None:
@@ -170,7 +170,7 @@ def _budget(parts: _Parts, place: int, next_run: budget_parts.NarrowingRun | Non
     type_a = arrays.averaged.type_a[place]
     rest = posterior - float(type_a.sum())
     degrees = effective_degrees(np.append(type_a, max(rest, 0.0)), np.append(arrays.degrees[place], np.inf))
-    known = {name: KnownUncertainty(u, error, degrees)}
+    known = {name: KnownUncertainty(u, error, coverage_factor(degrees))}
     stated = replace(parts.unit, known=known).coverage(name)
     return budget_parts.QuantityBudget(
         name=name,
@@ -182,7 +182,7 @@ def _budget(parts: _Parts, place: int, next_run: budget_parts.NarrowingRun | Non
         scaled=float(arrays.widened[place]) ** 2,
         remainder=float(arrays.remainder[place]) / posterior,
         components=name in arrays.at_zero,
-        degrees_of_freedom=finite(degrees),
+        interval=stated.shape,
         coverage_factor=stated.factor,
         expanded_uncertainty=stated.expanded,
         halved=_halved(parts, place),
@@ -229,7 +229,7 @@ def _contributions(parts: _Parts, place: int) -> Iterator[_Contribution]:
     type_a, degrees, type_b = (each[place].tolist() for each in (averaged.type_a, arrays.degrees, averaged.type_b))
     for run, variance, known in zip(runs, type_a, degrees, strict=True):
         named = {"kind": "run", "input": run.name, "group": run.procedure, "distribution": _NORMAL}
-        yield _Contribution(variance, "A", named=named | {"degrees_of_freedom": finite(known)})
+        yield _Contribution(variance, "A", named=named | {"relative_uncertainty": _relative(known)})
     for effect, members in budget.nuisance_groups(parts.result.fit.model.layout).items():
         named = {
             "kind": "priors",
@@ -244,6 +244,11 @@ def _contributions(parts: _Parts, place: int) -> Iterator[_Contribution]:
             yield _Contribution(variance, "B", named=_of_prior(parameter, width, variance, slope))
     yield _Contribution(float(arrays.noise_scales[place]), "A", named={"kind": "noise_scales", "input": ""})
     yield _Contribution(float(arrays.second_order[place]), None, named={"kind": "second_order", "input": ""})
+
+
+def _relative(degrees: float) -> float | None:
+    """Return the relative standard uncertainty of a standard uncertainty with ν degrees of freedom (GUM E.4.3)."""
+    return float((2 * degrees) ** -0.5) if math.isfinite(degrees) else None
 
 
 def _by_exact(parts: _Parts, name: str) -> Iterator[_Contribution]:

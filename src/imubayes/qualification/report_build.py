@@ -23,16 +23,16 @@ from imubayes.qualification import report_estimates as estimates
 from imubayes.qualification import report_pictures as pictures
 from imubayes.qualification import report_record as record
 from imubayes.qualification import report_subject as subject
-from imubayes.qualification.capability import with_capability
-from imubayes.qualification.certificate import CapabilityFloor, Certificate, Missing, missing_items, read_certificate
+from imubayes.qualification.capability import AppliedCapability, with_capability
+from imubayes.qualification.certificate import Certificate, Missing, missing_items, read_certificate
 from imubayes.qualification.conformity import Assessment, ConformityOfQuantity, Obstacle, assess, obstacles
 from imubayes.qualification.decision_rules import ProbabilityByTwoMethods
+from imubayes.qualification.measurement_equation import measurement_model
 from imubayes.qualification.report_budgets import UnitWithBudgets, unit_with_budgets
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.standard_quantities import digital_unit, standard_symbol
 from imubayes.qualification.taken_as_exact import OMITTED, TakenAsExact
 from imubayes.qualification.unit_under_test import TestedUnit
-from imubayes.responses.uncertain_equipment import is_normal_gravity
 from imubayes.results.change_records import read_diagnosis
 from imubayes.results.fit_file import software
 from imubayes.results.folder_files import HISTORY, checked
@@ -62,7 +62,7 @@ def subject_of(campaign: Campaign, result: Result) -> subject.Subject:
         latitude_deg=math.degrees(site.latitude),
         height_m=site.height,
         gravity_m_s2=site.gravity,
-        gravity_is_normal=is_normal_gravity(site),
+        gravity_is_normal=site.has_normal_gravity,
         gravity_uncertainty_ug=_in(site.gravity_uncertainty, to_si("ug", site.gravity)),
         channels=tuple(
             subject.ReportedChannel(
@@ -167,14 +167,14 @@ def report_of(
     diagnosis, tree = read_diagnosis(found.folder), _tree(found.folder)
     campaign = found.fit.model.campaign
     block, ledger = certificate_of(specification, certificate)  # a fault of a file is told before all that takes long
-    evaluated, floors = _evaluated(found, block, ledger)
+    evaluated, capability = _evaluated(found, block, ledger)
     unit = None if evaluated is None else evaluated.unit
     exact = TakenAsExact() if evaluated is None else evaluated.exact
     angles, standards = estimates.mounting_angles(found, unit), estimates.standard_estimates(unit)
     missing: tuple[Missing, ...] = ()
     if block is not None:
         invalid = [Missing(item="validity")] if obstacles(found, diagnosis) else []
-        missing = (*missing_items(block, campaign), *_omitted(standards, exact), *invalid)
+        missing = (*missing_items(block, campaign, covariates_read(found)), *_omitted(standards, exact), *invalid)
     expired: tuple[Obstacle, ...] = ("expired_standard",) if any(each.item == "expired" for each in missing) else ()
     assessment = assess(found, specification, diagnosis, unit, expired) if specification is not None else None
     scope = scope_of(campaign, found, diagnosis)
@@ -194,20 +194,29 @@ def report_of(
         budgets=None if evaluated is None else evaluated.budgets,
         left_out=left_out_of(campaign, found, diagnosis),
         scope=scope,
+        measurement=measurement_model(found),
         pictures=pictures_of(found, unit, assessment, angles),
         certificate=block,
         missing=missing,
-        floors=floors,
+        floors=capability.floors,
+        unused_capabilities=capability.unused,
     )
+
+
+def covariates_read(result: Result) -> tuple[str, ...]:
+    """Return the covariates that the effects of a model read: their errors enter its results."""
+    model = result.fit.model
+    effects = (model.registry.effects[effect.name] for effect in model.spec.effects)
+    return tuple(dict.fromkeys(need for effect in effects for need in effect.needs))
 
 
 def _evaluated(
     result: Result, block: Certificate | None, ledger: Ledger | None
-) -> tuple[UnitWithBudgets | None, tuple[CapabilityFloor, ...]]:
+) -> tuple[UnitWithBudgets | None, AppliedCapability]:
     """Return the unit with budgets, no U below the capability (CMC); None where the fit did not converge."""
     evaluated = unit_with_budgets(result) if result.converged else None
     if evaluated is None or block is None or ledger is None:
-        return evaluated, ()
+        return evaluated, AppliedCapability()
     return with_capability(evaluated, block.cmc, ledger)
 
 

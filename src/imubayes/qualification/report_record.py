@@ -5,11 +5,13 @@ The document is made from this record alone, so that each of its numbers is in t
 None.
 """
 
+import math
 from typing import Literal
 
 from imubayes.adequacy.adequacy_record import ChannelRms
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.explanation_records import Evidence, Verdict
+from imubayes.foundations.errors import closest_first
 from imubayes.foundations.records import Record
 from imubayes.inference.identifiability import PriorConflict, ProcedureShare, WeakDirection
 from imubayes.qualification.budget_parts import UncertaintyBudgets
@@ -18,6 +20,7 @@ from imubayes.qualification.conformity import Obstacle
 from imubayes.qualification.coverage import IntervalShape
 from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
 from imubayes.qualification.marginal import Statistic
+from imubayes.qualification.measurement_equation import MeasurementModel
 from imubayes.qualification.report_pictures import PictureData
 from imubayes.qualification.report_subject import Provenance, Subject
 from imubayes.qualification.standard_quantities import DigitalUnit, Standard
@@ -25,8 +28,6 @@ from imubayes.qualification.taken_as_exact import TakenAsExact
 from imubayes.results.summary import CombinedQuantities, NoiseViolation, RunSummary
 
 IntervalKind = Literal["95 % coverage interval, of the kind stated with each"]
-
-
 NumberWithheld = Literal["not_converged", "no_draws", "monte_carlo_error"]
 """Why a number is not stated: there is no posterior; it has no draws; or these leave no digit of its uncertainty."""
 
@@ -265,6 +266,14 @@ class LimitOutcome(Record):
     global_consumer_risk: Probability | None
     global_producer_risk: Probability | None
 
+    @property
+    def accepts_nothing(self) -> bool:
+        """Whether the guard band leaves no acceptance zone: between the limits, or above zero of a length."""
+        lowest = 0.0 if self.interval == "shortest" else -math.inf
+        if self.guard_band is None or self.upper is None:
+            return False
+        return (lowest if self.lower is None else self.lower + self.guard_band) > self.upper - self.guard_band
+
 
 class Conformity(Record):
     """The unit against its specification.
@@ -436,10 +445,12 @@ class QualificationReport(Record):
     conformity : None where no specification was given.
     exact : what the model takes as exact of site and equipment; what is included is in every uncertainty.
     budgets : None where the fit did not converge.
+    measurement : the equations of the model.
     pictures : what the pictures show, as numbers.
     certificate : what the laboratory states; None where it states nothing.
     missing : what ISO/IEC 17025 requires of a certificate and this one lacks, and what contradicts the campaign.
     floors : quantities whose U is the capability of the laboratory.
+    unused_capabilities : quantities with a capability that the result does not have.
     supplied : what the author of the report added; the package computed none of it.
     """
 
@@ -460,10 +471,12 @@ class QualificationReport(Record):
     budgets: UncertaintyBudgets | None = None
     left_out: Omissions
     scope: StatisticalScope
+    measurement: MeasurementModel = MeasurementModel()
     pictures: PictureData
     certificate: Certificate | None = None
     missing: tuple[Missing, ...] = ()
     floors: tuple[CapabilityFloor, ...] = ()
+    unused_capabilities: tuple[str, ...] = ()
     supplied: tuple[ReportSection, ...] = ()
 
     @property
@@ -471,6 +484,13 @@ class QualificationReport(Record):
         """Everything that the tables state."""
         stated = (*self.results, *self.mounting_angles, *self.standards, *self.combinations)
         return (*stated, *self.thermal_linearity)
+
+    def __getitem__(self, name: str) -> ReportedEstimate:
+        """Return what is stated of a quantity by its name; raises `KeyError` for one that the report does not have."""
+        known = {each.name: each for each in self.estimates}
+        if name not in known:
+            raise KeyError(f"the report has no quantity '{name}': {closest_first(name, known, most=5)}")
+        return known[name]
 
     @property
     def accepted(self) -> bool:

@@ -105,11 +105,11 @@ def _terms(unit: str, output: str) -> list[tuple[str, int]] | None:
 
 
 def _written(powers: dict[str, int]) -> str:
-    """Return names and powers as D-SI: those above the line first, and the unit one where there is none."""
+    r"""Return names and powers as D-SI: those above the line, or one, then those below it after the only ``\\per``."""
     named = {name: power for name, power in powers.items() if name != r"\one" and power}
     above = [_power(name, power) for name, power in named.items() if power > 0]
-    below = [rf"\per{_power(name, -power)}" for name, power in named.items() if power < 0]
-    return "".join(above or [r"\one"]) + "".join(below)
+    below = [_power(name, -power) for name, power in named.items() if power < 0]
+    return "".join(above or [r"\one"]) + (r"\per" + "".join(below) if below else "")
 
 
 def _power(name: str, power: int) -> str:

@@ -14,12 +14,13 @@ from imubayes.foundations.errors import InputError, Issue, closest_first, input_
 from imubayes.foundations.records import Presented
 from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.qualification import decision_rules as rules
-from imubayes.qualification.coverage import coverage_factor, coverage_of
+from imubayes.qualification.coverage import NORMAL_FACTOR, coverage_of
 from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.propagation import Propagated
+from imubayes.qualification.report_record import ReportedEstimate
 from imubayes.qualification.specification import ProductionEntry, RuleEntry, issues_of_rule, rule_of
 
-Measured = Propagated | tuple[float, float] | np.ndarray
+Measured = Propagated | ReportedEstimate | tuple[float, float] | np.ndarray
 
 
 @dataclass(frozen=True, repr=False)
@@ -82,7 +83,7 @@ def conformity(
 
     Parameters
     ----------
-    measured : what `propagate` found; or (estimate, standard uncertainty) if normal; or draws, shape (S,), S ≥ 400.
+    measured : of `propagate`; or ``report[name]``, if y ± U; or (estimate, u), if normal; or draws, (S,), S ≥ 400.
     lower, upper : limits.
     rule : of the decision: simple_acceptance, guard_band (w = 1.65 u), ilac_g8_non_binary (w = U),
         conformance_probability, specific_risk, or global_risk, which needs a production.
@@ -165,15 +166,15 @@ def _entry[Entry: BaseModel](record: type[Entry], **stated: str | float | None) 
 def _estimate(
     measured: Measured, tolerance: rules.ToleranceInterval, output: str, rule: rules.DecisionRule
 ) -> rules.MeasuredValue:
-    if isinstance(measured, tuple):
-        value, u = (float(each) for each in measured)
+    if isinstance(measured, tuple | ReportedEstimate):
+        value, u, expanded = _stated(measured)
         if not (math.isfinite(value) and math.isfinite(u) and u > 0):
             allowed = "a finite estimate, and a standard uncertainty above 0"
             raise input_error(f"{value:g} with u = {u:g}", "measured", allowed, "correct it")
         ends = np.array([(tolerance.lower - value) / u, (tolerance.upper - value) / u])
         below = normal_survival(-ends)
         p = float(below[1] - below[0])
-        return rules.MeasuredValue(value, u, coverage_factor(math.inf) * u, rules.compared(p, p, 0.0))
+        return rules.MeasuredValue(value, u, expanded, rules.compared(p, p, 0.0))
     draws = _draws(measured, output) if isinstance(measured, Propagated) else np.asarray(measured, dtype=float)
     if not np.isfinite(draws).all() or not np.ptp(draws) > 0:
         raise input_error("the draws are not finite or all the same", "measured", "finite draws", "correct it")
@@ -185,6 +186,19 @@ def _estimate(
         p_c = rules.conformance_probability(marginal, tolerance)
     stated = coverage_of(marginal)
     return rules.MeasuredValue(stated.estimate, stated.standard, stated.expanded, p_c)
+
+
+def _stated(measured: tuple[float, float] | ReportedEstimate) -> tuple[float, float, float]:
+    """Return y, u and U; raises InputError for an estimate that a report does not state as y ± U."""
+    if isinstance(measured, tuple):
+        value, u = (float(each) for each in measured)
+        return value, u, NORMAL_FACTOR * u
+    y, u, expanded = measured.estimate, measured.standard_uncertainty, measured.expanded_uncertainty
+    if y is None or u is None or expanded is None or measured.withheld or measured.interval != "symmetric":
+        what = f"the report states no y ± U of '{measured.name}'"
+        allowed = "an estimate with a symmetric interval that is not withheld"
+        raise input_error(what, "measured", allowed, f"give the draws: result.draws['{measured.name}']")
+    return y, u, expanded
 
 
 def _conformance_of_draws(
@@ -203,8 +217,8 @@ def _conformance_of_draws(
 
 
 def _check_measured(measured: object) -> None:
-    """Raise InputError for what is none of the three: two numbers may be (y, u) as well as two draws."""
-    if isinstance(measured, Propagated):
+    """Raise InputError for what is none of the four: two numbers may be (y, u) as well as two draws."""
+    if isinstance(measured, Propagated | ReportedEstimate):
         return
     if isinstance(measured, tuple):
         what = "" if len(measured) == 2 else f"{len(measured)} numbers"
@@ -216,7 +230,8 @@ def _check_measured(measured: object) -> None:
         what = f"a {type(measured).__name__}"
     if what:
         allowed = (
-            f"what propagate found; (estimate, standard uncertainty); or {rules.LEAST_EFFECTIVE:.0f} draws or more"
+            "what propagate found; an estimate of a report; (estimate, standard uncertainty); or "
+            f"{rules.LEAST_EFFECTIVE:.0f} draws or more"
         )
         raise input_error(f"{what} is no measured value", "measured", allowed, "give one of these")
 

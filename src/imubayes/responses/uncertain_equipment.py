@@ -4,8 +4,6 @@ The campaign says so by a stated uncertainty, and by gravity that is normal grav
 measured at the site.  No uncertainty of the fit contains it.  Report, export and corrected recordings do.
 """
 
-from imubayes.foundations.campaign_data import Site
-from imubayes.foundations.earth import normal_gravity
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.model_file import GRAVITY, UncertainEquipment
@@ -14,16 +12,11 @@ from imubayes.parameters.declarations import declared_parameters
 from imubayes.responses.candidate_effects import Coefficient, coefficients_of, lacking_effects
 
 
-def is_normal_gravity(site: Site) -> bool:
-    """Tell whether gravity is that of the ellipsoid at latitude and height, which nobody measured at the site."""
-    return site.gravity == normal_gravity(site.latitude, site.height)
-
-
 def uncertain_equipment(fit: Fit) -> tuple[UncertainEquipment, ...]:
     """Return what the campaign of a fit says is not exact and its model takes as exact."""
     model, found = fit.model, []
     for effect in lacking_effects(fit, model.registry.of_equipment())[0]:
-        assumed = effect.name == GRAVITY and is_normal_gravity(model.campaign.site)
+        assumed = effect.name == GRAVITY and model.campaign.site.has_normal_gravity
         for coefficient in coefficients_of(effect):
             own, stated = coefficient.parameter, stated_size(model, effect.name, coefficient)
             if stated or (stated is None and assumed):

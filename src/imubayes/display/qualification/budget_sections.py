@@ -5,11 +5,12 @@ from collections.abc import Collection, Iterator, Sequence
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import NO_NUMBER, listed, pretty, significant
+from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, without_empty_columns
 from imubayes.display.qualification.quantity_drawings import bar_drawings, correlation_drawing
 from imubayes.qualification import budget_parts as parts
 from imubayes.qualification.decision_rules import ADDS_UP
-from imubayes.qualification.report_record import QualificationReport
+from imubayes.qualification.report_record import QualificationReport, ReportedEstimate
 
 _SOURCES: dict[parts.Source, str] = {
     "fixture": "fixture", "table": "table", "site": "site", "reference": "reference", "unit": "unit under test",
@@ -19,19 +20,24 @@ _SHOWN_SHARE, _MOST_LINES = 0.01, 7
 # Correlations in the table of the strongest.
 _STRONG, _MOST_STRONG = 0.5, 30
 _MOST_DRAWN = 36
+NO_DEGREES = (
+    "U = k u is half the length of the 95 % coverage interval of the posterior (JCGM 101). u is the standard deviation "
+    "of the posterior and contains that scatter is known from few rows, so that no degrees of freedom belong to it and "
+    "no factor of Student’s t is to be applied to it again."
+)
+"""Why no ν stands beside u."""
 _METHOD = (
     "Posterior variance = Σ (cᵢ u(xᵢ))² of independent inputs: the noise of the runs (type A) and each prior (type B), "
     "which states what was known of fixture, table, site, reference and unit before the test."
 )
 _NOTES = (
-    "Type A contributions are evaluated from all rows of the runs of a procedure, so that they have no single input; "
-    "their degrees of freedom say how well the scatter of these runs is known (GUM E.4.3). Those of priors are "
-    "infinite. The record has the contribution of each run.",
+    "Type A contributions are evaluated from all rows of the runs of a procedure, so that they have no single input. "
+    "Known to: their own relative standard uncertainty, as the scatter of these runs is known from few rows (GUM "
+    "E.4.3). The record has the contribution of each run.",
     "Noise scales: the scatter itself is estimated, and where it is uncertain the estimate moves with it; this is the "
     "variance of the conditional mean. Second order: what is quadratic in the inputs (GUM 5.1.2, note).",
     "Remainder: posterior variance less all contributions, hence higher orders and Monte Carlo error.",
-    "U: half the length of the 95 % coverage interval of the posterior; k = U/u. ν: effective degrees of freedom by "
-    "Welch–Satterthwaite (GUM G.4.1).",
+    f"{NO_DEGREES} Where the posterior is not symmetric, its interval stands with the results.",
 )
 _TABLE_NOTE = (
     "u(x): standard uncertainty of the input; c: sensitivity, in the unit of the quantity over that of the input; "
@@ -50,7 +56,8 @@ def budget_section(report: QualificationReport) -> Iterator[Block]:
     budgets = report.budgets
     if budgets is None:
         return
-    shown, withheld = reported_budgets(report, budgets), _withheld(report)
+    shown, stated = reported_budgets(report, budgets), {line.name: line for line in report.estimates}
+    withheld = {name for name, line in stated.items() if line.withheld is not None}
     yield Heading("Uncertainty budgets")
     yield Paragraph(_METHOD)
     yield Items(_NOTES)
@@ -60,7 +67,7 @@ def budget_section(report: QualificationReport) -> Iterator[Block]:
     yield bar_drawings(shown)
     yield from _improvements(shown, withheld)
     for place, each in enumerate(shown):
-        yield _budget_table(each, place == 0, each.name in withheld)
+        yield _budget_table(each, place == 0, stated[each.name])
     yield Heading("Correlations", 3)
     drawn = [each.name for each in shown][:_MOST_DRAWN]
     yield correlation_drawing(budgets.correlation, drawn)
@@ -76,11 +83,6 @@ def reported_budgets(report: QualificationReport, budgets: parts.UncertaintyBudg
     names += [each.name for each in report.combinations if each.standard]
     names += [each.name for each in report.thermal_linearity]
     return [known[name] for name in dict.fromkeys(names) if name in known]
-
-
-def _withheld(report: QualificationReport) -> set[str]:
-    """Return the quantities whose uncertainty no other page states."""
-    return {line.name for line in report.estimates if line.withheld is not None}
 
 
 def _scaled_text(budgets: parts.UncertaintyBudgets) -> str:
@@ -167,7 +169,8 @@ def _letter(place: int) -> str:
     return "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[place] if place < 26 else f"R{place + 1}"
 
 
-def _budget_table(budget: parts.QuantityBudget, first: bool, withheld: bool) -> Sheet:
+def _budget_table(budget: parts.QuantityBudget, first: bool, stated: ReportedEstimate) -> Sheet:
+    """Return the table of a budget; its caption has u, k and U as `stated` has them."""
     lines = sorted(_grouped(budget.lines), key=lambda line: -line.share)
     large = [line for line in lines if line.kind != "small" and line.share >= _SHOWN_SHARE][:_MOST_LINES]
     rest = [line for line in lines if line not in large]
@@ -178,8 +181,9 @@ def _budget_table(budget: parts.QuantityBudget, first: bool, withheld: bool) -> 
         count = sum(line.inputs for line in rest)
         rows.append(_cells(f"{count} smaller", contribution=contribution, share=share))
     rows.append(_cells("remainder", share=budget.remainder))
-    caption = _caption(budget, withheld)
-    head = ("contribution", "type", "source", "distribution", "u(x)", "unit", "c", "|c| u(x)", "share", "ν")
+    known = words.uncertainties_text(stated) if stated.withheld is None else "u, k and U withheld: too few draws"
+    caption = f"{budget.name}: {known}"
+    head = ("contribution", "type", "source", "distribution", "u(x)", "unit", "c", "|c| u(x)", "share", "known to")
     note = (
         "Near zero inputs contribute through the components of the direction, and shares are of these."
         if budget.components
@@ -187,19 +191,6 @@ def _budget_table(budget: parts.QuantityBudget, first: bool, withheld: bool) -> 
     )
     return without_empty_columns(
         Sheet(caption, head, rows, (0, 1, 2, 3, 5), note=" ".join([_TABLE_NOTE if first else "", note]).strip())
-    )
-
-
-def _caption(budget: parts.QuantityBudget, withheld: bool) -> str:
-    """Return what a budget is of, with u, k and U where they are stated."""
-    if withheld:
-        return f"{budget.name}: u, k and U withheld: too few draws"
-    u, unit = significant(budget.standard_uncertainty, 2), pretty(budget.unit)
-    degrees = "= ∞" if budget.degrees_of_freedom is None else _degrees(budget.degrees_of_freedom)
-    degrees = degrees if degrees.startswith((">", "=")) else f"= {degrees}"
-    return (
-        f"{budget.name}: u = {u} {unit}, ν {degrees}, k = {budget.coverage_factor:.2f}, "
-        f"U = {significant(budget.expanded_uncertainty, 2)} {unit}"
     )
 
 
@@ -212,12 +203,12 @@ def _grouped(lines: Sequence[parts.BudgetLine]) -> list[parts.BudgetLine]:
             found += own
             continue
         share, variance = sum(line.share for line in own), sum(line.contribution**2 for line in own)
-        spread = sum(line.contribution**4 / line.degrees_of_freedom for line in own if line.degrees_of_freedom)
+        spread = sum((line.contribution**2 * (line.relative_uncertainty or 0.0)) ** 2 for line in own)
         found.append(
             own[0].model_copy(
                 update={
                     "input": "", "inputs": len(own), "share": share, "contribution": variance**0.5,
-                    "degrees_of_freedom": variance**2 / spread if spread else None,
+                    "relative_uncertainty": spread**0.5 / variance if spread else None,
                 }
             )
         )  # fmt: skip
@@ -225,7 +216,6 @@ def _grouped(lines: Sequence[parts.BudgetLine]) -> list[parts.BudgetLine]:
 
 
 def _line(line: parts.BudgetLine) -> tuple[Cell, ...]:
-    infinite = "∞" if line.type == "B" else ""
     return _cells(
         input_text(line),
         line.type or "",
@@ -236,24 +226,20 @@ def _line(line: parts.BudgetLine) -> tuple[Cell, ...]:
         "" if line.sensitivity is None else significant(line.sensitivity, 2),
         contribution=line.contribution,
         share=line.share,
-        degrees=infinite if line.degrees_of_freedom is None else _degrees(line.degrees_of_freedom),
+        known="" if line.relative_uncertainty is None else f"{100 * line.relative_uncertainty:.2g} %",
     )
 
 
 def _cells(
-    name: str, *middle: str, contribution: float | None = None, share: float = 0.0, degrees: str = ""
+    name: str, *middle: str, contribution: float | None = None, share: float = 0.0, known: str = ""
 ) -> tuple[Cell, ...]:
     filled = [*middle, *[""] * (6 - len(middle))]
     last = "" if contribution is None else significant(contribution, 2)
-    return tuple(Cell(text) for text in (name, *filled, last, _share(share), degrees))
+    return tuple(Cell(text) for text in (name, *filled, last, _share(share), known))
 
 
 def _share(share: float) -> str:
     return f"{100 * share + 0.0:.1f} %".replace("-0.0", "0.0")
-
-
-def _degrees(value: float) -> str:
-    return f"{value:.0f}" if value < 1000 else "> 1000"
 
 
 def _strongest(matrix: parts.CorrelationMatrix, shown: set[str]) -> Iterator[Block]:

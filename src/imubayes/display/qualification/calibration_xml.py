@@ -1,33 +1,39 @@
 """The certificate as a Digital Calibration Certificate (PTB, DCC 3.3.0) with D-SI units, and covariances as a table.
 
-A DCC is XML: administrative data from the certificate block and the campaign, then each quantity of the standards that
-was measured, with U, k and the coverage probability in a D-SI `real`.  Where the posterior is not symmetric, the
-standard uncertainty stands there and the interval in words.  The statements are those of the pages: decision rules,
-conformity to each limit, traceability, what stands against the certificate, what it lacks and what U omits.  What D-SI
-has no unit for is left out and named.
+A DCC is XML: administrative data from the certificate block and the campaign, then every quantity that the pages
+certify: those of the standards that were measured, each limit at its worst temperature, true mounting angles,
+determined combinations and Δk.  A D-SI `real` has U, k and the coverage probability (`expandedMU`); where the interval
+is not symmetric, u with the ends of the interval (`coverageIntervalMU`).  The statements are those of the pages:
+decision rules, conformity to each limit, traceability, what stands against the certificate, what it lacks and what U
+omits.  What D-SI has no unit for is left out and named.
 
 The table of covariances is for programs that propagate uncertainty (GTC, METAS UncLib): a CSV file with a line for each
-quantity: its name, D-SI unit, value, standard uncertainty and degrees of freedom, and its row of the covariance.
-GTC takes them by `multiple_ureal` and `set_correlation`, UncLib by `ulinprop` of values and covariance.
+quantity: its name, D-SI unit, value and standard uncertainty, what the pages state of it, and its row of the
+covariance.  Degrees of freedom are those with which Student's t gives the k of the pages
+(`imubayes.qualification.coverage`): `ureal(value, u, degrees)` of GTC has their U.  Of several quantities together
+GTC's `multiple_ureal` takes one number, infinity, and `set_correlation` their correlations; UncLib's `ulinprop` takes
+values and covariance alone.  u of a function of them is right, and k, between 1.96 and 2.00, is that of a normal
+distribution.  A quantity whose interval is not symmetric has neither k, U nor degrees of freedom.
 """
 
 import csv
 import io
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
 
+from imubayes.display.fit_quality_tables import members_text
 from imubayes.display.numbers_and_labels import pretty, ratio_text
 from imubayes.display.qualification.certificate_pages import all_statements
-from imubayes.display.qualification.exact_tables import omissions
-from imubayes.display.qualification.words import limits_text, value_text
+from imubayes.display.qualification.exact_tables import omissions, omitted_beside
+from imubayes.display.qualification.words import Stated, limits_text, value_text
 from imubayes.foundations.errors import Issue, refuse
-from imubayes.foundations.quantity_names import name_of
 from imubayes.qualification.certificate import Certificate, Party
+from imubayes.qualification.coverage import COVERAGE_PROBABILITY, IntervalShape, equivalent_degrees
 from imubayes.qualification.decision_rules import Outcome
-from imubayes.qualification.report_record import QualificationReport, StandardEstimate
+from imubayes.qualification.report_record import QualificationReport, ReportedEstimate, StandardEstimate
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 SCHEMA_VERSION = "3.3.0"
@@ -37,7 +43,12 @@ _CONFORMITY: dict[Outcome, str] = {
     "pass": "pass", "conditional_pass": "conditionalPass", "conditional_fail": "conditionalFail", "fail": "fail",
     "withheld": "noPass",
 }  # fmt: skip
-_PROBABILITY = "0.95"
+_PROBABILITY = f"{COVERAGE_PROBABILITY:g}"
+COLUMNS = (
+    "name", "unit", "value", "standard_uncertainty", "coverage_factor", "expanded_uncertainty", "degrees_of_freedom",
+    "interval", "low", "high", "coverage_probability",
+)  # fmt: skip
+"""Columns of the table of covariances before those of the covariance."""
 
 
 def dcc_file(report: QualificationReport) -> bytes:
@@ -181,9 +192,10 @@ def _statements(parent: ElementTree.Element, report: QualificationReport, block:
 def _measured(parent: ElementTree.Element, report: QualificationReport, block: Certificate) -> None:
     result = _child(parent, "measurementResult")
     _text(result, "name", f"Quantities of unit {report.subject.serial or report.subject.campaign}")
-    left_out = [each for each in report.standards if each.d_si is None or each.withheld is not None]
+    listed = list(_certified(report))
+    left_out = [each for each in listed if each.stated.d_si is None or _is_withheld(each.stated)]
     if left_out:
-        named = ", ".join(f"{name_of(each.symbol, each.label)} in {each.unit}" for each in left_out)
+        named = ", ".join(f"{each.name} in {each.stated.unit}" for each in left_out)
         _text(result, "description", f"Without a D-SI unit or withheld, and left out here: {named}.")
     method = _child(_child(result, "usedMethods"), "usedMethod")
     _text(method, "name", block.method or report.provenance.model)
@@ -191,20 +203,69 @@ def _measured(parent: ElementTree.Element, report: QualificationReport, block: C
         _child(method, "norm", standard)
     _equipment(result, block)
     _conditions(result, block)
-    ratios = {(each.symbol, each.label): each.ratio for each in omissions(report) if each.kind == "standard"}
-    _results(_child(result, "results"), [each for each in report.standards if each not in left_out], ratios)
+    _results(_child(result, "results"), [each for each in listed if each not in left_out])
 
 
-def _results(
-    parent: ElementTree.Element, shown: Sequence[StandardEstimate], ratios: Mapping[tuple[str, str], float]
-) -> None:
-    for standard in dict.fromkeys(each.standard for each in shown):
+def _results(parent: ElementTree.Element, shown: Sequence["_Certified"]) -> None:
+    for group in dict.fromkeys(each.group for each in shown):
         own = _child(parent, "result")
-        _text(own, "name", standard)
+        _text(own, "name", group)
         data = _child(own, "data")
         for each in shown:
-            if each.standard == standard:
-                _quantity(data, each, ratios.get((each.symbol, each.label)))
+            if each.group == group:
+                _quantity(data, each)
+
+
+@dataclass(frozen=True)
+class _Certified:
+    """A quantity that the pages certify: the result that it is listed under, its name, what it is, and its estimate."""
+
+    group: str
+    name: str
+    description: str
+    stated: Stated
+
+
+def _certified(report: QualificationReport) -> Iterator[_Certified]:
+    """Yield every quantity that the pages certify; those of the standards have what U omits in their description."""
+    ratios = {(each.symbol, each.label): each.ratio for each in omissions(report) if each.kind == "standard"}
+    for each in report.standards:
+        ratio = ratios.get((each.symbol, each.label))
+        lacks = "" if ratio is None else f" Known contributions that U omits would multiply it by {ratio_text(ratio)}."
+        yield _Certified(each.standard, f"{each.quantity} {each.symbol} of {each.label}", f"{each.term}.{lacks}", each)
+    yield from _limits(report)
+    yield from _of_other_tables(report)
+
+
+def _limits(report: QualificationReport) -> Iterator[_Certified]:
+    for limit in report.conformity.limits if report.conformity is not None else ():
+        span = limit.temperature_range
+        where = "at the reference temperature" if span is None else "worst from {:g} °C to {:g} °C".format(*span)
+        name = f"{limit.symbol or limit.name} of {limit.label}, {where}"
+        yield _Certified(
+            "Limits of the specification", name, f"limits {limits_text(limit)} {pretty(limit.unit)}", limit
+        )
+
+
+def _of_other_tables(report: QualificationReport) -> Iterator[_Certified]:
+    beside = omitted_beside(report)
+    tables = (
+        ("True mounting angles", ((f"true angle of {e.channel} in {e.mounting}", e) for e in report.mounting_angles)),
+        ("Determined combinations", ((members_text(e), e) for e in report.combinations)),
+        ("Thermal linearity", ((f"Δk of {e.channel} in {e.run}", e) for e in report.thermal_linearity)),
+    )
+    for group, estimates in tables:
+        for name, each in estimates:
+            omits = beside.get(each.name)
+            lacks = "" if omits is None else f"; known contributions that U omits would multiply it by {omits[2:]}"
+            yield _Certified(group, name, f"{each.name}{lacks}", each)
+
+
+def _is_withheld(stated: Stated) -> bool:
+    """Return whether no number of an estimate is stated: for too few draws, or as it has no uncertainty."""
+    withheld = isinstance(stated, ReportedEstimate) and stated.withheld is not None
+    few = stated.monte_carlo is None or stated.monte_carlo.digits == 0
+    return withheld or few or stated.interval is None or stated.low is None
 
 
 def _equipment(parent: ElementTree.Element, block: Certificate) -> None:
@@ -249,35 +310,47 @@ def _conditions(parent: ElementTree.Element, block: Certificate) -> None:
             _child(real, "unit", unit, SI)
 
 
-def _quantity(parent: ElementTree.Element, each: StandardEstimate, omitted: float | None) -> None:
+def _quantity(parent: ElementTree.Element, certified: _Certified) -> None:
+    each = certified.stated
     assert each.d_si is not None, "quantities without a D-SI unit are left out"
     factor, own = each.d_si.factor, _child(parent, "quantity")
-    _text(own, "name", f"{each.quantity} {each.symbol} of {each.label}")
+    _text(own, "name", certified.name)
     symmetric = each.interval == "symmetric" and each.expanded_uncertainty is not None
-    shape = "" if symmetric else f" 95 % {each.interval} interval: {value_text(each)} {each.unit}."
-    lacks = "" if omitted is None else f" Known contributions that U omits would multiply it by {ratio_text(omitted)}."
-    _text(own, "description", f"{each.term}.{shape}{lacks}")
+    shape = "" if symmetric else f" The 95 % interval is {_SHAPES[each.interval or 'equal-tailed']}."
+    _text(own, "description", f"{certified.description}{shape}")
     real = _child(own, "real", space=SI)
     _child(real, "value", _number(each.estimate, factor), SI)
     _child(real, "unit", each.d_si.unit, SI)
     uncertainty = _child(real, "measurementUncertaintyUnivariate", space=SI)
-    if not symmetric:
-        _child(
-            _child(uncertainty, "standardMU", space=SI),
-            "valueStandardMU",
-            _number(each.standard_uncertainty, factor),
-            SI,
-        )
+    if symmetric:
+        expanded = _child(uncertainty, "expandedMU", space=SI)
+        _child(expanded, "valueExpandedMU", _number(each.expanded_uncertainty, abs(factor)), SI)
+        _child(expanded, "coverageFactor", _number(each.coverage_factor, 1.0), SI)
+        _child(expanded, "coverageProbability", _PROBABILITY, SI)
         return
-    expanded = _child(uncertainty, "expandedMU", space=SI)
-    _child(expanded, "valueExpandedMU", _number(each.expanded_uncertainty, abs(factor)), SI)
-    _child(expanded, "coverageFactor", _number(each.coverage_factor, 1.0), SI)
-    _child(expanded, "coverageProbability", _PROBABILITY, SI)
+    interval = _child(uncertainty, "coverageIntervalMU", space=SI)
+    _child(interval, "valueStandardMU", _number(each.standard_uncertainty, abs(factor)), SI)
+    for name, end in zip(("intervalMin", "intervalMax"), ends_in(each, factor), strict=True):
+        _child(interval, name, _number(end, 1.0), SI)
+    _child(interval, "coverageProbability", _PROBABILITY, SI)
+
+
+_SHAPES: dict[IntervalShape, str] = {
+    "symmetric": "symmetric", "equal-tailed": "that of equal tails", "shortest": "the shortest one",
+}  # fmt: skip
+
+
+def ends_in(each: Stated, factor: float) -> tuple[float, float]:
+    """Return the ends of an interval in a unit of which one of the estimate's has so many, the lower one first."""
+    assert each.low is not None, "withheld numbers are left out"
+    assert each.high is not None, "withheld numbers are left out"
+    first, last = sorted((each.low * factor, each.high * factor))
+    return first, last
 
 
 def _number(value: float | None, factor: float) -> str:
     assert value is not None, "withheld numbers are left out"
-    return f"{value * factor:.9g}"
+    return f"{value * factor:.12g}"
 
 
 def covariance_file(report: QualificationReport) -> bytes:
@@ -294,15 +367,12 @@ def covariance_file(report: QualificationReport) -> bytes:
     buffer = io.StringIO()
     table = csv.writer(buffer, lineterminator="\n")
     names = [each.name for each, _, _ in found]
-    table.writerow(["name", "unit", "value", "standard_uncertainty", "degrees_of_freedom", *names])
+    table.writerow([*COLUMNS, *names])
     u = np.array([uncertainty for _, _, uncertainty in found])
     for k, (each, known, uncertainty) in enumerate(found):
-        assert each.d_si is not None, "quantities without a D-SI unit are left out"
-        degrees = _degrees(report, known)
         line = [float(uncertainty * u[j] * correlation(known, other)) for j, (_, other, _) in enumerate(found)]
         line[k] = float(uncertainty**2)
-        value = _number(each.estimate, each.d_si.factor)
-        table.writerow([each.name, each.d_si.unit, value, f"{uncertainty:.9g}", degrees, *(f"{v:.9g}" for v in line)])
+        table.writerow([*_stated(each), *(f"{v:.12g}" for v in line)])
     return buffer.getvalue().encode()
 
 
@@ -315,7 +385,15 @@ def _with_budget(report: QualificationReport) -> Iterator[tuple[StandardEstimate
             yield each, own, each.standard_uncertainty * abs(each.d_si.factor)
 
 
-def _degrees(report: QualificationReport, name: str) -> str:
-    assert report.budgets is not None, "there are quantities with budgets"
-    found = next(each.degrees_of_freedom for each in report.budgets.quantities if each.name == name)
-    return "inf" if found is None or not math.isfinite(found) else f"{found:.6g}"
+def _stated(each: StandardEstimate) -> list[str]:
+    """Return what is stated of a quantity, in its D-SI unit, in the order of the columns."""
+    assert each.d_si is not None, "quantities without a D-SI unit are left out"
+    factor = each.d_si.factor
+    symmetric = [""] * 3
+    if each.interval == "symmetric" and each.coverage_factor is not None:
+        k, u = each.coverage_factor, each.expanded_uncertainty
+        symmetric = [f"{k:.12g}", _number(u, abs(factor)), f"{equivalent_degrees(k):.12g}"]
+    ends = ((end, 1.0) for end in ends_in(each, factor))
+    numbers = (each.estimate, factor), (each.standard_uncertainty, abs(factor)), *ends
+    value, uncertainty, low, high = (_number(*pair) for pair in numbers)
+    return [each.name, each.d_si.unit, value, uncertainty, *symmetric, str(each.interval), low, high, _PROBABILITY]

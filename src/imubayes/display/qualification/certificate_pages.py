@@ -17,6 +17,10 @@ _OF_STANDARDS: tuple[certificates.MissingItem, ...] = (
     "standard_validity",
     "expired",
     "untraced",
+    "unused",
+    "normal_gravity",
+    "repeated_standard",
+    "shared_certificate",
 )
 _MISSING: dict[certificates.MissingItem, str] = {
     "number": "unique identification of the certificate (7.8.2.1 d)",
@@ -29,22 +33,36 @@ _MISSING: dict[certificates.MissingItem, str] = {
     "method": "identification of the method (7.8.2.1 f)",
     "item_description": "description of the item (7.8.2.1 g)",
     "serial": "unambiguous identification of the item: `serial` of the campaign (7.8.2.1 g)",
-    "received": "date of receipt of the item (7.8.2.1 h)",
+    "received": "date of receipt of the item, where it matters to the results (7.8.2.1 h)",
     "performed": "dates of the calibration: `start` of the runs (7.8.2.1 i)",
     "environment": "conditions under which the calibration was made (7.8.4.1 b)",
-    "standards": "standards used, for the statement of traceability (7.8.4.1 c)",
-    "standard_certificate": "number of the certificate of {of} (7.8.4.1 c)",
-    "standard_validity": "validity of the certificate of {of} (7.8.4.1 c)",
-    "expired": "a valid certificate of {of}: it expired before the last run that used it (6.5)",
-    "untraced": "a standard for {of}, which runs used: none of those listed names it (7.8.4.1 c)",
-    "unused": "a standard that was used, as no run used this one — {of} (7.8.4.1 c)",
-    "received_late": "a date of receipt that is not after the first run (7.8.2.1 h)",
-    "issued_early": "a date of issue that is not before the last run (7.8.2.1 j)",
-    "validity": "results of a fit that converged and of a model that a diagnosis found adequate (7.2.2, 7.7.1)",
-    "cmc": "the capabilities (CMC) of the accredited laboratory, below which no U is stated (ILAC-P14)",
-    "omitted": "all known contributions in U: those that it omits of {of} are on the first page (7.6.1)",
+    "standards": "a statement of traceability: the standards used (7.8.4.1 c)",
+    "untraced": "traceability of {of}, which runs used: no standard names it (7.8.4.1 c)",
+    "normal_gravity": "traceability of gravity: the campaign has the formula of normal gravity, and no measured "
+    "`gravity_m_s2` of the site (7.8.4.1 c)",
     "signatories": "persons who authorise the certificate (7.8.2.1 o)",
+    "standard_certificate": "the certificate of {of} has no number",
+    "standard_validity": "the date until which the certificate of {of} is valid is not stated",
+    "expired": "the certificate of {of} expired before the last run that used it (ISO/IEC 17025, 6.5)",
+    "unused": "no run used this standard, and its claim counts for nothing — {of}",
+    "repeated_standard": "one standard is listed more than once — {of}",
+    "shared_certificate": "one number is that of certificates of several issuers — {of}",
+    "received_late": "the date of receipt is after the first run",
+    "issued_early": "the date of issue is before the last run",
+    "validity": "the fit did not converge, or no diagnosis found its model adequate (ISO/IEC 17025, 7.2.2 and 7.7.1)",
+    "cmc": "the laboratory states an accreditation and no capabilities (CMC), below which no U is stated (ILAC-P14)",
+    "omitted": "U omits known contributions, which are on the first page, to {of} (ISO/IEC 17025, 7.6.1)",
 }
+
+
+# Statements that stand on the page of the signatures, at least.
+_WITH_SIGNATURES = 2
+# What has no standard, in words: of gravity by its formula the item has no name.
+_USED = {
+    "": "gravity, by the formula of normal gravity", "temperature": "temperature of the unit",
+    "converter_temperature": "temperature of the converter", "time": "time of the runs",
+    "reference_gyro": "reference gyro", "current_injection": "injected current",
+}  # fmt: skip
 
 
 def certificate_facts(report: QualificationReport, found: certificates.Certificate) -> list[tuple[str, str]]:
@@ -54,6 +72,7 @@ def certificate_facts(report: QualificationReport, found: certificates.Certifica
     start, end = (None if each is None else each[:10] for each in (scope.first_start, scope.last_start))
     return [
         ("Certificate", f"{found.number or 'number ' + _NOT_STATED}, issued {found.date or _NOT_STATED}"),
+        *([("Amendment", _amendment(found.amendment))] if found.amendment else []),
         ("Laboratory", _party(found.laboratory)),
         ("Customer", _party(found.customer) + (f"; order {found.order}" if found.order else "")),
         ("Item", f"{named or _NOT_STATED}; serial number {report.subject.serial or _NOT_STATED}"),
@@ -76,8 +95,10 @@ def certificate_section(report: QualificationReport) -> Iterator[Block]:
     yield Paragraph(_method(found))
     if found.standard:
         yield _standards_table(report, found.standard)
-    for text in statements(report, found):
-        yield Paragraph(text)
+    said = list(statements(report, found))
+    for place, text in enumerate(said):
+        # A page with signatures alone could be added to any certificate.
+        yield Paragraph(text, kept=bool(found.signatory) and place >= len(said) - _WITH_SIGNATURES)
     if found.signatory:
         rows = [cells(each.name, each.function or "–", "_" * 14, "_" * 36) for each in found.signatory]
         yield Sheet("Authorised by", ("name", "function", "date", "signature"), rows, (0, 1, 2, 3))
@@ -90,16 +111,73 @@ def _method(found: certificates.Certificate) -> str:
 def all_statements(report: QualificationReport, found: certificates.Certificate) -> list[str]:
     """Return what a certificate states in words, with what stands against it and what it lacks."""
     rules = [] if report.conformity is None else rules_text(report.conformity.limits)
-    lacks = [f"Missing from this certificate: {'; '.join(missing_texts(report.missing))}."] if report.missing else []
+    lacks = [
+        f"{said}: {'; '.join(missing_texts(own))}."
+        for said, required in (("Missing from this certificate", True), ("Not in order", False))
+        for own in ([each for each in report.missing if each.required == required],)
+        if own
+    ]
     return [*alarms(report), *lacks, *rules, _method(found), *statements(report, found)]
 
 
 def statements(report: QualificationReport, found: certificates.Certificate) -> Iterator[str]:
     """Yield traceability, conditions, capability, what results and U are of, remarks and accreditation."""
-    if found.standard and not any(each.item in _OF_STANDARDS for each in report.missing):
-        yield "The results are metrologically traceable to the SI through the standards used."
+    yield from _traceability(report, found)
     yield f"Conditions: {_conditions(found.environment)}. Adjustment: {found.adjustment or _NOT_STATED}."
     yield unit_g_text(report)
+    yield from _floors(report)
+    yield (
+        "The results relate only to the item calibrated, at the time and under the conditions of the calibration. The "
+        "expanded uncertainty U is the standard uncertainty times the coverage factor k, which for the posterior of "
+        "the quantity corresponds to a coverage probability of 95 %; no degrees of freedom are to be applied to it. It "
+        "was evaluated by JCGM 100 and JCGM 101 and contains no contribution of long-term stability. This certificate "
+        "may be reproduced only in full."
+    )
+    if found.amendment is not None:
+        yield f"{_amendment(found.amendment)}."
+    yield from _of_others(found)
+    if found.remarks:
+        yield f"Remarks: {found.remarks}"
+    if found.accreditation and not report.missing:
+        used = (each.quantity for each in found.cmc if each.quantity not in report.unused_capabilities)
+        covered = dict.fromkeys(" ".join(standard_symbol(quantity)).strip() for quantity in used)
+        yield (
+            f"{found.accreditation.rstrip('.')}. The accreditation covers the quantities with a CMC: "
+            f"{', '.join(covered)}. Other results are outside its scope."
+        )
+
+
+def _amendment(found: certificates.Amendment) -> str:
+    """Return what an issued certificate becomes, as a sentence without its full stop."""
+    what = "Replaces certificate" if found.replaces else "Amendment to certificate"
+    reason = "" if found.reason is None else f"; reason: {found.reason.rstrip('.')}"
+    return f"{what} {found.of}. Changed: {found.changes.rstrip('.')}{reason}"
+
+
+def _of_others(found: certificates.Certificate) -> Iterator[str]:
+    """Yield what the laboratory did not obtain by itself, and how the item was sampled."""
+    for each in found.external:
+        yield f"Results of an external provider, {each.provider}: {each.results.rstrip('.')}."
+    if found.customer_data:
+        yield (
+            f"Provided by the customer: {found.customer_data.rstrip('.')}. The laboratory is not responsible for this "
+            "information, which can affect the validity of the results."
+        )
+    if found.sampling:
+        yield f"Sampling: {found.sampling.rstrip('.')}."
+
+
+def _traceability(report: QualificationReport, found: certificates.Certificate) -> Iterator[str]:
+    """Yield what the results are traceable through, or what no standard traces."""
+    if found.standard and not any(each.item in _OF_STANDARDS for each in report.missing):
+        yield "The results are metrologically traceable to the SI through the standards used."
+    untraced = [_USED.get(each.of, each.of) for each in report.missing if each.item in ("untraced", "normal_gravity")]
+    if untraced:
+        yield f"No standard traces: {', '.join(untraced)}. Results that depend on these are not shown to be traceable."
+
+
+def _floors(report: QualificationReport) -> Iterator[str]:
+    """Yield which U are the capability of the laboratory; nothing where none is."""
     if report.floors:
         own = {each.members[0]: (each.symbol, each.label) for each in report.standards if len(each.members) == 1}
         named = "; ".join(
@@ -111,20 +189,9 @@ def statements(report: QualificationReport, found: certificates.Certificate) -> 
             "U by the budget is smaller than the calibration and measurement capability (CMC) of the laboratory, and "
             f"the CMC is stated in its place (ILAC-P14), for {named}."
         )
-    yield (
-        "The results relate only to the item calibrated, at the time and under the conditions of the calibration. The "
-        "expanded uncertainty U is the standard uncertainty times the coverage factor k, which for the posterior of "
-        "the quantity corresponds to a coverage probability of 95 %; it was evaluated by JCGM 100 and JCGM 101 and "
-        "contains no contribution of long-term stability. This certificate may be reproduced only in full."
-    )
-    if found.remarks:
-        yield f"Remarks: {found.remarks}"
-    if found.accreditation and not report.missing:
-        covered = dict.fromkeys(" ".join(standard_symbol(each.quantity)).strip() for each in found.cmc)
-        yield (
-            f"{found.accreditation.rstrip('.')}. The accreditation covers the quantities with a CMC: "
-            f"{', '.join(covered)}. Other results are outside its scope."
-        )
+    if report.unused_capabilities:
+        listed = ", ".join(report.unused_capabilities)
+        yield f"Capabilities (CMC) that nothing in this certificate uses, as it has none of these quantities: {listed}."
 
 
 def _standards_table(report: QualificationReport, standards: Sequence[certificates.MeasurementStandard]) -> Sheet:
@@ -173,18 +240,23 @@ def _conditions(found: certificates.Environment) -> str:
 
 
 def missing_section(missing: Sequence[certificates.Missing]) -> Iterator[Block]:
-    """Return what ISO/IEC 17025 requires of a certificate and this one lacks."""
-    if not missing:
-        return
-    yield Heading("Missing from this certificate")
-    yield Paragraph(
-        "ISO/IEC 17025:2017 requires the following of a calibration certificate, and it is missing. Without it, "
-        "this document is no certificate of an accredited laboratory.",
-        "weak",
-    )
-    yield Items(missing_texts(missing))
+    """Return what ISO/IEC 17025 requires of a certificate and this one lacks, and what else stands against it."""
+    required = [each for each in missing if each.required]
+    others = [each for each in missing if not each.required]
+    if required:
+        yield Heading("Missing from this certificate")
+        yield Paragraph(
+            "ISO/IEC 17025:2017 requires the following of a calibration certificate, and it is missing. Without it, "
+            "this document is no certificate of an accredited laboratory.",
+            "weak",
+        )
+        yield Items(missing_texts(required))
+    if others:
+        yield Heading("Not in order")
+        yield Paragraph("What this certificate states does not agree with the campaign, or does not suffice:", "weak")
+        yield Items(missing_texts(others))
 
 
 def missing_texts(missing: Sequence[certificates.Missing]) -> list[str]:
-    """Return each thing that is missing, with its clause."""
+    """Return each thing that is missing or not in order, with the clause that requires it."""
     return [_MISSING[each.item].format(of=each.of) for each in missing]

@@ -8,7 +8,7 @@ outlines.
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import matplotlib as mpl
@@ -35,10 +35,11 @@ class Heading:
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A paragraph."""
+    """A paragraph; one that is kept stands on the page of what follows."""
 
     text: str
     mood: Mood = ""
+    kept: bool = False
     type: Literal["paragraph"] = "paragraph"
 
 
@@ -50,9 +51,14 @@ class Items:
     type: Literal["items"] = "items"
 
 
-def without_empty_columns(table: Sheet) -> Sheet:
-    """Return a table without empty columns, such as the unit of an input where all inputs are runs."""
-    return of_columns(table, [place for place in range(len(table.head)) if any(row[place].text for row in table.rows)])
+def without_empty_columns(table: Sheet, of: str | None = None) -> Sheet:
+    """Return a table without empty columns, such as the unit of an input where all inputs are runs; `of` one head."""
+    kept = (
+        place
+        for place, head in enumerate(table.head)
+        if of not in (None, head) or any(row[place].text for row in table.rows)
+    )
+    return of_columns(table, list(kept))
 
 
 @dataclass(frozen=True)
@@ -78,7 +84,17 @@ class Drawings:
     type: Literal["drawings"] = "drawings"
 
 
-Block = Heading | Paragraph | Items | Sheet | Drawings
+@dataclass(frozen=True)
+class Equations:
+    """Equations one below the other: as MathML, as the mathematics of Typst, and in words for who does not see them."""
+
+    mathml: Sequence[str]
+    typst: Sequence[str]
+    words: Sequence[str]
+    type: Literal["equations"] = "equations"
+
+
+Block = Heading | Paragraph | Items | Sheet | Drawings | Equations
 
 
 @dataclass(frozen=True)
@@ -115,10 +131,47 @@ class ReportDocument:
     author: str = "imubayes"
 
 
+# A hyphen before a number, but within a name, a date, or the prior of a model file; and that of an exponent.
+_HYPHEN = re.compile(r"(?<![\w\-.,])(?<!\w[\[(])-(?=\.?\d)|(?<=\de)-(?=\d)")
+_CODE = re.compile(r"(`[^`]+`)")
+
+
+def with_minus(text: str) -> str:
+    """Return a text whose negative numbers have a minus sign (ISO 80000-1); commands and names stay as they are."""
+    parts = _CODE.split(text)
+    return "".join(part if place % 2 else _HYPHEN.sub("−", part) for place, part in enumerate(parts))
+
+
+def typeset(document: ReportDocument) -> ReportDocument:
+    """Return a document with its texts as they are printed."""
+    banner = replace(document.banner, sentence=with_minus(document.banner.sentence))
+    return replace(
+        document,
+        banner=banner,
+        alarms=[with_minus(each) for each in document.alarms],
+        facts=[(label, with_minus(value)) for label, value in document.facts],
+        blocks=[_typeset(block) for block in document.blocks],
+    )
+
+
+def _typeset(block: Block) -> Block:
+    match block:
+        case Sheet():
+            rows = [[replace(cell, text=with_minus(cell.text)) for cell in row] for row in block.rows]
+            return block.changed(title=with_minus(block.title), note=with_minus(block.note), rows=rows)
+        case Paragraph():
+            return replace(block, text=with_minus(block.text))
+        case Items():
+            return replace(block, items=[with_minus(item) for item in block.items])
+        case Drawings():
+            return replace(block, caption=with_minus(block.caption))
+    return block
+
+
 WIDTH = 4.4
 LINES: tuple[Literal["-", "--", "-.", ":"], ...] = ("-", "--", "-.", ":")
 _STYLE = STYLE.copy()
-_STYLE.update({"svg.fonttype": "none", "svg.hashsalt": "imubayes", "axes.unicode_minus": False})
+_STYLE.update({"svg.fonttype": "none", "svg.hashsalt": "imubayes", "axes.unicode_minus": True})
 _REFERENCE = re.compile(r"(?<=#)[A-Za-z][\w-]*")
 _IDENTITY = re.compile(r' id="([^"]+)"')
 _HEADER = re.compile(r"^.*?(?=<svg)|<metadata>.*?</metadata>|<!--.*?-->\n?", re.DOTALL)

@@ -44,6 +44,10 @@ class Omission:
     causes: tuple[ExactInput, ...]
 
 
+BESIDE = "U omits"
+"""Head of the column with the factor by which what U omits would multiply it."""
+
+
 def included_table(report: QualificationReport) -> Sheet | None:
     """Return what is taken as exact and is in every U, with what it does; None where nothing of it matters."""
     budgets = {} if report.budgets is None else {each.name: each for each in report.budgets.quantities}
@@ -85,22 +89,34 @@ def _worst_included(
 
 
 def omissions(report: QualificationReport) -> list[Omission]:
-    """Return the stated quantities whose U omits what would widen it by a twentieth and more."""
+    """Return the stated quantities whose U omits what would widen it by a twentieth and more, each once."""
+    found, seen = [], set[str]()
+    for names, omission in _omitted(report):
+        if not seen.intersection(names):
+            found.append(omission)
+        seen.update(names)
+    return found
+
+
+def omitted_beside(report: QualificationReport) -> dict[str, str]:
+    """Return, for the name of every estimate whose U omits something, the factor by which that would multiply it."""
+    return {name: f"× {ratio_text(found.ratio)}" for names, found in _omitted(report) for name in names}
+
+
+def _omitted(report: QualificationReport) -> Iterator[tuple[tuple[str, ...], Omission]]:
+    """Yield what U omits of each stated quantity, with the names that this has."""
     budgets = {} if report.budgets is None else {each.name: each for each in report.budgets.quantities}
     omitted = {each.name for each in report.exact.unstated}
-    found, seen = [], set[str]()
     for kind, symbol, label, line, names in _stated(report):
         name = next((each for each in names if each in omitted), None)
         u = line.standard_uncertainty
-        if name is None or not u or line.withheld is not None or seen.intersection(names):
+        if name is None or not u or line.withheld is not None:
             continue
-        seen.update(names)
         own = budgets[name].standard_uncertainty if name in budgets else u
         ratio = report.exact.omitted_ratio(name, own)
         if ratio > OMITTED:
             causes = _causes(report.exact.inputs, name)
-            found.append(Omission(kind, symbol, label, ratio, u, line.unit, causes))
-    return found
+            yield names, Omission(kind, symbol, label, ratio, u, line.unit, causes)
 
 
 def _stated(report: QualificationReport) -> Iterator[tuple[Kind, str, str, ReportedEstimate, tuple[str, ...]]]:
@@ -159,11 +175,11 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
 
 def omitted_note(found: Sequence[Omission], kind: Kind) -> str:
     """Return what U omits in one table, as a sentence for its note; empty where it omits nothing."""
-    own = [each for each in found if each.kind == kind]
-    if not own:
+    causes = dict.fromkeys(_named(cause) for each in found if each.kind == kind for cause in each.causes)
+    if not any(each.kind == kind for each in found):
         return ""
-    names = _factors(own) if kind != "standard" else ", ".join(dict.fromkeys(each.symbol for each in own))
-    return f" Known contributions would multiply u and U, which omit them (first page): {names}."
+    named = f", of {', '.join(causes)}" if causes else ""
+    return f" {BESIDE}: known contributions{named}, would multiply u and U of this line, which omit them (first page)."
 
 
 def _factors(found: Sequence[Omission]) -> str:

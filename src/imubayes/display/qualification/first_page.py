@@ -1,31 +1,43 @@
 """The first page: outcome, what stands against it, the facts of the test, and the limits at a glance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import counted, pretty, significant
 from imubayes.display.qualification import words
-from imubayes.display.qualification.document import Banner
+from imubayes.display.qualification.document import Banner, without_empty_columns
+from imubayes.display.qualification.exact_tables import BESIDE
 from imubayes.foundations.quantity_names import family_of
 from imubayes.qualification import report_record as record
 
 
 def banner(report: record.QualificationReport) -> Banner:
     """Return the outcome in words and colour."""
-    found = report.conformity
+    found, approximate = report.conformity, _approximate(report.convergence)
     if found is None:
         sentence = (
             "No specification was given: this report states estimates with their uncertainty and decides nothing."
         )
-        return Banner("NO SPECIFICATION", sentence, "")
+        return Banner("NO SPECIFICATION", sentence + approximate, "")
     word, mood = words.OUTCOMES[found.outcome]
-    return Banner(word, _sentence(found), mood)
+    return Banner(word, _sentence(found) + approximate, mood)
+
+
+def _approximate(convergence: record.ReportedConvergence) -> str:
+    """Return that the numbers are of an approximation; nothing of a posterior that was sampled or is none."""
+    if convergence.sampled or not convergence.converged:
+        return ""
+    return (
+        " The posterior was not sampled: every number and decision is of its Laplace approximation, which sampling "
+        "(`imubayes fit` without `--no-sample`) would confirm."
+    )
 
 
 def _sentence(found: record.Conformity) -> str:
     met = sum(limit.outcome in ("pass", "conditional_pass") for limit in found.limits)
     of = len(found.limits)
-    limits = f"{met} of {of} limits of the specification “{found.specification}” are met under the decision rule."
+    those = f"{counted(of, 'limit')} of the specification “{found.specification}” {'is' if of == 1 else 'are'}"
+    limits = f"{met} of {those} met under the decision rule."
     if not found.limits:
         return f"The limits of the specification “{found.specification}” could not be judged: the fit did not converge."
     if found.outcome == "withheld" and found.obstacles:
@@ -54,15 +66,27 @@ def alarms(report: record.QualificationReport) -> list[str]:
         found.append(f"Priors and data disagree for {names}: see model adequacy.")
     if any(each.item == "expired" for each in report.missing):
         found.append(words.OBSTACLES["expired_standard"])
+    empty = [limit.name for limit in (report.conformity.limits if report.conformity else ()) if limit.accepts_nothing]
+    if empty:
+        found.append(f"No result could be accepted for {words.enumerated(empty, 4)}: {NO_ZONE} between the limits.")
     return [*found, *_incomplete(report)]
 
 
 def _incomplete(report: record.QualificationReport) -> list[str]:
-    """Return that what ISO/IEC 17025 requires of a certificate is missing; nothing where nothing is."""
-    if report.certificate is None or not report.missing:
+    """Return that what ISO/IEC 17025 requires of a certificate is missing, and that more is not in order."""
+    if report.certificate is None:
         return []
-    named = counted(len(report.missing), "item")
-    return [f"No certificate of an accredited laboratory: ISO/IEC 17025 requires {named} more, listed at the end."]
+    required = sum(each.required for each in report.missing)
+    others = len(report.missing) - required
+    found = []
+    if required:
+        named = counted(required, "item")
+        found.append(
+            f"No certificate of an accredited laboratory: ISO/IEC 17025 requires {named} more, listed at the end."
+        )
+    if others:
+        found.append(f"Not in order: {counted(others, 'item')}, listed at the end.")
+    return found
 
 
 def facts(report: record.QualificationReport) -> list[tuple[str, str]]:
@@ -96,7 +120,10 @@ def _day(start: str) -> str:
 
 
 def limits_table(
-    limits: Sequence[record.LimitOutcome], components: Mapping[str, str] | None = None, reference: str = ""
+    limits: Sequence[record.LimitOutcome],
+    components: Mapping[str, str] | None = None,
+    reference: str = "",
+    beside: Mapping[str, str] | None = None,
 ) -> Sheet:
     """Return every limit with y ± U, conformance probability and decision.
 
@@ -104,6 +131,7 @@ def limits_table(
     ----------
     components : quantity that is the length of a vector → its components as text.
     reference : T_ref, which holds where a limit has no range of temperatures.
+    beside : name of a quantity → the factor on its U by what this omits.
     """
     rows = []
     for limit in limits:
@@ -116,23 +144,36 @@ def limits_table(
                 words.limits_text(limit),
                 _where(limit, reference),
                 words.value_text(limit) + (f" ({along})" if along else ""),
+                (beside or {}).get(limit.name, ""),
                 words.factor_text(limit),
                 pretty(limit.unit),
                 words.probability_text(limit.conformance),
-                Cell(word if limit.withheld is None else f"{word}: {words.NO_DECISION[limit.withheld]}", mood),
+                Cell(": ".join([word, *_why(limit)]), mood),
             )
         )
-    return Sheet(
+    sheet = Sheet(
         "Limits of the specification",
-        ("quantity", "channel", "limits", "temperature / °C", "y ± U", "k", "unit", "p_c", "decision"),
+        ("quantity", "channel", "limits", "temperature / °C", "y ± U", BESIDE, "k", "unit", "p_c", "decision"),
         rows,
-        (0, 1, 2, 3, 6, 8),
+        (0, 1, 2, 3, 5, 7, 9),
         note="y ± U: estimate with expanded uncertainty U = k u of 95 % coverage, at the temperature of the range at "
         "which the quantity is worst; where the posterior is not symmetric, estimate [95 % interval]. Of a direction "
         "error Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a range "
         "y contains hysteresis and lag, U the scatter between runs; at T_ref both are of the mean over the "
         f"runs. p_c: conformance probability over the whole range (JCGM 106). {words.digits_text(limits)}",
     )
+    return without_empty_columns(sheet, BESIDE)
+
+
+def _why(limit: record.LimitOutcome) -> Iterator[str]:
+    """Yield why there is no decision, or why no result could be accepted."""
+    if limit.withheld is not None:
+        yield words.NO_DECISION[limit.withheld]
+    if limit.accepts_nothing:
+        yield NO_ZONE
+
+
+NO_ZONE = "the guard band leaves no acceptance zone"
 
 
 def _symbol(limit: record.LimitOutcome) -> Cell:
@@ -167,9 +208,14 @@ def rules_text(limits: Sequence[record.LimitOutcome]) -> list[str]:
         symbol = limit.symbol or family_of(limit.name)
         groups.setdefault(f"{words.rule_text(limit)} ({words.RULE_MEANS[limit.rule]})", []).append(symbol)
     return [
-        f"Decision rule: {rule}, for {', '.join(dict.fromkeys(symbols))} ({len(symbols)} limits)."
+        f"Decision rule: {rule}, for {', '.join(dict.fromkeys(symbols))} ({counted(len(symbols), 'limit')})."
         for rule, symbols in groups.items()
     ]
+
+
+def _guard_text(limit: record.LimitOutcome, width: float) -> str:
+    nothing = ", no acceptance zone" if limit.accepts_nothing else ""
+    return f"{significant(width)} {pretty(limit.unit)}{nothing}"
 
 
 def risk_table(limits: Sequence[record.LimitOutcome]) -> Sheet:
@@ -180,7 +226,7 @@ def risk_table(limits: Sequence[record.LimitOutcome]) -> Sheet:
             _symbol(limit),
             limit.label,
             words.rule_text(limit),
-            "–" if limit.guard_band is None else f"{significant(limit.guard_band)} {pretty(limit.unit)}",
+            "–" if limit.guard_band is None else _guard_text(limit, limit.guard_band),
             words.chance(limit.conformance.from_draws, limit.conformance.monte_carlo_error),
             words.chance(limit.conformance.from_quadrature, limit.conformance.monte_carlo_error),
             words.risk_text(limit.consumer_risk),

@@ -131,6 +131,11 @@ def breakable(text: str) -> str:
     return _PART_OF_NAME.sub(rf"\1{_BREAK}", text)
 
 
+def _kept(text: str) -> str:
+    """Return a text whose estimates stand on one line with their uncertainties."""
+    return text.replace(" ± ", "\u00a0±\u00a0")
+
+
 def _content(document: ReportDocument, issued: date | None) -> dict[str, Any]:
     """Return the document for the template, with the widths of columns and drawings, and numbers of figures."""
     content = _members(document) | {"blocks": list(_blocks(document))}
@@ -145,7 +150,7 @@ def _blocks(document: ReportDocument) -> Iterator[dict[str, Any]]:
             part = {name: getattr(block, name) for name in ("type", "title", "head", "left", "note")}
             part["widths"] = _widths(block)
             part["rows"] = [
-                [_members(cell) | {"text": cell.text if cell.formula else breakable(cell.text)} for cell in row]
+                [_members(cell) | {"text": cell.text if cell.formula else _kept(breakable(cell.text))} for cell in row]
                 for row in block.rows
             ]
         elif isinstance(block, Drawings):
@@ -163,10 +168,21 @@ def _members(value: Any) -> dict[str, Any]:
 
 
 def _widths(table: Sheet) -> list[int]:
-    """Return the share of each column in the free width; 0 for a column as wide as its content."""
-    longest = [
-        max(len(head), *(len(row[column].text) for row in table.rows), 0) for column, head in enumerate(table.head)
-    ]
+    """Return the share of each column in the free width; 0 for a column as wide as its content.
+
+    Every column has room for the longest part of it that does not break; longer ones share what is left.
+    """
+    columns = [[head, *(row[column].text for row in table.rows)] for column, head in enumerate(table.head)]
+    longest = [max(map(len, texts)) for texts in columns]
     if sum(length + _GAP for length in longest) <= _PAGE:
         return [0] * len(longest)
-    return [0 if length <= _NARROW else min(length, _WIDEST) for length in longest]
+    wide = {place: min(length, _WIDEST) for place, length in enumerate(longest) if length > _NARROW}
+    parts = {place: max(map(_longest_part, columns[place])) for place in wide}
+    narrow = sum(length for place, length in enumerate(longest) if place not in wide) + _GAP * len(longest)
+    spare = max(_PAGE - narrow - sum(parts.values()), 0) / max(sum(wide.values()), 1)
+    return [round(parts[place] + spare * wide[place]) if place in wide else 0 for place in range(len(longest))]
+
+
+def _longest_part(text: str) -> int:
+    """Return the length of the longest part of a text that does not break."""
+    return max(map(len, re.split(f"[ {_BREAK}]", _kept(breakable(text)))))

@@ -27,7 +27,8 @@ from imubayes.display.qualification import (
 from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.calibration_xml import covariance_file, dcc_file
 from imubayes.display.qualification.certificate_pages import certificate_facts, certificate_section, missing_section
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportDocument
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportDocument, typeset
+from imubayes.display.qualification.equations import measurement_section
 from imubayes.display.qualification.pdf_file import pdf_file
 from imubayes.display.qualification.quantity_drawings import forest_drawings
 from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
@@ -115,7 +116,7 @@ def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNE
     number = f"{block.number} · " if block is not None and block.number else ""
     of = "" if block is None else f" {block.number or ''}".rstrip()
     own = () if block is None else certificate_facts(report, block)
-    return ReportDocument(
+    document = ReportDocument(
         title="Uncertainty report for qualification" if block is None else f"{block.title}{of}",
         subtitle=f"Unit {serial}",
         banner=first_page.banner(report),
@@ -125,20 +126,21 @@ def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNE
         author=(block and block.laboratory.name) or "imubayes",
         footer=f"{number}Unit {serial} · data {made.data_sha256[:12]} · model {made.model_sha256[:12]}",
     )
+    return typeset(document)
 
 
 def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[Block | None]:
     """Yield the blocks in order; None for a drawing that has nothing to show."""
-    conformity = report.conformity
+    conformity, beside = report.conformity, exact_tables.omitted_beside(report)
     if conformity is not None and conformity.limits:
         yield first_page.limits_table(
-            conformity.limits, first_page.components_of(report), words.reference_temperature(report)
+            conformity.limits, first_page.components_of(report), words.reference_temperature(report), beside
         )
     omitted = exact_tables.omissions(report)
     yield exact_tables.omitted_table([each for each in omitted if _ANNEX_OF.get(each.kind) in (None, *annexes)])
     yield exact_tables.included_table(report)
     if conformity is None:  # then the quantities themselves are what is certified
-        yield from result_sections.standards_section(report, exact_tables.omitted_note(omitted, "standard"))
+        yield from result_sections.standards_section(report, exact_tables.omitted_note(omitted, "standard"), beside)
     else:
         yield Heading("Conformity to the specification")
         yield Paragraph(f"Specification “{conformity.specification}”, SHA-256 {conformity.sha256}.")
@@ -161,21 +163,24 @@ def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[B
 
 
 def _results(report: QualificationReport, omitted: Sequence[exact_tables.Omission]) -> Iterator[Block | None]:
-    pictures = report.pictures
+    pictures, beside = report.pictures, exact_tables.omitted_beside(report)
     if report.conformity is not None:
-        yield from result_sections.standards_section(report, exact_tables.omitted_note(omitted, "standard"))
+        yield from result_sections.standards_section(report, exact_tables.omitted_note(omitted, "standard"), beside)
     yield Heading("Errors of the unit")
     nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
     yield unit_drawings.error_drawings(pictures) or nothing
-    yield from result_sections.mounting_section(report.mounting_angles, exact_tables.omitted_note(omitted, "angle"))
+    yield from result_sections.mounting_section(
+        report.mounting_angles, exact_tables.omitted_note(omitted, "angle"), beside
+    )
     yield unit_drawings.mounting_drawings(pictures)
     yield unit_drawings.angle_drawings(pictures)
     yield from result_sections.combination_section(
-        report.combinations, exact_tables.omitted_note(omitted, "combination")
+        report.combinations, exact_tables.omitted_note(omitted, "combination"), beside
     )
     yield from result_sections.converter_section(report.thermal_linearity, report.results)
     if report.conformity is not None and report.conformity.limits:
         yield first_page.risk_table(report.conformity.limits)
+    yield from measurement_section(report.measurement)
     yield from model_sections.scope_section(report.scope)
 
 
@@ -185,7 +190,8 @@ def _evidence(report: QualificationReport, omitted: Sequence[exact_tables.Omissi
         yield unit_drawings.worst_drawing(report.pictures.worst)
     yield from model_sections.convergence_section(report.convergence)
     yield from model_sections.left_out_section(report.left_out)
-    yield from result_sections.result_section(report, exact_tables.omitted_note(omitted, "result"))
+    note = exact_tables.omitted_note(omitted, "result")
+    yield from result_sections.result_section(report, note, exact_tables.omitted_beside(report))
     yield forest_drawings(report.results)
     yield from model_sections.equipment_section(report.subject)
     yield from model_sections.provenance_section(report.provenance)

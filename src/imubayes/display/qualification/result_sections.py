@@ -1,12 +1,13 @@
 """Sections with estimates: quantities of the standards, mounting angles, converters, and the full result table."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from imubayes.display.fit_quality_tables import members_text, symbol_text
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import NO_NUMBER, percent, pretty, rounded, significant, value_and_sd
 from imubayes.display.qualification import words
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, without_empty_columns
+from imubayes.display.qualification.exact_tables import BESIDE
 from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.foundations.quantity_names import QuantityName, name_of
 from imubayes.inference.identifiability import ProcedureShare
@@ -27,10 +28,16 @@ _REASONS = {
 }
 
 
-def standards_section(report: record.QualificationReport, omitted: str = "") -> Iterator[Block]:
+Beside = Mapping[str, str]
+"""Name of an estimate → the factor on its U by what this omits."""
+
+
+def standards_section(
+    report: record.QualificationReport, omitted: str = "", beside: Beside | None = None
+) -> Iterator[Block]:
     """Return the quantities of the standards, one table per standard, and those that were not estimated.
 
-    `omitted` says which contributions their U omits.
+    `omitted` says which contributions their U omits, `beside` what these would do to each.
     """
     yield Heading("Quantities of the standards")
     if report.standards:
@@ -45,7 +52,8 @@ def standards_section(report: record.QualificationReport, omitted: str = "") -> 
     found = list(dict.fromkeys(each.standard for each in report.standards))
     for standard in found:
         note = _STANDARD_NOTE + words.digits_text(report.standards) + omitted if standard == found[-1] else ""
-        yield _standard_table(standard, [each for each in report.standards if each.standard == standard], note)
+        own = [each for each in report.standards if each.standard == standard]
+        yield _standard_table(standard, own, note, beside or {})
     together = _determined_together(report)
     if together:
         yield Paragraph(f"Much better determined together than by themselves: {together}; see {_TOGETHER}.")
@@ -62,7 +70,7 @@ def _determined_together(report: record.QualificationReport) -> str:
     return words.enumerated([name_of(each.symbol, each.label) for each in named]) if named else ""
 
 
-def _standard_table(standard: str, own: Sequence[record.StandardEstimate], note: str) -> Sheet:
+def _standard_table(standard: str, own: Sequence[record.StandardEstimate], note: str, beside: Beside) -> Sheet:
     rows, before = [], ""
     for each in own:
         new = each.key != before
@@ -74,14 +82,15 @@ def _standard_table(standard: str, own: Sequence[record.StandardEstimate], note:
                 Cell(each.quantity if new else "", "" if new else "dim"),
                 each.label,
                 words.value_text(each),
+                beside.get(each.name, ""),
                 words.factor_text(each),
                 u,
                 pretty(each.unit),
                 Cell(each.term if new else "", formula=True),
             )
         )
-    head = ("symbol", "quantity", "channel", "y ± U", "k", "u", "unit", "term")
-    return Sheet(standard, head, rows, (0, 1, 2, 6, 7), note=note)
+    head = ("symbol", "quantity", "channel", "y ± U", BESIDE, "k", "u", "unit", "term")
+    return without_empty_columns(Sheet(standard, head, rows, (0, 1, 2, 4, 7, 8), note=note), BESIDE)
 
 
 def _not_estimated(lines: Sequence[record.NotEstimated]) -> Sheet:
@@ -114,8 +123,13 @@ def _not_estimated(lines: Sequence[record.NotEstimated]) -> Sheet:
     )
 
 
-def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") -> Iterator[Block]:
-    """Return the true mounting angles and what determined them; `omitted` says what their uncertainties omit."""
+def mounting_section(
+    angles: Sequence[record.MountingAngle], omitted: str = "", beside: Beside | None = None
+) -> Iterator[Block]:
+    """Return the true mounting angles and what determined them.
+
+    `omitted` says what their uncertainties omit, `beside` what that would do to each.
+    """
     if not angles:
         return
     rows = []
@@ -125,12 +139,13 @@ def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") 
         rows.append(
             cells(
                 each.mounting, each.channel, _like(each.nominal, value.partition(" ")[0]), value,
-                words.factor_text(each), shift, percent(each.from_data) + ("" if each.measured else ", not measured"),
+                (beside or {}).get(each.name, ""), words.factor_text(each), shift,
+                percent(each.from_data) + ("" if each.measured else ", not measured"),
                 _determined_by(each.evidence, each.standard_uncertainty, 3600.0, "arcsec")
             )
         )  # fmt: skip
-    head = ("mounting", "channel", "nominal / deg", "true y ± U / deg", "k", "deviation / arcsec", "from data",
-            "determined by")  # fmt: skip
+    head = ("mounting", "channel", "nominal / deg", "true y ± U / deg", BESIDE, "k", "deviation / arcsec",
+            "from data", "determined by")  # fmt: skip
     note = (
         "True angle between sensitive axis and axis of rotation; y ± U as for the quantities of the standards. From "
         "data: 1 − posterior variance / prior variance. That of an axis nominally along the axis of rotation is the "
@@ -144,7 +159,7 @@ def mounting_section(angles: Sequence[record.MountingAngle], omitted: str = "") 
         for mounting in dict.fromkeys(each.mounting for each in angles)
     ]
     yield Heading("True mounting angles")
-    yield Sheet("Angles to the axis of rotation", head, rows, (0, 1, 7), note=note)
+    yield without_empty_columns(Sheet("Angles to the axis of rotation", head, rows, (0, 1, 4, 8), note=note), BESIDE)
     yield Paragraph("Runs in each mounting:")
     yield Items(runs)
 
@@ -172,8 +187,13 @@ def _determined_by(
     return f"{alone}; all runs {significant(gain, 2)} × better" if gain > 1.05 else alone
 
 
-def combination_section(combinations: Sequence[record.ReportedCombination], omitted: str = "") -> Iterator[Block]:
-    """Return what the data determine together alone; `omitted` says what the uncertainties omit."""
+def combination_section(
+    combinations: Sequence[record.ReportedCombination], omitted: str = "", beside: Beside | None = None
+) -> Iterator[Block]:
+    """Return what the data determine together alone.
+
+    `omitted` says what the uncertainties omit, `beside` what that would do to each.
+    """
     if not combinations:
         return
     rows = []
@@ -182,11 +202,12 @@ def combination_section(combinations: Sequence[record.ReportedCombination], omit
         rows.append(
             cells(
                 Cell(_with_minus(symbol_text(each)), formula=True), members_text(each), estimate, u,
-                words.interval_text(each), pretty(each.unit), percent(each.from_data),
+                (beside or {}).get(each.name, ""), words.interval_text(each), pretty(each.unit),
+                percent(each.from_data),
                 _determined_together_by(each)
             )
         )  # fmt: skip
-    head = ("symbol", "combination", "estimate", "u", "95 % interval", "unit", "from data", "determined by")
+    head = ("symbol", "combination", "estimate", "u", BESIDE, "95 % interval", "unit", "from data", "determined by")
     note = (
         "The runs determine these combinations much better than their leading members, whose own estimates rest on "
         "their priors or are strongly correlated; use the combination, not the sum of the single estimates with "
@@ -194,7 +215,7 @@ def combination_section(combinations: Sequence[record.ReportedCombination], omit
         "combination without one was found from the information in the data. Determined by: as for mounting angles. "
         f"{words.digits_text(combinations)}{omitted}"
     )
-    table = without_empty_columns(Sheet("What the runs determine together", head, rows, (0, 1, 5, 7), note=note))
+    table = without_empty_columns(Sheet("What the runs determine together", head, rows, (0, 1, 4, 6, 8), note=note))
     yield Heading(_TOGETHER)
     yield table
 
@@ -219,9 +240,9 @@ def converter_section(
     if lines or drift:
         yield Heading("Converters")
     if drift:
-        head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
         note = "Temperature sensitivity of gain and offset, and what else the model has of the converter."
-        yield Sheet("Drift of the converters", head, [_result_row(line) for line in drift], (0, 4), note=note)
+        rows = [_result_row(line) for line in drift]
+        yield without_empty_columns(Sheet("Drift of the converters", _RESULT_HEAD, rows, (0, 3, 5), note=note), BESIDE)
     if lines:
         yield _delta_k_table(lines)
 
@@ -245,8 +266,10 @@ def _delta_k_table(lines: Sequence[record.ThermalLinearity]) -> Sheet:
     return Sheet("Thermal linearity: Δk of each input", head, rows, (0, 1), note=note)
 
 
-def result_section(report: record.QualificationReport, omitted: str = "") -> Iterator[Block]:
-    """Return the full result table; `omitted` says which contributions its u omits."""
+def result_section(
+    report: record.QualificationReport, omitted: str = "", beside: Beside | None = None
+) -> Iterator[Block]:
+    """Return the full result table; `omitted` says which contributions its u omits, `beside` what they would do."""
     axes = [line for line in report.results if channel_of_component(line.name) is not None]
     note = (
         "u: standard uncertainty, the standard deviation of the joint posterior (GUM, type A and B combined). From "
@@ -261,9 +284,8 @@ def result_section(report: record.QualificationReport, omitted: str = "") -> Ite
             tables.setdefault(measured if line.measured else _UNMEASURED, []).append(line)
     for caption in ("Derived quantities", "Parameters", _UNMEASURED):
         if lines := tables.get(caption):
-            rows = [_result_row(line) for line in lines]
-            head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
-            yield Sheet(caption, head, rows, (0, 4), note=note)
+            rows = [_result_row(line, (beside or {}).get(line.name, "")) for line in lines]
+            yield without_empty_columns(Sheet(caption, _RESULT_HEAD, rows, (0, 3, 5), note=note), BESIDE)
             note = ""
     if axes:
         yield axis_table(axes)
@@ -292,12 +314,15 @@ def axis_table(lines: Sequence[record.ResultLine]) -> Sheet:
     return Sheet("Input axes (input_axis)", ("channel", "x", "y", "z"), rows, (0,), note=note)
 
 
-def _result_row(line: record.ReportedEstimate) -> tuple[Cell, ...]:
+_RESULT_HEAD = ("quantity", "estimate", "u", BESIDE, "95 % interval", "unit", "from data")
+
+
+def _result_row(line: record.ReportedEstimate, beside: str = "") -> tuple[Cell, ...]:
     estimate, u, _, _ = words.stated(line)
     mood = "" if line.measured else "weak"
     share = "fixed by the model" if line.exact else percent(line.from_data)
     share += "" if line.measured or line.exact else ", not measured"
     return cells(
-        line.name, Cell(estimate, mood), Cell(u, mood), Cell(words.interval_text(line), mood), pretty(line.unit),
-        Cell(share, mood)
+        line.name, Cell(estimate, mood), Cell(u, mood), beside, Cell(words.interval_text(line), mood),
+        pretty(line.unit), Cell(share, mood)
     )  # fmt: skip

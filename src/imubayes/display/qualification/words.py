@@ -10,6 +10,7 @@ from imubayes.display.qualification.document import Mood
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
 from imubayes.qualification import report_record as record
 from imubayes.qualification.conformity import Obstacle
+from imubayes.qualification.coverage import NORMAL_FACTOR
 from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName, Withheld
 from imubayes.qualification.marginal import last_digit
 
@@ -123,15 +124,31 @@ def value_text(found: Stated) -> str:
         return rounded((found.estimate,), None)[0]
     if error.digits == 0:
         return ": ".join(with_digits((), u, error))
-    expanded, step = found.expanded_uncertainty or 1.96 * u, _last_place(found)
-    y, whole, low, high = rounded((found.estimate, _not_below(expanded, step), found.low, found.high), step)
+    y, whole, low, high = _rounded(found)
     return f"{y} ± {whole}" if found.interval == "symmetric" else f"{y} [{low}; {high}]"
+
+
+def _rounded(found: Stated) -> tuple[str, ...]:
+    """Return y, U and both ends of the interval to the last place of U."""
+    expanded, step = (
+        found.expanded_uncertainty or NORMAL_FACTOR * (found.standard_uncertainty or 0.0),
+        _last_place(found),
+    )
+    return rounded((found.estimate, _not_below(expanded, step), found.low, found.high), step)
+
+
+def uncertainties_text(found: record.ReportedEstimate) -> str:
+    """Return u, k and U of a quantity, or u and the kind of its interval, in the digits of its tables."""
+    u, unit = stated(found)[1], pretty(found.unit)
+    if found.interval != "symmetric":
+        return f"u = {u} {unit}, 95 % interval {found.interval}"
+    return f"u = {u} {unit}, k = {factor_text(found)}, U = {_rounded(found)[1]} {unit} (95 %)"
 
 
 def _last_place(found: Stated) -> float:
     """Return a number whose second digit is the last that is stated: that of U, or the first one of u."""
     u, error = found.standard_uncertainty or 0.0, found.monte_carlo
-    return 10 * u if error is not None and error.digits == 1 else found.expanded_uncertainty or 1.96 * u
+    return 10 * u if error is not None and error.digits == 1 else found.expanded_uncertainty or NORMAL_FACTOR * u
 
 
 def digits_text(lines: Sequence[Stated]) -> str:
@@ -156,7 +173,7 @@ def factor_text(found: Stated) -> str:
     if found.monte_carlo is None or found.monte_carlo.digits == 0:
         return NO_NUMBER
     if found.interval == "symmetric":
-        return f"{found.coverage_factor or 1.96:.2f}"
+        return f"{found.coverage_factor or NORMAL_FACTOR:.2f}"
     return found.interval or NO_NUMBER
 
 
