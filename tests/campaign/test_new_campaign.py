@@ -152,7 +152,7 @@ def test_more_parameters_than_values_are_told_with_what_to_leave_out(tmp_path, c
     assert run(["check", str(campaign), "--model", str(model)]) == 0
     said = capsys.readouterr().out
     assert "24 parameters, 3 of noise, 12 measured values" in said
-    assert "of accel_misalignment these runs tell less than 10 %" in said
+    assert "these runs supply less than 10 % of the information on accel_misalignment" in said
     assert run(["check", str(campaign), "--model", str(model), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["model"]["untold"] == ["accel_misalignment"]
 

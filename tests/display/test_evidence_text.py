@@ -19,7 +19,7 @@ def test_effects_that_cannot_be_told_apart_have_their_shares() -> None:
 def test_nothing_missing_is_told_with_the_nearest_effect() -> None:
     said = evidence_text(evidence({"nothing": 0.95, "effects": 0.05}))
     assert said.startswith("Probability: nothing missing 0.95; an effect missing 0.05 (accel_cubic 0.04).")
-    assert said.endswith("Prior odds of 7 to 1 would change the order of the first two.")
+    assert said.endswith("The first two explanations are close: prior odds of 7 to 1 would reverse their order.")
 
 
 def test_a_wrong_record_names_run_and_row_and_noise_its_channels() -> None:

@@ -38,7 +38,7 @@ def test_the_last_lines_repeat_the_outcome(plain):
     stuck = plain.model_copy(update={"converged": False, "message": "R-hat 1.4"})
     outcomes = [summary_report(each).closing[-1].partition(" chi2")[0] for each in (plain, flawed, stuck)]
     assert outcomes == [
-        "Converged; the data determined all but 4 of 86 parameters.",
+        "Converged. The data determined 82 of 86 parameters.",
         "Converged, but the intervals cannot be trusted; the first line says why.",
         "The fit did not converge; the first line says why.",
     ]

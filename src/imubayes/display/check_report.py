@@ -230,13 +230,14 @@ def check_report(
     ]
     if model is not None:
         lines.append(
-            f"model '{model.name}' fits this campaign: {model.parameters} parameters, "
+            f"model '{model.name}' can be fitted to this campaign: {model.parameters} parameters, "
             f"{model.noise_parameters} of noise, {model.measured_values} measured values"
         )
         if model.untold:
             lines.append(
-                f"more parameters than measured values: of {', '.join(model.untold)} these runs tell less than 10 %, "
-                "and the fit would return the prior; leave out of the model what is negligible, or record more"
+                "more parameters than measured values: these runs supply less than 10 % of the information on "
+                f"{', '.join(model.untold)}, and the fit would return the prior; leave negligible effects out of the "
+                "model, or record more"
             )
         lines += left_out_lines(model.left_out)
     lines += [*_grade_lines(campaign), *warnings, *([f"next: {command}"] if command else [])]

@@ -96,11 +96,10 @@ def _outcome(summary: Summary) -> str:
         return "The fit did not converge; the first line says why."
     if cautions.alarm_of(summary):
         return "Converged, but the intervals cannot be trusted; the first line says why."
-    undetermined = sum(map(quantities.is_undetermined, summary.parameters))
-    determined = (
-        "every parameter" if not undetermined else f"all but {undetermined} of {len(summary.parameters)} parameters"
-    )
-    return f"Converged; the data determined {determined}."
+    count = len(summary.parameters)
+    determined = count - sum(map(quantities.is_undetermined, summary.parameters))
+    share = "every parameter" if determined == count else f"{determined} of {count} parameters"
+    return f"Converged. The data determined {share}."
 
 
 def classical_report(comparison: ClassicalComparison) -> Report:

@@ -131,7 +131,7 @@ def _assumptions(found: Evidence) -> str:
         said += f" The noise is known beforehand only to within a factor of {factor}."
     odds = sorted((each.log_odds for each in found.explanations if each.log_odds is not None), reverse=True)
     if len(odds) > 1 and odds[0] - odds[1] < _PRIOR_DOUBT:
-        said += " Prior odds of 7 to 1 would change the order of the first two."
+        said += " The first two explanations are close: prior odds of 7 to 1 would reverse their order."
     return said
 
 

@@ -168,7 +168,7 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
         "Known contributions that no u and no U of this document contains, from site and equipment that the model "
         "takes as exact: all of them together, where they widen U by a twentieth and more. The size is a standard "
         "uncertainty that is plausible, as the campaign states none. State it in the campaign (0 where exact), or take "
-        "the effect into the model. No limit passes that all of them together could cross."
+        "the effect into the model. A limit passes only if all of these together could not carry the value across it."
     )
     return Sheet("Contributions that U omits", head, rows, (0, 1, 3, 4), note=note)
 
