@@ -41,8 +41,8 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         rows.append(cells(name, numbers.listed(shown.channels, 3), coefficient_text(shown), drop, odds, likely, mark))
         slim.append(cells(name, coefficient_text(shown, short=True), drop, likely, mark))
     before = _more(len(found.ranking) - len(rows)) + (
-        "Coefficient: the most significant one, at the most probable shape, such as a time constant; Δχ²: predicted drop "
-        "if the effect is added alone, at the noise known beforehand; "
+        "Coefficient: the most significant one, at the most probable shape, such as a time constant; Δχ²: predicted "
+        "drop if the effect is added alone, at the noise known beforehand; "
     )
     odds = "log odds: natural logarithm of the odds of the effect alone against nothing missing; "
     after = (
