@@ -409,6 +409,10 @@ def test_a_standard_that_is_listed_twice_and_a_number_of_two_issuers_are_named(t
     assert of(TABLE + other) == set(), "two tables of one name, told apart by their serial numbers"
     second = issued.replace("rate table", "head").replace('NMI"', 'Maker"')
     assert of(issued + second) == {("shared_certificate", "NMI 2026-0815: NMI, Maker")}
+    blank = second.replace("NMI 2026-0815", "nmi 2026-0815 ")
+    assert blank != second
+    assert of(issued + blank) == {("shared_certificate", "NMI 2026-0815: NMI, Maker")}
+    assert of(issued + second.replace('"Maker"', '"nmi"')) == set()
     assert of(issued + issued.replace("rate table", "head")) == set(), "one certificate for two standards"
     *_, items = missing_section([Missing(item="repeated_standard", of="head")])
     assert isinstance(items, Items)

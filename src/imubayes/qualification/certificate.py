@@ -377,16 +377,26 @@ def _of_standards(
 
 def _repeated(standards: Sequence[MeasurementStandard]) -> Iterator[Missing]:
     """Yield the standards that are listed more than once, and the certificates that have several issuers."""
-    entries = Counter((each.name, each.serial, each.certificate) for each in standards)
-    for name in dict.fromkeys(name for (name, _, _), times in entries.items() if times > 1):
-        yield Missing(item="repeated_standard", of=name)
-    issuers: dict[str, dict[str, None]] = {}
+    entries = Counter(tuple(map(_plain, (each.name, each.serial, each.certificate))) for each in standards)
+    for each in {_plain(each.name): each for each in reversed(standards)}.values():
+        if any(times > 1 and name == _plain(each.name) for (name, _, _), times in entries.items()):
+            yield Missing(item="repeated_standard", of=each.name)
+    issuers: dict[str, dict[str, MeasurementStandard]] = {}
     for each in standards:
         if each.certificate and each.issued_by:
-            issuers.setdefault(each.certificate, {})[each.issued_by] = None
-    for certificate, by in issuers.items():
+            issuers.setdefault(_plain(each.certificate), {}).setdefault(_plain(each.issued_by), each)
+    for by in issuers.values():
         if len(by) > 1:
-            yield Missing(item="shared_certificate", of=f"{certificate}: {', '.join(by)}")
+            first = next(iter(by.values()))
+            yield Missing(
+                item="shared_certificate",
+                of=f"{(first.certificate or '').strip()}: {', '.join((each.issued_by or '').strip() for each in by.values())}",
+            )
+
+
+def _plain(text: str | None) -> str:
+    """Return a text as it is compared: case and blanks are no difference between two certificates."""
+    return " ".join((text or "").split()).casefold()
 
 
 def _day(start: str) -> datetime.date:
