@@ -388,10 +388,8 @@ def _repeated(standards: Sequence[MeasurementStandard]) -> Iterator[Missing]:
     for by in issuers.values():
         if len(by) > 1:
             first = next(iter(by.values()))
-            yield Missing(
-                item="shared_certificate",
-                of=f"{(first.certificate or '').strip()}: {', '.join((each.issued_by or '').strip() for each in by.values())}",
-            )
+            names = ", ".join((each.issued_by or "").strip() for each in by.values())
+            yield Missing(item="shared_certificate", of=f"{(first.certificate or '').strip()}: {names}")
 
 
 def _plain(text: str | None) -> str:
