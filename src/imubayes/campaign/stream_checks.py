@@ -43,6 +43,11 @@ FINDINGS: dict[str, str] = {
     "temperature_unit": "temperatures are in degrees Fahrenheit",
     "thermometers_exchanged": "the temperatures of sensor and converter are exchanged",
     "temperature_reversed": "a column of temperatures runs backwards in time",
+    "temperature_value": "the outputs of a run are as at another temperature",
+    "temperatures_exchanged": "the temperatures of two runs are exchanged",
+    "other_unit": "a run is of another unit",
+    "rate_without_sign": "the rates of a run are recorded without their sign",
+    "rates_missing": "the rate column is zero while the table turns",
     "files_exchanged": "the tables of two runs are exchanged",
     "mounting_mislabelled": "a run was made in another mounting of the campaign",
     "mountings_exchanged": "two mountings are exchanged",
@@ -78,6 +83,7 @@ UNIT_FINDINGS = ("rate_unit", "acceleration_unit")
 LIKE_UNITS = (
     "files_exchanged", "mounting_mislabelled", "mountings_exchanged", "mounting_turned", "mounting_wrong",
     "table_zero", "axis_zero", "table_elevation", "table_reversed", "axes_exchanged", "time_shift", "angle_unit",
+    "channel_unit", "rates_missing", "rate_without_sign",
 )  # fmt: skip
 
 

@@ -1,10 +1,12 @@
 """Set-up mistakes of the equipment: what each changes in the nominal set-up of which runs.
 
-Those of units, scale factors and temperatures are in `reading_mistakes`; `search` tries both.  A mistake is one small
+Those of units and scale factors are in `reading_mistakes`, those of temperatures in `thermal_mistakes`, those of whole
+files in `file_mistakes`; `search` tries all.  A mistake is one small
 class.  `suspected` lists where in a campaign it may have been made; `corrected` returns the view of a run as it would
 be without the mistake.  A mistake with a size, an angle or a shift, has a grid of sizes, between which the best is
 found.  Mistakes are listed from the most to the least usual; of those that explain the outputs equally well, the first
-is named.
+is named.  A mistake of an `open_value` holds whatever a record may say instead.  It rivals every named mistake of the
+same `record`, which is a point on it.
 """
 
 import itertools
@@ -45,7 +47,7 @@ class Mistake(ABC):
 
     `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
     that.  A usual size is taken for the best one if it is within `usual_within` of it and its evidence falls short by
-    less than `as_usual`.  `by_evidence` is whether the size of most evidence is the best, not that of least misfit.
+    less than `as_usual`.  `per_radian` is what a size counts like a radian of an angle.  `by_evidence` is whether the size of most evidence is the best, not that of least misfit.
     """
 
     scope: Scope
@@ -53,6 +55,8 @@ class Mistake(ABC):
     sizes: ClassVar[tuple[float, ...]] = ()
     usual_within: ClassVar[float] = math.inf
     as_usual: ClassVar[float] = 6.0
+    open_value: ClassVar[bool] = False
+    per_radian: ClassVar[float] = 1.0
     by_evidence: ClassVar[bool] = False
     rarity: ClassVar[float] = 0.0
 
@@ -99,6 +103,16 @@ class Mistake(ABC):
         for place in self.scope.runs:
             found[place] = self.corrected(views, place, size)
         return found
+
+    @property
+    def record(self) -> str:
+        """The recorded quantity whose value is open, or has a name; empty where no value is open."""
+        return ""
+
+    @property
+    def point(self) -> float | None:
+        """The size of the open value at which a named mistake is; None where its evidence alone tells."""
+        return None
 
     @property
     def variant(self) -> str:

@@ -1,8 +1,7 @@
-"""Set-up mistakes in units, signs, scale factors, table rates, axis zeros, the latitude and temperature columns.
+"""Set-up mistakes in units, signs, scale factors, table rates, axis zeros and the latitude.
 
 Units and signs may be wrong for channels and for the columns of rate and angle.  On a table of several axes, the zero
-of an axis that carries the inner axis may be off.  A wrong latitude shows where gyros feel the Earth turn.  Mistakes in
-the columns of temperatures show only where the outputs follow the temperature.
+of an axis that carries the inner axis may be off.  A wrong latitude shows where gyros feel the Earth turn.
 
 Nominal scale factors, and rates of a table, may be wrong by a factor that is no unit's.  An input that is too small
 everywhere is imitated by a response that is: the accelerometer on an axis raised to 60° reads half of what it would on
@@ -130,121 +129,16 @@ class LatitudeValue(Mistake):
 LATITUDE_MISTAKES: tuple[type[Mistake], ...] = (LatitudeSign, LatitudeValue)
 
 
-_LEAST_COURSE = 2.0  # °C; a temperature that changes by less is the same reversed
-_MARGIN = 10.0  # °C, by which a corrected temperature may exceed those of the other runs
-SENSOR, CONVERTER = "temperature", "converter_temperature"
-
-
-def _recorded(views: Sequence[RunView], names: tuple[str, ...]) -> list[Scope]:
-    """Return all runs with these temperatures together, and each by itself."""
-    places = [scope for scope in single_runs(views) if set(names) <= set(views[scope.runs[0]].temperatures)]
-    return [all_runs([place.runs[0] for place in places])] * (len(places) > 1) + places
-
-
-def _among_others(mistake: Mistake, views: Sequence[RunView]) -> bool:
-    """Whether the corrected temperatures of a run are among those of the other runs.
-
-    Elsewhere no run tells what the outputs should be, and any temperature explains them.
-    """
-    (place,) = mistake.scope.runs
-    others = [view for k, view in enumerate(views) if k != place]
-    for name, values in mistake.corrected(views, place, 0.0).temperatures.items():
-        known = [view.temperatures[name] for view in others if name in view.temperatures]
-        if not known:
-            return False
-        reach = np.concatenate(known)
-        if np.min(values) < np.min(reach) - _MARGIN or np.max(values) > np.max(reach) + _MARGIN:
-            return False
-    return True
-
-
-@dataclass(frozen=True)
-class TemperatureUnit(Mistake):
-    """Temperatures of a run are in degrees Fahrenheit.
-
-    In all runs they would be another scale of temperature, with other coefficients, and describe the outputs as well.
-    """
-
-    names: tuple[str, ...]
-    kind: ClassVar[str] = "temperature_unit"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield each thermometer of each run, and both."""
-        for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
-            for scope in _recorded(views, names):
-                mistake = cls(scope, names)
-                if scope.section == "run" and _among_others(mistake, views):
-                    yield mistake
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with its temperatures in °C."""
-        view = views[place]
-        return changed(
-            view,
-            temperatures={
-                name: (values - 32) / 1.8 if name in self.names else values
-                for name, values in view.temperatures.items()
-            },
-        )
-
-
-@dataclass(frozen=True)
-class ThermometersExchanged(Mistake):
-    """The temperatures of sensor and converter are exchanged."""
-
-    kind: ClassVar[str] = "thermometers_exchanged"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield all runs with both thermometers, and each; a converter at one temperature has it stated for the run."""
-        columns = [k for k, view in enumerate(views) if np.ptp(view.temperatures.get(CONVERTER, 0.0)) > 0]
-        for scope in _recorded([views[k] for k in columns], (SENSOR, CONVERTER)):
-            scope = replace(scope, runs=tuple(columns[place] for place in scope.runs))
-            mistake = cls(scope)
-            if scope.section != "run" or _among_others(mistake, views):
-                yield mistake
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the two columns in their places."""
-        recorded = views[place].temperatures
-        return changed(views[place], temperatures={SENSOR: recorded[CONVERTER], CONVERTER: recorded[SENSOR]})
-
-
-@dataclass(frozen=True)
-class TemperatureReversed(Mistake):
-    """Columns of temperatures run backwards in time."""
-
-    names: tuple[str, ...]
-    kind: ClassVar[str] = "temperature_reversed"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield the runs in which a temperature changes, and those in which both do."""
-        for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
-            for scope in single_runs(views):
-                recorded = views[scope.runs[0]].temperatures
-                if all(name in recorded and np.ptp(recorded[name]) > _LEAST_COURSE for name in names):
-                    yield cls(scope, names)
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the columns in the order of time."""
-        recorded = views[place].temperatures
-        return changed(views[place], temperatures={**recorded, **{name: recorded[name][::-1] for name in self.names}})
-
-
-TEMPERATURE_MISTAKES: tuple[type[Mistake], ...] = (ThermometersExchanged, TemperatureUnit, TemperatureReversed)
-
-
 GAINS = {
     "gyro": {
         "rad/s for deg/s": 1 / _DEGREE, "deg/s for rad/s": _DEGREE, "deg/h for deg/s": 3600.0,
         "deg/s for deg/h": 1 / 3600, "deg/h for rad/s": 3600.0 * _DEGREE, "rpm for deg/s": 1 / 6, "deg/s for rpm": 6.0,
-        "mdeg/s for deg/s": 1000.0, "deg/s for mdeg/s": 1e-3,
+        "mdeg/s for deg/s": 1000.0, "deg/s for mdeg/s": 1e-3, "a decimal place": 10.0, "one decimal place": 0.1,
     },
     "accelerometer": {
         "m/s² for g": 9.80665, "g for m/s²": 1 / 9.80665, "mg for g": 1000.0, "g for mg": 1e-3,
-        "ft/s² for g": 32.174, "mg for m/s²": 1000 / 9.80665, "cm/s² for m/s²": 100.0,
+        "ft/s² for g": 32.174, "mg for m/s²": 1000 / 9.80665, "cm/s² for m/s²": 100.0, "a decimal place": 10.0,
+        "one decimal place": 0.1,
     },
 }  # fmt: skip
 """Mistaken units of an output, and the factor by which it is too large."""
@@ -281,11 +175,17 @@ def _groups(
     return [*((k,) for k in places), *([tuple(places)] if len(places) > 1 else [])]
 
 
+def scale_of(channels: Sequence[str]) -> str:
+    """Return what the scale factor of channels is called as a record."""
+    return f"scale of {', '.join(channels)}"
+
+
 @dataclass(frozen=True)
 class _Factor(Mistake):
     rarity: ClassVar[float] = 8.0
     sizes: ClassVar[tuple[float, ...]] = _LOGARITHMS
     usual_within: ClassVar[float] = 0.1
+    open_value: ClassVar[bool] = True
 
     def possible(self, size: float) -> bool:
         """Return whether a channel that responds so responds at all."""
@@ -304,6 +204,11 @@ class NominalScale(_Factor):
     places: tuple[int, ...]
     of_gyros: bool
     kind: ClassVar[str] = "channel_unit"
+
+    @property
+    def record(self) -> str:
+        """The scale factor of these channels."""
+        return scale_of(self.channels)
 
     def units(self, size: float) -> str:
         """Return the mistaken unit of the outputs, if the factor is that of one."""
@@ -383,6 +288,16 @@ class ChannelGain(Mistake):
     factor: float
     units: str
     kind: ClassVar[str] = "channel_unit"
+
+    @property
+    def record(self) -> str:
+        """The scale factor of the channels; a reversed sign has no factor."""
+        return scale_of(self.channels) if self.units else ""
+
+    @property
+    def point(self) -> float:
+        """The logarithm of the factor."""
+        return math.log(abs(self.factor))
 
     @property
     def unlikelihood(self) -> float:

@@ -8,11 +8,14 @@ import numpy as np
 
 from imubayes.campaign.setup_gate import equipment_mistakes as bench
 from imubayes.campaign.setup_gate import reading_mistakes as reading
+from imubayes.campaign.setup_gate import thermal_mistakes as thermal
+from imubayes.campaign.setup_gate.rate_records import RatesMissing, RateWithoutSign
 from imubayes.campaign.setup_gate.search import Explanation
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue
 
+_MOST_ROWS = 12
 _COLUMN = {"temperature": "temperature_degC", "converter_temperature": "converter_temperature_degC"}
 
 
@@ -367,7 +370,7 @@ def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Issu
 
 def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
-    assert isinstance(mistake, reading.TemperatureUnit)
+    assert isinstance(mistake, thermal.TemperatureUnit)
     columns, noun, one = _thermal_columns(mistake)
     return Issue(
         f"{noun} {columns} {'is' if one else 'are'} in degrees Fahrenheit {_subject(mistake)}",
@@ -377,7 +380,9 @@ def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Issue
     )
 
 
-def _thermal_columns(mistake: reading.TemperatureUnit | reading.TemperatureReversed) -> tuple[str, str, bool]:
+def _thermal_columns(
+    mistake: thermal.TemperatureUnit | thermal.TemperatureReversed | thermal.TemperatureValue,
+) -> tuple[str, str, bool]:
     """Return the columns of a mistake as a list, the noun before it, and whether it is one."""
     one = len(mistake.names) == 1
     return " and ".join(f"'{_COLUMN[name]}'" for name in mistake.names), "column" if one else "columns", one
@@ -393,7 +398,7 @@ def _thermometers(campaign: Campaign, found: Explanation, places: Places) -> Iss
 
 
 def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    assert isinstance(found.mistake, reading.TemperatureReversed)
+    assert isinstance(found.mistake, thermal.TemperatureReversed)
     mistake = found.mistake
     columns, noun, one = _thermal_columns(mistake)
     return Issue(
@@ -401,6 +406,71 @@ def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Issue:
         places.column(mistake, _COLUMN[mistake.names[0]]),
         "temperatures in the order of the rows",
         f"reverse the order of {noun} {columns} {_subject(mistake)}",
+    )
+
+
+def _temperature(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    mistake = found.mistake
+    assert isinstance(mistake, thermal.TemperatureValue)
+    run = next(run for run in campaign.runs if run.name == mistake.scope.name)
+    recorded = float(np.mean(run.covariates[mistake.names[0]]))
+    columns, noun, one = _thermal_columns(mistake)
+    sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
+    return Issue(
+        f"the outputs of run '{run.name}' are as at a mean temperature of {recorded + found.size:.1f}{sd} °C, recorded "
+        f"{recorded:.1f}",
+        places.column(mistake, _COLUMN[mistake.names[0]]),
+        "the temperature that the unit had",
+        f"state the temperature as it was: {found.size:+.1f} °C would agree in {noun} {columns} {_subject(mistake)}",
+    )
+
+
+def _temperatures(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    mistake = found.mistake
+    assert isinstance(mistake, thermal.TemperaturesExchanged)
+    first, second = mistake.scope.name, mistake.second
+    return Issue(
+        f"the temperatures of runs '{first}' and '{second}' are exchanged",
+        f"{places.column(mistake, _COLUMN['temperature'])}, and {places.table(second)}",
+        "the temperatures of the run itself",
+        f"exchange column '{_COLUMN['temperature']}' of {places.file(first)} and {places.file(second)}",
+    )
+
+
+def _other_unit(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    run = found.mistake.scope.name
+    return Issue(
+        f"run '{run}' is of another unit: scale factors, axes and biases of all its channels are unlike those of the "
+        "other runs",
+        places.line("run", run, "file"),
+        "runs of one unit",
+        f"name the file of this unit for run '{run}', or leave the run out",
+    )
+
+
+def _unsigned(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    assert isinstance(found.mistake, RateWithoutSign)
+    rows = [str(k + 1) for k in np.flatnonzero(found.mistake.signs < 0)]
+    listed = ", ".join(rows[:_MOST_ROWS]) + (" and others" if len(rows) > _MOST_ROWS else "")
+    return Issue(
+        f"the rates {_subject(found.mistake)} are recorded without their sign: the gyros turn the other way in "
+        f"{len(rows)} of {len(found.mistake.signs)} rows",
+        places.column(found.mistake, "table_rate_deg_s"),
+        "rates right-handed about the axis of the table, with their sign",
+        f"reverse the sign of 'table_rate_deg_s' in rows {listed} of {places.file(found.mistake.scope.name)}",
+    )
+
+
+def _no_rates(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    assert isinstance(found.mistake, RatesMissing)
+    largest = max(float(np.abs(each).max()) for each in found.mistake.rates)
+    many = len(found.mistake.rates)
+    named = _subject(found.mistake) if many == 1 else f"in {many} runs"
+    return Issue(
+        f"column 'table_rate_deg_s' is zero {named}, and the gyros turn by up to {math.degrees(largest):.4g} deg/s",
+        places.column(found.mistake, "table_rate_deg_s"),
+        "the rate of the table in each row",
+        "record the rates of the table in 'table_rate_deg_s'",
     )
 
 
@@ -426,5 +496,10 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
     "temperature_unit": _fahrenheit,
     "thermometers_exchanged": _thermometers,
     "temperature_reversed": _backwards,
+    "temperature_value": _temperature,
+    "temperatures_exchanged": _temperatures,
+    "other_unit": _other_unit,
+    "rate_without_sign": _unsigned,
+    "rates_missing": _no_rates,
 }
 """Kind of mistake → how it is said."""

@@ -21,14 +21,11 @@ from imubayes.campaign.setup_gate.error_model import (
     stacked_terms,
 )
 from imubayes.campaign.setup_gate.evidence import ErrorModel
-from imubayes.campaign.setup_gate.reading_mistakes import (
-    TEMPERATURE_MISTAKES,
-    UNIT_MISTAKES,
-    AxisZero,
-    ChannelGain,
-    TemperatureReversed,
-)
+from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
+from imubayes.campaign.setup_gate.rate_records import RATE_RECORDS
+from imubayes.campaign.setup_gate.reading_mistakes import UNIT_MISTAKES, AxisZero, ChannelGain
 from imubayes.campaign.setup_gate.setup_view import CarryingAxes, RunView, views_of
+from imubayes.campaign.setup_gate.thermal_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
 from imubayes.campaign.setup_gate.wrong_rows import RateFactor
 from imubayes.foundations.campaign_data import Campaign
 
@@ -47,7 +44,12 @@ TRIED_FIRST, TRIED_NEXT = 4, 1
 """How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations; of hidden ones, `DECISIVE`."""
+NAMED_WITHIN = 12.0
+"""How much less than the open value of a record a named mistake may gain: three and a half standard deviations."""
+RECORDS_OF_RUNS: tuple[type[Mistake], ...] = (*RATE_RECORDS, OtherUnit)
+"""Mistakes in the record of a whole run that is no single value."""
 _REFINEMENTS, _REMEMBERED = 4, 256
+_TIED = 1.0  # of twice the log evidence, by which a usual size is better than another
 _SETTLED = 0.01  # of twice the log likelihood: a tenth of a standard deviation of the size
 _SUSPECTS = 5  # runs whose own mistakes are tried
 _AT_ONCE = 2**19  # numbers in the terms of campaigns that are judged together: four megabytes
@@ -95,6 +97,34 @@ def equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tu
     like = [each for each in found if any(each.mistake.like(other.mistake) for other in equal)]
     first = [each for each in like if not any(other.mistake.like(each.mistake) for other in equal)]
     return tuple(_distinct([*first, *sorted(equal, key=lambda each: -each.support), *like]))
+
+
+def told_by_name(found: Sequence[Explanation]) -> list[Explanation]:
+    """Return explanations, of each record those with a name where they do as well as its open value, else the latter.
+
+    A name is a point on the open value, and a wrong one is not forced upon a value that is near it.
+    """
+    opened = [each for each in found if each.mistake.open_value]
+    left = [each for each in found if not any(_apart(each, value) for value in opened)]
+    named = [each for each in left if not each.mistake.open_value]
+    return [each for each in left if not any(_concerns(name, each) for name in named)]
+
+
+def _concerns(named: Explanation, value: Explanation) -> bool:
+    """Whether a named mistake is one of the record whose value is open."""
+    one, other = named.mistake, value.mistake
+    same = bool(other.record) and one.record == other.record and {*one.scope.runs} >= {*other.scope.runs}
+    return same and other.open_value and not one.open_value
+
+
+def _apart(named: Explanation, value: Explanation) -> bool:
+    """Whether a named mistake is not the value that the outputs show."""
+    if not _concerns(named, value):
+        return False
+    point = named.mistake.point
+    if point is None:
+        return named.gain < value.gain - NAMED_WITHIN
+    return abs(point - value.size) > value.mistake.usual_within
 
 
 def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
@@ -157,6 +187,7 @@ class Search:
         tried : how many of the best are tried as the first of several.
         """
         found = [each for each in self._suspected() if each.support > DECISIVE and each.mistake.possible(each.size)]
+        found = told_by_name(found)
         whole = [each for each in found if self._explains(each) and not self._passes(each.mistake)]
         if whole:
             return [equally_good(whole)]
@@ -174,7 +205,7 @@ class Search:
         return self.explain(
             [
                 mistake
-                for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, RateFactor, *TEMPERATURE_MISTAKES)
+                for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, RateFactor, *TEMPERATURE_MISTAKES, *RECORDS_OF_RUNS)
                 for mistake in kind.suspected(self.campaign, self.views)
                 if mistake.scope.section != "run" or suspects.issuperset(mistake.scope.runs)
             ]
@@ -218,11 +249,12 @@ class Search:
         found = self._explained(best)
         usual = [(k, each) for k, trial in enumerate(best) for each in trial.usual(self.views)]
         least = [each.gain - each.mistake.as_usual for each in found]
-        # The first usual size that does as well is taken for the best one.
-        for (k, _), each in reversed(list(zip(usual, self._explained([each for _, each in usual]), strict=True))):
-            if each.gain > least[k]:
-                found[k] = each
-        return found
+        # The best usual size that does as well is taken for the best one, and the first of these.
+        chosen: dict[int, Explanation] = {}
+        for (k, _), each in zip(usual, self._explained([each for _, each in usual]), strict=True):
+            if each.gain > least[k] and (k not in chosen or each.gain > chosen[k].gain + _TIED):
+                chosen[k] = each
+        return [chosen.get(k, each) for k, each in enumerate(found)]
 
     def _explained(self, trials: Sequence["SizedMistake"]) -> list[Explanation]:
         """Return what corrections gain."""
@@ -232,8 +264,19 @@ class Search:
             gain, misfit = self.stated - fit.score.min(axis=-1), fit.misfit[:, -1] / np.maximum(terms.values, 1)
             return np.stack([gain, misfit], axis=1)
 
-        found = zip(trials, self._judged(trials, judged).tolist(), strict=True)
-        return [Explanation(trial.mistake, float(trial.size), gain, misfit) for trial, (gain, misfit) in found]
+        found = self._judged(trials, judged)
+        for k, trial in enumerate(trials):
+            if isinstance(trial.mistake, OtherUnit):
+                found[k] = self._apart(trial.mistake)
+        both = zip(trials, found.tolist(), strict=True)
+        return [Explanation(trial.mistake, float(trial.size), gain, misfit) for trial, (gain, misfit) in both]
+
+    def _apart(self, mistake: OtherUnit) -> tuple[float, float]:
+        """Return the gain and the misfit per output where the run is of another unit."""
+        (place,) = mistake.scope.runs
+        fits = [self.model.fit(each) for each in (self.total - self.terms[place], self.terms[place])]
+        gain = self.stated - sum(float(each.score.min()) for each in fits)
+        return gain, sum(float(each.misfit[-1]) for each in fits) / max(float(self.total.values), 1.0)
 
     def _judged(self, trials: Sequence["SizedMistake"], judge: Callable[[NormalTerms], np.ndarray]) -> np.ndarray:
         """Return what a function makes of the terms of corrected campaigns, a share of them at a time."""
@@ -294,11 +337,13 @@ class Search:
         That is a unit whose outputs hardly follow the temperature or, where a single run is concerned, biases and scale
         factors of that run unlike those of others.
         """
-        rivals = [self.model.score(self.total, compensated=True)]
+        rivals = [self.stated if isinstance(mistake, OtherUnit) else self.model.score(self.total, compensated=True)]
         if mistake.scope.section == "run":
-            (place,) = mistake.scope.runs
-            loose = self.model.terms_of(self.model.seen(self.views[place]), loose=True)
-            rivals.append(self.model.score(self.total - self.terms[place] + loose))
+            total = self.total
+            for place in mistake.scope.runs:
+                loose = self.model.terms_of(self.model.seen(self.views[place]), loose=True)
+                total = total - self.terms[place] + loose
+            rivals.append(self.model.score(total))
         return float(min(rivals))
 
     def with_drift(self, mistake: TemperatureReversed) -> tuple[float, float]:

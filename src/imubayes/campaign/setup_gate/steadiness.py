@@ -34,19 +34,19 @@ from imubayes.campaign.setup_gate.error_model import (
     weighted,
 )
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
+from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
 from imubayes.campaign.setup_gate.reading_mistakes import (
     LATITUDE_MISTAKES,
-    TEMPERATURE_MISTAKES,
     AngleUnit,
     AxisZero,
     ChannelGain,
     LatitudeSign,
     LatitudeValue,
     NominalScale,
-    TemperatureReversed,
 )
-from imubayes.campaign.setup_gate.search import DECISIVE, ORDINARY_ERROR, Explanation, Search
+from imubayes.campaign.setup_gate.search import DECISIVE, ORDINARY_ERROR, Explanation, Search, told_by_name
 from imubayes.campaign.setup_gate.setup_view import RunView, feels_the_earth_alone, turns_through, views_of
+from imubayes.campaign.setup_gate.thermal_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed, TemperatureValue
 from imubayes.campaign.setup_gate.wrong_rows import RateFactor
 from imubayes.foundations.campaign_data import Campaign
 
@@ -188,13 +188,13 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     levels = SteadinessLevels(campaign)
     first, stated = levels.of_most_evidence()
     views = levels[0].views
-    concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES)
+    concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES, OtherUnit)
     if feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views):
         concealed = (*MISTAKES, ChannelGain, AngleUnit, NominalScale, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
     suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_of_equipment(each)]
     tried = levels.tried(suspected, first)
     best = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
-    found = [each for each in best if each is not None]
+    found = told_by_name([each for each in best if each is not None and each.mistake.possible(each.size)])
     return [each for each in found if _is_sayable(each, campaign) and not levels[0].passes_for_noise(each.mistake)]
 
 
@@ -267,7 +267,7 @@ class SteadinessLevels:
         gain, rival = stated - score, stated
         if self.tumbled:
             rival = self.unsteady - (STOPPING - DECISIVE)
-        if isinstance(mistake, TEMPERATURE_MISTAKES):
+        if isinstance(mistake, (*TEMPERATURE_MISTAKES, OtherUnit)):
             rival = min(self[each.level].rival(mistake) for each in tried)
             if isinstance(mistake, TemperatureReversed):
                 drifting = np.array([self[each.level].with_drift(mistake) for each in tried])
@@ -323,12 +323,14 @@ def _small(found: Explanation, campaign: Campaign) -> bool:
 
 
 def _bar(mistake: Mistake, campaign: Campaign) -> float:
+    if isinstance(mistake, OtherUnit):
+        return RIVALLED * len(campaign.channels)
     several = len(campaign.of_kind("gyro")) > 1
     return DECISIVE_LATITUDE if isinstance(mistake, LatitudeSign) and several else DECISIVE
 
 
-SIZED = (TableZero, AxisZero, TableElevation, TableAzimuth, LatitudeValue, RateFactor)
-"""Mistakes whose size is an angle, or a ratio, of which the remedy writes the value."""
+SIZED = (TableZero, AxisZero, TableElevation, TableAzimuth, LatitudeValue, RateFactor, TemperatureValue)
+"""Mistakes whose size is an angle, a ratio or a temperature, of which the remedy writes the value."""
 _STEP = math.radians(0.01)  # of the derivative by the size; a ratio is as small a number as an angle in rad
 _APART = math.radians(1.0)
 _LONGEST = math.radians(10.0)  # of one step to the best size
@@ -358,7 +360,8 @@ def sized(campaign: Campaign, found: Explanation) -> Explanation:
         return found
     usual = [each for each in found.mistake.usual(views) if abs(math.remainder(each - size, 2 * math.pi)) < _STEP]
     for _ in range(0 if usual else _NEWTON_STEPS):
-        nearer = size + float(np.clip(bowl.best - size, -_LONGEST, _LONGEST))
+        longest = _LONGEST * found.mistake.per_radian
+        nearer = size + float(np.clip(bowl.best - size, -longest, longest))
         tried = _bowl(campaign, steadiness, found.mistake, views, nearer)
         if tried is None or tried.least > bowl.least:
             break
@@ -395,26 +398,28 @@ def _bowl(
     campaign: Campaign, steadiness: Steadiness, mistake: Mistake, views: Sequence[RunView], size: float
 ) -> _Bowl | None:
     """Return the evidence near a size, with all other errors at their best; None where the outputs do not tell it."""
-    corrected = mistake.removed(views, size)
-    search, centre = Search(campaign, steadiness, corrected), np.zeros(0)
+    unit = mistake.per_radian
+    search, centre = Search(campaign, steadiness, mistake.removed(views, size)), np.zeros(0)
     for _ in range(2):
         centre = search.model.estimates(search.total)
-        search = Search(campaign, steadiness, corrected, centre)
+        search = Search(campaign, steadiness, search.views, centre)
     model = search.model
-    seen = model.seen_of(corrected)
+    seen = model.seen_of(search.views)
     # How the size moves the outputs less what is predicted with mounting and table at the centre.
     rates = [
         (other.without_shared(centre).error - one.without_shared(centre).error) / _STEP
-        for other, one in zip(model.seen_of(mistake.removed(views, size + _STEP)), seen, strict=True)
+        for other, one in zip(model.seen_of(mistake.removed(views, size + _STEP * unit)), seen, strict=True)
     ]
 
     def evidence(apart: float) -> float:
-        shifted = [replace(one, error=one.error + apart * rate) for one, rate in zip(seen, rates, strict=True)]
-        terms = stacked_terms([model.terms_of(each) for each in shifted]).total()
+        moved = [replace(one, error=one.error + apart * rate) for one, rate in zip(seen, rates, strict=True)]
+        if isinstance(mistake, TemperatureValue):  # it moves what outputs respond with
+            moved = model.seen_of(mistake.removed(views, size + apart * unit))
+        terms = stacked_terms([model.terms_of(each) for each in moved]).total()
         return float(model.score(terms, search.g_sensitivity))
 
     low, middle, high = evidence(-_APART), evidence(0.0), evidence(_APART)
     bend = (low - 2 * middle + high) / _APART**2
     if not bend > 2 / _WIDEST**2:
         return None
-    return _Bowl(middle, size - (high - low) / (2 * _APART) / bend, math.sqrt(2 / bend))
+    return _Bowl(middle, size - unit * (high - low) / (2 * _APART) / bend, unit * math.sqrt(2 / bend))
