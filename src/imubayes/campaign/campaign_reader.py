@@ -258,7 +258,9 @@ def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Find
     noticed = any(finding.name in SYMPTOMS for finding in findings)
     found = [finding for finding in found if not (noticed and finding.name == "setup_disagrees")]
     units, wrong = _problems(findings), _problems(found)
-    if units and not any(finding.name in LIKE_UNITS and finding.severity == "error" for finding in found):
+    # Of a channel in all runs one mistake is told, not one of each run.
+    told = [each for each in found if each.name in LIKE_UNITS or (each.name == "channel_unit" and not each.run)]
+    if units and not any(finding.severity == "error" for finding in told):
         return Inspection(None, units, tuple(findings))
     if wrong:
         # The mistake explains what the checks of single runs noticed of it.

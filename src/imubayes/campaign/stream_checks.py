@@ -59,6 +59,7 @@ FINDINGS: dict[str, str] = {
     "table_elevation": "the elevation of the axis of a table is wrong",
     "table_azimuth": "the azimuth of the axis of a table is wrong",
     "axes_exchanged": "channels are exchanged",
+    "input_axis_wrong": "the input axis of a channel is another one",
     "channel_unit": "a channel has another sign or unit",
     "angle_unit": "the angle column is in another unit",
     "table_rate": "the rates of the table in a run are wrong by a factor",
@@ -83,7 +84,7 @@ UNIT_FINDINGS = ("rate_unit", "acceleration_unit")
 LIKE_UNITS = (
     "files_exchanged", "mounting_mislabelled", "mountings_exchanged", "mounting_turned", "mounting_wrong",
     "table_zero", "axis_zero", "table_elevation", "table_reversed", "axes_exchanged", "time_shift", "angle_unit",
-    "channel_unit", "rates_missing", "rate_without_sign",
+    "rates_missing", "rate_without_sign",
 )  # fmt: skip
 
 

@@ -47,7 +47,8 @@ class Mistake(ABC):
 
     `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
     that.  A usual size is taken for the best one if it is within `usual_within` of it and its evidence falls short by
-    less than `as_usual`.  `per_radian` is what a size counts like a radian of an angle.  `by_evidence` is whether the size of most evidence is the best, not that of least misfit.
+    less than `as_usual`.  `per_radian` is what a size counts like a radian of an angle.  `by_evidence` is whether the
+    size of most evidence is the best, not that of least misfit.
     """
 
     scope: Scope
@@ -113,6 +114,10 @@ class Mistake(ABC):
     def point(self) -> float | None:
         """The size of the open value at which a named mistake is; None where its evidence alone tells."""
         return None
+
+    def named(self, size: float) -> bool:
+        """Return whether a size of an open value has a name."""
+        return False
 
     @property
     def variant(self) -> str:
@@ -488,6 +493,38 @@ class MountingWrong(Mistake):
         return changed(views[place], body_to_table=self.matrix)
 
 
+@dataclass(frozen=True)
+class InputAxisWrong(Mistake):
+    """The input axis of a channel is another axis of the body."""
+
+    channel: int
+    axes: np.ndarray
+    kind: ClassVar[str] = "input_axis_wrong"
+    rarity: ClassVar[float] = 8.0
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every axis of the body that is none of a channel, for each channel with a triad of its kind."""
+        for place, channel in enumerate(campaign.channels):
+            if channel.kind == "angle" or len(campaign.of_kind(channel.kind)) < 2:
+                continue
+            for turn in ORIENTATIONS:
+                # One orientation of each input axis.
+                if abs(turn[0] @ channel.axes[0]) < 0.5 and turn[1].argmax() == (np.abs(turn[0]).argmax() + 1) % 3:
+                    yield cls(all_runs(range(len(views))), place, turn)
+
+    @property
+    def variant(self) -> str:
+        """Channel and axis."""
+        return f"{self.channel} {self.axes[0].tolist()}"
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the other axis."""
+        axes = np.array(views[place].axes)
+        axes[self.channel] = self.axes
+        return changed(views[place], axes=axes)
+
+
 def _orientations() -> Iterator[np.ndarray]:
     for order, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3)):
         matrix = np.eye(3)[list(order)] * np.array(signs)[:, None]
@@ -500,6 +537,6 @@ ORIENTATIONS = list(_orientations())
 
 MISTAKES: tuple[type[Mistake], ...] = (
     FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
-    TableElevation, TableAzimuth, ChannelsExchanged, TimeShift, MountingWrong,
+    TableElevation, TableAzimuth, ChannelsExchanged, TimeShift, MountingWrong, InputAxisWrong,
 )  # fmt: skip
 """Kinds of mistakes in the equipment, from the most to the least usual."""

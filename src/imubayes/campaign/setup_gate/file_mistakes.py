@@ -21,7 +21,10 @@ class OtherUnit(Mistake):
 
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
-        """Return each run whose input is stated, where others tell what the unit is like; a reference has its own errors."""
+        """Return each run whose input is stated, where others tell what the unit is like.
+
+        A reference gyro has errors of its own.
+        """
         known = [scope for scope in single_runs(views, tables_only=False) if views[scope.runs[0]].reference is None]
         return known if len(known) > 2 else []
 

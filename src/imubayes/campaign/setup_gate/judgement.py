@@ -133,7 +133,10 @@ def _record_of_row(campaign: Campaign, found: WrongRow) -> str:
     if not found.sd:
         return f"'{column}' has the wrong sign in {row}"
     if found.channel is not None:
-        return f"'{column}' alone is off in {row}: {found.agreeing:.6g} ± {found.sd:.1g} would agree, not {found.recorded:.6g}"
+        return (
+            f"'{column}' alone is off in {row}: {found.agreeing:.6g} ± {found.sd:.1g} would agree, not "
+            f"{found.recorded:.6g}"
+        )
     covariate = COVARIATES[f"table_{found.column}"]
     table = next(run.table for run in campaign.runs if run.name == found.run)
     zero = campaign.tables[table or ""].zero_angle if found.column == "angle" else 0.0

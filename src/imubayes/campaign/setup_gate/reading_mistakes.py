@@ -188,8 +188,8 @@ class _Factor(Mistake):
     open_value: ClassVar[bool] = True
 
     def possible(self, size: float) -> bool:
-        """Return whether a channel that responds so responds at all."""
-        return abs(size) < 1.2 * abs(_LOGARITHMS[0])
+        """Return whether the factor is within the range of those tried: at its end there is no estimate."""
+        return _LOGARITHMS[0] < size < _LOGARITHMS[-1]
 
     def stops(self, size: float) -> bool:
         """Return whether the factor is beyond that of a poor unit."""
@@ -198,12 +198,17 @@ class _Factor(Mistake):
 
 @dataclass(frozen=True)
 class NominalScale(_Factor):
-    """The scale factor of channels is the nominal one times a factor, in all runs; the size is its logarithm."""
+    """The scale factor of channels is the nominal one times a factor, in all runs or one; the size is its logarithm."""
 
     channels: tuple[str, ...]
     places: tuple[int, ...]
     of_gyros: bool
     kind: ClassVar[str] = "channel_unit"
+
+    @property
+    def unlikelihood(self) -> float:
+        """A scale factor is that of all runs."""
+        return self.rarity if self.scope.section == "campaign" else 20.0
 
     @property
     def record(self) -> str:
@@ -213,6 +218,10 @@ class NominalScale(_Factor):
     def units(self, size: float) -> str:
         """Return the mistaken unit of the outputs, if the factor is that of one."""
         return next((name for name, factor in self._gains.items() if math.log(factor) == size), "")
+
+    def named(self, size: float) -> bool:
+        """Return whether the factor is that of a mistaken unit."""
+        return bool(self.units(size))
 
     @property
     def _gains(self) -> dict[str, float]:
@@ -224,11 +233,13 @@ class NominalScale(_Factor):
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every channel that has an input, and all of a kind."""
-        for kind in ("gyro", "accelerometer"):
-            for group in _groups(campaign, kind, lambda channel: driven(campaign, channel, views)):
+        """Yield every channel that has an input, and all of a kind, in all runs or one."""
+        single = [] if feels_the_earth_alone(campaign, views) or len(views) < 3 else single_runs(views, False)
+        for scope, kind in itertools.product((all_runs(range(len(views))), *single), ("gyro", "accelerometer")):
+            here = [views[place] for place in scope.runs]
+            for group in _groups(campaign, kind, lambda channel, here=here: driven(campaign, channel, here)):
                 names = tuple(campaign.channels[k].name for k in group)
-                yield cls(all_runs(range(len(views))), names, group, kind == "gyro")
+                yield cls(scope, names, group, kind == "gyro")
 
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is a factor of the rates that makes the same of the same gyros."""
@@ -315,10 +326,13 @@ class ChannelGain(Mistake):
             scopes = [all_runs(range(len(views))), *single_runs(views, False)]
             for scope, group in itertools.product(scopes, _groups(campaign, kind)):
                 channels = [campaign.channels[k] for k in group]
-                if not all(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels):
+                told = sum(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels)
+                if told < min(2, len(channels)):
                     continue
                 names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
-                for units, factor in factors.items():
+                counts = np.unique(np.concatenate([views[k].samples for k in scope.runs]))
+                summed = {"sums for means": float(counts[0])} if len(counts) == 1 and counts[0] > 1 else {}
+                for units, factor in (factors | summed).items():
                     yield cls(scope, names, group, offsets, factor, units)
 
     def like(self, other: Mistake) -> bool:

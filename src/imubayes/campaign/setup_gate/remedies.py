@@ -159,6 +159,14 @@ def _elevation(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     actual = _folded(stated + math.degrees(found.size))
     over = abs(actual) > 90
     elevation = math.copysign(180, actual) - actual if over else actual
+    if over and abs(elevation - stated) < 1:
+        azimuth = (math.degrees(campaign.tables[name].azimuth) + 180) % 360
+        return Issue(
+            f"the axis of table '{name}' points the other way {_subject(found.mistake)}",
+            places.line("table", name, "azimuth_deg"),
+            "the azimuth of the axis, clockwise from North",
+            f"write azimuth_deg = {azimuth:g}, and turn zero_angle_deg by 180",
+        )
     return Issue(
         f"the elevation of the axis of table '{name}' is {elevation:g} deg{_uncertainty(found)}, "
         f"not {stated:g} deg "
@@ -414,7 +422,7 @@ def _temperature(campaign: Campaign, found: Explanation, places: Places) -> Issu
     assert isinstance(mistake, thermal.TemperatureValue)
     run = next(run for run in campaign.runs if run.name == mistake.scope.name)
     recorded = float(np.mean(run.covariates[mistake.names[0]]))
-    columns, noun, one = _thermal_columns(mistake)
+    columns, noun, _ = _thermal_columns(mistake)
     sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
     return Issue(
         f"the outputs of run '{run.name}' are as at a mean temperature of {recorded + found.size:.1f}{sd} °C, recorded "
@@ -474,6 +482,19 @@ def _no_rates(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     )
 
 
+def _axis(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    assert isinstance(found.mistake, bench.InputAxisWrong)
+    channel, axis = campaign.channels[found.mistake.channel], found.mistake.axes
+    stated = (channel.axes[0].round(6) + 0.0).tolist()
+    return Issue(
+        f"channel '{channel.name}' responds along {(axis[0] + 0.0).tolist()}, not along its input_axis {stated}",
+        places.line("channel", channel.name, "input_axis"),
+        "the axis of the body along which the output rises",
+        f"write input_axis = {(axis[0] + 0.0).tolist()} for '{channel.name}', and output_axis = "
+        f"{(axis[1] + 0.0).tolist()} or as it is",
+    )
+
+
 REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
     "latitude_sign": _latitude,
     "latitude_value": _latitude_value,
@@ -493,6 +514,7 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
     "angle_unit": _unit,
     "time_shift": _time,
     "mounting_wrong": _matrix,
+    "input_axis_wrong": _axis,
     "temperature_unit": _fahrenheit,
     "thermometers_exchanged": _thermometers,
     "temperature_reversed": _backwards,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.setup_gate.drift_rivals import score_with_drift
-from imubayes.campaign.setup_gate.equipment_mistakes import MISTAKES, Mistake
+from imubayes.campaign.setup_gate.equipment_mistakes import MISTAKES, Mistake, Scope
 from imubayes.campaign.setup_gate.error_model import (
     G_SENSITIVITIES,
     POOR,
@@ -49,7 +49,7 @@ NAMED_WITHIN = 12.0
 RECORDS_OF_RUNS: tuple[type[Mistake], ...] = (*RATE_RECORDS, OtherUnit)
 """Mistakes in the record of a whole run that is no single value."""
 _REFINEMENTS, _REMEMBERED = 4, 256
-_TIED = 1.0  # of twice the log evidence, by which a usual size is better than another
+_SAME_POINT = 0.05  # of how far a name may be from a value, within which two names are one
 _SETTLED = 0.01  # of twice the log likelihood: a tenth of a standard deviation of the size
 _SUSPECTS = 5  # runs whose own mistakes are tried
 _AT_ONCE = 2**19  # numbers in the terms of campaigns that are judged together: four megabytes
@@ -102,29 +102,44 @@ def equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tu
 def told_by_name(found: Sequence[Explanation]) -> list[Explanation]:
     """Return explanations, of each record those with a name where they do as well as its open value, else the latter.
 
-    A name is a point on the open value, and a wrong one is not forced upon a value that is near it.
+    A name is a point on the open value: a wrong one is not forced upon a value that is near it.  Of names whose points
+    are near each other that nearest to the value is told.
     """
-    opened = [each for each in found if each.mistake.open_value]
-    left = [each for each in found if not any(_apart(each, value) for value in opened)]
-    named = [each for each in left if not each.mistake.open_value]
-    return [each for each in left if not any(_concerns(name, each) for name in named)]
+    records: dict[str, list[Explanation]] = {}
+    for each in found:
+        if each.mistake.record:
+            records.setdefault(each.mistake.record, []).append(each)
+    dropped = set[int]()
+    for alike in records.values():
+        for value in (each for each in alike if each.mistake.open_value):
+            own = {*value.mistake.scope.runs}
+            names = [each for each in alike if not each.mistake.open_value and _holds(each.mistake, own)]
+            apart = {id(each): _apart(each, value) for each in names}
+            nearest = min(apart.values(), default=math.inf)
+            told = [each for each in names if apart[id(each)] <= min(nearest + _SAME_POINT, 1.0)]
+            dropped |= {id(each) for each in names if each not in told}
+            if value.mistake.named(value.size):
+                dropped |= {id(each) for each in told if each.mistake.point is not None}
+            elif told:
+                dropped.add(id(value))
+    return [each for each in found if id(each) not in dropped]
 
 
-def _concerns(named: Explanation, value: Explanation) -> bool:
-    """Whether a named mistake is one of the record whose value is open."""
-    one, other = named.mistake, value.mistake
-    same = bool(other.record) and one.record == other.record and {*one.scope.runs} >= {*other.scope.runs}
-    return same and other.open_value and not one.open_value
+def _holds(named: Mistake, runs: set[int]) -> bool:
+    """Whether a named mistake is one of the record of these runs, and of others at most where its evidence tells."""
+    return {*named.scope.runs} == runs or (named.point is None and {*named.scope.runs} > runs)
 
 
-def _apart(named: Explanation, value: Explanation) -> bool:
-    """Whether a named mistake is not the value that the outputs show."""
-    if not _concerns(named, value):
-        return False
+def _apart(named: Explanation, value: Explanation) -> float:
+    """Return how far a named mistake is from the value that the outputs show, over how far it may be."""
     point = named.mistake.point
     if point is None:
-        return named.gain < value.gain - NAMED_WITHIN
-    return abs(point - value.size) > value.mistake.usual_within
+        return 0.0 if named.gain >= value.gain - NAMED_WITHIN else math.inf
+    return abs(point - value.size) / value.mistake.usual_within
+
+
+def _corrects(mistake: Mistake) -> tuple[str, Scope]:
+    return mistake.record or f"{mistake.kind} {mistake.variant}", mistake.scope
 
 
 def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
@@ -198,6 +213,8 @@ class Search:
         corrected = [Search(self.campaign, views=each.mistake.removed(self.views, each.size)) for each in partial]
         further = [search.several_mistakes(most - 1, TRIED_NEXT) for search in corrected]
         chains = [[(each,), *rest] for each, rest in zip(partial, further, strict=True) if rest]
+        # A second correction of the same record says that the first was none.
+        chains = [chain for chain in chains if len({_corrects(equal[0].mistake) for equal in chain}) == len(chain)]
         return min(chains, key=lambda chain: (len(chain), -sum(equal[0].support for equal in chain)), default=[])
 
     def _suspected(self) -> list[Explanation]:
@@ -249,10 +266,11 @@ class Search:
         found = self._explained(best)
         usual = [(k, each) for k, trial in enumerate(best) for each in trial.usual(self.views)]
         least = [each.gain - each.mistake.as_usual for each in found]
-        # The best usual size that does as well is taken for the best one, and the first of these.
+        # The nearest usual size that does as well is taken for the best one.
         chosen: dict[int, Explanation] = {}
         for (k, _), each in zip(usual, self._explained([each for _, each in usual]), strict=True):
-            if each.gain > least[k] and (k not in chosen or each.gain > chosen[k].gain + _TIED):
+            off = abs(each.size - best[k].size)
+            if each.gain > least[k] and (k not in chosen or off < abs(chosen[k].size - best[k].size)):
                 chosen[k] = each
         return [chosen.get(k, each) for k, each in enumerate(found)]
 

@@ -193,8 +193,11 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
         concealed = (*MISTAKES, ChannelGain, AngleUnit, NominalScale, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
     suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_of_equipment(each)]
     tried = levels.tried(suspected, first)
-    best = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
-    found = told_by_name([each for each in best if each is not None and each.mistake.possible(each.size)])
+    likeliest = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
+    found = told_by_name([each for each in likeliest if each is not None and each.mistake.possible(each.size)])
+    # What is too weak to be said, and explains more, is not told under another name.
+    best = max((each.support for each in found), default=0.0)
+    found = [each for each in found if each.support > best - DECISIVE]
     return [each for each in found if _is_sayable(each, campaign) and not levels[0].passes_for_noise(each.mistake)]
 
 

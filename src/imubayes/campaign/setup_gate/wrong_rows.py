@@ -136,7 +136,7 @@ def _likeliest(
 ) -> WrongRow | None:
     """Return what in the record of a row brings it in line, with what does so as well; None where nothing does."""
     columns = [replace(wrong, column=column) for column in _columns(view, several)]
-    outputs = [replace(wrong, channel=k) for k in model.places if np.isfinite(view.observed[wrong.row, k])]
+    outputs = [replace(wrong, channel=k) for k in model.places if _is_of_rows(model, view, k, wrong.row, several)]
     found: list[tuple[float, WrongRow]] = []
     for each in (*columns, *(outputs if len(model.places) > 1 else [])):
         error = partial(_error_of_row, judged.error, place, view, each)
@@ -147,6 +147,12 @@ def _likeliest(
     found = sorted(found, key=lambda each: each[0])
     near = [each for score, each in found if score < found[0][0] + _RIVAL and _record(each) != _record(found[0][1])]
     return replace(found[0][1], rivals=tuple(near))
+
+
+def _is_of_rows(model: ErrorModel, view: RunView, channel: int, row: int, wrong: int) -> bool:
+    """Whether an output has a size in more rows than are wrong: else the whole run is."""
+    size = np.abs(view.observed[:, channel] - model.channels[model.places.index(channel)].offset)
+    return bool(np.isfinite(size[row]) and np.sum(size > LEAST_RATE * np.nanmax(size)) > 2 * wrong)
 
 
 def _record(each: WrongRow) -> tuple[str, int | None]:
