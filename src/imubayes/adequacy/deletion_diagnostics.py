@@ -71,10 +71,14 @@ class WeightedFit:
     weight: np.ndarray
 
     @cached_property
-    def _lower(self) -> np.ndarray:
-        """Cholesky factor of the precision of all parameters, (P, P)."""
+    def whole(self) -> np.ndarray:
+        """The precision of all parameters, (P, P)."""
         found = np.tensordot(self.weight, self.equations.matrix, 1)
-        return np.linalg.cholesky(0.5 * (found + found.T) + np.diag(self.precision))
+        return 0.5 * (found + found.T) + np.diag(self.precision)
+
+    @cached_property
+    def _lower(self) -> np.ndarray:
+        return np.linalg.cholesky(self.whole)
 
     @cached_property
     def shift(self) -> np.ndarray:

@@ -81,7 +81,10 @@ def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -
     size, sd = (form.form.unit * each[own:] for each in (found.mean, np.sqrt(np.diag(of.solved(found).covariance))))
     run = campaign.runs[wrong.run]
     recorded: float | None = None
-    if wrong.form.endswith("factor"):
+    if wrong.form in ("exchange", "unit"):
+        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "unit"
+        unit, recorded, factor = "1", 0.0, 1.0
+    elif wrong.form.endswith("factor"):
         quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "outputs"
         unit, recorded, factor = "1", 1.0, 1.0
     elif wrong.form == "seat":
@@ -99,7 +102,7 @@ def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -
     return record.AgreeingInput(
         form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
         agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
-        probability=share,
+        probability=share, other="" if wrong.other is None else campaign.runs[wrong.other].name,
     )  # fmt: skip
 
 

@@ -30,23 +30,25 @@ class AgreeingInput(Record):
     Attributes
     ----------
     form : an ``offset`` or a ``factor`` of a column; the attitude of the ``seat``; an ``output_offset`` of each channel
-        or an ``output_factor`` of all.
-    quantity : the column; ``mounting``; ``outputs``, or the channel of the only output.
+        or an ``output_factor`` of all; an ``exchange`` of a column with that of another run; another ``unit``.
+    quantity : the column; ``mounting``; ``outputs``, or the channel of the only output; ``unit``.
     unit : of the values; of a factor 1, of outputs the unit of the first channel.
     recorded : what the record says: the value of the row, the mean of the column, or 0 for the attitude and offsets and
         1 for a factor.
     agreeing : what would agree, for each component: value, factor, or rotation vector in body axes.
     sd : its standard uncertainty, the parameters of the model estimated beside it.
     probability : among all wrong inputs.
+    other : of an exchange, the name of the other run; empty otherwise.
     """
 
-    form: Literal["offset", "factor", "seat", "output_offset", "output_factor"]
+    form: Literal["offset", "factor", "seat", "output_offset", "output_factor", "exchange", "unit"]
     quantity: str
     unit: str
     recorded: float | None
     agreeing: tuple[float, ...]
     sd: tuple[float, ...]
     probability: float
+    other: str = ""
 
 
 class Disagreement(Record):

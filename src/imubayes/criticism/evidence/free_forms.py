@@ -16,6 +16,7 @@ import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import ONE_OWNER, WIDTH_RATIO
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, UNEXPECTED, ChannelRows, LinearProblem
+from imubayes.criticism.evidence.possible_forms import is_an_effect, possible_form
 from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.responses.wrong_inputs import WrongInput
 
@@ -146,7 +147,9 @@ def free_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tu
     forms: list[FormHypothesis] = []
     kinds = [rows.kind for rows in problem.of_channels]
     for kind in dict.fromkeys(kinds):
-        forms += _of_kind(problem, known, [k for k, each in enumerate(kinds) if each == kind])
+        of_kind = _of_kind(problem, known, [k for k, each in enumerate(kinds) if each == kind])
+        found = (possible_form(problem, known, each) for each in of_kind)
+        forms += [each for each in found if each is not None and not is_an_effect(problem, each)]
     return with_prior(forms, UNEXPECTED / 2)
 
 

@@ -17,6 +17,7 @@ from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_pro
 from imubayes.criticism.evidence.model_search import ModelSearch, states_noise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import LinearisationPoint, Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate
@@ -69,7 +70,8 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
         moved = _linearised(problem, large) if large is not None else None
         if large is not None and moved is not None:
             about, search = large, ModelSearch(moved)
-    begun = _run(search, about, covariates), about
+    recorded = fitted.model.campaign
+    begun = _run(search, about, recorded, covariates), about
     leads = (_leader, _gross_input) if fitted.optimised else (_leader,)
     found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
     search, about = max(found, key=lambda each: each[0].best().log_posterior)
@@ -93,15 +95,17 @@ def _followed(
         problem = _linearised(search.of.problem, moved)
         if problem is None:
             break
-        about, search = moved, _run(ModelSearch(problem), moved, covariates)
+        about, search = moved, _run(ModelSearch(problem), moved, fitted.model.campaign, covariates)
         further = [(search, about)] if not fitted.optimised else [best, (search, about)]
         best = max(further, key=lambda each: each[0].best().log_posterior)
     return best
 
 
-def _run(search: ModelSearch, about: _About, covariates: Sequence[ResidualCovariate]) -> ModelSearch:
+def _run(
+    search: ModelSearch, about: _About, recorded: Campaign, covariates: Sequence[ResidualCovariate]
+) -> ModelSearch:
     problem = search.of.problem
-    wrong = wrong_inputs(problem, about.fitted)
+    wrong = wrong_inputs(problem, about.fitted, recorded)
     return search.run((*free_forms(problem, covariates), *wrong.of_runs), wrong.of_rows)
 
 
@@ -128,9 +132,13 @@ def _is_large(search: ModelSearch, top: Evaluated) -> bool:
 
 
 def _is_input(each: Evaluated) -> bool:
-    """Tell whether a hypothesis is a wrong input that acts through the model: outputs that are off are linear."""
+    """Tell whether a hypothesis is a wrong input that acts through the model: outputs that are off are linear.
+
+    So are the parameters of another unit.
+    """
     form = each.hypothesis.form
-    return form is not None and form.form.wrong is not None and not form.form.wrong.form.startswith("output")
+    wrong = form.form.wrong if form is not None else None
+    return wrong is not None and wrong.form != "unit" and not wrong.form.startswith("output")
 
 
 def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) -> _About | None:
@@ -139,7 +147,7 @@ def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) ->
     point, form = _point(search, top), top.hypothesis.form
     if not np.isfinite(z).all():
         return None
-    if form is None or form.form.wrong is None:
+    if form is None or form.form.wrong is None or form.form.wrong.form == "unit":
         return _About(replace(recorded, z=z), point)
     wrong, campaign = form.form.wrong, recorded.model.campaign
     size = top.mean[len(top.columns) :] * form.form.unit

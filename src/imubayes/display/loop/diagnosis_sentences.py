@@ -163,6 +163,10 @@ def _cause(each: diagnosis.AgreeingInput, found: diagnosis.Disagreement) -> str:
     unit = f" {pretty(each.unit)}" if each.unit not in ("", "1") else ""
     pairs = [value_and_sd(value, sd) for value, sd in zip(each.agreeing, each.sd, strict=True)]
     sizes = ", ".join(f"{value} ± {sd}" for value, sd in pairs)
+    if each.form == "unit":
+        return "errors of its own in all channels: it is of another unit, or its file is"
+    if each.form == "exchange":
+        return f"{each.quantity} exchanged with that of run {each.other}"
     if each.form == "seat":
         return f"the unit turned in its mounting by ({sizes}){unit} about its axes"
     if each.form == "output_offset":

@@ -1,0 +1,181 @@
+"""What was recorded wrongly in a run, weighed against the model of the user at the noise known beforehand.
+
+A gross error of the record distorts the parameters, so that the linear response to it about the fit leads nowhere.  Every
+suspected error is therefore corrected in the campaign, from several starts, and the parameters are estimated beside it
+anew: the model is linear about the corrected record.  The noise of a channel is that known before the fit, or larger
+where the residuals say so, which keeps what the model lacks from being told as a wrong record.
+
+`fit` says the likeliest beside its intervals, and `diagnose` begins from it (`imubayes.criticism.evidence`).
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imubayes.adequacy.deletion_diagnostics import (
+    LinearFit,
+    WeightedFit,
+    disagreeing_runs,
+    divide,
+    known_before,
+    linear_fit,
+)
+from imubayes.foundations.covariates import COVARIATES
+from imubayes.inference.fitted_model import Fit
+from imubayes.responses.wrong_inputs import Predictions, WrongInput, exchanged, of_sensors, problem_of, suspected
+
+_WIDTHS = {"degC": 30.0, "rad": 1.0}
+"""Standard deviations of errors of a column by its SI unit; of a ratio and of the attitude of a seat 0.3."""
+_RATIO = 0.3
+_STARTS = {"degC": (0.0, -80.0, -50.0, -30.0, -15.0, 15.0, 30.0, 50.0, 80.0), "rad": (0.0, -1.5, 1.5, 3.0)}
+"""Sizes from which the best one is looked for."""
+_SIGN = -2.0  # of a factor, what reverses the sign of a column
+_DOUBTED = 5
+"""Runs that agree least with the others, whose records are weighed."""
+_ROUNDS, _REWEIGHED = 6, 3
+_DISAGREES = math.log(0.005)
+"""Log chance of what a run adds to the others, above which nothing in any record is weighed (convention)."""
+_PRIOR_ODDS = math.log(0.05)
+"""Of a wrong record in the campaign, shared by those that are weighed.  Convention, as in a diagnosis."""
+
+
+@dataclass(frozen=True)
+class WeighedRecord:
+    """An error of the record with its size.
+
+    Attributes
+    ----------
+    size, sd : what has to be added to the record, (d,), and its standard deviation.
+    z : the parameters beside it, (P,).
+    log_odds : natural logarithm of the odds against the record as it is.
+    """
+
+    wrong: WrongInput
+    size: np.ndarray
+    sd: np.ndarray
+    z: np.ndarray
+    log_odds: float
+
+
+def weighed_records(fitted: Fit) -> tuple[WeighedRecord, ...]:
+    """Return the errors of the record that are likelier than the record as it is, the likeliest first.
+
+    Empty where the runs agree with one another.
+    """
+    if not fitted.optimised:
+        return ()
+    weighing = _Weighing(fitted)
+    told = sorted(disagreeing_runs(weighing.stated).items(), key=lambda each: each[1])
+    doubted = [run for run, log_p in told if log_p < _DISAGREES][:_DOUBTED]
+    suspects = [*_suspects(fitted, doubted)]
+    each = math.log(len(suspects) or 1) - _PRIOR_ODDS
+    found = [weighing.weighed(wrong) for wrong in suspects]
+    odds = [replace(one, log_odds=one.log_odds - each) for one in found if one is not None]
+    return tuple(sorted((one for one in odds if one.log_odds > 0), key=lambda one: -one.log_odds))
+
+
+def _suspects(fitted: Fit, runs: Sequence[int]) -> Iterator[WrongInput]:
+    campaign = fitted.model.campaign
+    for run in runs:
+        yield from (each for each in suspected(campaign, run) if each.form != "output_offset")
+        if len(campaign.runs) > 2:
+            yield WrongInput(run, "unit")
+    yield from (each for each in exchanged(campaign) if {each.run, each.other} & {*runs})
+
+
+class _Weighing:
+    """The evidence of the campaign of a fit, as recorded and corrected."""
+
+    def __init__(self, fitted: Fit):
+        self.fitted, self.model, self.h = fitted, fitted.model, known_before(fitted)
+        self.predictions = Predictions(fitted.model, fitted.z)
+        self.stated = linear_fit(self.model, self.model.problem, fitted.z, self.h)
+        self.as_recorded = _evidence(self.stated)[1]
+
+    def weighed(self, wrong: WrongInput) -> WeighedRecord | None:
+        """Return an error of the record at its best size; None where it explains nothing."""
+        if wrong.form == "unit":
+            return self._of_other_unit(wrong)
+        starts = [self._at(wrong, size, free=False) for size in self._starts(wrong)]
+        known = [each for each in starts if each is not None]
+        best = max(known, key=lambda each: each.log_odds, default=None)
+        for _ in range(_ROUNDS):
+            further = self._at(wrong, best.size, free=True) if best is not None else None
+            if best is None or further is None or not wrong.possible(self.model.campaign, further.size):
+                break
+            settled = bool(np.all(np.abs(further.size - best.size) < 0.1 * further.sd))
+            best = further
+            if settled:
+                break
+        return best if best is not None and len(best.sd) else None
+
+    def _starts(self, wrong: WrongInput) -> list[np.ndarray]:
+        if wrong.form == "exchange":
+            return [np.ones(1)]
+        freedom = wrong.freedom(self.model.campaign)
+        if wrong.form == "offset":
+            return [np.array([size]) for size in _STARTS.get(COVARIATES[wrong.covariate].si, (0.0,))]
+        return [np.zeros(freedom), *([np.array([_SIGN])] if wrong.form.endswith("factor") else [])]
+
+    def _width(self, wrong: WrongInput) -> float:
+        return _WIDTHS.get(COVARIATES[wrong.covariate].si, _RATIO) if wrong.form == "offset" else _RATIO
+
+    def _at(self, wrong: WrongInput, size: np.ndarray, free: bool) -> WeighedRecord | None:
+        """Return the record corrected by about a size, which is estimated beside the parameters where it is free."""
+        campaign = wrong.corrected(self.model.campaign, size)
+        problem = problem_of(self.model, campaign)
+        if problem is None:
+            return None
+        linear = linear_fit(self.model, problem, self.fitted.z, self.h)
+        count = len(linear.precision)
+        if not np.isfinite(linear.misfit).all():
+            return None
+        if free:
+            response = self.predictions.response(wrong, campaign)
+            if response is None:
+                return None
+            # Of an exchange 1 is the name, and the estimate tells whether it is one.
+            centre = 1.0 if wrong.form == "exchange" else 0.0
+            linear = _beside(linear, divide(problem, self.h, response), response, self._width(wrong), centre - size)
+        fit, evidence = _evidence(linear)
+        sd = np.sqrt(np.diag(np.linalg.inv(fit.whole)))[count:]
+        moved = fit.shift[count:] if free else np.zeros(len(size))
+        return WeighedRecord(wrong, size + moved, sd, self.fitted.z + fit.shift[:count], evidence - self.as_recorded)
+
+    def _of_other_unit(self, wrong: WrongInput) -> WeighedRecord:
+        own = of_sensors(self.model)
+        here = (self.stated.run == wrong.run)[:, None]
+        response, weighted = self.stated.jacobian[:, own] * here, self.stated.weighted[:, own] * here
+        linear = _beside(self.stated, weighted, response, math.sqrt(2.0), np.zeros(len(own)))
+        fit, evidence = _evidence(linear)
+        count = len(self.stated.precision)
+        z, size = self.fitted.z + fit.shift[:count], fit.shift[count:]
+        sd = np.sqrt(np.diag(np.linalg.inv(fit.whole)))[count:]
+        return WeighedRecord(wrong, size, sd, z, evidence - self.as_recorded)
+
+
+def _beside(
+    linear: LinearFit, weighted: np.ndarray, response: np.ndarray, width: float, centre: np.ndarray
+) -> LinearFit:
+    """Return a linear fit with further columns, (E, d), whose coefficients have a prior."""
+    return replace(
+        linear,
+        jacobian=np.concatenate([linear.jacobian, response], axis=1),
+        weighted=np.concatenate([linear.weighted, weighted], axis=1),
+        precision=np.append(linear.precision, np.full(len(centre), width**-2.0)),
+        centre=np.append(linear.centre, centre),
+    )
+
+
+def _evidence(linear: LinearFit) -> tuple[WeightedFit, float]:
+    """Return a linear fit at the noise that its channels show, no less than known, and the log of its evidence."""
+    whole = linear.whole
+    fit = linear.fit(whole)
+    for _ in range(_REWEIGHED):
+        # A scale that falls from one step to the next is that of the residuals, whatever it was before.
+        fit = linear.fit(whole, 1 / fit.noise_ratios)
+    scale = np.repeat(np.log(fit.weight), whole.count).sum()
+    volume = np.linalg.slogdet(fit.whole)[1] - np.log(linear.precision).sum()
+    return fit, 0.5 * float(scale - fit.chi2 - volume)
