@@ -15,9 +15,10 @@ from planted_data import fit_of, probability, told
 from random_plans import random_plan
 from simulate import write_simulated
 
-from imubayes.adequacy.deletion_diagnostics import doubted_runs
+from imubayes.adequacy.adequacy_record import AgreeingInput, Disagreement
+from imubayes.adequacy.weighed_records import doubted_runs
 from imubayes.criticism.diagnose import judge
-from imubayes.criticism.diagnosis_record import AgreeingInput, Diagnosis, Disagreement
+from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind

@@ -11,8 +11,8 @@ Runs and channels are independent of each other, so a run is left out by subtrac
 grows with the number of readings, whatever the number of runs.
 
 A run is reported only where the others agree with one another.  Where all runs still scatter, something is missing in
-the model and no run is to blame.  `fit` reports such runs before any diagnosis; what in the record of a run is wrong is
-weighed by `imubayes.criticism.evidence`.
+the model and no run is to blame.  What in the record of a run is wrong is weighed by `weighed_records`, and beside
+effects by `imubayes.criticism.evidence`.
 """
 
 import math
@@ -195,7 +195,7 @@ def known_before(fitted: Fit) -> np.ndarray:
     return np.where(between, known, np.minimum(known, np.asarray(fitted.h)))
 
 
-def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
+def runs_apart(fitted: Fit) -> tuple[DoubtedRun, ...]:
     """Return the runs that the others do not predict although they agree with one another, the least probable first."""
     if not fitted.optimised:
         return ()

@@ -1,8 +1,8 @@
 """What was recorded wrongly in a run, weighed against the model of the user at the noise known beforehand.
 
-A gross error of the record distorts the parameters, so that the linear response to it about the fit leads nowhere.  Every
-suspected error is therefore corrected in the campaign, from several starts, and the parameters are estimated beside it
-anew: the model is linear about the corrected record.  The noise of a channel is that known before the fit, or larger
+A gross error of the record distorts the parameters, so that the linear response to it about the fit leads nowhere.
+Every suspected error is therefore corrected in the campaign, from several starts, and the parameters are estimated
+beside it anew: the model is linear about the corrected record.  The noise of a channel is that known before the fit, or larger
 where the residuals say so, which keeps what the model lacks from being told as a wrong record.
 
 `fit` says the likeliest beside its intervals, and `diagnose` begins from it (`imubayes.criticism.evidence`).
@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imubayes.adequacy.adequacy_record import AgreeingInput, DoubtedRun
 from imubayes.adequacy.deletion_diagnostics import (
     LinearFit,
     WeightedFit,
@@ -21,22 +22,27 @@ from imubayes.adequacy.deletion_diagnostics import (
     divide,
     known_before,
     linear_fit,
+    runs_apart,
 )
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, exchanged, of_sensors, problem_of, suspected
 
 _WIDTHS = {"degC": 30.0, "rad": 1.0}
 """Standard deviations of errors of a column by its SI unit; of a ratio and of the attitude of a seat 0.3."""
 _RATIO = 0.3
-_STARTS = {"degC": (0.0, -80.0, -50.0, -30.0, -15.0, 15.0, 30.0, 50.0, 80.0), "rad": (0.0, -1.5, 1.5, 3.0)}
+_STARTS = {"degC": (0.0, -60.0, -25.0, 25.0, 60.0), "rad": (0.0, -1.5, 1.5, 3.0)}
 """Sizes from which the best one is looked for."""
 _SIGN = -2.0  # of a factor, what reverses the sign of a column
-_DOUBTED = 5
+_DOUBTED = 4
 """Runs that agree least with the others, whose records are weighed."""
-_ROUNDS, _REWEIGHED = 6, 3
+_ROUNDS, _REWEIGHED = 5, 3
 _DISAGREES = math.log(0.005)
 """Log chance of what a run adds to the others, above which nothing in any record is weighed (convention)."""
+_TOLD, NEAR = 10.0, 3.0
+"""Log odds from which a wrong record is told, and within which of the likeliest another cannot be told from it."""
 _PRIOR_ODDS = math.log(0.05)
 """Of a wrong record in the campaign, shared by those that are weighed.  Convention, as in a diagnosis."""
 
@@ -82,7 +88,63 @@ def _suspects(fitted: Fit, runs: Sequence[int]) -> Iterator[WrongInput]:
         yield from (each for each in suspected(campaign, run) if each.form != "output_offset")
         if len(campaign.runs) > 2:
             yield WrongInput(run, "unit")
-    yield from (each for each in exchanged(campaign) if {each.run, each.other} & {*runs})
+    yield from (each for each in exchanged(campaign) if {each.run, each.other} <= {*runs})
+
+
+def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
+    """Return the runs that the others do not predict, and what in their record would make them agree.
+
+    Where an error of the record is likelier than the record as it is, the run of the likeliest is told, with what that
+    run cannot be told from; else the runs without which the others agree with one another.
+    """
+    weighed = weighed_records(fitted)
+    if not weighed or weighed[0].log_odds < _TOLD:
+        return runs_apart(fitted)
+    campaign, best = fitted.model.campaign, weighed[0]
+    near = [each for each in weighed if each.log_odds > best.log_odds - NEAR and each.wrong.run == best.wrong.run]
+    odds = np.array([each.log_odds for each in near])
+    share = np.exp(odds - np.logaddexp.reduce(odds))
+    causes = [agreeing_input(campaign, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
+    log_p = disagreeing_runs(_Weighing(fitted).stated)[best.wrong.run]
+    return (DoubtedRun(run=campaign.runs[best.wrong.run].name, p=math.exp(log_p), causes=tuple(causes)),)
+
+
+def agreeing_input(
+    campaign: Campaign, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float
+) -> AgreeingInput:
+    """Return an error of the record in its unit.
+
+    Parameters
+    ----------
+    campaign : as recorded.
+    size, sd : what has to be added to the record, (d,), and its standard deviation.
+    probability : among all wrong inputs.
+    """
+    run = campaign.runs[wrong.run]
+    recorded: float | None = None
+    if wrong.form in ("exchange", "unit"):
+        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "unit"
+        unit, recorded, factor = "1", 0.0, 1.0
+    elif wrong.form.endswith("factor"):
+        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "outputs"
+        unit, recorded, factor = "1", 1.0, 1.0
+    elif wrong.form == "seat":
+        quantity, unit, recorded, factor = "mounting", "arcmin", 0.0, to_si("arcmin")
+    elif wrong.covariate:
+        column = COVARIATES[wrong.covariate]
+        values = campaign.as_read(run, wrong.covariate)
+        quantity, unit, factor = column.column, column.unit, column.factor(campaign.site.gravity)
+        recorded = float(np.nanmean(values) if wrong.row is None else values[wrong.row]) / factor
+    else:
+        # The outputs of all channels, or of one.
+        channel = campaign.channels[wrong.channel or 0]
+        quantity = "outputs" if wrong.channel is None else channel.name
+        unit, recorded, factor = channel.output_unit, 0.0, 1.0
+    return AgreeingInput(
+        form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
+        agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
+        probability=probability, other="" if wrong.other is None else campaign.runs[wrong.other].name,
+    )  # fmt: skip
 
 
 class _Weighing:
@@ -174,7 +236,6 @@ def _evidence(linear: LinearFit) -> tuple[WeightedFit, float]:
     whole = linear.whole
     fit = linear.fit(whole)
     for _ in range(_REWEIGHED):
-        # A scale that falls from one step to the next is that of the residuals, whatever it was before.
         fit = linear.fit(whole, 1 / fit.noise_ratios)
     scale = np.repeat(np.log(fit.weight), whole.count).sum()
     volume = np.linalg.slogdet(fit.whole)[1] - np.log(linear.precision).sum()

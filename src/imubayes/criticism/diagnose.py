@@ -10,9 +10,11 @@ from functools import cached_property
 
 import numpy as np
 
+from imubayes.adequacy.adequacy_record import AgreeingInput, Disagreement
 from imubayes.adequacy.known_noise import compare_with_known, known_scales
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, known_noise_point
 from imubayes.adequacy.projection import project
+from imubayes.adequacy.weighed_records import agreeing_input
 from imubayes.criticism import diagnosis_record as record
 from imubayes.criticism import explanation_records as explanations
 from imubayes.criticism.detectability import AbsorbedResponses, Detectability, discriminating_run
@@ -37,7 +39,7 @@ from imubayes.responses.residual_covariates import ResidualCovariate, covariates
 from imubayes.responses.wrong_inputs import WrongInput
 
 
-def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[record.Disagreement, ...]:
+def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[Disagreement, ...]:
     """Return the run or row of a campaign as recorded that is wrong in the leading explanation; else none."""
     if posterior.leading != "input":
         return ()
@@ -51,7 +53,7 @@ def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[
     )
     without = max(each.log_posterior for each in posterior.distinct if each.hypothesis.form is None)
     return (
-        record.Disagreement(
+        Disagreement(
             run=campaign.runs[first.run].name,
             row=None if first.row is None else first.row + 1,
             log_odds=float(best.log_posterior - without),
@@ -73,37 +75,13 @@ def _place(campaign: Campaign, wrong: WrongInput) -> str:
     return name if wrong.row is None else f"row {wrong.row + 1} of run {name}"
 
 
-def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -> record.AgreeingInput:
+def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -> AgreeingInput:
     """Return a wrong input in the unit of the record."""
-    wrong, form = _wrong(found), found.hypothesis.form
+    form = found.hypothesis.form
     assert form is not None
     own = len(found.columns)
     size, sd = (form.form.unit * each[own:] for each in (found.mean, np.sqrt(np.diag(of.solved(found).covariance))))
-    run = campaign.runs[wrong.run]
-    recorded: float | None = None
-    if wrong.form in ("exchange", "unit"):
-        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "unit"
-        unit, recorded, factor = "1", 0.0, 1.0
-    elif wrong.form.endswith("factor"):
-        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "outputs"
-        unit, recorded, factor = "1", 1.0, 1.0
-    elif wrong.form == "seat":
-        quantity, unit, recorded, factor = "mounting", "arcmin", 0.0, to_si("arcmin")
-    elif wrong.covariate:
-        column = COVARIATES[wrong.covariate]
-        values = campaign.as_read(run, wrong.covariate)
-        quantity, unit, factor = column.column, column.unit, column.factor(campaign.site.gravity)
-        recorded = float(np.nanmean(values) if wrong.row is None else values[wrong.row]) / factor
-    else:
-        # The outputs of all channels, or of one.
-        channel = campaign.channels[wrong.channel or 0]
-        quantity = "outputs" if wrong.channel is None else channel.name
-        unit, recorded, factor = channel.output_unit, 0.0, 1.0
-    return record.AgreeingInput(
-        form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
-        agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
-        probability=share, other="" if wrong.other is None else campaign.runs[wrong.other].name,
-    )  # fmt: skip
+    return agreeing_input(campaign, _wrong(found), size, sd, share)
 
 
 def _known(name: str, value: float, sd: float | None, unit: str) -> explanations.CoefficientEstimate:

@@ -161,6 +161,11 @@ def exchanged(campaign: Campaign) -> Iterator[WrongInput]:
                 yield WrongInput(one, "exchange", column, other=other, apart=tuple(apart.tolist()))
 
 
+def acts_through_the_model(wrong: WrongInput) -> bool:
+    """Tell whether a wrong input changes the prediction: outputs and the parameters of another unit are linear."""
+    return wrong.form != "unit" and not wrong.form.startswith("output")
+
+
 def of_sensors(model: Model) -> np.ndarray:
     """Return the places of the parameters that another unit has of its own, (n,): those of channels."""
     channels = {channel.name for channel in model.campaign.channels}

@@ -1,4 +1,4 @@
-"""What a sensor can do to a covariate at all: forms that no sensor makes, and those that are an effect of the catalogue.
+"""What a sensor can do to a covariate: forms that no sensor makes, and those that are an effect of the catalogue.
 
 A form is judged by its size at the input.  Without a bound a covariate that hardly varies, such as the Earth rate on a
 dividing head, explains anything by a coefficient that no sensor has.

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from imubayes.adequacy.weighed_records import weighed_records
 from imubayes.criticism.evidence.free_forms import free_forms
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
@@ -21,7 +22,7 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import LinearisationPoint, Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate
-from imubayes.responses.wrong_inputs import Predictions, WrongInput, problem_of
+from imubayes.responses.wrong_inputs import Predictions, WrongInput, acts_through_the_model, problem_of
 
 GROSS = 500.0
 """Nats of an effect above which the campaign is linearised anew about it.  Derived: where it stands out of the noise by
@@ -74,8 +75,25 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
     begun = _run(search, about, recorded, covariates), about
     leads = (_leader, _gross_input) if fitted.optimised else (_leader,)
     found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
+    found += [each for each in [_corrected(problem, fitted, covariates)] if each is not None]
     search, about = max(found, key=lambda each: each[0].best().log_posterior)
     return ExplanationPosterior(search, about.fitted)
+
+
+def _corrected(
+    problem: LinearProblem, fitted: Fit, covariates: Sequence[ResidualCovariate]
+) -> tuple[ModelSearch, _About] | None:
+    """Return a search about the likeliest error of the record, corrected; None where none acts through the model.
+
+    A gross one distorts the fit, so that its linear response about the fit does not lead to it.
+    """
+    acting = (each for each in weighed_records(fitted) if acts_through_the_model(each.wrong))
+    best = next(acting, None)
+    about = _about(fitted, best.wrong, best.size, best.z, LinearisationPoint()) if best is not None else None
+    moved = _linearised(problem, about) if about is not None else None
+    if about is None or moved is None:
+        return None
+    return _run(ModelSearch(moved), about, fitted.model.campaign, covariates), about
 
 
 def _followed(
@@ -132,13 +150,9 @@ def _is_large(search: ModelSearch, top: Evaluated) -> bool:
 
 
 def _is_input(each: Evaluated) -> bool:
-    """Tell whether a hypothesis is a wrong input that acts through the model: outputs that are off are linear.
-
-    So are the parameters of another unit.
-    """
+    """Tell whether a hypothesis is a wrong input that acts through the model."""
     form = each.hypothesis.form
-    wrong = form.form.wrong if form is not None else None
-    return wrong is not None and wrong.form != "unit" and not wrong.form.startswith("output")
+    return form is not None and form.form.wrong is not None and acts_through_the_model(form.form.wrong)
 
 
 def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) -> _About | None:
@@ -149,8 +163,14 @@ def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) ->
         return None
     if form is None or form.form.wrong is None or form.form.wrong.form == "unit":
         return _About(replace(recorded, z=z), point)
-    wrong, campaign = form.form.wrong, recorded.model.campaign
-    size = top.mean[len(top.columns) :] * form.form.unit
+    return _about(recorded, form.form.wrong, top.mean[len(top.columns) :] * form.form.unit, z, point)
+
+
+def _about(
+    recorded: Fit, wrong: WrongInput, size: np.ndarray, z: np.ndarray, point: LinearisationPoint
+) -> _About | None:
+    """Return the linearisation about a corrected record; None where it cannot be corrected so."""
+    campaign = recorded.model.campaign
     if not wrong.possible(campaign, size):
         return None
     corrected = wrong.corrected(campaign, size)
