@@ -98,8 +98,10 @@ class AgreeingInput(Record):
     Attributes
     ----------
     form : an ``offset`` or a ``factor`` of a column; the attitude of the ``seat``; an ``output_offset`` of each channel
-        or an ``output_factor`` of all; an ``exchange`` of a column with that of another run; another ``unit``.
-    quantity : the column; ``mounting``; ``outputs``, or the channel of the only output; ``unit``.
+        or an ``output_factor`` of all; an ``exchange`` of a column with that of another run; another ``unit``;
+        a ``prior`` that is too narrow.
+    quantity : the column; ``mounting``; ``outputs``, or the channel of the only output; ``unit``; the parameter
+        that is farthest beyond its prior, in its standard deviations.
     unit : of the values; of a factor 1, of outputs the unit of the first channel.
     recorded : what the record says: the value of the row, the mean of the column, or 0 for the attitude and offsets and
         1 for a factor.
@@ -109,7 +111,7 @@ class AgreeingInput(Record):
     other : of an exchange, the name of the other run; empty otherwise.
     """
 
-    form: Literal["offset", "factor", "seat", "output_offset", "output_factor", "exchange", "unit"]
+    form: Literal["offset", "factor", "seat", "output_offset", "output_factor", "exchange", "unit", "prior"]
     quantity: str
     unit: str
     recorded: float | None
@@ -124,6 +126,7 @@ class Disagreement(Record):
 
     Attributes
     ----------
+    run : its name; empty of a prior.
     row : counts from 1; None for the run as a whole.
     log_odds : natural logarithm of the odds against the likeliest explanation with the record as it is.
     causes : what would make it agree, the likeliest first; those that the runs do not distinguish.

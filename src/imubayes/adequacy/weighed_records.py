@@ -2,8 +2,8 @@
 
 A gross error of the record distorts the parameters, so that the linear response to it about the fit leads nowhere.
 Every suspected error is therefore corrected in the campaign, from several starts, and the parameters are estimated
-beside it anew: the model is linear about the corrected record.  The noise of a channel is that known before the fit, or larger
-where the residuals say so, which keeps what the model lacks from being told as a wrong record.
+beside it anew: the model is linear about the corrected record.  The noise of a channel is that known before the fit, or
+larger where the residuals say so, which keeps what the model lacks from being told as a wrong record.
 
 `fit` says the likeliest beside its intervals, and `diagnose` begins from it (`imubayes.criticism.evidence`).
 """
@@ -24,10 +24,10 @@ from imubayes.adequacy.deletion_diagnostics import (
     linear_fit,
     runs_apart,
 )
-from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
+from imubayes.model.bind import Model
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, exchanged, of_sensors, problem_of, suspected
 
 _WIDTHS = {"degC": 30.0, "rad": 1.0}
@@ -104,22 +104,29 @@ def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     near = [each for each in weighed if each.log_odds > best.log_odds - NEAR and each.wrong.run == best.wrong.run]
     odds = np.array([each.log_odds for each in near])
     share = np.exp(odds - np.logaddexp.reduce(odds))
-    causes = [agreeing_input(campaign, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
+    causes = [agreeing_input(fitted.model, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
     log_p = disagreeing_runs(_Weighing(fitted).stated)[best.wrong.run]
     return (DoubtedRun(run=campaign.runs[best.wrong.run].name, p=math.exp(log_p), causes=tuple(causes)),)
 
 
 def agreeing_input(
-    campaign: Campaign, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float
+    model: Model, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float
 ) -> AgreeingInput:
     """Return an error of the record in its unit.
 
     Parameters
     ----------
-    campaign : as recorded.
+    model : with the campaign as recorded.
     size, sd : what has to be added to the record, (d,), and its standard deviation.
     probability : among all wrong inputs.
     """
+    campaign = model.campaign
+    if wrong.form == "prior":
+        farthest = int(np.argmax(np.abs(size)))
+        return AgreeingInput(
+            form="prior", quantity=model.layout.parameters[wrong.parameters[farthest]].name, unit="1", recorded=0.0,
+            agreeing=(float(size[farthest]),), sd=(float(sd[farthest]),), probability=probability,
+        )  # fmt: skip
     run = campaign.runs[wrong.run]
     recorded: float | None = None
     if wrong.form in ("exchange", "unit"):

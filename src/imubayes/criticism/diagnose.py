@@ -34,27 +34,29 @@ from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.parameter_fit import Linearised
+from imubayes.model.bind import Model
 from imubayes.responses.candidate_effects import Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate, covariates
-from imubayes.responses.wrong_inputs import WrongInput
+from imubayes.responses.wrong_inputs import NO_RUN, WrongInput
 
 
-def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[Disagreement, ...]:
-    """Return the run or row of a campaign as recorded that is wrong in the leading explanation; else none."""
+def disagreements(posterior: ExplanationPosterior, model: Model) -> tuple[Disagreement, ...]:
+    """Return the run, row or prior, as recorded, that is wrong in the leading explanation; else none."""
+    campaign = model.campaign
     if posterior.leading != "input":
         return ()
     near = [(share, each, _wrong(each)) for share, each in posterior.wrong_inputs]
     _, best, first = near[0]
     same = [(share, each) for share, each, wrong in near if (wrong.run, wrong.row) == (first.run, first.row)]
     causes = {(cause.form, cause.quantity): cause for share, each in reversed(same)
-              for cause in (_cause(posterior.of, campaign, each, share),)}  # fmt: skip
+              for cause in (_cause(posterior.of, model, each, share),)}  # fmt: skip
     others = dict.fromkeys(
         _place(campaign, wrong) for _, _, wrong in near if (wrong.run, wrong.row) != (first.run, first.row)
     )
     without = max(each.log_posterior for each in posterior.distinct if each.hypothesis.form is None)
     return (
         Disagreement(
-            run=campaign.runs[first.run].name,
+            run=_run_name(campaign, first),
             row=None if first.row is None else first.row + 1,
             log_odds=float(best.log_posterior - without),
             causes=tuple(sorted(causes.values(), key=lambda each: -each.probability)),
@@ -70,18 +72,24 @@ def _wrong(found: Evaluated) -> WrongInput:
     return form.form.wrong
 
 
+def _run_name(campaign: Campaign, wrong: WrongInput) -> str:
+    return "" if wrong.run == NO_RUN else campaign.runs[wrong.run].name
+
+
 def _place(campaign: Campaign, wrong: WrongInput) -> str:
-    name = campaign.runs[wrong.run].name
+    name = _run_name(campaign, wrong)
+    if not name:
+        return "a prior"
     return name if wrong.row is None else f"row {wrong.row + 1} of run {name}"
 
 
-def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -> AgreeingInput:
+def _cause(of: EvidenceOf, model: Model, found: Evaluated, share: float) -> AgreeingInput:
     """Return a wrong input in the unit of the record."""
     form = found.hypothesis.form
     assert form is not None
     own = len(found.columns)
     size, sd = (form.form.unit * each[own:] for each in (found.mean, np.sqrt(np.diag(of.solved(found).covariance))))
-    return agreeing_input(campaign, _wrong(found), size, sd, share)
+    return agreeing_input(model, _wrong(found), size, sd, share)
 
 
 def _known(name: str, value: float, sd: float | None, unit: str) -> explanations.CoefficientEstimate:
@@ -225,7 +233,7 @@ class ExplainedFit:
             delta_chi2=self._delta_chi2(posterior.slots),
             ranking=record.ranking(posterior),
             formulas=tuple(self._formulas()),
-            disagreeing=disagreements(posterior, fit.model.campaign),
+            disagreeing=disagreements(posterior, fit.model),
             undetectable=self._undetectable(),
             outliers=outliers(posterior),
             suggested=simple,

@@ -26,7 +26,7 @@ from imubayes.model.nodes_and_entries import join_entries, join_nodes
 from imubayes.model.problem import Problem, predict
 from imubayes.procedures import PROCEDURES
 
-Form = Literal["offset", "factor", "seat", "output_offset", "output_factor", "exchange", "unit"]
+Form = Literal["offset", "factor", "seat", "output_offset", "output_factor", "exchange", "unit", "prior"]
 _STEP = 1e-3
 """Step of derivatives, over the largest value of a column, or in rad and as a ratio: the error of a central difference
 is a millionth."""
@@ -34,6 +34,7 @@ is a millionth."""
 _LARGEST = {"rad": math.pi, "degC": 150.0}
 """Largest errors of a column by its SI unit: half a turn, and the range of a climatic chamber."""
 _LARGEST_FACTOR = 10.0
+NO_RUN = -1
 _NEARLY_EXCHANGED = 0.2
 """How far the size of an exchange may be from 1: what is estimated beside it moves with the column."""
 _LEAST_EXCHANGED = 2.0  # °C of mean temperatures; columns that are nearer to each other are the same exchanged
@@ -46,16 +47,18 @@ class WrongInput:
     A size is what has to be added to the record: to the column; to a factor on it, 1; to the attitude of the seat, a
     rotation vector in body axes, rad; to the outputs of each channel, output units; to a factor on all of them; or, of
     columns that two runs exchanged, 1.  A run of another unit has parameters of its own: sizes are their z less those
-    of the other runs, and the record stays as it is.
+    of the other runs, and the record stays as it is; so it does where the stated prior of parameters is too narrow, by
+    which sizes are what their z is beyond it.
 
     Attributes
     ----------
-    run : place of the run.
+    run : place of the run; `NO_RUN` of a prior.
     covariate : the column; empty for seat and outputs.
     row : the only row concerned, from 0; None for all of the run.
     channel : place of the only channel whose outputs are off; None for all.
     other, apart : place of the run with which this one exchanged the column, and what the column of that run has more,
         of each row.
+    parameters : of a prior, the places of its parameters.
     """
 
     run: int
@@ -65,12 +68,13 @@ class WrongInput:
     channel: int | None = None
     other: int | None = None
     apart: tuple[float, ...] = ()
+    parameters: tuple[int, ...] = ()
 
     def corrected(self, campaign: Campaign, size: np.ndarray) -> Campaign:
         """Return the campaign with a size, (d,), added to the record."""
-        run = campaign.runs[self.run]
-        if self.form == "unit":
+        if self.form in ("unit", "prior"):
             return campaign
+        run = campaign.runs[self.run]
         if self.form == "exchange":
             return self._exchanged(campaign, float(size[0]))
         if self.form == "seat":
@@ -162,8 +166,8 @@ def exchanged(campaign: Campaign) -> Iterator[WrongInput]:
 
 
 def acts_through_the_model(wrong: WrongInput) -> bool:
-    """Tell whether a wrong input changes the prediction: outputs and the parameters of another unit are linear."""
-    return wrong.form != "unit" and not wrong.form.startswith("output")
+    """Tell whether a wrong input changes the prediction: outputs, and parameters beyond their prior, are linear."""
+    return wrong.form not in ("unit", "prior") and not wrong.form.startswith("output")
 
 
 def of_sensors(model: Model) -> np.ndarray:

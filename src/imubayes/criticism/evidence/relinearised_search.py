@@ -161,7 +161,7 @@ def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) ->
     point, form = _point(search, top), top.hypothesis.form
     if not np.isfinite(z).all():
         return None
-    if form is None or form.form.wrong is None or form.form.wrong.form == "unit":
+    if form is None or form.form.wrong is None or form.form.wrong.form in ("unit", "prior"):
         return _About(replace(recorded, z=z), point)
     return _about(recorded, form.form.wrong, top.mean[len(top.columns) :] * form.form.unit, z, point)
 

@@ -16,13 +16,15 @@ from imubayes.criticism.evidence.free_forms import FormColumns, FormHypothesis, 
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED, ChannelRows, LinearProblem
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
-from imubayes.responses.wrong_inputs import Form, Predictions, WrongInput, exchanged, of_sensors, suspected
+from imubayes.responses.wrong_inputs import NO_RUN, Form, Predictions, WrongInput, exchanged, of_sensors, suspected
 
 _ERRORS = tuple((WIDTH_RATIO ** np.arange(7)).tolist())
 """Standard deviations of what is wrong in a run, by its largest response in units of noise: a mistake is no small
 effect."""
 _BETWEEN_UNITS = math.sqrt(2.0)
 """Standard deviation of the parameters of two units about each other, in that of the prior of each."""
+_BEYOND = (6.0, 20.0, 60.0, 200.0)
+"""Standard deviations of parameters whose prior is too narrow, over it: from where no draw of the prior leads."""
 _LEAST_RUNS = 3
 """Runs from which on the others tell what the unit is like."""
 _ERRORS_OF_ROWS = tuple((WIDTH_RATIO ** np.arange(10)).tolist())
@@ -47,7 +49,11 @@ def wrong_inputs(problem: LinearProblem, fitted: Fit, recorded: Campaign) -> Wro
     predictions = Predictions(fitted.model, fitted.z)
     columns = predictions.responses_of_columns(fitted.model.campaign)
     of_runs = list(_of_runs(problem, fitted, predictions, columns))
-    of_runs += [*_exchanges(problem, fitted, recorded, columns), *_other_units(problem, fitted)]
+    of_runs += [
+        *_exchanges(problem, fitted, recorded, columns),
+        *_other_units(problem, fitted),
+        *_priors(problem, fitted),
+    ]
     return WrongInputs(with_prior(of_runs, UNEXPECTED / 4), _wrong_rows(problem, fitted, columns))
 
 
@@ -88,6 +94,23 @@ def _other_units(problem: LinearProblem, fitted: Fit) -> Iterator[FormHypothesis
         if parts:
             wrong = WrongInput(run, "unit")
             yield FormHypothesis("input", "another unit", (), parts, (_BETWEEN_UNITS,), run=run, wrong=wrong, unit=1.0)
+
+
+def _priors(problem: LinearProblem, fitted: Fit) -> Iterator[FormHypothesis]:
+    """Yield that the stated prior of each effect of the model, or of each parameter alone, is too narrow."""
+    parameters = fitted.model.layout.parameters
+    groups = {each.name: [k] for k, each in enumerate(parameters)}
+    for k, each in enumerate(parameters):
+        groups.setdefault(each.effect, []).append(k)
+    for name, own in groups.items():
+        places, parts = np.array(own), {}
+        for k, rows in enumerate(problem.rows):
+            if np.isin(places, rows.live).any():
+                here = np.ones(len(rows.entry), dtype=bool)
+                parts[k] = FormColumns(len(own), partial(_own_responses, rows, places, here))
+        if parts and len(own) != len(parameters):
+            wrong = WrongInput(NO_RUN, "prior", parameters=tuple(own))
+            yield FormHypothesis("input", f"prior of {name}", (), parts, _BEYOND, wrong=wrong, unit=1.0)
 
 
 def _own_responses(rows: ChannelRows, parameters: np.ndarray, here: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ the others, a sentence states what would make it agree.
 import math
 from collections.abc import Iterable, Iterator
 
-from imubayes.adequacy.adequacy_record import Disagreement, NoiseComparison
+from imubayes.adequacy.adequacy_record import AgreeingInput, Disagreement, NoiseComparison
 from imubayes.criticism import diagnosis_record as diagnosis
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.explanation_records import (
@@ -32,7 +32,7 @@ _NOISE = {
 }  # fmt: skip
 _KINDS: dict[Explanation, str] = {
     "nothing": "nothing missing", "noise": "noise not as stated", "effects": "an effect missing",
-    "input": "a wrong record", "outside": "a cause outside the catalogue",
+    "input": "a wrong record or prior", "outside": "a cause outside the catalogue",
 }  # fmt: skip
 
 
@@ -140,7 +140,17 @@ _MOST = 3
 
 def place_text(found: Disagreement) -> str:
     """Return a run, or a row of one, as it is named in a sentence."""
+    if not found.run:
+        return "a prior"
     return f"run {found.run}" if found.row is None else f"row {found.row} of run {found.run}"
+
+
+def _prior_sentence(best: AgreeingInput, chance: str, adverb: str) -> str:
+    value, sd = value_and_sd(best.agreeing[0], best.sd[0])
+    return (
+        f"A prior{adverb} contradicts the data{chance}: {best.quantity} is {value} ± {sd} standard deviations "
+        "beyond it. State a wider prior for it in the model, and fit again."
+    )
 
 
 def _sentence(found: Disagreement, probability: float) -> str:
@@ -150,6 +160,8 @@ def _sentence(found: Disagreement, probability: float) -> str:
         f"{'the other runs' if found.row is None else 'the other rows'}{chance}."
     )
     best, *others = found.causes
+    if best.form == "prior":
+        return _prior_sentence(best, chance, adverb)
     said += f" It would agree with {agreement_text(best, found.row)}."
     if others:
         said += (
