@@ -203,7 +203,7 @@ def runs_apart(fitted: Fit) -> tuple[DoubtedRun, ...]:
     names, found = [run.name for run in fitted.model.campaign.runs], []
     largest = largest_scatter(fitted.model)
     for run, log_p in disagreeing_runs(linear).items():
-        if log_p < math.log(_TOLD_P) and _agree(linear.fit(linear.whole - linear.of_run(run)), largest):
+        if log_p < math.log(_TOLD_P) and agree(linear.fit(linear.whole - linear.of_run(run)), largest):
             found.append(DoubtedRun(run=names[run], p=math.exp(log_p)))
     return tuple(sorted(found, key=lambda each: each.p))
 
@@ -220,8 +220,8 @@ def disagreeing_runs(linear: LinearFit) -> dict[int, float]:
     return found
 
 
-def _agree(others: WeightedFit, largest: np.ndarray) -> bool:
-    """Whether no channel scatters more than what is known of its noise allows, (K,), as a factor."""
+def agree(others: WeightedFit, largest: np.ndarray) -> bool:
+    """Tell whether no channel scatters more than what is known of its noise allows, (K,), as a factor."""
     count = min(len(largest), len(others.weight))  # closing rotations come after the channels
     seen = others.equations.count[:count] > 0
     return bool(np.all(~seen | (others.noise_ratios[:count] <= largest[:count] ** 2)))

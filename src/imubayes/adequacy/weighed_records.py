@@ -18,12 +18,14 @@ from imubayes.adequacy.adequacy_record import AgreeingInput, DoubtedRun
 from imubayes.adequacy.deletion_diagnostics import (
     LinearFit,
     WeightedFit,
+    agree,
     disagreeing_runs,
     divide,
     known_before,
     linear_fit,
     runs_apart,
 )
+from imubayes.adequacy.known_noise import largest_scatter
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
@@ -56,6 +58,7 @@ class WeighedRecord:
     size, sd : what has to be added to the record, (d,), and its standard deviation.
     z : the parameters beside it, (P,).
     log_odds : natural logarithm of the odds against the record as it is.
+    explains : whether with it the runs agree with one another at the noise known beforehand.
     """
 
     wrong: WrongInput
@@ -63,6 +66,7 @@ class WeighedRecord:
     sd: np.ndarray
     z: np.ndarray
     log_odds: float
+    explains: bool
 
 
 def weighed_records(fitted: Fit) -> tuple[WeighedRecord, ...]:
@@ -94,11 +98,12 @@ def _suspects(fitted: Fit, runs: Sequence[int]) -> Iterator[WrongInput]:
 def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     """Return the runs that the others do not predict, and what in their record would make them agree.
 
-    Where an error of the record is likelier than the record as it is, the run of the likeliest is told, with what that
-    run cannot be told from; else the runs without which the others agree with one another.
+    Where an error of the record is likelier than the record as it is, and all runs agree with it corrected, the run of
+    the likeliest is told, with what the runs cannot tell from it; else the runs without which the others agree with one
+    another.  Where they do not, something is missing in the model and no run is to blame.
     """
     weighed = weighed_records(fitted)
-    if not weighed or weighed[0].log_odds < _TOLD:
+    if not weighed or weighed[0].log_odds < _TOLD or not weighed[0].explains:
         return runs_apart(fitted)
     campaign, best = fitted.model.campaign, weighed[0]
     near = [each for each in weighed if each.log_odds > best.log_odds - NEAR and each.wrong.run == best.wrong.run]
@@ -162,6 +167,7 @@ class _Weighing:
         self.predictions = Predictions(fitted.model, fitted.z)
         self.stated = linear_fit(self.model, self.model.problem, fitted.z, self.h)
         self.as_recorded = _evidence(self.stated)[1]
+        self.largest = largest_scatter(fitted.model)
 
     def weighed(self, wrong: WrongInput) -> WeighedRecord | None:
         """Return an error of the record at its best size; None where it explains nothing."""
@@ -211,7 +217,14 @@ class _Weighing:
         fit, evidence = _evidence(linear)
         sd = np.sqrt(np.diag(np.linalg.inv(fit.whole)))[count:]
         moved = fit.shift[count:] if free else np.zeros(len(size))
-        return WeighedRecord(wrong, size + moved, sd, self.fitted.z + fit.shift[:count], evidence - self.as_recorded)
+        return WeighedRecord(
+            wrong,
+            size + moved,
+            sd,
+            self.fitted.z + fit.shift[:count],
+            evidence - self.as_recorded,
+            agree(fit, self.largest),
+        )
 
     def _of_other_unit(self, wrong: WrongInput) -> WeighedRecord:
         own = of_sensors(self.model)
@@ -222,7 +235,7 @@ class _Weighing:
         count = len(self.stated.precision)
         z, size = self.fitted.z + fit.shift[:count], fit.shift[count:]
         sd = np.sqrt(np.diag(np.linalg.inv(fit.whole)))[count:]
-        return WeighedRecord(wrong, size, sd, z, evidence - self.as_recorded)
+        return WeighedRecord(wrong, size, sd, z, evidence - self.as_recorded, agree(fit, self.largest))
 
 
 def _beside(
