@@ -101,7 +101,7 @@ class AgreeingInput(Record):
         or an ``output_factor`` of all; an ``exchange`` of a column with that of another run; another ``unit``;
         a ``prior`` that is too narrow.
     quantity : the column; ``mounting``; ``outputs``, or the channel of the only output; ``unit``; the parameter
-        that is farthest beyond its prior, in its standard deviations.
+        that is farthest off its prior as fitted, in standard deviations.
     unit : of the values; of a factor 1, of outputs the unit of the first channel.
     recorded : what the record says: the value of the row, the mean of the column, or 0 for the attitude and offsets and
         1 for a factor.

@@ -29,7 +29,6 @@ from imubayes.adequacy.known_noise import largest_scatter
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
-from imubayes.model.bind import Model
 from imubayes.responses.wrong_inputs import Predictions, WrongInput, exchanged, of_sensors, problem_of, suspected
 
 _WIDTHS = {"degC": 30.0, "rad": 1.0}
@@ -109,28 +108,30 @@ def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     near = [each for each in weighed if each.log_odds > best.log_odds - NEAR and each.wrong.run == best.wrong.run]
     odds = np.array([each.log_odds for each in near])
     share = np.exp(odds - np.logaddexp.reduce(odds))
-    causes = [agreeing_input(fitted.model, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
+    causes = [agreeing_input(fitted, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
     log_p = disagreeing_runs(_Weighing(fitted).stated)[best.wrong.run]
     return (DoubtedRun(run=campaign.runs[best.wrong.run].name, p=math.exp(log_p), causes=tuple(causes)),)
 
 
 def agreeing_input(
-    model: Model, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float
+    fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float
 ) -> AgreeingInput:
     """Return an error of the record in its unit.
 
     Parameters
     ----------
-    model : with the campaign as recorded.
+    fitted : of the campaign as recorded.
     size, sd : what has to be added to the record, (d,), and its standard deviation.
     probability : among all wrong inputs.
     """
-    campaign = model.campaign
+    campaign = fitted.model.campaign
     if wrong.form == "prior":
-        farthest = int(np.argmax(np.abs(size)))
+        # The estimate of the fit, which its summary states as well.
+        places = list(wrong.parameters)
+        farthest = int(np.argmax(np.abs(np.asarray(fitted.z)[places])))
         return AgreeingInput(
-            form="prior", quantity=model.layout.parameters[wrong.parameters[farthest]].name, unit="1", recorded=0.0,
-            agreeing=(float(size[farthest]),), sd=(float(sd[farthest]),), probability=probability,
+            form="prior", quantity=fitted.model.layout.parameters[places[farthest]].name, unit="1", recorded=0.0,
+            agreeing=(float(fitted.z[places[farthest]]),), sd=(float(sd[farthest]),), probability=probability,
         )  # fmt: skip
     run = campaign.runs[wrong.run]
     recorded: float | None = None

@@ -21,6 +21,7 @@ from imubayes.campaign.repeated_data import check_repeats
 from imubayes.campaign.run_reader import Equipment, Loaded, judge_rows, load_run
 from imubayes.campaign.run_tables import TableFile, TableSource, lay_out, read_header
 from imubayes.campaign.run_times import check_times
+from imubayes.campaign.sample_checks import check_samples
 from imubayes.campaign.saturated_rows import without_saturated_rows
 from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS, setup_findings
 from imubayes.campaign.setup_gate.remedies import Places
@@ -162,6 +163,7 @@ def _findings_in_memory(campaign: Campaign) -> tuple[Finding, ...]:
     found = [
         *check_repeats(campaign.runs, [*tables.values()], campaign.channels),
         *check_times(campaign.runs, [*tables.values()]),
+        *check_samples(campaign.runs, [*tables.values()], campaign.channels),
     ]
     for run in campaign.runs:
         table, mounting = campaign.tables.get(run.table or ""), campaign.mountings.get(run.mounting or "")
@@ -225,7 +227,11 @@ def _judge_rows(
     without_saturated_rows(loaded, files, equipment)
     read = [(each, file) for each, file in zip(loaded, files, strict=True) if each.run is not None]
     runs, named = [each.run for each, _ in read if each.run is not None], [file for _, file in read]
-    between = [*check_repeats(runs, named, equipment.channels), *check_times(runs, named)]
+    between = [
+        *check_repeats(runs, named, equipment.channels),
+        *check_times(runs, named),
+        *check_samples(runs, named, equipment.channels),
+    ]
     for each, entry, file in zip(loaded, entries, files, strict=True):
         judge_rows(each, entry, equipment, file)
     _add_to_runs(loaded, entries, between)

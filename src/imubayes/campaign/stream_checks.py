@@ -66,6 +66,8 @@ FINDINGS: dict[str, str] = {
     "row_disagrees": "angle or rate of the table in one row contradicts its outputs",
     "time_shift": "outputs and table are shifted in time",
     "setup_disagrees": "the outputs contradict the set-up, and no single mistake explains it",
+    "standard_errors": "deviations of raw samples are standard errors of their means",
+    "samples_unlike": "the number of samples is unlike that of the other runs",
     "not_settled": "an output does not become steady at a level of the stimulus",
     "segment_not_constant": "the stimulus varies within a labelled segment",
     "partial_turn": "a mean over less than one turn at an unknown angle",

@@ -20,6 +20,7 @@ from imubayes.criticism import explanation_records as explanations
 from imubayes.criticism.detectability import AbsorbedResponses, Detectability, discriminating_run
 from imubayes.criticism.evidence.effect_variants import SHOWN
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis
+from imubayes.criticism.evidence.model_search import beyond_prior
 from imubayes.criticism.evidence.noise_structures import Family
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
 from imubayes.criticism.evidence.relinearised_search import explain
@@ -34,22 +35,21 @@ from imubayes.foundations.records import finite
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.parameter_fit import Linearised
-from imubayes.model.bind import Model
 from imubayes.responses.candidate_effects import Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate, covariates
 from imubayes.responses.wrong_inputs import NO_RUN, WrongInput
 
 
-def disagreements(posterior: ExplanationPosterior, model: Model) -> tuple[Disagreement, ...]:
+def disagreements(posterior: ExplanationPosterior, fitted: Fit) -> tuple[Disagreement, ...]:
     """Return the run, row or prior, as recorded, that is wrong in the leading explanation; else none."""
-    campaign = model.campaign
+    campaign = fitted.model.campaign
     if posterior.leading != "input":
         return ()
     near = [(share, each, _wrong(each)) for share, each in posterior.wrong_inputs]
     _, best, first = near[0]
     same = [(share, each) for share, each, wrong in near if (wrong.run, wrong.row) == (first.run, first.row)]
     causes = {(cause.form, cause.quantity): cause for share, each in reversed(same)
-              for cause in (_cause(posterior.of, model, each, share),)}  # fmt: skip
+              for cause in (_cause(posterior.of, fitted, each, share),)}  # fmt: skip
     others = dict.fromkeys(
         _place(campaign, wrong) for _, _, wrong in near if (wrong.run, wrong.row) != (first.run, first.row)
     )
@@ -83,13 +83,13 @@ def _place(campaign: Campaign, wrong: WrongInput) -> str:
     return name if wrong.row is None else f"row {wrong.row + 1} of run {name}"
 
 
-def _cause(of: EvidenceOf, model: Model, found: Evaluated, share: float) -> AgreeingInput:
+def _cause(of: EvidenceOf, fitted: Fit, found: Evaluated, share: float) -> AgreeingInput:
     """Return a wrong input in the unit of the record."""
     form = found.hypothesis.form
     assert form is not None
     own = len(found.columns)
     size, sd = (form.form.unit * each[own:] for each in (found.mean, np.sqrt(np.diag(of.solved(found).covariance))))
-    return agreeing_input(model, _wrong(found), size, sd, share)
+    return agreeing_input(fitted, _wrong(found), size, sd, share)
 
 
 def _known(name: str, value: float, sd: float | None, unit: str) -> explanations.CoefficientEstimate:
@@ -218,9 +218,10 @@ class ExplainedFit:
     def diagnosis(self) -> record.Diagnosis:
         """Return what is missing."""
         fit, posterior = self.fit, self.posterior
+        # Beside a prior that is too narrow effects take what it leaves: they are told once it is wide enough.
+        slots = () if beyond_prior(posterior.top) else posterior.slots
         shown = [
-            residual_evidence(posterior, self.absorbed, self.responses, slot.members[0], self.known)
-            for slot in posterior.slots
+            residual_evidence(posterior, self.absorbed, self.responses, slot.members[0], self.known) for slot in slots
         ]
         noise = compare_with_known(project(fit, self.responses.misfit, self.responses.jacobian))
         simple, every = self._suggestions()
@@ -229,11 +230,11 @@ class ExplainedFit:
             message=fit.message if not (fit.optimised and fit.sampled) else "",
             result=self.result,
             explanations=with_step(posterior, fit.model.campaign),
-            groups=tuple(map(self._group, posterior.slots, shown)),
-            delta_chi2=self._delta_chi2(posterior.slots),
+            groups=tuple(map(self._group, slots, shown)),
+            delta_chi2=self._delta_chi2(slots),
             ranking=record.ranking(posterior),
             formulas=tuple(self._formulas()),
-            disagreeing=disagreements(posterior, fit.model),
+            disagreeing=disagreements(posterior, fit),
             undetectable=self._undetectable(),
             outliers=outliers(posterior),
             suggested=simple,
@@ -358,9 +359,15 @@ class ExplainedFit:
 
     def _missing_noise(self) -> explanations.Suggestion | None:
         there = {effect.name for effect in self.fit.model.assembly.effects}
-        named = [_MISSING_NOISE[each.family] for each in self.posterior.evidence.noise if each.family in _MISSING_NOISE]
-        lacking = [name for name in dict.fromkeys(named) if name not in there]
-        return explanations.Suggestion(effects=(lacking[0],), channels=None) if lacking else None
+        found = [each for each in self.posterior.evidence.noise if each.family in _MISSING_NOISE]
+        lacking = dict.fromkeys(_MISSING_NOISE[each.family] for each in found)
+        name = next((each for each in lacking if each not in there), None)
+        if name is None:
+            return None
+        here = {channel for each in found if _MISSING_NOISE[each.family] == name for channel in each.channels}
+        every = [channel.name for channel in self.fit.model.campaign.channels]
+        on = tuple(channel for channel in every if channel in here)
+        return explanations.Suggestion(effects=(name,), channels=None if len(on) in (0, len(every)) else on)
 
     def _suggestion(self, members: Sequence[SlotMember]) -> explanations.Suggestion:
         """Return effects to add, their channels named where they are not all on which these were screened."""

@@ -348,12 +348,12 @@ class ModelSearch:
 
     def _expand_beyond_priors(self) -> None:
         """Expand the likeliest prior that is too narrow: what it forbids an effect of its own is found beside it."""
-        found = [each for each in self.known if _beyond_prior(each) and each.hypothesis not in self._expanded]
+        found = [each for each in self.known if beyond_prior(each) and each.hypothesis not in self._expanded]
         stated = self.best(states_noise).log_posterior
         best = max(found, key=lambda each: each.log_posterior, default=None)
         if best is not None and best.log_posterior > stated + LARGE:
             self._expand(best)
-            self._vary_noise(self.best(_beyond_prior))
+            self._vary_noise(self.best(beyond_prior))
 
     def _grow(self, which: Callable[[Evaluated], bool], most: int) -> None:
         for _ in range(most):
@@ -425,7 +425,8 @@ def _formed(each: Evaluated) -> bool:
     return each.hypothesis.form is not None
 
 
-def _beyond_prior(each: Evaluated) -> bool:
+def beyond_prior(each: Evaluated) -> bool:
+    """Tell whether a hypothesis is that a prior is too narrow."""
     form = each.hypothesis.form
     return form is not None and form.form.wrong is not None and form.form.wrong.form == "prior"
 

@@ -15,7 +15,7 @@ from imubayes.adequacy.weighed_records import weighed_records
 from imubayes.criticism.evidence.free_forms import free_forms
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
-from imubayes.criticism.evidence.model_search import ModelSearch, states_noise
+from imubayes.criticism.evidence.model_search import ModelSearch, beyond_prior, states_noise
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
 from imubayes.foundations.campaign_data import Campaign
@@ -73,7 +73,7 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
             about, search = large, ModelSearch(moved)
     recorded = fitted.model.campaign
     begun = _run(search, about, recorded, covariates), about
-    leads = (_leader, _gross_input) if fitted.optimised else (_leader,)
+    leads = (_leader, _gross_input, _wide_prior) if fitted.optimised else (_leader,)
     found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
     found += [each for each in [_corrected(problem, fitted, covariates)] if each is not None]
     search, about = max(found, key=lambda each: each[0].best().log_posterior)
@@ -144,6 +144,14 @@ def _gross_input(search: ModelSearch, fitted: Fit) -> Evaluated | None:
     return wrong if wrong.log_posterior > search.best(states_noise).log_posterior + GROSS else None
 
 
+def _wide_prior(search: ModelSearch, fitted: Fit) -> Evaluated | None:
+    """Return the likeliest prior that is too narrow where it is gross: the effects that it forbids act from there."""
+    found = max(filter(beyond_prior, search.known), key=lambda each: each.log_posterior, default=None)
+    if found is None or found is _leader(search, fitted):
+        return None
+    return found if found.log_posterior > search.best(states_noise).log_posterior + GROSS else None
+
+
 def _is_large(search: ModelSearch, top: Evaluated) -> bool:
     without = [search.of.evaluate(top.hypothesis.without(each), top) for each in top.hypothesis.variants]
     return max((top.log_posterior - each.log_posterior for each in without), default=0.0) > GROSS
@@ -161,6 +169,9 @@ def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) ->
     point, form = _point(search, top), top.hypothesis.form
     if not np.isfinite(z).all():
         return None
+    if form is not None and form.form.wrong is not None and form.form.wrong.form == "prior":
+        z = z.copy()
+        z[list(form.form.wrong.parameters)] += top.mean[len(top.columns) :]
     if form is None or form.form.wrong is None or form.form.wrong.form in ("unit", "prior"):
         return _About(replace(recorded, z=z), point)
     return _about(recorded, form.form.wrong, top.mean[len(top.columns) :] * form.form.unit, z, point)

@@ -146,10 +146,10 @@ def place_text(found: Disagreement) -> str:
 
 
 def _prior_sentence(best: AgreeingInput, chance: str, adverb: str) -> str:
-    value, sd = value_and_sd(best.agreeing[0], best.sd[0])
     return (
-        f"A prior{adverb} contradicts the data{chance}: {best.quantity} is {value} ± {sd} standard deviations "
-        "beyond it. State a wider prior for it in the model, and fit again."
+        f"A prior{adverb} contradicts the data{chance}: as fitted, {best.quantity} is "
+        f"{significant(abs(best.agreeing[0]), 2)} of its standard deviations off. State a wider prior for it in the "
+        "model, and fit again: what is missing beside it is told then."
     )
 
 
