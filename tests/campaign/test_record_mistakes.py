@@ -56,3 +56,57 @@ def test_cases_that_were_named_wrongly(case: str, named: str):
     found = inspect_campaign(CASES / case)
     (told,) = [each for each in found.findings if each.name != "unused_columns"]
     assert named in told.what
+
+
+def _edited(folder: Path, bench: str, seed: int, **scale: float) -> Files:
+    write_campaign(folder, bench, seed)
+    files = Files(folder)
+    for channel in files.document["channel"]:
+        channel["scale"] = float(channel["scale"]) * scale.get(str(channel["name"]), 1.0)
+    files.save()
+    return files
+
+
+@pytest.mark.parametrize("wrong", [("ay",), ("ax", "ay", "az")])
+def test_a_decimal_place_is_one_block_and_no_unit(tmp_path: Path, wrong: tuple[str, ...]):
+    _edited(tmp_path / "triad", "triad", 3, **dict.fromkeys(wrong, 0.1))
+    (issue,) = inspect_campaign(tmp_path / "triad").issues
+    assert "m/s²" not in issue.what
+    assert all(f"scale = 16384 for '{name}'" in issue.remedy for name in wrong)
+
+
+def test_sums_in_the_place_of_means_are_named_in_their_run(tmp_path: Path):
+    files = _edited(tmp_path / "triad", "triad", 3)
+    run = files.runs[1]
+    for name in ("ax", "ay", "az"):
+        changed(files, run, name, lambda mean: 600 * mean)
+    (issue,) = inspect_campaign(tmp_path / "triad").issues
+    assert f"600 times too large in run '{run['name']}' (sums for means)" in issue.what
+
+
+def test_two_channels_along_one_axis_are_named_with_the_axis_of_one(tmp_path: Path):
+    files = _edited(tmp_path / "triad", "triad", 3)
+    files.document["channel"][1]["input_axis"] = [1.0, 0.0, 0.0]
+    files.document["channel"][1]["output_axis"] = [0.0, 0.0, 1.0]
+    files.save()
+    (issue,) = inspect_campaign(tmp_path / "triad").issues
+    assert "channel 'ay' responds along [0.0, 1.0, 0.0]" in issue.what
+
+
+def test_standard_errors_are_told_from_deviations(tmp_path: Path):
+    files = _edited(tmp_path / "triad", "triad", 3)
+    for run in files.runs:
+        for name in ("ax", "ay", "az"):
+            changed(files, run, f"{name}_sd", lambda sd: sd / 600**0.5)
+    (told,) = inspect_campaign(tmp_path / "triad").findings
+    assert told.name == "standard_errors"
+    assert "√samples, 24.5" in told.what
+
+
+def test_samples_a_hundred_times_too_many_are_named_with_the_run(tmp_path: Path):
+    files = _edited(tmp_path / "imu", "imu", 2)
+    run = next(each for each in files.runs if each["procedure"] == "rate_table")
+    changed(files, run, "samples", lambda count: 100 * count)
+    (told,) = inspect_campaign(tmp_path / "imu").findings
+    assert (told.name, told.run) == ("samples_unlike", run["name"])
+    assert "100 times too many" in told.what

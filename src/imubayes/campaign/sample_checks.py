@@ -14,7 +14,7 @@ from imubayes.foundations.campaign_data import Channel, Run
 _SAME = math.log(1.5)
 """Logarithm of the ratio of two deviations up to which they are one: noise is stated to tens of per cent."""
 _FEWEST, _MORE_SAMPLES = 9.0, math.log(8.0)
-"""Samples of a row from which its standard error is told from its deviation, and the logarithm of how many times as many
+"""Samples of a row from which its standard error is told from its deviation.  Logarithm of how many times as many
 samples a second as in sister runs are doubted.  Convention: a factor of two is another setting of the logger."""
 _SISTERS, _ALIKE = 2, math.log(1.3)
 

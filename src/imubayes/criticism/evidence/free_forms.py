@@ -16,7 +16,6 @@ import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import ONE_OWNER, WIDTH_RATIO
 from imubayes.criticism.evidence.linear_problem import NEGLIGIBLE, UNEXPECTED, ChannelRows, LinearProblem
-from imubayes.criticism.evidence.possible_forms import is_an_effect, possible_form
 from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.responses.wrong_inputs import WrongInput
 
@@ -143,13 +142,11 @@ class ChosenForm:
 
 
 def free_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tuple[FormHypothesis, ...]:
-    """Return all forms outside the catalogue, with their prior probabilities."""
+    """Return all forms outside the catalogue, with their prior probabilities, whatever a sensor can do."""
     forms: list[FormHypothesis] = []
     kinds = [rows.kind for rows in problem.of_channels]
     for kind in dict.fromkeys(kinds):
-        of_kind = _of_kind(problem, known, [k for k, each in enumerate(kinds) if each == kind])
-        found = (possible_form(problem, known, each) for each in of_kind)
-        forms += [each for each in found if each is not None and not is_an_effect(problem, each)]
+        forms += _of_kind(problem, known, [k for k, each in enumerate(kinds) if each == kind])
     return with_prior(forms, UNEXPECTED / 2)
 
 

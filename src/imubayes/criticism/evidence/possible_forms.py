@@ -6,16 +6,13 @@ dividing head, explains anything by a coefficient that no sensor has.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imubayes.criticism.evidence.linear_problem import LinearProblem, RowKind
+from imubayes.criticism.evidence.free_forms import FormHypothesis, free_forms, with_prior
+from imubayes.criticism.evidence.linear_problem import UNEXPECTED, LinearProblem, RowKind
 from imubayes.foundations.units import to_si
 from imubayes.responses.residual_covariates import ResidualCovariate
-
-if TYPE_CHECKING:
-    from imubayes.criticism.evidence.free_forms import FormHypothesis
 
 LARGEST: Mapping[RowKind, Mapping[str, float]] = {
     "gyro": {"rate": 0.1 * to_si("deg/s"), "force": 3000 * to_si("deg/h"), "temperature": 180 * to_si("deg/h")},
@@ -29,9 +26,15 @@ _SAME_SPAN = 1e-3
 """Share of the squares of a form beyond the columns of an effect, up to which it is that effect.  Numerical."""
 
 
-def possible_form(
-    problem: LinearProblem, known: Sequence[ResidualCovariate], form: "FormHypothesis"
-) -> "FormHypothesis | None":
+def possible_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tuple[FormHypothesis, ...]:
+    """Return the forms outside the catalogue that a sensor can make, with their prior probabilities."""
+    found = (_possible(problem, known, each) for each in free_forms(problem, known))
+    return with_prior([each for each in found if each is not None and not _is_an_effect(problem, each)], UNEXPECTED / 2)
+
+
+def _possible(
+    problem: LinearProblem, known: Sequence[ResidualCovariate], form: FormHypothesis
+) -> FormHypothesis | None:
     """Return a form with the amplitudes that a sensor can have; None where it has none."""
     covariates = [each for each in known if each.name in form.covariates]
     largest = max((_largest_amplitude(problem, k, covariates) for k in form.columns), default=np.inf)
@@ -58,7 +61,7 @@ def _largest_amplitude(problem: LinearProblem, channel: int, covariates: Sequenc
     return min(found)
 
 
-def is_an_effect(problem: LinearProblem, form: "FormHypothesis") -> bool:
+def _is_an_effect(problem: LinearProblem, form: FormHypothesis) -> bool:
     """Tell whether a linear response to a vector is what an effect of the catalogue, with its coefficients, makes."""
     if form.family != "vector":
         return False
@@ -69,7 +72,7 @@ def is_an_effect(problem: LinearProblem, form: "FormHypothesis") -> bool:
     return any(all(_spanned(problem, k, form, span) for k in form.columns) for span in spans)
 
 
-def _spanned(problem: LinearProblem, channel: int, form: "FormHypothesis", span: range) -> bool:
+def _spanned(problem: LinearProblem, channel: int, form: FormHypothesis, span: range) -> bool:
     rows = problem.rows[channel]
     here = np.flatnonzero((rows.live >= span.start) & (rows.live < span.stop))
     if not len(here):

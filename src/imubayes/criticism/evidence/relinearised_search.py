@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imubayes.adequacy.weighed_records import weighed_records
-from imubayes.criticism.evidence.free_forms import free_forms
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.criticism.evidence.model_search import ModelSearch, beyond_prior, states_noise
+from imubayes.criticism.evidence.possible_forms import possible_forms
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
 from imubayes.foundations.campaign_data import Campaign
@@ -124,7 +124,7 @@ def _run(
 ) -> ModelSearch:
     problem = search.of.problem
     wrong = wrong_inputs(problem, about.fitted, recorded)
-    return search.run((*free_forms(problem, covariates), *wrong.of_runs), wrong.of_rows)
+    return search.run((*possible_forms(problem, covariates), *wrong.of_runs), wrong.of_rows)
 
 
 def _leader(search: ModelSearch, fitted: Fit) -> Evaluated | None:
