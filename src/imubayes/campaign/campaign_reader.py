@@ -24,7 +24,7 @@ from imubayes.campaign.run_times import check_times
 from imubayes.campaign.sample_checks import check_samples
 from imubayes.campaign.saturated_rows import without_saturated_rows
 from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS, setup_findings
-from imubayes.campaign.setup_gate.remedies import Places
+from imubayes.campaign.setup_gate.places import Places
 from imubayes.campaign.stream_checks import LIKE_UNITS, SYMPTOMS, UNIT_FINDINGS, Finding
 from imubayes.campaign.toml_documents import Document, Ledger, read_document
 from imubayes.foundations.campaign_data import Campaign, Channel, Run, Site

@@ -47,6 +47,7 @@ FINDINGS: dict[str, str] = {
     "temperatures_exchanged": "the temperatures of two runs are exchanged",
     "other_unit": "a run is of another unit",
     "rate_without_sign": "the rates of a run are recorded without their sign",
+    "rates_exchanged": "the rates of two rows are exchanged",
     "rates_missing": "the rate column is zero while the table turns",
     "files_exchanged": "the tables of two runs are exchanged",
     "mounting_mislabelled": "a run was made in another mounting of the campaign",

@@ -67,6 +67,42 @@ class RateWithoutSign(Mistake):
 
 
 @dataclass(frozen=True)
+class RatesExchanged(Mistake):
+    """The rates of two rows of a run are exchanged; `rows` are their places from 0, of `among` rows."""
+
+    rows: tuple[int, int]
+    among: int
+    kind: ClassVar[str] = "rates_exchanged"
+
+    @property
+    def unlikelihood(self) -> float:
+        """The rows are chosen by the outputs."""
+        return 2 * math.log(self.among * (self.among - 1) / 2)
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield the runs in which two rows alone are off, and each has about the rate of the other."""
+        for scope in single_runs(views):
+            view = views[scope.runs[0]]
+            shown = shown_rates(campaign, view)
+            if shown is None:
+                continue
+            off = np.flatnonzero(~_alike(shown, view.rate))
+            if len(off) == 2 and _alike(shown[off], view.rate[off[::-1]]).all():
+                yield cls(scope, (int(off[0]), int(off[1])), view.rows)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the two rates in their places."""
+        view, order = views[place], np.arange(self.among)
+        order[list(self.rows)] = self.rows[::-1]
+        return changed(view, rate=view.rate[order], span=view.span[order])
+
+
+def _alike(shown: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+    return np.abs(shown - recorded) < _AS_RECORDED * np.maximum(np.abs(recorded), _LEAST_RATE) + _LEAST_RATE
+
+
+@dataclass(frozen=True)
 class RatesMissing(Mistake):
     """The column of rates holds zeros in runs that turned; `rates` are those that the gyros show, run by run."""
 
@@ -96,4 +132,4 @@ class RatesMissing(Mistake):
         return changed(views[place], rate=self.rates[self.scope.runs.index(place)])
 
 
-RATE_RECORDS: tuple[type[Mistake], ...] = (RateWithoutSign, RatesMissing)
+RATE_RECORDS: tuple[type[Mistake], ...] = (RateWithoutSign, RatesExchanged, RatesMissing)

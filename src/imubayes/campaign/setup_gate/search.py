@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.setup_gate.drift_rivals import score_with_drift
-from imubayes.campaign.setup_gate.equipment_mistakes import MISTAKES, Mistake, Scope
+from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope
 from imubayes.campaign.setup_gate.error_model import (
     G_SENSITIVITIES,
     POOR,
@@ -22,6 +22,7 @@ from imubayes.campaign.setup_gate.error_model import (
 )
 from imubayes.campaign.setup_gate.evidence import ErrorModel
 from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
+from imubayes.campaign.setup_gate.mounting_mistakes import MISTAKES
 from imubayes.campaign.setup_gate.rate_records import RATE_RECORDS
 from imubayes.campaign.setup_gate.reading_mistakes import UNIT_MISTAKES, AxisZero, ChannelGain
 from imubayes.campaign.setup_gate.setup_view import CarryingAxes, RunView, views_of

@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from imubayes.campaign.setup_gate.equipment_mistakes import (
-    MISTAKES,
     Mistake,
     TableAzimuth,
     TableElevation,
@@ -35,6 +34,7 @@ from imubayes.campaign.setup_gate.error_model import (
 )
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
 from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
+from imubayes.campaign.setup_gate.mounting_mistakes import MISTAKES
 from imubayes.campaign.setup_gate.reading_mistakes import (
     LATITUDE_MISTAKES,
     AngleUnit,
