@@ -257,6 +257,12 @@ def _await_the_gate(loaded: Sequence[Loaded], findings: Sequence[Finding]) -> bo
     return units and all(result.run is not None for result in loaded)
 
 
+def _explains_units(finding: Finding) -> bool:
+    """Whether a finding is what looks like wrong units in single runs; of a channel in all runs one mistake is told."""
+    like = finding.name in LIKE_UNITS or (finding.name == "channel_unit" and not finding.run)
+    return like and finding.severity == "error"
+
+
 def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Finding], places: Places) -> Inspection:
     """Return the inspection of a valid campaign with what its outputs say against its set-up."""
     found = setup_findings(campaign, places, tuple(entry.accepted))
@@ -264,9 +270,7 @@ def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Find
     noticed = any(finding.name in SYMPTOMS for finding in findings)
     found = [finding for finding in found if not (noticed and finding.name == "setup_disagrees")]
     units, wrong = _problems(findings), _problems(found)
-    # Of a channel in all runs one mistake is told, not one of each run.
-    told = [each for each in found if each.name in LIKE_UNITS or (each.name == "channel_unit" and not each.run)]
-    if units and not any(finding.severity == "error" for finding in told):
+    if units and not any(map(_explains_units, found)):
         return Inspection(None, units, tuple(findings))
     if wrong:
         # The mistake explains what the checks of single runs noticed of it.

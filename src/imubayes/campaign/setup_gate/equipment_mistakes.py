@@ -137,6 +137,7 @@ def tables_of(views: Sequence[RunView]) -> list[Scope]:
 
 
 def mountings_of(views: Sequence[RunView]) -> list[Scope]:
+    """Return the scope of each mounting on a table."""
     names = dict.fromkeys(view.mounting for view in views if view.mounting is not None and view.table is not None)
     return [Scope("mounting", name, tuple(k for k, v in enumerate(views) if v.mounting == name)) for name in names]
 

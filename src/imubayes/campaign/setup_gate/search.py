@@ -112,18 +112,22 @@ def told_by_name(found: Sequence[Explanation]) -> list[Explanation]:
             records.setdefault(each.mistake.record, []).append(each)
     dropped = set[int]()
     for alike in records.values():
-        for value in (each for each in alike if each.mistake.open_value):
-            own = {*value.mistake.scope.runs}
-            names = [each for each in alike if not each.mistake.open_value and _holds(each.mistake, own)]
-            apart = {id(each): _apart(each, value) for each in names}
-            nearest = min(apart.values(), default=math.inf)
-            told = [each for each in names if apart[id(each)] <= min(nearest + _SAME_POINT, 1.0)]
-            dropped |= {id(each) for each in names if each not in told}
-            if value.mistake.named(value.size):
-                dropped |= {id(each) for each in told if each.mistake.point is not None}
-            elif told:
-                dropped.add(id(value))
+        names = [each for each in alike if not each.mistake.open_value]
+        for value in alike:
+            if value.mistake.open_value:
+                dropped |= {id(each) for each in _not_told(value, names)}
     return [each for each in found if id(each) not in dropped]
+
+
+def _not_told(value: Explanation, names: Sequence[Explanation]) -> list[Explanation]:
+    """Return which of an open value and the names of its record are not to be told."""
+    names = [each for each in names if _holds(each.mistake, {*value.mistake.scope.runs})]
+    nearest = min((_apart(each, value) for each in names), default=math.inf)
+    near = [_apart(each, value) <= min(nearest + _SAME_POINT, 1.0) for each in names]
+    rest = [each for each, told in zip(names, near, strict=True) if not told]
+    if value.mistake.named(value.size):  # it has the name itself
+        return [*rest, *(each for each in names if each.mistake.point is not None)]
+    return [*rest, value] if any(near) else rest
 
 
 def _holds(named: Mistake, runs: set[int]) -> bool:
@@ -137,6 +141,11 @@ def _apart(named: Explanation, value: Explanation) -> float:
     if point is None:
         return 0.0 if named.gain >= value.gain - NAMED_WITHIN else math.inf
     return abs(point - value.size) / value.mistake.usual_within
+
+
+def _of_different_records(chain: Sequence[tuple[Explanation, ...]]) -> bool:
+    """Whether no record is corrected twice: a second correction of it says that the first was none."""
+    return len({_corrects(equal[0].mistake) for equal in chain}) == len(chain)
 
 
 def _corrects(mistake: Mistake) -> tuple[str, Scope]:
@@ -202,8 +211,7 @@ class Search:
         most : mistakes together.
         tried : how many of the best are tried as the first of several.
         """
-        found = [each for each in self._suspected() if each.support > DECISIVE and each.mistake.possible(each.size)]
-        found = told_by_name(found)
+        found = told_by_name([each for each in self._suspected() if each.support > DECISIVE])
         whole = [each for each in found if self._explains(each) and not self._passes(each.mistake)]
         if whole:
             return [equally_good(whole)]
@@ -214,13 +222,12 @@ class Search:
         corrected = [Search(self.campaign, views=each.mistake.removed(self.views, each.size)) for each in partial]
         further = [search.several_mistakes(most - 1, TRIED_NEXT) for search in corrected]
         chains = [[(each,), *rest] for each, rest in zip(partial, further, strict=True) if rest]
-        # A second correction of the same record says that the first was none.
-        chains = [chain for chain in chains if len({_corrects(equal[0].mistake) for equal in chain}) == len(chain)]
+        chains = [chain for chain in chains if _of_different_records(chain)]
         return min(chains, key=lambda chain: (len(chain), -sum(equal[0].support for equal in chain)), default=[])
 
     def _suspected(self) -> list[Explanation]:
         suspects = self.suspects()
-        return self.explain(
+        found = self.explain(
             [
                 mistake
                 for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, RateFactor, *TEMPERATURE_MISTAKES, *RECORDS_OF_RUNS)
@@ -228,6 +235,7 @@ class Search:
                 if mistake.scope.section != "run" or suspects.issuperset(mistake.scope.runs)
             ]
         )
+        return [each for each in found if each.mistake.possible(each.size)]
 
     def _explains(self, found: Explanation) -> bool:
         excess, left = self.misfit - ORDINARY_MISFIT / 2, found.misfit - ORDINARY_MISFIT / 2

@@ -195,10 +195,14 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     tried = levels.tried(suspected, first)
     likeliest = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
     found = told_by_name([each for each in likeliest if each is not None and each.mistake.possible(each.size)])
-    # What is too weak to be said, and explains more, is not told under another name.
+    said = [each for each in _strongest(found) if _is_sayable(each, campaign)]
+    return [each for each in said if not levels[0].passes_for_noise(each.mistake)]
+
+
+def _strongest(found: Sequence[Explanation]) -> list[Explanation]:
+    """Return those of about the most support: what is too weak to be said is not told under another name."""
     best = max((each.support for each in found), default=0.0)
-    found = [each for each in found if each.support > best - DECISIVE]
-    return [each for each in found if _is_sayable(each, campaign) and not levels[0].passes_for_noise(each.mistake)]
+    return [each for each in found if each.support > best - DECISIVE]
 
 
 def _is_sayable(found: Explanation, campaign: Campaign) -> bool:
