@@ -110,3 +110,19 @@ def test_samples_a_hundred_times_too_many_are_named_with_the_run(tmp_path: Path)
     (told,) = inspect_campaign(tmp_path / "imu").findings
     assert (told.name, told.run) == ("samples_unlike", run["name"])
     assert "100 times too many" in told.what
+
+
+def test_deviations_without_the_number_of_samples_are_told(tmp_path: Path):
+    files = _edited(tmp_path / "triad", "triad", 3)
+    for run in files.runs:
+        files.edit(run, lambda columns: columns.pop("samples"))
+    told = inspect_campaign(tmp_path / "triad", judge_setup=False).findings
+    assert {each.run for each in told if each.name == "samples_missing"} == {run["name"] for run in files.runs}
+
+
+def test_a_date_in_the_future_is_told(tmp_path: Path):
+    files = _edited(tmp_path / "triad", "triad", 3)
+    files.document["run"][-1]["start"] = files.document["run"][-1]["start"].replace(year=2962)
+    files.save()
+    (told,) = inspect_campaign(tmp_path / "triad").findings
+    assert (told.name, told.run) == ("start_in_future", files.runs[-1]["name"])

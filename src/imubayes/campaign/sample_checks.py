@@ -29,6 +29,27 @@ def check_samples(runs: Sequence[Run], where: Sequence[str], channels: Sequence[
     return [*_standard_errors(runs, where, channels), *_counts(runs, where)]
 
 
+def without_counts(run: str, deviations: Sequence[str], where: str) -> list[Finding]:
+    """Return that a table has deviations of raw samples without the number of these: each row counts as one sample.
+
+    Parameters
+    ----------
+    run, where : name of the run, and its table.
+    deviations : columns of deviations.
+    """
+    if not deviations:
+        return []
+    return [
+        Finding(
+            "samples_missing", "warning", run,
+            f"column '{deviations[0]}' holds deviations of raw samples, and no column says how many: each row counts as "
+            "one sample of a raw log",
+            f"{where}, column 'samples'", "the number of raw samples of each row beside '…_sd'",
+            "add the column 'samples', or leave out '…_sd'",
+        )
+    ]  # fmt: skip
+
+
 def _standard_errors(runs: Sequence[Run], where: Sequence[str], channels: Sequence[Channel]) -> Iterator[Finding]:
     """Yield one finding for all channels whose recorded deviation is the stated noise over √samples."""
     told: dict[str, list[float]] = {}
