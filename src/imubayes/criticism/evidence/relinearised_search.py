@@ -75,21 +75,28 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
     begun = _run(search, about, recorded, covariates), about
     leads = (_leader, _gross_input, _wide_prior) if fitted.optimised else (_leader,)
     found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
-    found += [each for each in [_corrected(problem, fitted, covariates)] if each is not None]
+    corrected = [wrong for _, at in found if (wrong := at.wrong) is not None]
+    found += [each for each in [_corrected(problem, fitted, covariates, corrected)] if each is not None]
     search, about = max(found, key=lambda each: each[0].best().log_posterior)
     return ExplanationPosterior(search, about.fitted)
 
 
 def _corrected(
-    problem: LinearProblem, fitted: Fit, covariates: Sequence[ResidualCovariate]
+    problem: LinearProblem, fitted: Fit, covariates: Sequence[ResidualCovariate], done: Sequence[WrongInput]
 ) -> tuple[ModelSearch, _About] | None:
     """Return a search about the likeliest error of the record, corrected; None where none acts through the model.
 
     A gross one distorts the fit, so that its linear response about the fit does not lead to it.
+
+    Parameters
+    ----------
+    done : errors about which there is a search already.
     """
     acting = (each for each in weighed_records(fitted) if acts_through_the_model(each.wrong))
     best = next(acting, None)
-    about = _about(fitted, best.wrong, best.size, best.z, LinearisationPoint()) if best is not None else None
+    if best is None or best.wrong in done:
+        return None
+    about = _about(fitted, best.wrong, best.size, best.z, LinearisationPoint())
     moved = _linearised(problem, about) if about is not None else None
     if about is None or moved is None:
         return None
