@@ -115,7 +115,7 @@ def test_samples_a_hundred_times_too_many_are_named_with_the_run(tmp_path: Path)
 def test_deviations_without_the_number_of_samples_are_told(tmp_path: Path):
     files = _edited(tmp_path / "triad", "triad", 3)
     for run in files.runs:
-        files.edit(run, lambda columns: columns.pop("samples"))
+        files.edit(run, lambda columns: columns.__delitem__("samples"))
     told = inspect_campaign(tmp_path / "triad", judge_setup=False).findings
     assert {each.run for each in told if each.name == "samples_missing"} == {run["name"] for run in files.runs}
 

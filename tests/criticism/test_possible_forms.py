@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imubayes.criticism.evidence.free_forms import free_forms
-from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
+from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem, RowKind
 from imubayes.criticism.evidence.possible_forms import possible_forms
 from imubayes.parameters.declarations import Parameter
 from imubayes.parameters.priors import Normal
@@ -16,7 +16,7 @@ ANGLE = np.linspace(0, 2 * np.pi, ROWS, endpoint=False)
 FORCE = np.column_stack([np.cos(ANGLE), np.sin(ANGLE), 0.1 * np.ones(ROWS)])
 
 
-def problem(kind: str, noise: float, effect: np.ndarray | None = None) -> LinearProblem:
+def problem(kind: RowKind, noise: float, effect: np.ndarray | None = None) -> LinearProblem:
     """Return one channel with a bias, and a candidate with coefficients of some columns, (ROWS, n)."""
     columns = np.zeros((ROWS, 0)) if effect is None else effect
     prior = Normal(0.0, 1.0)

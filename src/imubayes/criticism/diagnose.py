@@ -359,12 +359,12 @@ class ExplainedFit:
 
     def _missing_noise(self) -> explanations.Suggestion | None:
         there = {effect.name for effect in self.fit.model.assembly.effects}
-        found = [each for each in self.posterior.evidence.noise if each.family in _MISSING_NOISE]
-        lacking = dict.fromkeys(_MISSING_NOISE[each.family] for each in found)
-        name = next((each for each in lacking if each not in there), None)
+        told = self.posterior.evidence.noise
+        found = [(_MISSING_NOISE[each.family], each.channels) for each in told if each.family in _MISSING_NOISE]
+        name = next((missing for missing, _ in found if missing not in there), None)
         if name is None:
             return None
-        here = {channel for each in found if _MISSING_NOISE[each.family] == name for channel in each.channels}
+        here = {channel for missing, channels in found if missing == name for channel in channels}
         every = [channel.name for channel in self.fit.model.campaign.channels]
         on = tuple(channel for channel in every if channel in here)
         return explanations.Suggestion(effects=(name,), channels=None if len(on) in (0, len(every)) else on)

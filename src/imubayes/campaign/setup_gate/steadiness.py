@@ -46,7 +46,12 @@ from imubayes.campaign.setup_gate.reading_mistakes import (
 )
 from imubayes.campaign.setup_gate.search import DECISIVE, ORDINARY_ERROR, Explanation, Search, told_by_name
 from imubayes.campaign.setup_gate.setup_view import RunView, feels_the_earth_alone, turns_through, views_of
-from imubayes.campaign.setup_gate.thermal_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed, TemperatureValue
+from imubayes.campaign.setup_gate.thermal_mistakes import (
+    TEMPERATURE_MISTAKES,
+    TemperatureReversed,
+    TemperaturesExchanged,
+    TemperatureValue,
+)
 from imubayes.campaign.setup_gate.wrong_rows import RateFactor
 from imubayes.foundations.campaign_data import Campaign
 
@@ -191,7 +196,8 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES, OtherUnit)
     if feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views):
         concealed = (*MISTAKES, ChannelGain, AngleUnit, NominalScale, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
-    suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_of_equipment(each)]
+    doubted = levels[first].suspects()
+    suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_tried(each, doubted)]
     tried = levels.tried(suspected, first)
     likeliest = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
     found = told_by_name([each for each in likeliest if each is not None and each.mistake.possible(each.size)])
@@ -314,8 +320,10 @@ def _most_misfit(mistake: Mistake) -> float:
     return MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, TEMPERATURE_MISTAKES) else MOST_MISFIT_LEFT
 
 
-def _is_of_equipment(mistake: Mistake) -> bool:
-    """Whether a mistake is that of a table as a whole, where it is one of elevation."""
+def _is_tried(mistake: Mistake, doubted: set[int]) -> bool:
+    """Whether a mistake of elevation is that of a table as a whole, and one of whole records that of doubted runs."""
+    if isinstance(mistake, (TemperatureValue, TemperaturesExchanged, OtherUnit)):
+        return doubted.issuperset(mistake.scope.runs)
     return not (isinstance(mistake, TableElevation) and mistake.scope.section == "run")
 
 

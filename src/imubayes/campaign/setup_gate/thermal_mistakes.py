@@ -141,7 +141,7 @@ class TemperatureValue(_OfTemperatures):
     open_value: ClassVar[bool] = True
     per_radian: ClassVar[float] = 100.0
     rarity: ClassVar[float] = 8.0
-    sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-100.0, 101.0, 20.0).tolist())
+    sizes: ClassVar[tuple[float, ...]] = (-60.0, -30.0, 0.0, 30.0, 60.0)
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
