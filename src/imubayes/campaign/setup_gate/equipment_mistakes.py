@@ -48,7 +48,8 @@ class Mistake(ABC):
     `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
     that.  A usual size is taken for the best one if it is within `usual_within` of it and its evidence falls short by
     less than `as_usual`.  `per_radian` is what a size counts like a radian of an angle.  `by_evidence` is whether the
-    size of most evidence is the best, not that of least misfit.
+    size of most evidence is the best, not that of least misfit.  The search for it ends where twice the log likelihood
+    changes by less than `settled`: a hundredth is a tenth of a standard deviation of the size.
     """
 
     scope: Scope
@@ -58,6 +59,7 @@ class Mistake(ABC):
     as_usual: ClassVar[float] = 6.0
     open_value: ClassVar[bool] = False
     per_radian: ClassVar[float] = 1.0
+    settled: ClassVar[float] = 0.01
     by_evidence: ClassVar[bool] = False
     rarity: ClassVar[float] = 0.0
 
@@ -104,6 +106,10 @@ class Mistake(ABC):
         for place in self.scope.runs:
             found[place] = self.corrected(views, place, size)
         return found
+
+    def grid(self) -> tuple[float, ...]:
+        """Return the sizes between which the best one is found; empty where there is none to find."""
+        return self.sizes
 
     @property
     def record(self) -> str:

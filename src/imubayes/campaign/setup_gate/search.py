@@ -51,7 +51,6 @@ RECORDS_OF_RUNS: tuple[type[Mistake], ...] = (*RATE_RECORDS, OtherUnit)
 """Mistakes in the record of a whole run that is no single value."""
 _REFINEMENTS, _REMEMBERED = 4, 256
 _SAME_POINT = 0.05  # of how far a name may be from a value, within which two names are one
-_SETTLED = 0.01  # of twice the log likelihood: a tenth of a standard deviation of the size
 _SUSPECTS = 5  # runs whose own mistakes are tried
 _AT_ONCE = 2**19  # numbers in the terms of campaigns that are judged together: four megabytes
 
@@ -263,11 +262,11 @@ class Search:
         found = zip((view.name for view in self.views), surprise.tolist(), strict=True)
         return sorted((each for each in found if each[1] > DECISIVE), key=lambda each: -each[1])
 
-    def suspects(self) -> set[int]:
+    def suspects(self, most: int = _SUSPECTS) -> set[int]:
         """Return the places of the runs that agree least with all others: those that raise their misfit most."""
         rest = self.model.misfit(self.total - self.terms)
         surprise = (self.misfit * self.total.values - rest) / np.maximum(self.terms.values, 1)
-        return set(np.argsort(-surprise, kind="stable")[:_SUSPECTS].tolist())
+        return set(np.argsort(-surprise, kind="stable")[:most].tolist())
 
     def explain(self, mistakes: Sequence[Mistake]) -> list[Explanation]:
         """Return the best size of each mistake and what its correction gains; all are evaluated together."""
@@ -322,13 +321,13 @@ class Search:
         in g make it two, and every basin is tried.  Where the Earth rate alone tells the size, a large g-sensitivity
         passes for its vertical part, and the evidence decides.
         """
-        sized = [(k, each) for k, each in enumerate(mistakes) if each.sizes]
-        least = iter(self._least([SizedMistake(each, size) for _, each in sized for size in each.sizes]))
+        sized = [(k, each) for k, each in enumerate(mistakes) if each.grid()]
+        least = iter(self._least([SizedMistake(each, size) for _, each in sized for size in each.grid()]))
         basins: list[tuple[int, Basin]] = []
         for k, each in sized:
-            tried = {size: next(least) for size in each.sizes}
+            tried = {size: next(least) for size in each.grid()}
             starts = minima(tried) if self.model.squares else [min(tried, key=lambda size: tried[size])]
-            step = float(np.min(np.diff(sorted(each.sizes)))) / 2
+            step = float(np.min(np.diff(sorted(each.grid())))) / 2
             basins += [(k, Basin(each, dict(tried), start, step)) for start in starts]
         self._narrow([basin for _, basin in basins])
         sizes = [0.0] * len(mistakes)
@@ -460,7 +459,7 @@ class Basin:
         """Go on about the best of the sizes, unless it is hardly better."""
         before, (low, high) = self.tried[self.best], self.sides()
         self.best = min((low, *self.vertex(), self.best, high), key=lambda size: self.tried[size])
-        self.settled = before - self.tried[self.best] < _SETTLED
+        self.settled = before - self.tried[self.best] < self.mistake.settled
         self.step /= 6
 
 

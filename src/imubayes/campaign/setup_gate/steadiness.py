@@ -149,6 +149,8 @@ MOST_MISFIT_LEFT, MOST_MISFIT_OF_TEMPERATURES = 2.0, 1.25
 one of temperatures does.  Of a unit that is taken for too steady any correction explains something."""
 WORTH_TRYING = 4.0
 """Gain of a hidden mistake in a unit as steady as its outputs show, from which it is tried in a steadier one."""
+DOUBTED = 10
+"""Runs that agree least with the others, whose temperatures and files are doubted: pairs of them are tried as well."""
 LEAST_TURN = math.radians(25.0)
 """Least error of an azimuth that is doubted where plausible errors would explain the outputs as well: the Earth rate
 of a tactical gyro tells no less."""
@@ -196,7 +198,7 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES, OtherUnit)
     if feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views):
         concealed = (*MISTAKES, ChannelGain, AngleUnit, NominalScale, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
-    doubted = levels[first].suspects()
+    doubted = levels[first].suspects(DOUBTED)
     suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_tried(each, doubted)]
     tried = levels.tried(suspected, first)
     likeliest = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))

@@ -17,6 +17,7 @@ from imubayes.foundations.campaign_data import Campaign
 
 _LEAST_COURSE = 2.0  # °C; a temperature that changes by less is the same reversed
 _MARGIN = 10.0  # °C, by which a corrected temperature may exceed those of the other runs
+_PLACES = 4  # of temperatures, between which the best one is found
 SENSOR, CONVERTER = "temperature", "converter_temperature"
 
 
@@ -140,8 +141,8 @@ class TemperatureValue(_OfTemperatures):
     kind: ClassVar[str] = "temperature_value"
     open_value: ClassVar[bool] = True
     per_radian: ClassVar[float] = 100.0
+    settled: ClassVar[float] = 1.0
     rarity: ClassVar[float] = 8.0
-    sizes: ClassVar[tuple[float, ...]] = (-60.0, -30.0, 0.0, 30.0, 60.0)
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
@@ -154,7 +155,12 @@ class TemperatureValue(_OfTemperatures):
             if names and all(len(each) for each in known):
                 low = max(np.min(each) - _MARGIN - np.min(own[name]) for name, each in zip(names, known, strict=True))
                 high = min(np.max(each) + _MARGIN - np.max(own[name]) for name, each in zip(names, known, strict=True))
-                yield cls(scope, names, (float(low), float(high)))
+                if low < high:
+                    yield cls(scope, names, (float(low), float(high)))
+
+    def grid(self) -> tuple[float, ...]:
+        """Return sizes through the temperatures that other runs tell."""
+        return tuple(np.linspace(*self.reach, _PLACES).tolist())
 
     def possible(self, size: float) -> bool:
         """Return whether other runs tell what the outputs are at such temperatures."""
@@ -162,7 +168,6 @@ class TemperatureValue(_OfTemperatures):
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run at the other temperature."""
-        size = float(np.clip(size, *self.reach)) if self.reach[0] < self.reach[1] else 0.0
         recorded = views[place].temperatures
         return changed(views[place], temperatures={**recorded, **{name: recorded[name] + size for name in self.names}})
 
