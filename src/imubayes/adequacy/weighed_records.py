@@ -165,7 +165,6 @@ class _Weighing:
 
     def __init__(self, fitted: Fit):
         self.fitted, self.model, self.h = fitted, fitted.model, known_before(fitted)
-        self.predictions = Predictions(fitted.model, fitted.z)
         self.stated = linear_fit(self.model, self.model.problem, fitted.z, self.h)
         self.as_recorded = _evidence(self.stated)[1]
         self.largest = largest_scatter(fitted.model)
@@ -174,11 +173,12 @@ class _Weighing:
         """Return an error of the record at its best size; None where it explains nothing."""
         if wrong.form == "unit":
             return self._of_other_unit(wrong)
-        starts = [self._at(wrong, size, free=False) for size in self._starts(wrong)]
+        z = np.asarray(self.fitted.z)
+        starts = [self._at(wrong, size, z, free=False) for size in self._starts(wrong)]
         known = [each for each in starts if each is not None]
         best = max(known, key=lambda each: each.log_odds, default=None)
         for _ in range(_ROUNDS):
-            further = self._at(wrong, best.size, free=True) if best is not None else None
+            further = self._at(wrong, best.size, best.z, free=True) if best is not None else None
             if best is None or further is None or not wrong.possible(self.model.campaign, further.size):
                 break
             settled = bool(np.all(np.abs(further.size - best.size) < 0.1 * further.sd))
@@ -198,18 +198,18 @@ class _Weighing:
     def _width(self, wrong: WrongInput) -> float:
         return _WIDTHS.get(COVARIATES[wrong.covariate].si, _RATIO) if wrong.form == "offset" else _RATIO
 
-    def _at(self, wrong: WrongInput, size: np.ndarray, free: bool) -> WeighedRecord | None:
-        """Return the record corrected by about a size, which is estimated beside the parameters where it is free."""
+    def _at(self, wrong: WrongInput, size: np.ndarray, z: np.ndarray, free: bool) -> WeighedRecord | None:
+        """Return the record corrected by about a size, which is estimated beside parameters near z where it is free."""
         campaign = wrong.corrected(self.model.campaign, size)
         problem = problem_of(self.model, campaign)
         if problem is None:
             return None
-        linear = linear_fit(self.model, problem, self.fitted.z, self.h)
+        linear = linear_fit(self.model, problem, z, self.h)
         count = len(linear.precision)
         if not np.isfinite(linear.misfit).all():
             return None
         if free:
-            response = self.predictions.response(wrong, campaign)
+            response = Predictions(self.model, z).response(wrong, campaign)
             if response is None:
                 return None
             # Of an exchange 1 is the name, and the estimate tells whether it is one.
@@ -222,7 +222,7 @@ class _Weighing:
             wrong,
             size + moved,
             sd,
-            self.fitted.z + fit.shift[:count],
+            z + fit.shift[:count],
             evidence - self.as_recorded,
             agree(fit, self.largest),
         )

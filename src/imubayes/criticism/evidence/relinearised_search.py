@@ -18,6 +18,7 @@ from imubayes.criticism.evidence.model_search import ModelSearch, beyond_prior, 
 from imubayes.criticism.evidence.possible_forms import possible_forms
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
+from imubayes.criticism.explanation_records import NEAR
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import LinearisationPoint, Responses, candidate_responses
@@ -73,28 +74,27 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
             about, search = large, ModelSearch(moved)
     recorded = fitted.model.campaign
     begun = _run(search, about, recorded, covariates), about
-    leads = (_leader, _gross_input, _wide_prior) if fitted.optimised else (_leader,)
+    corrected = _corrected(problem, fitted, covariates)
+    gross = _gross_input if corrected is None else _gross_row
+    leads = (_leader, gross, _wide_prior) if fitted.optimised else (_leader,)
     found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
-    corrected = [wrong for _, at in found if (wrong := at.wrong) is not None]
-    found += [each for each in [_corrected(problem, fitted, covariates, corrected)] if each is not None]
     search, about = max(found, key=lambda each: each[0].best().log_posterior)
+    # Where both explain as much, the size is that about the corrected record: elsewhere it has errors of second order.
+    if corrected is not None and corrected[0].best().log_posterior > search.best().log_posterior - NEAR:
+        search, about = corrected
     return ExplanationPosterior(search, about.fitted)
 
 
 def _corrected(
-    problem: LinearProblem, fitted: Fit, covariates: Sequence[ResidualCovariate], done: Sequence[WrongInput]
+    problem: LinearProblem, fitted: Fit, covariates: Sequence[ResidualCovariate]
 ) -> tuple[ModelSearch, _About] | None:
     """Return a search about the likeliest error of the record, corrected; None where none acts through the model.
 
     A gross one distorts the fit, so that its linear response about the fit does not lead to it.
-
-    Parameters
-    ----------
-    done : errors about which there is a search already.
     """
     acting = (each for each in weighed_records(fitted) if acts_through_the_model(each.wrong))
     best = next(acting, None)
-    if best is None or best.wrong in done:
+    if best is None:
         return None
     about = _about(fitted, best.wrong, best.size, best.z, LinearisationPoint())
     moved = _linearised(problem, about) if about is not None else None
@@ -149,6 +149,13 @@ def _gross_input(search: ModelSearch, fitted: Fit) -> Evaluated | None:
     if wrong is None or wrong is _leader(search, fitted):
         return None
     return wrong if wrong.log_posterior > search.best(states_noise).log_posterior + GROSS else None
+
+
+def _gross_row(search: ModelSearch, fitted: Fit) -> Evaluated | None:
+    """Return the likeliest wrong input where it is gross and in one row: those of runs were corrected before."""
+    found = _gross_input(search, fitted)
+    form = found.hypothesis.form if found is not None else None
+    return found if form is not None and form.form.row is not None else None
 
 
 def _wide_prior(search: ModelSearch, fitted: Fit) -> Evaluated | None:
