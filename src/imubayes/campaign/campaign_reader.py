@@ -259,7 +259,7 @@ def _await_the_gate(loaded: Sequence[Loaded], findings: Sequence[Finding]) -> bo
 
 def _explains_units(finding: Finding) -> bool:
     """Whether a finding is what looks like wrong units in single runs; of a channel in all runs one mistake is told."""
-    like = finding.name in LIKE_UNITS or (finding.name == "channel_unit" and not finding.run)
+    like = finding.name in LIKE_UNITS or (finding.name in ("channel_unit", "rate_unit") and not finding.run)
     return like and finding.severity == "error"
 
 
