@@ -95,7 +95,7 @@ def test_a_scale_of_a_raw_log_far_from_nominal(small: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "name", "severity"),
     [
-        ('per = "deg/s"', 'per = "rad/s"', "rate_unit", "error"),
+        ('per = "deg/s"', 'per = "rad/s"', "channel_unit", "error"),
         ("input_axis = [1.0, 0.0, 0.0]", "input_axis = [-1.0, 0.0, 0.0]", "channel_unit", "error"),
     ],
 )

@@ -11,13 +11,11 @@ from matplotlib.collections import LineCollection
 from rich.console import Console
 
 from display.made_diagnoses import ASYMMETRY, diagnosis, evidence, line
-from imubayes.adequacy.adequacy_record import ChannelRms, NoiseComparison
+from imubayes.adequacy.adequacy_record import AgreeingInput, ChannelRms, Disagreement, NoiseComparison
 from imubayes.adequacy.known_noise import KnownNoise
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import (
-    AgreeingInput,
     AskedEffect,
-    Disagreement,
     ResidualFormula,
     UndetectableEffect,
     UntypicalSize,
@@ -131,6 +129,18 @@ def test_a_wrong_record_is_told_with_what_would_agree(row, probability):
         assert said.endswith("Correct the record, or leave the row out, and fit again.")
     assert "It would agree as well with table_rate_deg_s times 1.10 ± 0.11, all rows alike." in said
     assert "Alternatively the record of B is wrong." in said
+
+
+def test_a_prior_that_the_data_contradict_is_told_with_its_remedy():
+    cause = AgreeingInput(
+        form="prior", quantity="accel_bias.bias[ax]", unit="1", recorded=0.0, agreeing=(-26.2,), sd=(0.4,),
+        probability=1.0,
+    )  # fmt: skip
+    wrong = Disagreement(run="", row=None, log_odds=300.0, causes=(cause,))
+    said = sentence(diagnosis("run_disagrees", 0.998).model_copy(update={"disagreeing": (wrong,)}))
+    assert "accel_bias.bias[ax] is 26 of its standard deviations off" in said
+    assert "State a wider prior" in said
+    assert "run" not in said
 
 
 def replace_record(record: AgreeingInput, **changed) -> AgreeingInput:

@@ -26,11 +26,14 @@ def test_a_wrong_record_names_run_and_row_and_noise_its_channels() -> None:
     form = FoundForm(name="offset of table_angle", channels=("ax",), run="A1", row=10, log_odds=80.0, wrong=True)
     noise = (FoundNoise(channels=("az",), family="tails", scale=1.2),)
     said = evidence_text(evidence({"input": 0.99, "noise": 0.01}, (), form, noise))
-    assert "a wrong record 0.990 (offset of table_angle on ax in run A1, row 10, beside heavy tails on az)" in said
+    assert (
+        "a wrong record or prior 0.990 (offset of table_angle on ax in run A1, row 10, beside heavy tails on az)"
+        in said
+    )
     assert "noise not as stated 0.01;" in said
     said = evidence_text(evidence({"input": 0.01, "noise": 0.99}, (), form, noise))
     assert "noise not as stated 0.990 (heavy tails on az)" in said
-    assert "a wrong record 0.01 (offset of table_angle on ax in run A1, row 10)" in said
+    assert "a wrong record or prior 0.01 (offset of table_angle on ax in run A1, row 10)" in said
 
 
 def test_effects_beside_a_cause_outside_the_catalogue_are_named() -> None:

@@ -11,8 +11,8 @@ Runs and channels are independent of each other, so a run is left out by subtrac
 grows with the number of readings, whatever the number of runs.
 
 A run is reported only where the others agree with one another.  Where all runs still scatter, something is missing in
-the model and no run is to blame.  `fit` reports such runs before any diagnosis; what in the record of a run is wrong is
-weighed by `imubayes.criticism.evidence`.
+the model and no run is to blame.  What in the record of a run is wrong is weighed by `weighed_records`, and beside
+effects by `imubayes.criticism.evidence`.
 """
 
 import math
@@ -71,10 +71,14 @@ class WeightedFit:
     weight: np.ndarray
 
     @cached_property
-    def _lower(self) -> np.ndarray:
-        """Cholesky factor of the precision of all parameters, (P, P)."""
+    def whole(self) -> np.ndarray:
+        """The precision of all parameters, (P, P)."""
         found = np.tensordot(self.weight, self.equations.matrix, 1)
-        return np.linalg.cholesky(0.5 * (found + found.T) + np.diag(self.precision))
+        return 0.5 * (found + found.T) + np.diag(self.precision)
+
+    @cached_property
+    def _lower(self) -> np.ndarray:
+        return np.linalg.cholesky(self.whole)
 
     @cached_property
     def shift(self) -> np.ndarray:
@@ -191,7 +195,7 @@ def known_before(fitted: Fit) -> np.ndarray:
     return np.where(between, known, np.minimum(known, np.asarray(fitted.h)))
 
 
-def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
+def runs_apart(fitted: Fit) -> tuple[DoubtedRun, ...]:
     """Return the runs that the others do not predict although they agree with one another, the least probable first."""
     if not fitted.optimised:
         return ()
@@ -199,7 +203,7 @@ def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     names, found = [run.name for run in fitted.model.campaign.runs], []
     largest = largest_scatter(fitted.model)
     for run, log_p in disagreeing_runs(linear).items():
-        if log_p < math.log(_TOLD_P) and _agree(linear.fit(linear.whole - linear.of_run(run)), largest):
+        if log_p < math.log(_TOLD_P) and agree(linear.fit(linear.whole - linear.of_run(run)), largest):
             found.append(DoubtedRun(run=names[run], p=math.exp(log_p)))
     return tuple(sorted(found, key=lambda each: each.p))
 
@@ -216,8 +220,8 @@ def disagreeing_runs(linear: LinearFit) -> dict[int, float]:
     return found
 
 
-def _agree(others: WeightedFit, largest: np.ndarray) -> bool:
-    """Whether no channel scatters more than what is known of its noise allows, (K,), as a factor."""
+def agree(others: WeightedFit, largest: np.ndarray) -> bool:
+    """Tell whether no channel scatters more than what is known of its noise allows, (K,), as a factor."""
     count = min(len(largest), len(others.weight))  # closing rotations come after the channels
     seen = others.equations.count[:count] > 0
     return bool(np.all(~seen | (others.noise_ratios[:count] <= largest[:count] ** 2)))

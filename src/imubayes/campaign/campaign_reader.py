@@ -21,9 +21,10 @@ from imubayes.campaign.repeated_data import check_repeats
 from imubayes.campaign.run_reader import Equipment, Loaded, judge_rows, load_run
 from imubayes.campaign.run_tables import TableFile, TableSource, lay_out, read_header
 from imubayes.campaign.run_times import check_times
+from imubayes.campaign.sample_checks import check_samples
 from imubayes.campaign.saturated_rows import without_saturated_rows
 from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS, setup_findings
-from imubayes.campaign.setup_gate.remedies import Places
+from imubayes.campaign.setup_gate.places import Places
 from imubayes.campaign.stream_checks import LIKE_UNITS, SYMPTOMS, UNIT_FINDINGS, Finding
 from imubayes.campaign.toml_documents import Document, Ledger, read_document
 from imubayes.foundations.campaign_data import Campaign, Channel, Run, Site
@@ -162,6 +163,7 @@ def _findings_in_memory(campaign: Campaign) -> tuple[Finding, ...]:
     found = [
         *check_repeats(campaign.runs, [*tables.values()], campaign.channels),
         *check_times(campaign.runs, [*tables.values()]),
+        *check_samples(campaign.runs, [*tables.values()], campaign.channels),
     ]
     for run in campaign.runs:
         table, mounting = campaign.tables.get(run.table or ""), campaign.mountings.get(run.mounting or "")
@@ -225,7 +227,11 @@ def _judge_rows(
     without_saturated_rows(loaded, files, equipment)
     read = [(each, file) for each, file in zip(loaded, files, strict=True) if each.run is not None]
     runs, named = [each.run for each, _ in read if each.run is not None], [file for _, file in read]
-    between = [*check_repeats(runs, named, equipment.channels), *check_times(runs, named)]
+    between = [
+        *check_repeats(runs, named, equipment.channels),
+        *check_times(runs, named),
+        *check_samples(runs, named, equipment.channels),
+    ]
     for each, entry, file in zip(loaded, entries, files, strict=True):
         judge_rows(each, entry, equipment, file)
     _add_to_runs(loaded, entries, between)
@@ -251,6 +257,12 @@ def _await_the_gate(loaded: Sequence[Loaded], findings: Sequence[Finding]) -> bo
     return units and all(result.run is not None for result in loaded)
 
 
+def _explains_units(finding: Finding) -> bool:
+    """Whether a finding is what looks like wrong units in single runs; of a channel in all runs one mistake is told."""
+    like = finding.name in LIKE_UNITS or (finding.name in ("channel_unit", "rate_unit") and not finding.run)
+    return like and finding.severity == "error"
+
+
 def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Finding], places: Places) -> Inspection:
     """Return the inspection of a valid campaign with what its outputs say against its set-up."""
     found = setup_findings(campaign, places, tuple(entry.accepted))
@@ -258,7 +270,7 @@ def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Find
     noticed = any(finding.name in SYMPTOMS for finding in findings)
     found = [finding for finding in found if not (noticed and finding.name == "setup_disagrees")]
     units, wrong = _problems(findings), _problems(found)
-    if units and not any(finding.name in LIKE_UNITS and finding.severity == "error" for finding in found):
+    if units and not any(map(_explains_units, found)):
         return Inspection(None, units, tuple(findings))
     if wrong:
         # The mistake explains what the checks of single runs noticed of it.

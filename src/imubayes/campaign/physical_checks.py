@@ -23,8 +23,11 @@ HIGHEST = 5000.0  # m, of a laboratory
 ORDINARY = (0.6, 1.6)  # slopes consistent with the nominal scale factor
 LEAST_SPREAD = {"gyro": 0.05 * DEGREE, "accelerometer": 0.5}  # of the input, rad/s and m/s²
 FOLLOWS = 0.9  # least squared correlation for a slope to be used
-_RATE_FACTORS = {1 / DEGREE: "rad/s for deg/s", 3600.0: "deg/h for deg/s", 3600 / DEGREE: "rad/s for deg/h"}
-_ACCELERATION_FACTORS = {9.80665: "g and m/s² exchanged", 1000.0: "g and mg exchanged"}
+_DECIMAL = "a decimal place of the scale"
+_RATE_FACTORS = {
+    1 / DEGREE: "rad/s for deg/s", 3600.0: "deg/h for deg/s", 3600 / DEGREE: "rad/s for deg/h", 10.0: _DECIMAL,
+}  # fmt: skip
+_ACCELERATION_FACTORS = {9.80665: "g and m/s² exchanged", 1000.0: "g and mg exchanged", 10.0: _DECIMAL}
 
 
 def check_gravity(site: Site, where: str) -> list[Finding]:
@@ -117,7 +120,9 @@ def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list
     place = f"{where}, column '{channel.name}'"
     factors = _RATE_FACTORS if channel.kind == "gyro" else _ACCELERATION_FACTORS
     expected = f"{channel.scale:g} {channel.output_unit} per {channel.per} (a slope of about 1)"
-    meaning = next((text for factor, text in factors.items() if _is_factor(slope, factor)), "")
+    size = abs(math.log(abs(slope))) if slope else 0.0
+    factor = min(factors, key=lambda each: abs(size - math.log(each)))
+    meaning = factors[factor] if _is_factor(slope, factor) else ""
     if meaning:
         name = "rate_unit" if channel.kind == "gyro" else "acceleration_unit"
         what = f"channel '{channel.name}' responds with {abs(slope):.4g} times its nominal scale factor: {meaning}?"

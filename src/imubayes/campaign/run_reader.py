@@ -24,6 +24,7 @@ from imubayes.campaign.run_tables import (
     read_header,
     refuse_long,
 )
+from imubayes.campaign.sample_checks import without_counts
 from imubayes.campaign.stream_checks import UNIT_FINDINGS, Finding, Monitor
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table, Tumble
 from imubayes.foundations.covariates import recorded
@@ -228,6 +229,8 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     survey = _survey(source, entry)
     where = str(source.file)
     loaded.findings += survey.findings
+    if not source.layout.reduced:
+        loaded.findings += without_counts(entry.name, [n for n in source.layout.numbers if n.endswith("_sd")], where)
     if survey.rows == 0:
         loaded.findings.append(_empty(entry, where, "the table has a header and no rows"))
     if loaded.failed or equipment is None:

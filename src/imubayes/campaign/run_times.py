@@ -7,7 +7,7 @@ unless the unit soaks, and it does not go from one position to the next, or turn
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from itertools import combinations
 
@@ -23,6 +23,7 @@ UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "minut
 SLOW_STEP, SLOW_SAMPLE, SLOWEST_STEP = 1800.0, 5.0, 3 * 3600.0
 """Longest time of a row, of a sample in rows that long, and of any row, s, of a unit that does not soak."""
 SLOW_STATIC_SAMPLE = 60.0  # s, of a record at rest
+_AHEAD = timedelta(days=2)  # of the clock of this machine, and of any time zone
 SOAK = 0.5  # °C from row to row, by which a unit that soaks changes
 FAST_SAMPLE = 5e-5  # s
 FAST_ROW = 2.0
@@ -118,7 +119,7 @@ class Timed:
 def check_times(runs: Sequence[Run], files: Sequence[str]) -> list[Finding]:
     """Return the findings about the times of the runs of a campaign."""
     timed = _timed(runs, files)
-    found = [_origin(each) for each in timed if each.late]
+    found = [*_in_the_future(runs, files), *(_origin(each) for each in timed if each.late)]
     plain = [each for each in timed if not each.late]
     units = {each.run.name: unit for each in plain if (unit := _unit_of(each, plain))}
     found += [
@@ -127,6 +128,21 @@ def check_times(runs: Sequence[Run], files: Sequence[str]) -> list[Finding]:
     ]
     rest = [each for each in plain if each.run.name not in units]
     return found + [_overlapping(a, b) for a, b in combinations(rest, 2) if _meet(a, b)]
+
+
+def _in_the_future(runs: Sequence[Run], files: Sequence[str]) -> list[Finding]:
+    latest = datetime.now(UTC) + _AHEAD
+    late = [(run, file) for run, file in zip(runs, files, strict=True) if run.start and instant(run.start) > latest]
+    if not late:
+        return []
+    run, file = late[0]
+    more = f", and so {'do' if len(late) > 2 else 'does'} {len(late) - 1} more" if len(late) > 1 else ""
+    return [
+        Finding(
+            "start_in_future", "warning", run.name, f"the run begins on {run.start}, in the future{more}", file,
+            "the date at which the run was made", "correct 'start' of the run",
+        )
+    ]  # fmt: skip
 
 
 def _timed(runs: Sequence[Run], files: Sequence[str]) -> list[Timed]:

@@ -10,14 +10,17 @@ from functools import cached_property
 
 import numpy as np
 
+from imubayes.adequacy.adequacy_record import AgreeingInput, Disagreement
 from imubayes.adequacy.known_noise import compare_with_known, known_scales
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint, known_noise_point
 from imubayes.adequacy.projection import project
+from imubayes.adequacy.weighed_records import agreeing_input
 from imubayes.criticism import diagnosis_record as record
 from imubayes.criticism import explanation_records as explanations
 from imubayes.criticism.detectability import AbsorbedResponses, Detectability, discriminating_run
 from imubayes.criticism.evidence.effect_variants import SHOWN
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis
+from imubayes.criticism.evidence.model_search import beyond_prior
 from imubayes.criticism.evidence.noise_structures import Family
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
 from imubayes.criticism.evidence.relinearised_search import explain
@@ -34,25 +37,26 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.parameter_fit import Linearised
 from imubayes.responses.candidate_effects import Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate, covariates
-from imubayes.responses.wrong_inputs import WrongInput
+from imubayes.responses.wrong_inputs import NO_RUN, WrongInput
 
 
-def disagreements(posterior: ExplanationPosterior, campaign: Campaign) -> tuple[record.Disagreement, ...]:
-    """Return the run or row of a campaign as recorded that is wrong in the leading explanation; else none."""
+def disagreements(posterior: ExplanationPosterior, fitted: Fit) -> tuple[Disagreement, ...]:
+    """Return the run, row or prior, as recorded, that is wrong in the leading explanation; else none."""
+    campaign = fitted.model.campaign
     if posterior.leading != "input":
         return ()
     near = [(share, each, _wrong(each)) for share, each in posterior.wrong_inputs]
     _, best, first = near[0]
     same = [(share, each) for share, each, wrong in near if (wrong.run, wrong.row) == (first.run, first.row)]
     causes = {(cause.form, cause.quantity): cause for share, each in reversed(same)
-              for cause in (_cause(posterior.of, campaign, each, share),)}  # fmt: skip
+              for cause in (_cause(posterior.of, fitted, each, share),)}  # fmt: skip
     others = dict.fromkeys(
         _place(campaign, wrong) for _, _, wrong in near if (wrong.run, wrong.row) != (first.run, first.row)
     )
     without = max(each.log_posterior for each in posterior.distinct if each.hypothesis.form is None)
     return (
-        record.Disagreement(
-            run=campaign.runs[first.run].name,
+        Disagreement(
+            run=_run_name(campaign, first),
             row=None if first.row is None else first.row + 1,
             log_odds=float(best.log_posterior - without),
             causes=tuple(sorted(causes.values(), key=lambda each: -each.probability)),
@@ -68,39 +72,24 @@ def _wrong(found: Evaluated) -> WrongInput:
     return form.form.wrong
 
 
+def _run_name(campaign: Campaign, wrong: WrongInput) -> str:
+    return "" if wrong.run == NO_RUN else campaign.runs[wrong.run].name
+
+
 def _place(campaign: Campaign, wrong: WrongInput) -> str:
-    name = campaign.runs[wrong.run].name
+    name = _run_name(campaign, wrong)
+    if not name:
+        return "a prior"
     return name if wrong.row is None else f"row {wrong.row + 1} of run {name}"
 
 
-def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -> record.AgreeingInput:
+def _cause(of: EvidenceOf, fitted: Fit, found: Evaluated, share: float) -> AgreeingInput:
     """Return a wrong input in the unit of the record."""
-    wrong, form = _wrong(found), found.hypothesis.form
+    form = found.hypothesis.form
     assert form is not None
     own = len(found.columns)
     size, sd = (form.form.unit * each[own:] for each in (found.mean, np.sqrt(np.diag(of.solved(found).covariance))))
-    run = campaign.runs[wrong.run]
-    recorded: float | None = None
-    if wrong.form.endswith("factor"):
-        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "outputs"
-        unit, recorded, factor = "1", 1.0, 1.0
-    elif wrong.form == "seat":
-        quantity, unit, recorded, factor = "mounting", "arcmin", 0.0, to_si("arcmin")
-    elif wrong.covariate:
-        column = COVARIATES[wrong.covariate]
-        values = campaign.as_read(run, wrong.covariate)
-        quantity, unit, factor = column.column, column.unit, column.factor(campaign.site.gravity)
-        recorded = float(np.nanmean(values) if wrong.row is None else values[wrong.row]) / factor
-    else:
-        # The outputs of all channels, or of one.
-        channel = campaign.channels[wrong.channel or 0]
-        quantity = "outputs" if wrong.channel is None else channel.name
-        unit, recorded, factor = channel.output_unit, 0.0, 1.0
-    return record.AgreeingInput(
-        form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
-        agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
-        probability=share,
-    )  # fmt: skip
+    return agreeing_input(fitted, _wrong(found), size, sd, share)
 
 
 def _known(name: str, value: float, sd: float | None, unit: str) -> explanations.CoefficientEstimate:
@@ -229,9 +218,10 @@ class ExplainedFit:
     def diagnosis(self) -> record.Diagnosis:
         """Return what is missing."""
         fit, posterior = self.fit, self.posterior
+        # Beside a prior that is too narrow effects take what it leaves: they are told once it is wide enough.
+        slots = () if beyond_prior(posterior.top) else posterior.slots
         shown = [
-            residual_evidence(posterior, self.absorbed, self.responses, slot.members[0], self.known)
-            for slot in posterior.slots
+            residual_evidence(posterior, self.absorbed, self.responses, slot.members[0], self.known) for slot in slots
         ]
         noise = compare_with_known(project(fit, self.responses.misfit, self.responses.jacobian))
         simple, every = self._suggestions()
@@ -240,11 +230,11 @@ class ExplainedFit:
             message=fit.message if not (fit.optimised and fit.sampled) else "",
             result=self.result,
             explanations=with_step(posterior, fit.model.campaign),
-            groups=tuple(map(self._group, posterior.slots, shown)),
-            delta_chi2=self._delta_chi2(posterior.slots),
+            groups=tuple(map(self._group, slots, shown)),
+            delta_chi2=self._delta_chi2(slots),
             ranking=record.ranking(posterior),
             formulas=tuple(self._formulas()),
-            disagreeing=disagreements(posterior, fit.model.campaign),
+            disagreeing=disagreements(posterior, fit),
             undetectable=self._undetectable(),
             outliers=outliers(posterior),
             suggested=simple,
@@ -369,9 +359,15 @@ class ExplainedFit:
 
     def _missing_noise(self) -> explanations.Suggestion | None:
         there = {effect.name for effect in self.fit.model.assembly.effects}
-        named = [_MISSING_NOISE[each.family] for each in self.posterior.evidence.noise if each.family in _MISSING_NOISE]
-        lacking = [name for name in dict.fromkeys(named) if name not in there]
-        return explanations.Suggestion(effects=(lacking[0],), channels=None) if lacking else None
+        told = self.posterior.evidence.noise
+        found = [(_MISSING_NOISE[each.family], each.channels) for each in told if each.family in _MISSING_NOISE]
+        name = next((missing for missing, _ in found if missing not in there), None)
+        if name is None:
+            return None
+        here = {channel for missing, channels in found if missing == name for channel in channels}
+        every = [channel.name for channel in self.fit.model.campaign.channels]
+        on = tuple(channel for channel in every if channel in here)
+        return explanations.Suggestion(effects=(name,), channels=None if len(on) in (0, len(every)) else on)
 
     def _suggestion(self, members: Sequence[SlotMember]) -> explanations.Suggestion:
         """Return effects to add, their channels named where they are not all on which these were screened."""

@@ -9,7 +9,7 @@ the data are named in words and in a table, with the line of the file to change.
 import math
 from collections.abc import Sequence
 
-from imubayes.adequacy.adequacy_record import NoiseComparison, NoiseViolation
+from imubayes.adequacy.adequacy_record import AgreeingInput, NoiseComparison, NoiseViolation
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import listed, percent, pretty, relation, significant, value_and_sd
 from imubayes.foundations.campaign_data import SetAside
@@ -220,10 +220,35 @@ def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
         return ()
     names = listed([f"run {each.run}" for each in doubted], _MOST_NAMED)
     verb, command = "does" if len(doubted) == 1 else "do", f"imubayes diagnose {result}".rstrip()
-    return (
-        f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known before the fit "
-        f"(p {relation(doubted[0].p)}): `{command}` says what in the record would make it agree.",
-    )
+    said = f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known before the fit"
+    causes = [agreement_text(each) for each in doubted[0].causes[:_MOST_NAMED]]
+    if causes:
+        return (f"{said}. It would agree with {'; or with '.join(causes)}: `{command}` weighs that beside effects.",)
+    return (f"{said} (p {relation(doubted[0].p)}): `{command}` says what in the record would make it agree.",)
+
+
+def agreement_text(each: AgreeingInput, row: int | None = None) -> str:
+    """Return what would make a run, or a row of it, agree."""
+    unit = f" {pretty(each.unit)}" if each.unit not in ("", "1") else ""
+    pairs = [value_and_sd(value, sd) for value, sd in zip(each.agreeing, each.sd, strict=True)]
+    sizes = ", ".join(f"{value} ± {sd}" for value, sd in pairs)
+    if each.form == "unit":
+        return "errors of its own in all channels: it is of another unit, or its file is"
+    if each.form == "exchange":
+        return f"{each.quantity} exchanged with that of run {each.other}"
+    if each.form == "seat":
+        return f"the unit turned in its mounting by ({sizes}){unit} about its axes"
+    if each.form == "output_offset":
+        which = "outputs of every channel" if len(pairs) > 1 else f"output of {each.quantity}"
+        return f"its {which} changed by ({sizes}){unit}"
+    if each.form == "factor":
+        return f"{each.quantity} times {sizes}, all rows alike"
+    if each.form == "output_factor":
+        return f"its outputs times {sizes}"
+    recorded = significant(each.recorded, 5)
+    if row is not None:
+        return f"{each.quantity} = {sizes}{unit} (recorded: {recorded})"
+    return f"{each.quantity} about {sizes}{unit} on average (recorded: {recorded})"
 
 
 _SUSPECTED = "Suspected: {}. This may be chance; if it is not, the intervals are too narrow. Longer runs would tell."

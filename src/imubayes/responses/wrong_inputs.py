@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from typing import Literal
 
 import equinox as eqx
@@ -25,7 +26,7 @@ from imubayes.model.nodes_and_entries import join_entries, join_nodes
 from imubayes.model.problem import Problem, predict
 from imubayes.procedures import PROCEDURES
 
-Form = Literal["offset", "factor", "seat", "output_offset", "output_factor"]
+Form = Literal["offset", "factor", "seat", "output_offset", "output_factor", "exchange", "unit", "prior"]
 _STEP = 1e-3
 """Step of derivatives, over the largest value of a column, or in rad and as a ratio: the error of a central difference
 is a millionth."""
@@ -33,6 +34,10 @@ is a millionth."""
 _LARGEST = {"rad": math.pi, "degC": 150.0}
 """Largest errors of a column by its SI unit: half a turn, and the range of a climatic chamber."""
 _LARGEST_FACTOR = 10.0
+NO_RUN = -1
+_NEARLY_EXCHANGED = 0.2
+"""How far the size of an exchange may be from 1: what is estimated beside it moves with the column."""
+_LEAST_EXCHANGED = 2.0  # °C of mean temperatures; columns that are nearer to each other are the same exchanged
 
 
 @dataclass(frozen=True)
@@ -40,14 +45,20 @@ class WrongInput:
     """One thing that may be wrong in the record of a run.
 
     A size is what has to be added to the record: to the column; to a factor on it, 1; to the attitude of the seat, a
-    rotation vector in body axes, rad; to the outputs of each channel, output units; or to a factor on all of them.
+    rotation vector in body axes, rad; to the outputs of each channel, output units; to a factor on all of them; or, of
+    columns that two runs exchanged, 1.  A run of another unit has parameters of its own: sizes are their z less those
+    of the other runs, and the record stays as it is; so it does where the stated prior of parameters is too narrow, by
+    which sizes are what their z is beyond it.
 
     Attributes
     ----------
-    run : place of the run.
+    run : place of the run; `NO_RUN` of a prior.
     covariate : the column; empty for seat and outputs.
     row : the only row concerned, from 0; None for all of the run.
     channel : place of the only channel whose outputs are off; None for all.
+    other, apart : place of the run with which this one exchanged the column, and what the column of that run has more,
+        of each row.
+    parameters : of a prior, the places of its parameters.
     """
 
     run: int
@@ -55,10 +66,17 @@ class WrongInput:
     covariate: str = ""
     row: int | None = None
     channel: int | None = None
+    other: int | None = None
+    apart: tuple[float, ...] = ()
+    parameters: tuple[int, ...] = ()
 
     def corrected(self, campaign: Campaign, size: np.ndarray) -> Campaign:
         """Return the campaign with a size, (d,), added to the record."""
+        if self.form in ("unit", "prior"):
+            return campaign
         run = campaign.runs[self.run]
+        if self.form == "exchange":
+            return self._exchanged(campaign, float(size[0]))
         if self.form == "seat":
             assert run.mounting is not None
             seat = campaign.mountings[run.mounting]
@@ -74,6 +92,13 @@ class WrongInput:
         else:
             found = replace(run, observed=self._outputs(campaign, run, size))
         return replace(campaign, runs=tuple(found if k == self.run else one for k, one in enumerate(campaign.runs)))
+
+    def _exchanged(self, campaign: Campaign, size: float) -> Campaign:
+        runs = list(campaign.runs)
+        for place, sign in ((self.run, 1), (self.other or 0, -1)):
+            values = runs[place].covariates[self.covariate] + sign * size * np.array(self.apart)
+            runs[place] = replace(runs[place], covariates={**runs[place].covariates, self.covariate: values})
+        return replace(campaign, runs=tuple(runs))
 
     def _outputs(self, campaign: Campaign, run: Run, size: np.ndarray) -> np.ndarray:
         observed = run.observed.copy()
@@ -96,6 +121,8 @@ class WrongInput:
         """Whether a record can be wrong by a size: what lies beyond is the work of something else."""
         if self.form == "seat":
             return float(np.linalg.norm(size)) < math.pi / 2
+        if self.form == "exchange":
+            return abs(float(size[0]) - 1) < _NEARLY_EXCHANGED
         if self.form.endswith("factor"):
             return _LARGEST_FACTOR > 1 + float(size[0]) > 1 / _LARGEST_FACTOR
         if not self.covariate:
@@ -106,7 +133,7 @@ class WrongInput:
     def step(self, campaign: Campaign) -> float:
         """Return the step of the derivative by a component of its size."""
         if self.form != "offset":
-            return _STEP
+            return _STEP  # of an exchange as well, whose size is a ratio
         return _STEP * (float(np.nanmax(np.abs(campaign.runs[self.run].covariates[self.covariate]))) or 1.0)
 
 
@@ -125,6 +152,29 @@ def suspected(campaign: Campaign, run: int) -> Iterator[WrongInput]:
         yield WrongInput(run, "seat")
     yield WrongInput(run, "output_factor")
     yield WrongInput(run, "output_offset")
+
+
+def exchanged(campaign: Campaign) -> Iterator[WrongInput]:
+    """Yield the pairs of runs that may have exchanged their temperatures."""
+    for column in ("temperature", "converter_temperature"):
+        known = [k for k, run in enumerate(campaign.runs) if column in {each.name for each in suspected_columns(run)}]
+        for one, other in combinations(known, 2):
+            own, others = (campaign.runs[k].covariates[column] for k in (one, other))
+            apart = others - own if len(own) == len(others) else np.array([others.mean() - own.mean()])
+            if np.isfinite(apart).all() and abs(float(apart.mean())) > _LEAST_EXCHANGED:
+                yield WrongInput(one, "exchange", column, other=other, apart=tuple(apart.tolist()))
+
+
+def acts_through_the_model(wrong: WrongInput) -> bool:
+    """Tell whether a wrong input changes the prediction: outputs, and parameters beyond their prior, are linear."""
+    return wrong.form not in ("unit", "prior") and not wrong.form.startswith("output")
+
+
+def of_sensors(model: Model) -> np.ndarray:
+    """Return the places of the parameters that another unit has of its own, (n,): those of channels."""
+    channels = {channel.name for channel in model.campaign.channels}
+    owned = [bool(channels & {*each.label}) for each in model.layout.parameters]
+    return np.flatnonzero(owned)
 
 
 def suspected_columns(run: Run) -> list[Covariate]:

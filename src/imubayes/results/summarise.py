@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from imubayes.adequacy.adequacy_record import KnownNoiseFit, NoiseComparison
-from imubayes.adequacy.deletion_diagnostics import doubted_runs
 from imubayes.adequacy.known_noise import compare_with_known
 from imubayes.adequacy.known_noise_fit import fit_at_known_noise
 from imubayes.adequacy.noise_tests import NoiseJudgement, judged_noise_in, projected
 from imubayes.adequacy.projection import Projection
+from imubayes.adequacy.weighed_records import doubted_runs
 from imubayes.foundations.quantity_names import DELTA_K, MOUNTING_ANGLE, SCALE_FACTOR, QuantityName, family_of
 from imubayes.foundations.records import finite
 from imubayes.inference import identifiability

@@ -1,10 +1,12 @@
 """Set-up mistakes of the equipment: what each changes in the nominal set-up of which runs.
 
-Those of units, scale factors and temperatures are in `reading_mistakes`; `search` tries both.  A mistake is one small
+Those of units and scale factors are in `reading_mistakes`, those of temperatures in `thermal_mistakes`, those of whole
+files in `file_mistakes`; `search` tries all.  A mistake is one small
 class.  `suspected` lists where in a campaign it may have been made; `corrected` returns the view of a run as it would
 be without the mistake.  A mistake with a size, an angle or a shift, has a grid of sizes, between which the best is
 found.  Mistakes are listed from the most to the least usual; of those that explain the outputs equally well, the first
-is named.
+is named.  A mistake of an `open_value` holds whatever a record may say instead.  It rivals every named mistake of the
+same `record`, which is a point on it.
 """
 
 import itertools
@@ -45,7 +47,9 @@ class Mistake(ABC):
 
     `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
     that.  A usual size is taken for the best one if it is within `usual_within` of it and its evidence falls short by
-    less than `as_usual`.  `by_evidence` is whether the size of most evidence is the best, not that of least misfit.
+    less than `as_usual`.  `per_radian` is what a size counts like a radian of an angle.  `by_evidence` is whether the
+    size of most evidence is the best, not that of least misfit.  The search for it ends where twice the log likelihood
+    changes by less than `settled`: a hundredth is a tenth of a standard deviation of the size.
     """
 
     scope: Scope
@@ -53,6 +57,9 @@ class Mistake(ABC):
     sizes: ClassVar[tuple[float, ...]] = ()
     usual_within: ClassVar[float] = math.inf
     as_usual: ClassVar[float] = 6.0
+    open_value: ClassVar[bool] = False
+    per_radian: ClassVar[float] = 1.0
+    settled: ClassVar[float] = 0.01
     by_evidence: ClassVar[bool] = False
     rarity: ClassVar[float] = 0.0
 
@@ -100,6 +107,24 @@ class Mistake(ABC):
             found[place] = self.corrected(views, place, size)
         return found
 
+    def grid(self) -> tuple[float, ...]:
+        """Return the sizes between which the best one is found; empty where there is none to find."""
+        return self.sizes
+
+    @property
+    def record(self) -> str:
+        """The recorded quantity whose value is open, or has a name; empty where no value is open."""
+        return ""
+
+    @property
+    def point(self) -> float | None:
+        """The size of the open value at which a named mistake is; None where its evidence alone tells."""
+        return None
+
+    def named(self, size: float) -> bool:
+        """Return whether a size of an open value has a name."""
+        return False
+
     @property
     def variant(self) -> str:
         """What tells the mistake from others of its kind and scope that are said beside it."""
@@ -117,7 +142,8 @@ def tables_of(views: Sequence[RunView]) -> list[Scope]:
     return [Scope("table", name, tuple(k for k, v in enumerate(views) if v.table == name)) for name in names]
 
 
-def _mountings(views: Sequence[RunView]) -> list[Scope]:
+def mountings_of(views: Sequence[RunView]) -> list[Scope]:
+    """Return the scope of each mounting on a table."""
     names = dict.fromkeys(view.mounting for view in views if view.mounting is not None and view.table is not None)
     return [Scope("mounting", name, tuple(k for k, v in enumerate(views) if v.mounting == name)) for name in names]
 
@@ -178,55 +204,6 @@ class FilesExchanged(Mistake):
             views[place], table=source.table, mounting=source.mounting, azimuth=source.azimuth,
             elevation=source.elevation, body_to_table=source.body_to_table,
         )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class MountingMislabelled(Mistake):
-    """A run was made in `actual`, another mounting of the campaign."""
-
-    actual: str
-    matrix: np.ndarray
-    kind: ClassVar[str] = "mounting_mislabelled"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every other mounting of every run, and of all runs of a mounting."""
-        for scope in wide_first(_mountings(views), single_runs(views)):
-            for name, mounting in campaign.mountings.items():
-                if name != views[scope.runs[0]].mounting:
-                    yield cls(scope, name, mounting.body_to_table)
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run in its actual mounting."""
-        return changed(views[place], mounting=self.actual, body_to_table=self.matrix)
-
-
-@dataclass(frozen=True)
-class MountingsExchanged(Mistake):
-    """Two mountings, `first` and `second`, are exchanged in all runs, or all on a table."""
-
-    first: str
-    second: str
-    kind: ClassVar[str] = "mountings_exchanged"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every pair on every table, and on all."""
-        seated = [k for k, view in enumerate(views) if view.mounting is not None and view.table is not None]
-        tables = tables_of(views)
-        for scope in ([all_runs(seated)] if len(tables) > 1 else []) + tables:
-            names = dict.fromkeys(str(views[k].mounting) for k in scope.runs)
-            for first, second in itertools.combinations(names, 2):
-                runs = tuple(k for k in scope.runs if views[k].mounting in (first, second))
-                # Of one run each it is an exchange of files.
-                if len(runs) > 2:
-                    yield cls(Scope(scope.section, scope.name, runs), first, second)
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run in the other mounting."""
-        actual = self.second if views[place].mounting == self.first else self.first
-        matrix = next(views[k].body_to_table for k in self.scope.runs if views[k].mounting == actual)
-        return changed(views[place], mounting=actual, body_to_table=matrix)
 
 
 @dataclass(frozen=True)
@@ -301,7 +278,7 @@ class MountingTurned(TableZero):
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
         """Return every mounting of several runs."""
-        return [scope for scope in _mountings(views) if len(scope.runs) > 1]
+        return [scope for scope in mountings_of(views) if len(scope.runs) > 1]
 
 
 @dataclass(frozen=True)
@@ -444,48 +421,3 @@ class TimeShift(Mistake):
             outer=None if view.outer is None else view.outer.at(before),
             observed=np.where(outside[:, None], np.nan, view.observed),
         )
-
-
-@dataclass(frozen=True)
-class MountingWrong(Mistake):
-    """The matrix of a mounting is wrong: transposed, or another of the 24 orientations of the unit."""
-
-    matrix: np.ndarray
-    transposed: bool
-    kind: ClassVar[str] = "mounting_wrong"
-
-    @property
-    def unlikelihood(self) -> float:
-        """A mounting is the same in all its runs."""
-        return 15.0 if self.scope.section == "run" else 8.0
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield the transpose and the other orientations for every mounting and every run."""
-        for scope in wide_first(_mountings(views), single_runs(views)):
-            matrix = views[scope.runs[0]].body_to_table
-            if not np.allclose(matrix, matrix.T, atol=1e-6):
-                yield cls(scope, matrix.T, True)
-            for turn in ORIENTATIONS[1:]:
-                yield cls(scope, turn @ matrix, False)
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run in the other orientation."""
-        return changed(views[place], body_to_table=self.matrix)
-
-
-def _orientations() -> Iterator[np.ndarray]:
-    for order, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3)):
-        matrix = np.eye(3)[list(order)] * np.array(signs)[:, None]
-        if np.linalg.det(matrix) > 0:
-            yield matrix
-
-
-ORIENTATIONS = list(_orientations())
-"""The 24 rotations that map the axes of a cube onto each other, the identity first."""
-
-MISTAKES: tuple[type[Mistake], ...] = (
-    FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
-    TableElevation, TableAzimuth, ChannelsExchanged, TimeShift, MountingWrong,
-)  # fmt: skip
-"""Kinds of mistakes in the equipment, from the most to the least usual."""

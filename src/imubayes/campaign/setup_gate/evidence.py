@@ -112,8 +112,7 @@ class ErrorModel:
         return found
 
     def _stack(self, steadiness: Steadiness) -> None:
-        """Set the facts about the channels as arrays: axes (K, 3, 3), gyro and run_offset (K,), others (K, 1)."""
-        self.axes = np.stack([channel.axes for channel in self.channels])
+        """Set the facts about the channels as arrays: gyro and run_offset (K,), others (K, 1)."""
         self.gyro = np.array([channel.kind == "gyro" for channel in self.channels])
         self.offset = np.array([[channel.offset] for channel in self.channels])
         self.scale = np.array([[channel.scale_si] for channel in self.channels])
@@ -123,7 +122,6 @@ class ErrorModel:
         gross = [GROSS[channel.kind] if self.gross else 0.0 for channel in self.channels]
         self.rest = np.hypot(np.array([[width.rest] for width in self.widths]) * rows, np.array(gross)[:, None])
         self.run_offset = np.array([width.offset for width in self.widths]) * steadiness.runs
-        self.across = cross_matrices(self.axes[:, 0])
 
     def _standard_deviations(self, campaign: Campaign) -> np.ndarray:
         sd = np.ones(self.size)
@@ -209,10 +207,11 @@ class ErrorModel:
         nominal = np.where(self.gyro[:, None, None], rate[..., None, :, :], force[..., None, :, :])
         response = view.response[..., self.places, None, None]
         felt = nominal * response  # of each channel, (..., K, R, 3)
-        along = felt @ self.axes.swapaxes(1, 2)
+        axes = view.axes[..., self.places, :, :]
+        along = felt @ axes.swapaxes(-2, -1)
         along = np.broadcast_to(along, (len(views), *along.shape[-3:]))
         still = np.where(self.gyro[:, None], earth[..., None, :], up[..., None, :]) * response[..., 0]
-        design = self._design(view, stand, felt, along, still, shared.shape[1])
+        design = self._design(view, axes, stand, felt, along, still, shared.shape[1])
         output = view.observed[..., self.places].swapaxes(-2, -1)
         there = np.isfinite(output)
         at_zero = along[..., 0]
@@ -237,14 +236,15 @@ class ErrorModel:
         return seen.square * (self.share**2 + np.asarray(seen.turned)[..., None, None] ** 2) + self.rest**2
 
     def _design(
-        self, view: RunView, stand: np.ndarray, felt: np.ndarray, along: np.ndarray, still: np.ndarray, shared: int
-    ) -> np.ndarray:
+        self, view: RunView, axes: np.ndarray, stand: np.ndarray, felt: np.ndarray, along: np.ndarray,
+        still: np.ndarray, shared: int,
+    ) -> np.ndarray:  # fmt: skip
         """Return the response of outputs to errors, shape (B, K, R, parameters of a channel and shared ones)."""
         warm, converter = (
             ((view.temperatures[name] - _WARM) / 10)[..., None, :] if name in view.temperatures else 0.0
             for name in ("temperature", "converter_temperature")
         )
-        in_g = (stand[..., None, :, :, 2] @ self.axes.swapaxes(1, 2)) * self.gyro[:, None, None]
+        in_g = (stand[..., None, :, :, 2] @ axes.swapaxes(-2, -1)) * self.gyro[:, None, None]
         design = np.empty((*along.shape[:-1], self.own + shared))
         design[..., :3], design[..., 3], design[..., 4], design[..., 5] = along, 1.0, warm, warm**2
         design[..., 6], design[..., 7:10] = warm * along[..., 0], in_g
@@ -254,10 +254,10 @@ class ErrorModel:
             design[..., place] = in_g[..., a] * in_g[..., b]
         place = self.own
         if view.mounting is not None:
-            design[..., place : place + 3] = -felt @ self.across
+            design[..., place : place + 3] = -felt @ cross_matrices(axes[..., 0, :])
             place += 3
         if view.table is not None:
-            held = np.einsum("kj,...rji->...kri", self.axes[:, 0], stand)  # input axes in local level
+            held = np.einsum("...kj,...rji->...kri", axes[..., 0, :], stand)  # input axes in local level
             design[..., place : place + 3] = held @ cross_matrices(still)
         return design
 

@@ -8,11 +8,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imubayes.campaign.setup_gate.reading_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
-from imubayes.campaign.setup_gate.remedies import REMEDIES, Places
+from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
+from imubayes.campaign.setup_gate.places import Places
+from imubayes.campaign.setup_gate.rate_records import RatesMissing
+from imubayes.campaign.setup_gate.remedies import REMEDIES
 from imubayes.campaign.setup_gate.search import DECISIVE, MOST_MISTAKES, Explanation, Search, equally_good
 from imubayes.campaign.setup_gate.setup_view import feels_the_earth_alone
 from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_rival, sized
+from imubayes.campaign.setup_gate.thermal_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
 from imubayes.campaign.setup_gate.wrong_rows import WrongRow, with_rows, wrong_rows
 from imubayes.campaign.stream_checks import Finding, Severity
 from imubayes.foundations.campaign_data import Campaign
@@ -47,6 +50,7 @@ def judge_setup(campaign: Campaign) -> Judgement:
         return Judgement()
     # Of tumbles a steady gyro tells one mistake from another where a poor one does not.
     tumbled = feels_the_earth_alone(campaign, search.views)
+    tumbled = tumbled and not list(RatesMissing.suspected(campaign, search.views))
     ordinary = search.ordinary or _turned_far(search)
     single = [] if ordinary or tumbled else search.several_mistakes(1)
     if single and _more_than_noise(search, single) and (possible := _sized(campaign, single[0])):
@@ -109,18 +113,37 @@ def setup_findings(campaign: Campaign, places: Places, accepted: tuple[str, ...]
 
 
 def _of_row(campaign: Campaign, found: WrongRow, places: Places) -> Finding:
+    said = [_record_of_row(campaign, each) for each in (found, *found.rivals)]
+    what = "the data cannot tell whether " + ", or ".join(said) if found.rivals else said[0]
+    what += f": {found.distance:.2g} standard deviations of the other rows"
+    column = _column_of_row(campaign, found)
+    where = f"{places.table(found.run)}, row {found.row + 1}, column '{column}'"
+    remedy = "correct the value from the record of the test, or take the row out"
+    return Finding("row_disagrees", "warning", found.run, what, where, "what was recorded in that row", remedy)
+
+
+def _column_of_row(campaign: Campaign, found: WrongRow) -> str:
+    if found.channel is not None:
+        return campaign.channels[found.channel].name
+    return COVARIATES[f"table_{found.column}"].column
+
+
+def _record_of_row(campaign: Campaign, found: WrongRow) -> str:
+    """Return in words what in a row agrees with everything else."""
+    column, row = _column_of_row(campaign, found), f"row {found.row + 1}"
+    if not found.sd:
+        return f"'{column}' has the wrong sign in {row}"
+    if found.channel is not None:
+        return (
+            f"'{column}' alone is off in {row}: {found.agreeing:.6g} ± {found.sd:.1g} would agree, not "
+            f"{found.recorded:.6g}"
+        )
     covariate = COVARIATES[f"table_{found.column}"]
     table = next(run.table for run in campaign.runs if run.name == found.run)
     zero = campaign.tables[table or ""].zero_angle if found.column == "angle" else 0.0
     recorded, agreeing = ((value + zero) / covariate.factor() for value in (found.recorded, found.agreeing))
     sd, unit = found.sd / covariate.factor(), covariate.unit
-    what = (
-        f"all outputs of row {found.row + 1} are as at '{covariate.column}' = {agreeing:.4g} ± {sd:.1g} {unit}, not "
-        f"{recorded:.6g}: {found.distance:.2g} standard deviations of the other rows"
-    )
-    where = f"{places.table(found.run)}, row {found.row + 1}, column '{covariate.column}'"
-    remedy = "correct the value from the record of the test, or take the row out"
-    return Finding("row_disagrees", "warning", found.run, what, where, "what the table did in that row", remedy)
+    return f"all outputs of {row} are as at '{column}' = {agreeing:.4g} ± {sd:.1g} {unit}, not {recorded:.6g}"
 
 
 def _explained(
@@ -159,6 +182,8 @@ def _stops(equal: tuple[Explanation, ...]) -> bool:
 
 def _rival(found: Explanation) -> str:
     """Return what passes for a mistake in a valid set-up."""
+    if isinstance(found.mistake, OtherUnit):
+        return "biases and scale factors unlike those of other runs"
     if not isinstance(found.mistake, TEMPERATURE_MISTAKES):
         return "a bias that changes from run to run"
     if isinstance(found.mistake, TemperatureReversed):

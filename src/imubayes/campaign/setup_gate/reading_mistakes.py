@@ -1,8 +1,7 @@
-"""Set-up mistakes in units, signs, scale factors, table rates, axis zeros, the latitude and temperature columns.
+"""Set-up mistakes in units, signs, scale factors, table rates, axis zeros and the latitude.
 
 Units and signs may be wrong for channels and for the columns of rate and angle.  On a table of several axes, the zero
-of an axis that carries the inner axis may be off.  A wrong latitude shows where gyros feel the Earth turn.  Mistakes in
-the columns of temperatures show only where the outputs follow the temperature.
+of an axis that carries the inner axis may be off.  A wrong latitude shows where gyros feel the Earth turn.
 
 Nominal scale factors, and rates of a table, may be wrong by a factor that is no unit's.  An input that is too small
 everywhere is imitated by a response that is: the accelerometer on an axis raised to 60° reads half of what it would on
@@ -130,121 +129,16 @@ class LatitudeValue(Mistake):
 LATITUDE_MISTAKES: tuple[type[Mistake], ...] = (LatitudeSign, LatitudeValue)
 
 
-_LEAST_COURSE = 2.0  # °C; a temperature that changes by less is the same reversed
-_MARGIN = 10.0  # °C, by which a corrected temperature may exceed those of the other runs
-SENSOR, CONVERTER = "temperature", "converter_temperature"
-
-
-def _recorded(views: Sequence[RunView], names: tuple[str, ...]) -> list[Scope]:
-    """Return all runs with these temperatures together, and each by itself."""
-    places = [scope for scope in single_runs(views) if set(names) <= set(views[scope.runs[0]].temperatures)]
-    return [all_runs([place.runs[0] for place in places])] * (len(places) > 1) + places
-
-
-def _among_others(mistake: Mistake, views: Sequence[RunView]) -> bool:
-    """Whether the corrected temperatures of a run are among those of the other runs.
-
-    Elsewhere no run tells what the outputs should be, and any temperature explains them.
-    """
-    (place,) = mistake.scope.runs
-    others = [view for k, view in enumerate(views) if k != place]
-    for name, values in mistake.corrected(views, place, 0.0).temperatures.items():
-        known = [view.temperatures[name] for view in others if name in view.temperatures]
-        if not known:
-            return False
-        reach = np.concatenate(known)
-        if np.min(values) < np.min(reach) - _MARGIN or np.max(values) > np.max(reach) + _MARGIN:
-            return False
-    return True
-
-
-@dataclass(frozen=True)
-class TemperatureUnit(Mistake):
-    """Temperatures of a run are in degrees Fahrenheit.
-
-    In all runs they would be another scale of temperature, with other coefficients, and describe the outputs as well.
-    """
-
-    names: tuple[str, ...]
-    kind: ClassVar[str] = "temperature_unit"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield each thermometer of each run, and both."""
-        for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
-            for scope in _recorded(views, names):
-                mistake = cls(scope, names)
-                if scope.section == "run" and _among_others(mistake, views):
-                    yield mistake
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with its temperatures in °C."""
-        view = views[place]
-        return changed(
-            view,
-            temperatures={
-                name: (values - 32) / 1.8 if name in self.names else values
-                for name, values in view.temperatures.items()
-            },
-        )
-
-
-@dataclass(frozen=True)
-class ThermometersExchanged(Mistake):
-    """The temperatures of sensor and converter are exchanged."""
-
-    kind: ClassVar[str] = "thermometers_exchanged"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield all runs with both thermometers, and each; a converter at one temperature has it stated for the run."""
-        columns = [k for k, view in enumerate(views) if np.ptp(view.temperatures.get(CONVERTER, 0.0)) > 0]
-        for scope in _recorded([views[k] for k in columns], (SENSOR, CONVERTER)):
-            scope = replace(scope, runs=tuple(columns[place] for place in scope.runs))
-            mistake = cls(scope)
-            if scope.section != "run" or _among_others(mistake, views):
-                yield mistake
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the two columns in their places."""
-        recorded = views[place].temperatures
-        return changed(views[place], temperatures={SENSOR: recorded[CONVERTER], CONVERTER: recorded[SENSOR]})
-
-
-@dataclass(frozen=True)
-class TemperatureReversed(Mistake):
-    """Columns of temperatures run backwards in time."""
-
-    names: tuple[str, ...]
-    kind: ClassVar[str] = "temperature_reversed"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield the runs in which a temperature changes, and those in which both do."""
-        for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
-            for scope in single_runs(views):
-                recorded = views[scope.runs[0]].temperatures
-                if all(name in recorded and np.ptp(recorded[name]) > _LEAST_COURSE for name in names):
-                    yield cls(scope, names)
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the columns in the order of time."""
-        recorded = views[place].temperatures
-        return changed(views[place], temperatures={**recorded, **{name: recorded[name][::-1] for name in self.names}})
-
-
-TEMPERATURE_MISTAKES: tuple[type[Mistake], ...] = (ThermometersExchanged, TemperatureUnit, TemperatureReversed)
-
-
 GAINS = {
     "gyro": {
         "rad/s for deg/s": 1 / _DEGREE, "deg/s for rad/s": _DEGREE, "deg/h for deg/s": 3600.0,
         "deg/s for deg/h": 1 / 3600, "deg/h for rad/s": 3600.0 * _DEGREE, "rpm for deg/s": 1 / 6, "deg/s for rpm": 6.0,
-        "mdeg/s for deg/s": 1000.0, "deg/s for mdeg/s": 1e-3,
+        "mdeg/s for deg/s": 1000.0, "deg/s for mdeg/s": 1e-3, "a decimal place": 10.0, "one decimal place": 0.1,
     },
     "accelerometer": {
         "m/s² for g": 9.80665, "g for m/s²": 1 / 9.80665, "mg for g": 1000.0, "g for mg": 1e-3,
-        "ft/s² for g": 32.174, "mg for m/s²": 1000 / 9.80665, "cm/s² for m/s²": 100.0,
+        "ft/s² for g": 32.174, "mg for m/s²": 1000 / 9.80665, "cm/s² for m/s²": 100.0, "a decimal place": 10.0,
+        "one decimal place": 0.1,
     },
 }  # fmt: skip
 """Mistaken units of an output, and the factor by which it is too large."""
@@ -281,15 +175,21 @@ def _groups(
     return [*((k,) for k in places), *([tuple(places)] if len(places) > 1 else [])]
 
 
+def scale_of(channels: Sequence[str]) -> str:
+    """Return what the scale factor of channels is called as a record."""
+    return f"scale of {', '.join(channels)}"
+
+
 @dataclass(frozen=True)
 class _Factor(Mistake):
     rarity: ClassVar[float] = 8.0
     sizes: ClassVar[tuple[float, ...]] = _LOGARITHMS
     usual_within: ClassVar[float] = 0.1
+    open_value: ClassVar[bool] = True
 
     def possible(self, size: float) -> bool:
-        """Return whether a channel that responds so responds at all."""
-        return abs(size) < 1.2 * abs(_LOGARITHMS[0])
+        """Return whether the factor is within the range of those tried: at its end there is no estimate."""
+        return _LOGARITHMS[0] < size < _LOGARITHMS[-1]
 
     def stops(self, size: float) -> bool:
         """Return whether the factor is beyond that of a poor unit."""
@@ -298,16 +198,30 @@ class _Factor(Mistake):
 
 @dataclass(frozen=True)
 class NominalScale(_Factor):
-    """The scale factor of channels is the nominal one times a factor, in all runs; the size is its logarithm."""
+    """The scale factor of channels is the nominal one times a factor, in all runs or one; the size is its logarithm."""
 
     channels: tuple[str, ...]
     places: tuple[int, ...]
     of_gyros: bool
     kind: ClassVar[str] = "channel_unit"
 
+    @property
+    def unlikelihood(self) -> float:
+        """A scale factor is that of all runs."""
+        return self.rarity if self.scope.section == "campaign" else 20.0
+
+    @property
+    def record(self) -> str:
+        """The scale factor of these channels."""
+        return scale_of(self.channels)
+
     def units(self, size: float) -> str:
         """Return the mistaken unit of the outputs, if the factor is that of one."""
         return next((name for name, factor in self._gains.items() if math.log(factor) == size), "")
+
+    def named(self, size: float) -> bool:
+        """Return whether the factor is that of a mistaken unit."""
+        return bool(self.units(size))
 
     @property
     def _gains(self) -> dict[str, float]:
@@ -319,11 +233,13 @@ class NominalScale(_Factor):
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every channel that has an input, and all of a kind."""
-        for kind in ("gyro", "accelerometer"):
-            for group in _groups(campaign, kind, lambda channel: driven(campaign, channel, views)):
+        """Yield every channel that has an input, and all of a kind, in all runs or one."""
+        single = [] if feels_the_earth_alone(campaign, views) or len(views) < 3 else single_runs(views, False)
+        for scope, kind in itertools.product((all_runs(range(len(views))), *single), ("gyro", "accelerometer")):
+            here = [views[place] for place in scope.runs]
+            for group in _groups(campaign, kind, lambda channel, here=here: driven(campaign, channel, here)):
                 names = tuple(campaign.channels[k].name for k in group)
-                yield cls(all_runs(range(len(views))), names, group, kind == "gyro")
+                yield cls(scope, names, group, kind == "gyro")
 
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is a factor of the rates that makes the same of the same gyros."""
@@ -385,6 +301,16 @@ class ChannelGain(Mistake):
     kind: ClassVar[str] = "channel_unit"
 
     @property
+    def record(self) -> str:
+        """The scale factor of the channels; a reversed sign has no factor."""
+        return scale_of(self.channels) if self.units else ""
+
+    @property
+    def point(self) -> float:
+        """The logarithm of the factor."""
+        return math.log(abs(self.factor))
+
+    @property
     def unlikelihood(self) -> float:
         """A unit or a sign is that of a channel in all runs, a unit that of all channels of a kind."""
         single = len(self.channels) == 1
@@ -400,10 +326,13 @@ class ChannelGain(Mistake):
             scopes = [all_runs(range(len(views))), *single_runs(views, False)]
             for scope, group in itertools.product(scopes, _groups(campaign, kind)):
                 channels = [campaign.channels[k] for k in group]
-                if not all(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels):
+                told = sum(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels)
+                if told < min(2, len(channels)):
                     continue
                 names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
-                for units, factor in factors.items():
+                counts = np.unique(np.concatenate([views[k].samples for k in scope.runs]))
+                summed = {"sums for means": float(counts[0])} if len(counts) == 1 and counts[0] > 1 else {}
+                for units, factor in (factors | summed).items():
                     yield cls(scope, names, group, offsets, factor, units)
 
     def like(self, other: Mistake) -> bool:

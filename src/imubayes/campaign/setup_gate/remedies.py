@@ -1,78 +1,18 @@
 """How every kind of set-up mistake is said: what is wrong, where it stands, and the line to write instead."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 
 import numpy as np
 
 from imubayes.campaign.setup_gate import equipment_mistakes as bench
+from imubayes.campaign.setup_gate import mounting_mistakes as seats
 from imubayes.campaign.setup_gate import reading_mistakes as reading
+from imubayes.campaign.setup_gate.places import Places, subject_of
+from imubayes.campaign.setup_gate.record_remedies import RECORD_REMEDIES
 from imubayes.campaign.setup_gate.search import Explanation
-from imubayes.campaign.toml_documents import Ledger
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue
-
-_COLUMN = {"temperature": "temperature_degC", "converter_temperature": "converter_temperature_degC"}
-
-
-@dataclass(frozen=True)
-class Places:
-    """Where a campaign says what it says.
-
-    Attributes
-    ----------
-    ledger : of the campaign file; without lines where there is none.
-    tables : run → its table, for messages.
-    files : run → its file, as the campaign states it.
-    """
-
-    campaign: Campaign
-    ledger: Ledger
-    tables: Mapping[str, str] = field(default_factory=dict)
-    files: Mapping[str, str] = field(default_factory=dict)
-
-    def table(self, run: str) -> str:
-        """Return where the table of a run is."""
-        return self.tables.get(run, str(self.ledger.file))
-
-    def file(self, run: str) -> str:
-        """Return the file of a run as the campaign states it."""
-        return self.files.get(run, self.ledger.file.name)
-
-    def line(self, section: str, name: str, key: str) -> str:
-        """Return file, line and key of an entry of the campaign."""
-        members = {
-            "run": [run.name for run in self.campaign.runs],
-            "channel": [channel.name for channel in self.campaign.channels],
-            "table": [*self.campaign.tables],
-            "mounting": [*self.campaign.mountings],
-        }
-        return self.ledger.where(section, members[section].index(name), key)
-
-    def site(self, key: str) -> str:
-        """Return file, line and key of an entry of the site."""
-        return self.ledger.where("site", key)
-
-    def zero(self, table: str) -> float:
-        """Return the stated reading of the angle at the zero of a table, deg."""
-        found = self.campaign.tables.get(table)
-        return 0.0 if found is None else math.degrees(found.zero_angle)
-
-    def column(self, mistake: bench.Mistake, column: str) -> str:
-        """Return where a column of the runs concerned stands."""
-        if mistake.scope.section == "run":
-            return f"{self.table(mistake.scope.name)}, column '{column}'"
-        return f"{self.ledger.file}, column '{column}' of the runs"
-
-
-def _subject(mistake: bench.Mistake) -> str:
-    scope = mistake.scope
-    if scope.section == "run":
-        return f"in run '{scope.name}'"
-    if scope.section == "campaign":
-        return "in all runs"
-    return f"in all runs on table '{scope.name}'" if scope.section == "table" else f"in all runs in '{scope.name}'"
 
 
 def _degrees(angle: float) -> float:
@@ -94,7 +34,7 @@ def _uncertainty(found: Explanation) -> str:
 
 
 def _zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    mistake, subject, off = found.mistake, _subject(found.mistake), _folded(-math.degrees(found.size))
+    mistake, subject, off = found.mistake, subject_of(found.mistake), _folded(-math.degrees(found.size))
     what = f"the zero of the table angle is off by {off:+g} deg{_uncertainty(found)} {subject}"
     allowed = "angles from the zero, at which the table axes are as azimuth and elevation say"
     if mistake.scope.section == "table":
@@ -111,10 +51,10 @@ def _axis_zero(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     column = f"{axis}_angle_deg"
     return Issue(
         f"the zero of the angle of the {axis} axis is off by {off:+g} deg{_uncertainty(found)} "
-        f"{_subject(found.mistake)}",
+        f"{subject_of(found.mistake)}",
         places.column(found.mistake, column),
         "angles from the zero, at which the axes are as the table states them",
-        f"add {_folded(-off):+g} to column '{column}' {_subject(found.mistake)}",
+        f"add {_folded(-off):+g} to column '{column}' {subject_of(found.mistake)}",
     )
 
 
@@ -136,10 +76,10 @@ def _rows(matrix: np.ndarray) -> str:
 
 def _sense(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     return Issue(
-        f"the table turns against the stated sense {_subject(found.mistake)}",
+        f"the table turns against the stated sense {subject_of(found.mistake)}",
         places.column(found.mistake, "table_angle_deg"),
         "rates and angles right-handed about the axis of the table",
-        f"reverse the sign of 'table_rate_deg_s' and 'table_angle_deg' {_subject(found.mistake)}"
+        f"reverse the sign of 'table_rate_deg_s' and 'table_angle_deg' {subject_of(found.mistake)}"
         + (f" and of zero_angle_deg of the table '{found.mistake.scope.name}'" if found.mistake.variant else ""),
     )
 
@@ -156,10 +96,18 @@ def _elevation(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     actual = _folded(stated + math.degrees(found.size))
     over = abs(actual) > 90
     elevation = math.copysign(180, actual) - actual if over else actual
+    if over and abs(elevation - stated) < 1:
+        azimuth = (math.degrees(campaign.tables[name].azimuth) + 180) % 360
+        return Issue(
+            f"the axis of table '{name}' points the other way {subject_of(found.mistake)}",
+            places.line("table", name, "azimuth_deg"),
+            "the azimuth of the axis, clockwise from North",
+            f"write azimuth_deg = {azimuth:g}, and turn zero_angle_deg by 180",
+        )
     return Issue(
         f"the elevation of the axis of table '{name}' is {elevation:g} deg{_uncertainty(found)}, "
         f"not {stated:g} deg "
-        f"{_subject(found.mistake)}",
+        f"{subject_of(found.mistake)}",
         places.line("table", name, "elevation_deg"),
         "the elevation of the axis above the horizontal",
         f"write elevation_deg = {elevation:g}" + (", and turn azimuth_deg and zero_angle_deg by 180" if over else ""),
@@ -180,9 +128,9 @@ def _azimuth(campaign: Campaign, found: Explanation, places: Places) -> Issue:
 
 def _label(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
-    assert isinstance(mistake, bench.MountingMislabelled)
+    assert isinstance(mistake, seats.MountingMislabelled)
     name = mistake.scope.name
-    what = f"the unit sat in mounting '{mistake.actual}' {_subject(mistake)}"
+    what = f"the unit sat in mounting '{mistake.actual}' {subject_of(mistake)}"
     if mistake.scope.section == "run":
         remedy = f"write mounting = \"{mistake.actual}\" for run '{name}'"
         return Issue(what, places.line("run", name, "mounting"), "the mounting that the run was made in", remedy)
@@ -192,7 +140,7 @@ def _label(campaign: Campaign, found: Explanation, places: Places) -> Issue:
 
 def _seats(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
-    assert isinstance(mistake, bench.MountingsExchanged)
+    assert isinstance(mistake, seats.MountingsExchanged)
     first, second = mistake.first, mistake.second
     on = f" on table '{mistake.scope.name}'" if mistake.scope.section == "table" else ""
     runs = [(run.name, run.mounting) for run in campaign.runs if not on or run.table == mistake.scope.name]
@@ -221,12 +169,12 @@ def _files(campaign: Campaign, found: Explanation, places: Places) -> Issue:
 
 def _matrix(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
-    assert isinstance(mistake, bench.MountingWrong)
+    assert isinstance(mistake, seats.MountingWrong)
     name, run = mistake.scope.name, mistake.scope.section == "run"
     what = "the transpose of body_to_table fits" if mistake.transposed else "the unit sat in another orientation"
     remedy = f"write body_to_table = {_rows(mistake.matrix)}"
     return Issue(
-        f"{what} {_subject(mistake)}",
+        f"{what} {subject_of(mistake)}",
         places.line("run", name, "mounting") if run else places.line("mounting", name, "body_to_table"),
         "column k of body_to_table is body axis k in the table frame",
         f"{remedy} in a mounting of its own" if run else f"{remedy} for mounting '{name}'",
@@ -263,7 +211,7 @@ def _channels(campaign: Campaign, found: Explanation, places: Places) -> Issue:
              zip(mistake.places, mistake.order, strict=True)]  # fmt: skip
     columns = ", ".join(f"'{name}'" for name, _ in pairs)
     return Issue(
-        f"channels {columns} are exchanged {_subject(mistake)}",
+        f"channels {columns} are exchanged {subject_of(mistake)}",
         places.column(mistake, pairs[0][0]),
         "every channel in its own column, with its own input_axis",
         "rename the columns: " + ", ".join(f"'{a}' holds '{b}'" for a, b in pairs),
@@ -283,7 +231,7 @@ def _gain(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     mistake = found.mistake
     assert isinstance(mistake, (reading.ChannelGain, reading.NominalScale))
     units, factor = _unit_and_factor(found)
-    subject, names = _subject(mistake), ", ".join(f"'{name}'" for name in mistake.channels)
+    subject, names = subject_of(mistake), ", ".join(f"'{name}'" for name in mistake.channels)
     noun, verb = ("channel", "is") if len(mistake.channels) == 1 else ("channels", "are")
     run = mistake.scope.section == "run"
     chosen = [channel for channel in campaign.channels if channel.name in mistake.channels]
@@ -314,7 +262,7 @@ def _rate(campaign: Campaign, found: Explanation, places: Places) -> Issue:
             "'table_rate_deg_s'",
             places.column(found.mistake, "table_rate_deg_s"),
             "degrees per second",
-            f"multiply 'table_rate_deg_s' by {math.exp(found.size):.4g} {_subject(found.mistake)}",
+            f"multiply 'table_rate_deg_s' by {math.exp(found.size):.4g} {subject_of(found.mistake)}",
         )
     return _unit(campaign, found, places)
 
@@ -327,15 +275,15 @@ def _unit(campaign: Campaign, found: Explanation, places: Places) -> Issue:
         column, units, allowed = "table_rate_deg_s", reading.RATE_UNITS, "degrees per second"
     factor = units[mistake.unit]
     return Issue(
-        f"column '{column}' is in {mistake.unit} {_subject(mistake)}",
+        f"column '{column}' is in {mistake.unit} {subject_of(mistake)}",
         places.column(mistake, column),
         allowed,
-        f"multiply '{column}' by {factor:.10g} {_subject(mistake)}",
+        f"multiply '{column}' by {factor:.10g} {subject_of(mistake)}",
     )
 
 
 def _time(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    subject, runs = _subject(found.mistake), {run.name: run for run in campaign.runs}
+    subject, runs = subject_of(found.mistake), {run.name: run for run in campaign.runs}
     assert isinstance(found.mistake, bench.TimeShift)
     run, size = runs.get(found.mistake.scope.name), float(round(found.size))
     if not found.mistake.whole:
@@ -365,46 +313,20 @@ def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Issu
     )
 
 
-def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    mistake = found.mistake
-    assert isinstance(mistake, reading.TemperatureUnit)
-    columns, noun, one = _thermal_columns(mistake)
+def _axis(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    assert isinstance(found.mistake, seats.InputAxisWrong)
+    channel, axis = campaign.channels[found.mistake.channel], found.mistake.axes
+    stated = (channel.axes[0].round(6) + 0.0).tolist()
     return Issue(
-        f"{noun} {columns} {'is' if one else 'are'} in degrees Fahrenheit {_subject(mistake)}",
-        places.column(mistake, _COLUMN[mistake.names[0]]),
-        "degrees Celsius",
-        f"replace T by (T - 32) / 1.8 in {columns} {_subject(mistake)}",
+        f"channel '{channel.name}' responds along {(axis[0] + 0.0).tolist()}, not along its input_axis {stated}",
+        places.line("channel", channel.name, "input_axis"),
+        "the axis of the body along which the output rises",
+        f"write input_axis = {(axis[0] + 0.0).tolist()} for '{channel.name}', and output_axis = "
+        f"{(axis[1] + 0.0).tolist()} or as it is",
     )
 
 
-def _thermal_columns(mistake: reading.TemperatureUnit | reading.TemperatureReversed) -> tuple[str, str, bool]:
-    """Return the columns of a mistake as a list, the noun before it, and whether it is one."""
-    one = len(mistake.names) == 1
-    return " and ".join(f"'{_COLUMN[name]}'" for name in mistake.names), "column" if one else "columns", one
-
-
-def _thermometers(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    return Issue(
-        f"columns 'temperature_degC' and 'converter_temperature_degC' are exchanged {_subject(found.mistake)}",
-        places.column(found.mistake, _COLUMN["temperature"]),
-        "the temperature of the sensors, and that of the converter",
-        f"exchange the names of the two columns {_subject(found.mistake)}",
-    )
-
-
-def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Issue:
-    assert isinstance(found.mistake, reading.TemperatureReversed)
-    mistake = found.mistake
-    columns, noun, one = _thermal_columns(mistake)
-    return Issue(
-        f"{noun} {columns} {'runs' if one else 'run'} backwards in time {_subject(mistake)}",
-        places.column(mistake, _COLUMN[mistake.names[0]]),
-        "temperatures in the order of the rows",
-        f"reverse the order of {noun} {columns} {_subject(mistake)}",
-    )
-
-
-REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
+REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = RECORD_REMEDIES | {
     "latitude_sign": _latitude,
     "latitude_value": _latitude_value,
     "files_exchanged": _files,
@@ -423,8 +345,6 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
     "angle_unit": _unit,
     "time_shift": _time,
     "mounting_wrong": _matrix,
-    "temperature_unit": _fahrenheit,
-    "thermometers_exchanged": _thermometers,
-    "temperature_reversed": _backwards,
+    "input_axis_wrong": _axis,
 }
 """Kind of mistake → how it is said."""

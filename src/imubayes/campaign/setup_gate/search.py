@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.setup_gate.drift_rivals import score_with_drift
-from imubayes.campaign.setup_gate.equipment_mistakes import MISTAKES, Mistake
+from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope
 from imubayes.campaign.setup_gate.error_model import (
     G_SENSITIVITIES,
     POOR,
@@ -21,14 +21,12 @@ from imubayes.campaign.setup_gate.error_model import (
     stacked_terms,
 )
 from imubayes.campaign.setup_gate.evidence import ErrorModel
-from imubayes.campaign.setup_gate.reading_mistakes import (
-    TEMPERATURE_MISTAKES,
-    UNIT_MISTAKES,
-    AxisZero,
-    ChannelGain,
-    TemperatureReversed,
-)
+from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
+from imubayes.campaign.setup_gate.mounting_mistakes import MISTAKES
+from imubayes.campaign.setup_gate.rate_records import RATE_RECORDS
+from imubayes.campaign.setup_gate.reading_mistakes import UNIT_MISTAKES, AxisZero, ChannelGain
 from imubayes.campaign.setup_gate.setup_view import CarryingAxes, RunView, views_of
+from imubayes.campaign.setup_gate.thermal_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
 from imubayes.campaign.setup_gate.wrong_rows import RateFactor
 from imubayes.foundations.campaign_data import Campaign
 
@@ -47,8 +45,12 @@ TRIED_FIRST, TRIED_NEXT = 4, 1
 """How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations; of hidden ones, `DECISIVE`."""
+NAMED_WITHIN = 12.0
+"""How much less than the open value of a record a named mistake may gain: three and a half standard deviations."""
+RECORDS_OF_RUNS: tuple[type[Mistake], ...] = (*RATE_RECORDS, OtherUnit)
+"""Mistakes in the record of a whole run that is no single value."""
 _REFINEMENTS, _REMEMBERED = 4, 256
-_SETTLED = 0.01  # of twice the log likelihood: a tenth of a standard deviation of the size
+_SAME_POINT = 0.05  # of how far a name may be from a value, within which two names are one
 _SUSPECTS = 5  # runs whose own mistakes are tried
 _AT_ONCE = 2**19  # numbers in the terms of campaigns that are judged together: four megabytes
 
@@ -95,6 +97,58 @@ def equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tu
     like = [each for each in found if any(each.mistake.like(other.mistake) for other in equal)]
     first = [each for each in like if not any(other.mistake.like(each.mistake) for other in equal)]
     return tuple(_distinct([*first, *sorted(equal, key=lambda each: -each.support), *like]))
+
+
+def told_by_name(found: Sequence[Explanation]) -> list[Explanation]:
+    """Return explanations, of each record those with a name where they do as well as its open value, else the latter.
+
+    A name is a point on the open value: a wrong one is not forced upon a value that is near it.  Of names whose points
+    are near each other that nearest to the value is told.
+    """
+    records: dict[str, list[Explanation]] = {}
+    for each in found:
+        if each.mistake.record:
+            records.setdefault(each.mistake.record, []).append(each)
+    dropped = set[int]()
+    for alike in records.values():
+        names = [each for each in alike if not each.mistake.open_value]
+        for value in alike:
+            if value.mistake.open_value:
+                dropped |= {id(each) for each in _not_told(value, names)}
+    return [each for each in found if id(each) not in dropped]
+
+
+def _not_told(value: Explanation, names: Sequence[Explanation]) -> list[Explanation]:
+    """Return which of an open value and the names of its record are not to be told."""
+    names = [each for each in names if _holds(each.mistake, {*value.mistake.scope.runs})]
+    nearest = min((_apart(each, value) for each in names), default=math.inf)
+    near = [_apart(each, value) <= min(nearest + _SAME_POINT, 1.0) for each in names]
+    rest = [each for each, told in zip(names, near, strict=True) if not told]
+    if value.mistake.named(value.size):  # it has the name itself
+        return [*rest, *(each for each in names if each.mistake.point is not None)]
+    return [*rest, value] if any(near) else rest
+
+
+def _holds(named: Mistake, runs: set[int]) -> bool:
+    """Whether a named mistake is one of the record of these runs, and of others at most where its evidence tells."""
+    return {*named.scope.runs} == runs or (named.point is None and {*named.scope.runs} > runs)
+
+
+def _apart(named: Explanation, value: Explanation) -> float:
+    """Return how far a named mistake is from the value that the outputs show, over how far it may be."""
+    point = named.mistake.point
+    if point is None:
+        return 0.0 if named.gain >= value.gain - NAMED_WITHIN else math.inf
+    return abs(point - value.size) / value.mistake.usual_within
+
+
+def _of_different_records(chain: Sequence[tuple[Explanation, ...]]) -> bool:
+    """Whether no record is corrected twice: a second correction of it says that the first was none."""
+    return len({_corrects(equal[0].mistake) for equal in chain}) == len(chain)
+
+
+def _corrects(mistake: Mistake) -> tuple[str, Scope]:
+    return mistake.record or f"{mistake.kind} {mistake.variant}", mistake.scope
 
 
 def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
@@ -156,7 +210,7 @@ class Search:
         most : mistakes together.
         tried : how many of the best are tried as the first of several.
         """
-        found = [each for each in self._suspected() if each.support > DECISIVE and each.mistake.possible(each.size)]
+        found = told_by_name([each for each in self._suspected() if each.support > DECISIVE])
         whole = [each for each in found if self._explains(each) and not self._passes(each.mistake)]
         if whole:
             return [equally_good(whole)]
@@ -167,18 +221,20 @@ class Search:
         corrected = [Search(self.campaign, views=each.mistake.removed(self.views, each.size)) for each in partial]
         further = [search.several_mistakes(most - 1, TRIED_NEXT) for search in corrected]
         chains = [[(each,), *rest] for each, rest in zip(partial, further, strict=True) if rest]
+        chains = [chain for chain in chains if _of_different_records(chain)]
         return min(chains, key=lambda chain: (len(chain), -sum(equal[0].support for equal in chain)), default=[])
 
     def _suspected(self) -> list[Explanation]:
         suspects = self.suspects()
-        return self.explain(
+        found = self.explain(
             [
                 mistake
-                for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, RateFactor, *TEMPERATURE_MISTAKES)
+                for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, RateFactor, *TEMPERATURE_MISTAKES, *RECORDS_OF_RUNS)
                 for mistake in kind.suspected(self.campaign, self.views)
                 if mistake.scope.section != "run" or suspects.issuperset(mistake.scope.runs)
             ]
         )
+        return [each for each in found if each.mistake.possible(each.size)]
 
     def _explains(self, found: Explanation) -> bool:
         excess, left = self.misfit - ORDINARY_MISFIT / 2, found.misfit - ORDINARY_MISFIT / 2
@@ -206,11 +262,11 @@ class Search:
         found = zip((view.name for view in self.views), surprise.tolist(), strict=True)
         return sorted((each for each in found if each[1] > DECISIVE), key=lambda each: -each[1])
 
-    def suspects(self) -> set[int]:
+    def suspects(self, most: int = _SUSPECTS) -> set[int]:
         """Return the places of the runs that agree least with all others: those that raise their misfit most."""
         rest = self.model.misfit(self.total - self.terms)
         surprise = (self.misfit * self.total.values - rest) / np.maximum(self.terms.values, 1)
-        return set(np.argsort(-surprise, kind="stable")[:_SUSPECTS].tolist())
+        return set(np.argsort(-surprise, kind="stable")[:most].tolist())
 
     def explain(self, mistakes: Sequence[Mistake]) -> list[Explanation]:
         """Return the best size of each mistake and what its correction gains; all are evaluated together."""
@@ -218,11 +274,13 @@ class Search:
         found = self._explained(best)
         usual = [(k, each) for k, trial in enumerate(best) for each in trial.usual(self.views)]
         least = [each.gain - each.mistake.as_usual for each in found]
-        # The first usual size that does as well is taken for the best one.
-        for (k, _), each in reversed(list(zip(usual, self._explained([each for _, each in usual]), strict=True))):
-            if each.gain > least[k]:
-                found[k] = each
-        return found
+        # The nearest usual size that does as well is taken for the best one.
+        chosen: dict[int, Explanation] = {}
+        for (k, _), each in zip(usual, self._explained([each for _, each in usual]), strict=True):
+            off = abs(each.size - best[k].size)
+            if each.gain > least[k] and (k not in chosen or off < abs(chosen[k].size - best[k].size)):
+                chosen[k] = each
+        return [chosen.get(k, each) for k, each in enumerate(found)]
 
     def _explained(self, trials: Sequence["SizedMistake"]) -> list[Explanation]:
         """Return what corrections gain."""
@@ -232,8 +290,19 @@ class Search:
             gain, misfit = self.stated - fit.score.min(axis=-1), fit.misfit[:, -1] / np.maximum(terms.values, 1)
             return np.stack([gain, misfit], axis=1)
 
-        found = zip(trials, self._judged(trials, judged).tolist(), strict=True)
-        return [Explanation(trial.mistake, float(trial.size), gain, misfit) for trial, (gain, misfit) in found]
+        found = self._judged(trials, judged)
+        for k, trial in enumerate(trials):
+            if isinstance(trial.mistake, OtherUnit):
+                found[k] = self._apart(trial.mistake)
+        both = zip(trials, found.tolist(), strict=True)
+        return [Explanation(trial.mistake, float(trial.size), gain, misfit) for trial, (gain, misfit) in both]
+
+    def _apart(self, mistake: OtherUnit) -> tuple[float, float]:
+        """Return the gain and the misfit per output where the run is of another unit."""
+        (place,) = mistake.scope.runs
+        fits = [self.model.fit(each) for each in (self.total - self.terms[place], self.terms[place])]
+        gain = self.stated - sum(float(each.score.min()) for each in fits)
+        return gain, sum(float(each.misfit[-1]) for each in fits) / max(float(self.total.values), 1.0)
 
     def _judged(self, trials: Sequence["SizedMistake"], judge: Callable[[NormalTerms], np.ndarray]) -> np.ndarray:
         """Return what a function makes of the terms of corrected campaigns, a share of them at a time."""
@@ -252,13 +321,13 @@ class Search:
         in g make it two, and every basin is tried.  Where the Earth rate alone tells the size, a large g-sensitivity
         passes for its vertical part, and the evidence decides.
         """
-        sized = [(k, each) for k, each in enumerate(mistakes) if each.sizes]
-        least = iter(self._least([SizedMistake(each, size) for _, each in sized for size in each.sizes]))
+        sized = [(k, each) for k, each in enumerate(mistakes) if each.grid()]
+        least = iter(self._least([SizedMistake(each, size) for _, each in sized for size in each.grid()]))
         basins: list[tuple[int, Basin]] = []
         for k, each in sized:
-            tried = {size: next(least) for size in each.sizes}
+            tried = {size: next(least) for size in each.grid()}
             starts = minima(tried) if self.model.squares else [min(tried, key=lambda size: tried[size])]
-            step = float(np.min(np.diff(sorted(each.sizes)))) / 2
+            step = float(np.min(np.diff(sorted(each.grid())))) / 2
             basins += [(k, Basin(each, dict(tried), start, step)) for start in starts]
         self._narrow([basin for _, basin in basins])
         sizes = [0.0] * len(mistakes)
@@ -294,11 +363,13 @@ class Search:
         That is a unit whose outputs hardly follow the temperature or, where a single run is concerned, biases and scale
         factors of that run unlike those of others.
         """
-        rivals = [self.model.score(self.total, compensated=True)]
+        rivals = [self.stated if isinstance(mistake, OtherUnit) else self.model.score(self.total, compensated=True)]
         if mistake.scope.section == "run":
-            (place,) = mistake.scope.runs
-            loose = self.model.terms_of(self.model.seen(self.views[place]), loose=True)
-            rivals.append(self.model.score(self.total - self.terms[place] + loose))
+            total = self.total
+            for place in mistake.scope.runs:
+                loose = self.model.terms_of(self.model.seen(self.views[place]), loose=True)
+                total = total - self.terms[place] + loose
+            rivals.append(self.model.score(total))
         return float(min(rivals))
 
     def with_drift(self, mistake: TemperatureReversed) -> tuple[float, float]:
@@ -388,7 +459,7 @@ class Basin:
         """Go on about the best of the sizes, unless it is hardly better."""
         before, (low, high) = self.tried[self.best], self.sides()
         self.best = min((low, *self.vertex(), self.best, high), key=lambda size: self.tried[size])
-        self.settled = before - self.tried[self.best] < _SETTLED
+        self.settled = before - self.tried[self.best] < self.mistake.settled
         self.step /= 6
 
 

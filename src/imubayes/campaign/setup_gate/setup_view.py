@@ -8,7 +8,7 @@ their motion.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -121,6 +121,7 @@ class RunView:
     response : shape (C,), of each channel over that of its nominal scale factor.
     outer : the axes that carry that of the table; None where there are none.
     zero : reading of the angle of the table at its zero, from which `angle` is counted.
+    axes : shape (C, 3, 3), of the channels.
     """
 
     name: str
@@ -145,6 +146,7 @@ class RunView:
     response: np.ndarray
     outer: CarryingAxes | None = None
     zero: float = 0.0
+    axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     @property
     def rows(self) -> int:
@@ -261,7 +263,8 @@ def _to_local(azimuth: float | np.ndarray, elevation: float | np.ndarray) -> np.
 
 def views_of(campaign: Campaign) -> tuple[RunView, ...]:
     """Return the runs whose nominal input is known: those on tables and those in named directions."""
-    return tuple(_view(campaign, run) for run in campaign.runs if _is_known(campaign, run))
+    axes = np.stack([channel.axes for channel in campaign.channels])
+    return tuple(_view(campaign, run, axes) for run in campaign.runs if _is_known(campaign, run))
 
 
 def _is_known(campaign: Campaign, run: Run) -> bool:
@@ -277,7 +280,7 @@ def _is_known(campaign: Campaign, run: Run) -> bool:
     return run.attitude is not None if procedure.by_direction else None not in (run.table, run.mounting)
 
 
-def _view(campaign: Campaign, run: Run) -> RunView:
+def _view(campaign: Campaign, run: Run, axes: np.ndarray) -> RunView:
     table = None if run.table is None else campaign.tables[run.table]
     recorded = run.covariates
     serial = None if table is None or table.inner_axis is None else outer_axes(run, table)
@@ -305,6 +308,7 @@ def _view(campaign: Campaign, run: Run) -> RunView:
         response=np.ones(len(campaign.channels)),
         outer=serial,
         zero=table.zero_angle if table and serial is None else 0.0,
+        axes=axes,
     )
 
 

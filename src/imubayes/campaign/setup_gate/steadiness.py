@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from imubayes.campaign.setup_gate.equipment_mistakes import (
-    MISTAKES,
     Mistake,
     TableAzimuth,
     TableElevation,
@@ -34,19 +33,25 @@ from imubayes.campaign.setup_gate.error_model import (
     weighted,
 )
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
+from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
+from imubayes.campaign.setup_gate.mounting_mistakes import MISTAKES
 from imubayes.campaign.setup_gate.reading_mistakes import (
     LATITUDE_MISTAKES,
-    TEMPERATURE_MISTAKES,
     AngleUnit,
     AxisZero,
     ChannelGain,
     LatitudeSign,
     LatitudeValue,
     NominalScale,
-    TemperatureReversed,
 )
-from imubayes.campaign.setup_gate.search import DECISIVE, ORDINARY_ERROR, Explanation, Search
+from imubayes.campaign.setup_gate.search import DECISIVE, ORDINARY_ERROR, Explanation, Search, told_by_name
 from imubayes.campaign.setup_gate.setup_view import RunView, feels_the_earth_alone, turns_through, views_of
+from imubayes.campaign.setup_gate.thermal_mistakes import (
+    TEMPERATURE_MISTAKES,
+    TemperatureReversed,
+    TemperaturesExchanged,
+    TemperatureValue,
+)
 from imubayes.campaign.setup_gate.wrong_rows import RateFactor
 from imubayes.foundations.campaign_data import Campaign
 
@@ -144,6 +149,8 @@ MOST_MISFIT_LEFT, MOST_MISFIT_OF_TEMPERATURES = 2.0, 1.25
 one of temperatures does.  Of a unit that is taken for too steady any correction explains something."""
 WORTH_TRYING = 4.0
 """Gain of a hidden mistake in a unit as steady as its outputs show, from which it is tried in a steadier one."""
+DOUBTED = 10
+"""Runs that agree least with the others, whose temperatures and files are doubted: pairs of them are tried as well."""
 LEAST_TURN = math.radians(25.0)
 """Least error of an azimuth that is doubted where plausible errors would explain the outputs as well: the Earth rate
 of a tactical gyro tells no less."""
@@ -188,14 +195,22 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     levels = SteadinessLevels(campaign)
     first, stated = levels.of_most_evidence()
     views = levels[0].views
-    concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES)
+    concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES, OtherUnit)
     if feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views):
         concealed = (*MISTAKES, ChannelGain, AngleUnit, NominalScale, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
-    suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_of_equipment(each)]
+    doubted = levels[first].suspects(DOUBTED)
+    suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_tried(each, doubted)]
     tried = levels.tried(suspected, first)
-    best = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
-    found = [each for each in best if each is not None]
-    return [each for each in found if _is_sayable(each, campaign) and not levels[0].passes_for_noise(each.mistake)]
+    likeliest = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
+    found = told_by_name([each for each in likeliest if each is not None and each.mistake.possible(each.size)])
+    said = [each for each in _strongest(found) if _is_sayable(each, campaign)]
+    return [each for each in said if not levels[0].passes_for_noise(each.mistake)]
+
+
+def _strongest(found: Sequence[Explanation]) -> list[Explanation]:
+    """Return those of about the most support: what is too weak to be said is not told under another name."""
+    best = max((each.support for each in found), default=0.0)
+    return [each for each in found if each.support > best - DECISIVE]
 
 
 def _is_sayable(found: Explanation, campaign: Campaign) -> bool:
@@ -267,7 +282,7 @@ class SteadinessLevels:
         gain, rival = stated - score, stated
         if self.tumbled:
             rival = self.unsteady - (STOPPING - DECISIVE)
-        if isinstance(mistake, TEMPERATURE_MISTAKES):
+        if isinstance(mistake, (*TEMPERATURE_MISTAKES, OtherUnit)):
             rival = min(self[each.level].rival(mistake) for each in tried)
             if isinstance(mistake, TemperatureReversed):
                 drifting = np.array([self[each.level].with_drift(mistake) for each in tried])
@@ -307,8 +322,10 @@ def _most_misfit(mistake: Mistake) -> float:
     return MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, TEMPERATURE_MISTAKES) else MOST_MISFIT_LEFT
 
 
-def _is_of_equipment(mistake: Mistake) -> bool:
-    """Whether a mistake is that of a table as a whole, where it is one of elevation."""
+def _is_tried(mistake: Mistake, doubted: set[int]) -> bool:
+    """Whether a mistake of elevation is that of a table as a whole, and one of whole records that of doubted runs."""
+    if isinstance(mistake, (TemperatureValue, TemperaturesExchanged, OtherUnit)):
+        return doubted.issuperset(mistake.scope.runs)
     return not (isinstance(mistake, TableElevation) and mistake.scope.section == "run")
 
 
@@ -323,12 +340,14 @@ def _small(found: Explanation, campaign: Campaign) -> bool:
 
 
 def _bar(mistake: Mistake, campaign: Campaign) -> float:
+    if isinstance(mistake, OtherUnit):
+        return RIVALLED * len(campaign.channels)
     several = len(campaign.of_kind("gyro")) > 1
     return DECISIVE_LATITUDE if isinstance(mistake, LatitudeSign) and several else DECISIVE
 
 
-SIZED = (TableZero, AxisZero, TableElevation, TableAzimuth, LatitudeValue, RateFactor)
-"""Mistakes whose size is an angle, or a ratio, of which the remedy writes the value."""
+SIZED = (TableZero, AxisZero, TableElevation, TableAzimuth, LatitudeValue, RateFactor, TemperatureValue)
+"""Mistakes whose size is an angle, a ratio or a temperature, of which the remedy writes the value."""
 _STEP = math.radians(0.01)  # of the derivative by the size; a ratio is as small a number as an angle in rad
 _APART = math.radians(1.0)
 _LONGEST = math.radians(10.0)  # of one step to the best size
@@ -358,7 +377,8 @@ def sized(campaign: Campaign, found: Explanation) -> Explanation:
         return found
     usual = [each for each in found.mistake.usual(views) if abs(math.remainder(each - size, 2 * math.pi)) < _STEP]
     for _ in range(0 if usual else _NEWTON_STEPS):
-        nearer = size + float(np.clip(bowl.best - size, -_LONGEST, _LONGEST))
+        longest = _LONGEST * found.mistake.per_radian
+        nearer = size + float(np.clip(bowl.best - size, -longest, longest))
         tried = _bowl(campaign, steadiness, found.mistake, views, nearer)
         if tried is None or tried.least > bowl.least:
             break
@@ -395,26 +415,28 @@ def _bowl(
     campaign: Campaign, steadiness: Steadiness, mistake: Mistake, views: Sequence[RunView], size: float
 ) -> _Bowl | None:
     """Return the evidence near a size, with all other errors at their best; None where the outputs do not tell it."""
-    corrected = mistake.removed(views, size)
-    search, centre = Search(campaign, steadiness, corrected), np.zeros(0)
+    unit = mistake.per_radian
+    search, centre = Search(campaign, steadiness, mistake.removed(views, size)), np.zeros(0)
     for _ in range(2):
         centre = search.model.estimates(search.total)
-        search = Search(campaign, steadiness, corrected, centre)
+        search = Search(campaign, steadiness, search.views, centre)
     model = search.model
-    seen = model.seen_of(corrected)
+    seen = model.seen_of(search.views)
     # How the size moves the outputs less what is predicted with mounting and table at the centre.
     rates = [
         (other.without_shared(centre).error - one.without_shared(centre).error) / _STEP
-        for other, one in zip(model.seen_of(mistake.removed(views, size + _STEP)), seen, strict=True)
+        for other, one in zip(model.seen_of(mistake.removed(views, size + _STEP * unit)), seen, strict=True)
     ]
 
     def evidence(apart: float) -> float:
-        shifted = [replace(one, error=one.error + apart * rate) for one, rate in zip(seen, rates, strict=True)]
-        terms = stacked_terms([model.terms_of(each) for each in shifted]).total()
+        moved = [replace(one, error=one.error + apart * rate) for one, rate in zip(seen, rates, strict=True)]
+        if isinstance(mistake, TemperatureValue):  # it moves what outputs respond with
+            moved = model.seen_of(mistake.removed(views, size + apart * unit))
+        terms = stacked_terms([model.terms_of(each) for each in moved]).total()
         return float(model.score(terms, search.g_sensitivity))
 
     low, middle, high = evidence(-_APART), evidence(0.0), evidence(_APART)
     bend = (low - 2 * middle + high) / _APART**2
     if not bend > 2 / _WIDEST**2:
         return None
-    return _Bowl(middle, size - (high - low) / (2 * _APART) / bend, math.sqrt(2 / bend))
+    return _Bowl(middle, size - unit * (high - low) / (2 * _APART) / bend, unit * math.sqrt(2 / bend))

@@ -3,13 +3,14 @@
 In such a row every channel is off as the other angle or rate predicts.  The row is predicted from all others by the
 linear model of plausible errors, without the row.  The other rows show how well rows are predicted, so that no size of
 errors has to be assumed: a row is reported where it stands out from everything else that the linear model leaves out,
-and another angle or rate brings it back in line.
+and another angle, rate or output brings it back in line.
 
 The rate of a whole run may be wrong by a factor: that of another range, or of a slipping drive.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -30,6 +31,10 @@ LEFT = 0.2
 LEAST_ANGLE, LEAST_RATE = np.radians(0.5), 0.02
 """Errors that are told: of an angle, rad, and of a rate over the largest one of the run.  Smaller ones are the business
 of a diagnosis, at the noise of the unit."""
+LEAST_OUTPUT = 1e-3
+"""The same of one output, as a share of it."""
+_OPEN, _RIVAL = 12.0, 10.0
+"""What an open value has to gain over a reversed sign, and within which of the best a record is a rival."""
 MOST_ROWS = 3
 _MOST_LEFT_OUT = 6
 _STEPS = 5
@@ -40,14 +45,17 @@ _STEP = 1e-4
 
 @dataclass(frozen=True)
 class WrongRow:
-    """A row whose column `angle` or `rate` of the table does not agree with its outputs.
+    """A row whose column `angle` or `rate` of the table, or one output, does not agree with the rest.
 
     Attributes
     ----------
     run, row : name of the run, and place of the row from 0.
-    recorded, agreeing, sd : of that column, rad or rad/s, the last from the scatter of the other rows.
+    recorded, agreeing, sd : of that column, rad, rad/s or output units, the last from the scatter of the other rows; 0
+        of a reversed sign, which has no value to estimate.
     distance : of its outputs from the prediction, in standard deviations of the other rows.
-    column : of the view.
+    column : of the view; empty of an output.
+    channel : place of the output; None of a column.
+    rivals : other records of the row that agree as well.
     """
 
     run: str
@@ -57,6 +65,8 @@ class WrongRow:
     agreeing: float
     sd: float
     distance: float
+    channel: int | None = None
+    rivals: "tuple[WrongRow, ...]" = ()
 
 
 def wrong_rows(campaign: Campaign) -> list[WrongRow]:
@@ -72,7 +82,7 @@ def wrong_rows(campaign: Campaign) -> list[WrongRow]:
             break
         place = next(k for k, view in enumerate(views) if view.name == one.run)
         found.append(one)
-        views[place] = _set(views[place], one.column, one.row, one.agreeing)
+        views[place] = _set(views[place], one, one.agreeing)
     return found
 
 
@@ -81,6 +91,11 @@ def with_rows(campaign: Campaign, rows: Sequence[WrongRow]) -> Campaign:
     runs = list(campaign.runs)
     for each in rows:
         place = next(k for k, run in enumerate(runs) if run.name == each.run)
+        if each.channel is not None:
+            observed = runs[place].observed.copy()
+            observed[each.row, each.channel] = each.agreeing
+            runs[place] = replace(runs[place], observed=observed)
+            continue
         name = f"table_{each.column}"
         values = runs[place].covariates[name].copy()
         values[each.row] = each.agreeing
@@ -110,10 +125,45 @@ def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
         right = max((size for each, size in sizes.items() if each not in wrong), default=0.0)
         if 0 < len(wrong) <= MOST_ROWS and min(wrong.values()) >= STANDS_OUT * right:
             place, row = max(wrong, key=lambda each: wrong[each])
-            columns = _columns(views[place], sum(each[0] == place for each in wrong))
-            found = [_better(views, place, row, column, wrong[place, row], judged.error) for column in columns]
-            return min(filter(None, found), key=lambda each: each[0], default=(0.0, None))[1]
+            several = sum(each[0] == place for each in wrong)
+            found = WrongRow(views[place].name, row, "", 0.0, 0.0, 0.0, wrong[place, row])
+            return _likeliest(model, views[place], place, found, several, judged)
     return None
+
+
+def _likeliest(
+    model: ErrorModel, view: RunView, place: int, wrong: WrongRow, several: int, judged: "_JudgedRows"
+) -> WrongRow | None:
+    """Return what in the record of a row brings it in line, with what does so as well; None where nothing does."""
+    columns = [replace(wrong, column=column) for column in _columns(view, several)]
+    outputs = [replace(wrong, channel=k) for k in model.places if _is_of_rows(model, view, k, wrong.row, several)]
+    found: list[tuple[float, WrongRow]] = []
+    for each in (*columns, *(outputs if len(model.places) > 1 else [])):
+        error = partial(_error_of_row, judged.error, place, view, each)
+        offset = model.channels[model.places.index(each.channel)].offset if each.channel is not None else 0.0
+        found += _agreeing_records(view, each, error, offset)
+    if not found:
+        return None
+    found = sorted(found, key=lambda each: each[0])
+    near = [each for score, each in found if score < found[0][0] + _RIVAL and _record(each) != _record(found[0][1])]
+    return replace(found[0][1], rivals=tuple(near))
+
+
+def _is_of_rows(model: ErrorModel, view: RunView, channel: int, row: int, wrong: int) -> bool:
+    """Whether an output has a size in more rows than are wrong: else the whole run is."""
+    size = np.abs(view.observed[:, channel] - model.channels[model.places.index(channel)].offset)
+    return bool(np.isfinite(size[row]) and np.sum(size > LEAST_RATE * np.nanmax(size)) > 2 * wrong)
+
+
+def _record(each: WrongRow) -> tuple[str, int | None]:
+    return each.column, each.channel
+
+
+def _error_of_row(
+    error: Callable[[int, RunView], np.ndarray], place: int, view: RunView, wrong: WrongRow, value: float
+) -> np.ndarray:
+    """Return the errors of the outputs of a row with another value in its record, over their scatter, (K,)."""
+    return error(place, _set(view, wrong, value))[:, wrong.row]
 
 
 def _farthest(apart: Sequence[np.ndarray], out: Sequence[tuple[int, int]]) -> tuple[int, int]:
@@ -135,52 +185,63 @@ def _columns(view: RunView, wrong: int) -> Iterator[str]:
             yield "rate"
 
 
-def _better(
-    views: Sequence[RunView],
-    place: int,
-    row: int,
-    column: str,
-    size: float,
-    error: Callable[[int, RunView], np.ndarray],
-) -> tuple[float, WrongRow] | None:
-    """Return the other value of a column in a row, with what is left of its error; None where none brings it in line.
+def _agreeing_records(
+    view: RunView, wrong: WrongRow, error: Callable[[float], np.ndarray], offset: float
+) -> list[tuple[float, WrongRow]]:
+    """Return the values of one record of a row that bring it in line, with −2 log of their evidence; the least is best.
+
+    The reversed sign is a point on the open value, and is named where it does as well.
 
     Parameters
     ----------
-    size : error of the row as recorded.
-    error : place and view → errors of the outputs of the run less the prediction, over their scatter, (K, R).
+    error : value → errors of the outputs of the row less the prediction, over their scatter, (K,).
+    offset : of the outputs, about which their sign is reversed.
     """
-    view = views[place]
-    recorded = float(getattr(view, column)[row])
+    of_output, size = wrong.channel is not None, wrong.distance
+    recorded = float(view.observed[wrong.row, wrong.channel] if of_output else getattr(view, wrong.column)[wrong.row])
     if not np.isfinite(recorded):
-        return None
-    least = LEAST_ANGLE if column == "angle" else LEAST_RATE * float(np.abs(view.rate).max())
+        return []
+    angle = wrong.column == "angle"
+    least = LEAST_ANGLE if angle else LEAST_RATE * float(np.abs(view.rate).max())
+    step = LEAST_OUTPUT * abs(recorded - offset) if of_output else _STEP
+    least = step if of_output else least
     # Outputs go around a circle with the angle: a search that starts a quarter of a turn away may end beside it.
-    starts = recorded + (_STARTS if column == "angle" else np.zeros(1))
-    left, value, sd = min(_agreeing(lambda at: error(place, _set(view, column, row, at))[:, row], at) for at in starts)
-    if column == "angle":
+    starts = recorded + (_STARTS if angle else np.zeros(1))
+    left, value, sd = min(_agreeing(error, at, step) for at in starts) if step > 0 else (np.inf, recorded, 0.0)
+    if angle:
         value = recorded + float((value - recorded + np.pi) % (2 * np.pi) - np.pi)
-    if abs(value - recorded) <= least or left > max(LEFT * size, 3.0):
-        return None
-    return left, WrongRow(view.name, row, column, recorded, value, sd, size)
+    count, reversed_ = len(error(recorded)), 2 * offset - recorded
+    tried = [(count * left**2 + _OPEN, left, replace(wrong, recorded=recorded, agreeing=value, sd=sd))]
+    if not angle:
+        rest = float(np.sqrt(np.mean(error(reversed_) ** 2)))
+        tried.append((count * rest**2, rest, replace(wrong, recorded=recorded, agreeing=reversed_)))
+    in_line = [
+        (score, each) for score, rest, each in tried
+        if abs(each.agreeing - recorded) > least and rest <= max(LEFT * size, 3.0)
+    ]  # fmt: skip
+    return [min(in_line, key=lambda each: each[0])] if in_line else []
 
 
-def _agreeing(error: Callable[[float], np.ndarray], value: float) -> tuple[float, float, float]:
+def _agreeing(error: Callable[[float], np.ndarray], value: float, step: float) -> tuple[float, float, float]:
     """Return what is left of the error at the value where Gauss–Newton ends, that value, and its standard deviation."""
     sd = np.inf
     for _ in range(_STEPS):
         at = error(value)
-        rate = (error(value + _STEP) - at) / _STEP
+        rate = (error(value + step) - at) / step
         if not rate @ rate > 0:
             break
         value, sd = value - float(rate @ at / (rate @ rate)), float(1 / np.sqrt(rate @ rate))
     return float(np.sqrt(np.mean(error(value) ** 2))), value, sd
 
 
-def _set(view: RunView, column: str, row: int, value: float) -> RunView:
-    values = getattr(view, column).copy()
-    values[row] = value
-    return changed(view, angle=values) if column == "angle" else changed(view, rate=values)
+def _set(view: RunView, wrong: WrongRow, value: float) -> RunView:
+    if wrong.channel is not None:
+        observed = view.observed.copy()
+        observed[wrong.row, wrong.channel] = value
+        return changed(view, observed=observed)
+    values = getattr(view, wrong.column).copy()
+    values[wrong.row] = value
+    return changed(view, angle=values) if wrong.column == "angle" else changed(view, rate=values)
 
 
 @dataclass(frozen=True)

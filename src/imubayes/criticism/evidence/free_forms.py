@@ -142,7 +142,7 @@ class ChosenForm:
 
 
 def free_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tuple[FormHypothesis, ...]:
-    """Return all forms outside the catalogue, with their prior probabilities."""
+    """Return all forms outside the catalogue, with their prior probabilities, whatever a sensor can do."""
     forms: list[FormHypothesis] = []
     kinds = [rows.kind for rows in problem.of_channels]
     for kind in dict.fromkeys(kinds):

@@ -70,6 +70,7 @@ class ChannelRows:
         with the logarithm of the probability of each; empty of a model without them.
     tails : degrees of freedom of heavy tails that the model's prior allows, likewise.
     correlations : correlation in time that the model states, at each size that its prior allows.
+    noise : of the median row, at the input, rad/s or m/s²; 0 where it is not known.
     """
 
     name: str
@@ -84,6 +85,7 @@ class ChannelRows:
     run_scatter: Grid
     tails: Grid = ()
     correlations: tuple[RowCorrelation, ...] = ()
+    noise: float = 0.0
 
     @property
     def input_varies(self) -> bool:
@@ -226,6 +228,7 @@ def _rows_of(
         run_scatter=tuple(scatter),
         tails=_prior_grid(at, channel, TailNoise),
         correlations=correlations,
+        noise=abs(noise / own.scale_si) if own.kind != "angle" else 0.0,
     )
 
 

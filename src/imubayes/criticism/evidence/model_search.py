@@ -236,6 +236,7 @@ class ModelSearch:
         self._grow(_pure, _MOST_EXPANDED)
         for _ in range(2):
             self._scan_forms()
+            self._expand_beyond_priors()
             formed = [each for each in self.known if _formed(each)]
             near = max((each.log_posterior for each in formed), default=-np.inf)
             if near < self.best().log_posterior - PROPOSED:
@@ -345,6 +346,15 @@ class ModelSearch:
             for _, pair in self._screen.pairs(likelihood, [n for _, n in singles[: 4 * _BREADTH]])[:_BREADTH]:
                 self._try(less.hypothesis.including(*pair), at)
 
+    def _expand_beyond_priors(self) -> None:
+        """Expand the likeliest prior that is too narrow: what it forbids an effect of its own is found beside it."""
+        found = [each for each in self.known if beyond_prior(each) and each.hypothesis not in self._expanded]
+        stated = self.best(states_noise).log_posterior
+        best = max(found, key=lambda each: each.log_posterior, default=None)
+        if best is not None and best.log_posterior > stated + LARGE:
+            self._expand(best)
+            self._vary_noise(self.best(beyond_prior))
+
     def _grow(self, which: Callable[[Evaluated], bool], most: int) -> None:
         for _ in range(most):
             mine = [each for each in self.known if which(each)]
@@ -413,6 +423,12 @@ def _pure(each: Evaluated) -> bool:
 
 def _formed(each: Evaluated) -> bool:
     return each.hypothesis.form is not None
+
+
+def beyond_prior(each: Evaluated) -> bool:
+    """Tell whether a hypothesis is that a prior is too narrow."""
+    form = each.hypothesis.form
+    return form is not None and form.form.wrong is not None and form.form.wrong.form == "prior"
 
 
 def _no_effects(each: Evaluated) -> bool:

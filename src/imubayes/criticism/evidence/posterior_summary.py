@@ -24,6 +24,8 @@ _TABLED = 8
 UNLISTED = 0.25
 """Share of explanations by effects beside noise above what is known, of which a cause outside the catalogue is
 the truth: the effect imitates a part of it and the noise takes the rest.  A belief that no data of the kind refute."""
+_STANDS_OUT = 3.0
+"""Standard deviations by which the noise of a channel differs from that known, to be told by itself (convention)."""
 _KINDS: tuple[record.Explanation, ...] = ("nothing", "noise", "effects", "input", "outside")
 
 
@@ -248,9 +250,17 @@ class ExplanationPosterior:
         names = [each.name for each in self.of.problem.rows]
         for unit, noise in zip(self.of.units, self.top.hypothesis.noise, strict=True):
             if not noise.stated:
-                scale = float(np.exp(np.mean(np.log(self.top.scale[list(unit.channels)]))))
-                channels = tuple(names[k] for k in unit.channels)
+                own = self._unlike_known(unit.channels) if noise.family == "scale" else unit.channels
+                scale = float(np.exp(np.mean(np.log(self.top.scale[list(own)]))))
+                channels = tuple(names[k] for k in own)
                 yield record.FoundNoise(channels=channels, family=noise.family, scale=scale)
+
+    def _unlike_known(self, channels: Sequence[int]) -> Sequence[int]:
+        """Return the channels of a structure whose noise is not as known; all where none stands out."""
+        rows = self.of.problem.rows
+        sd = {k: math.hypot(rows[k].scale_sd, math.sqrt(0.5 / max(len(rows[k].entry), 1))) for k in channels}
+        found = [k for k in channels if abs(math.log(self.top.scale[k])) > _STANDS_OUT * sd[k]]
+        return found or channels
 
 
 def estimates(

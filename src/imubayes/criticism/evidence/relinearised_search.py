@@ -11,16 +11,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imubayes.criticism.evidence.free_forms import free_forms
+from imubayes.adequacy.weighed_records import weighed_records
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
-from imubayes.criticism.evidence.model_search import ModelSearch, states_noise
+from imubayes.criticism.evidence.model_search import ModelSearch, beyond_prior, states_noise
+from imubayes.criticism.evidence.possible_forms import possible_forms
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
+from imubayes.criticism.explanation_records import NEAR
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import LinearisationPoint, Responses, candidate_responses
 from imubayes.responses.residual_covariates import ResidualCovariate
-from imubayes.responses.wrong_inputs import Predictions, WrongInput, problem_of
+from imubayes.responses.wrong_inputs import Predictions, WrongInput, acts_through_the_model, problem_of
 
 GROSS = 500.0
 """Nats of an effect above which the campaign is linearised anew about it.  Derived: where it stands out of the noise by
@@ -69,11 +72,35 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
         moved = _linearised(problem, large) if large is not None else None
         if large is not None and moved is not None:
             about, search = large, ModelSearch(moved)
-    begun = _run(search, about, covariates), about
-    leads = (_leader, _gross_input) if fitted.optimised else (_leader,)
+    recorded = fitted.model.campaign
+    begun = _run(search, about, recorded, covariates), about
+    corrected = _corrected(problem, fitted, covariates)
+    gross = _gross_input if corrected is None else _gross_row
+    leads = (_leader, gross, _wide_prior) if fitted.optimised else (_leader,)
     found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
     search, about = max(found, key=lambda each: each[0].best().log_posterior)
+    # Where both explain as much, the size is that about the corrected record: elsewhere it has errors of second order.
+    if corrected is not None and corrected[0].best().log_posterior > search.best().log_posterior - NEAR:
+        search, about = corrected
     return ExplanationPosterior(search, about.fitted)
+
+
+def _corrected(
+    problem: LinearProblem, fitted: Fit, covariates: Sequence[ResidualCovariate]
+) -> tuple[ModelSearch, _About] | None:
+    """Return a search about the likeliest error of the record, corrected; None where none acts through the model.
+
+    A gross one distorts the fit, so that its linear response about the fit does not lead to it.
+    """
+    acting = (each for each in weighed_records(fitted) if acts_through_the_model(each.wrong))
+    best = next(acting, None)
+    if best is None:
+        return None
+    about = _about(fitted, best.wrong, best.size, best.z, LinearisationPoint())
+    moved = _linearised(problem, about) if about is not None else None
+    if about is None or moved is None:
+        return None
+    return _run(ModelSearch(moved), about, fitted.model.campaign, covariates), about
 
 
 def _followed(
@@ -93,16 +120,18 @@ def _followed(
         problem = _linearised(search.of.problem, moved)
         if problem is None:
             break
-        about, search = moved, _run(ModelSearch(problem), moved, covariates)
+        about, search = moved, _run(ModelSearch(problem), moved, fitted.model.campaign, covariates)
         further = [(search, about)] if not fitted.optimised else [best, (search, about)]
         best = max(further, key=lambda each: each[0].best().log_posterior)
     return best
 
 
-def _run(search: ModelSearch, about: _About, covariates: Sequence[ResidualCovariate]) -> ModelSearch:
+def _run(
+    search: ModelSearch, about: _About, recorded: Campaign, covariates: Sequence[ResidualCovariate]
+) -> ModelSearch:
     problem = search.of.problem
-    wrong = wrong_inputs(problem, about.fitted)
-    return search.run((*free_forms(problem, covariates), *wrong.of_runs), wrong.of_rows)
+    wrong = wrong_inputs(problem, about.fitted, recorded)
+    return search.run((*possible_forms(problem, covariates), *wrong.of_runs), wrong.of_rows)
 
 
 def _leader(search: ModelSearch, fitted: Fit) -> Evaluated | None:
@@ -122,15 +151,30 @@ def _gross_input(search: ModelSearch, fitted: Fit) -> Evaluated | None:
     return wrong if wrong.log_posterior > search.best(states_noise).log_posterior + GROSS else None
 
 
+def _gross_row(search: ModelSearch, fitted: Fit) -> Evaluated | None:
+    """Return the likeliest wrong input where it is gross and in one row: those of runs were corrected before."""
+    found = _gross_input(search, fitted)
+    form = found.hypothesis.form if found is not None else None
+    return found if form is not None and form.form.row is not None else None
+
+
+def _wide_prior(search: ModelSearch, fitted: Fit) -> Evaluated | None:
+    """Return the likeliest prior that is too narrow where it is gross: the effects that it forbids act from there."""
+    found = max(filter(beyond_prior, search.known), key=lambda each: each.log_posterior, default=None)
+    if found is None or found is _leader(search, fitted):
+        return None
+    return found if found.log_posterior > search.best(states_noise).log_posterior + GROSS else None
+
+
 def _is_large(search: ModelSearch, top: Evaluated) -> bool:
     without = [search.of.evaluate(top.hypothesis.without(each), top) for each in top.hypothesis.variants]
     return max((top.log_posterior - each.log_posterior for each in without), default=0.0) > GROSS
 
 
 def _is_input(each: Evaluated) -> bool:
-    """Tell whether a hypothesis is a wrong input that acts through the model: outputs that are off are linear."""
+    """Tell whether a hypothesis is a wrong input that acts through the model."""
     form = each.hypothesis.form
-    return form is not None and form.form.wrong is not None and not form.form.wrong.form.startswith("output")
+    return form is not None and form.form.wrong is not None and acts_through_the_model(form.form.wrong)
 
 
 def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) -> _About | None:
@@ -139,10 +183,19 @@ def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) ->
     point, form = _point(search, top), top.hypothesis.form
     if not np.isfinite(z).all():
         return None
-    if form is None or form.form.wrong is None:
+    if form is not None and form.form.wrong is not None and form.form.wrong.form == "prior":
+        z = z.copy()
+        z[list(form.form.wrong.parameters)] += top.mean[len(top.columns) :]
+    if form is None or form.form.wrong is None or form.form.wrong.form in ("unit", "prior"):
         return _About(replace(recorded, z=z), point)
-    wrong, campaign = form.form.wrong, recorded.model.campaign
-    size = top.mean[len(top.columns) :] * form.form.unit
+    return _about(recorded, form.form.wrong, top.mean[len(top.columns) :] * form.form.unit, z, point)
+
+
+def _about(
+    recorded: Fit, wrong: WrongInput, size: np.ndarray, z: np.ndarray, point: LinearisationPoint
+) -> _About | None:
+    """Return the linearisation about a corrected record; None where it cannot be corrected so."""
+    campaign = recorded.model.campaign
     if not wrong.possible(campaign, size):
         return None
     corrected = wrong.corrected(campaign, size)

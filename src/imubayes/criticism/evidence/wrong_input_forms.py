@@ -13,13 +13,20 @@ import numpy as np
 
 from imubayes.criticism.evidence.effect_variants import WIDTH_RATIO
 from imubayes.criticism.evidence.free_forms import FormColumns, FormHypothesis, columns_of_run, with_prior
-from imubayes.criticism.evidence.linear_problem import UNEXPECTED, LinearProblem
+from imubayes.criticism.evidence.linear_problem import UNEXPECTED, ChannelRows, LinearProblem
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
-from imubayes.responses.wrong_inputs import Form, Predictions, WrongInput, suspected
+from imubayes.responses.wrong_inputs import NO_RUN, Form, Predictions, WrongInput, exchanged, of_sensors, suspected
 
 _ERRORS = tuple((WIDTH_RATIO ** np.arange(7)).tolist())
 """Standard deviations of what is wrong in a run, by its largest response in units of noise: a mistake is no small
 effect."""
+_BETWEEN_UNITS = math.sqrt(2.0)
+"""Standard deviation of the parameters of two units about each other, in that of the prior of each."""
+_BEYOND = (6.0, 20.0, 60.0, 200.0)
+"""Standard deviations of parameters whose prior is too narrow, over it: from where no draw of the prior leads."""
+_LEAST_RUNS = 3
+"""Runs from which on the others tell what the unit is like."""
 _ERRORS_OF_ROWS = tuple((WIDTH_RATIO ** np.arange(10)).tolist())
 """The same of one row: an angle that is mistyped by some degrees is 10⁵ of them."""
 
@@ -32,12 +39,88 @@ class WrongInputs:
     of_rows: "WrongRows | None"
 
 
-def wrong_inputs(problem: LinearProblem, fitted: Fit) -> WrongInputs:
-    """Return what may be wrong in the record of the campaign of a fit."""
+def wrong_inputs(problem: LinearProblem, fitted: Fit, recorded: Campaign) -> WrongInputs:
+    """Return what may be wrong in the record of the campaign of a fit.
+
+    Parameters
+    ----------
+    recorded : the campaign as it was recorded; that of the fit may be corrected.
+    """
     predictions = Predictions(fitted.model, fitted.z)
     columns = predictions.responses_of_columns(fitted.model.campaign)
     of_runs = list(_of_runs(problem, fitted, predictions, columns))
+    of_runs += [
+        *_exchanges(problem, fitted, recorded, columns),
+        *_other_units(problem, fitted),
+        *_priors(problem, fitted),
+    ]
     return WrongInputs(with_prior(of_runs, UNEXPECTED / 4), _wrong_rows(problem, fitted, columns))
+
+
+def _exchanges(
+    problem: LinearProblem, fitted: Fit, recorded: Campaign, columns: Mapping[str, np.ndarray]
+) -> Iterator[FormHypothesis]:
+    """Yield the columns that two runs may have exchanged."""
+    entries = fitted.model.entries
+    for wrong in exchanged(recorded):
+        every = columns.get(wrong.covariate)
+        if every is None:
+            continue
+        apart, moved = np.array(wrong.apart), np.zeros(len(every))
+        for place, sign in ((wrong.run, 1.0), (wrong.other, -1.0)):
+            here = (entries.run == place) & ~entries.closing
+            moved[here] = sign * every[here] * (apart[entries.row[here]] if len(apart) > 1 else apart[0])
+        white = problem.root * moved
+        largest = float(np.abs(white).max())
+        if not largest > 0:
+            continue
+        parts = {k: white[rows.entry][:, None] / largest for k, rows in enumerate(problem.rows) if len(rows.entry)}
+        shape = {k: FormColumns(1, partial(np.copy, x)) for k, x in parts.items() if np.any(x)}
+        name = f"exchange of {wrong.covariate}"
+        yield FormHypothesis("input", name, (), shape, _ERRORS, run=wrong.run, wrong=wrong, unit=1 / largest)
+
+
+def _other_units(problem: LinearProblem, fitted: Fit) -> Iterator[FormHypothesis]:
+    """Yield that each run is of another unit: it responds to parameters of its own as to those of the others."""
+    own = of_sensors(fitted.model)
+    if len(problem.runs) < _LEAST_RUNS or not len(own):
+        return
+    for run in range(len(problem.runs)):
+        parts = {}
+        for k, rows in enumerate(problem.rows):
+            here = problem.run[rows.entry] == run
+            if here.any() and rows.kind != "closure":
+                parts[k] = FormColumns(len(own), partial(_own_responses, rows, own, here))
+        if parts:
+            wrong = WrongInput(run, "unit")
+            yield FormHypothesis("input", "another unit", (), parts, (_BETWEEN_UNITS,), run=run, wrong=wrong, unit=1.0)
+
+
+def _priors(problem: LinearProblem, fitted: Fit) -> Iterator[FormHypothesis]:
+    """Yield that the stated prior of each effect of the model, or of each parameter alone, is too narrow."""
+    parameters = fitted.model.layout.parameters
+    groups = {each.name: [k] for k, each in enumerate(parameters)}
+    for k, each in enumerate(parameters):
+        groups.setdefault(each.effect, []).append(k)
+    for name, own in groups.items():
+        places, parts = np.array(own), {}
+        for k, rows in enumerate(problem.rows):
+            if np.isin(places, rows.live).any():
+                here = np.ones(len(rows.entry), dtype=bool)
+                parts[k] = FormColumns(len(own), partial(_own_responses, rows, places, here))
+        if parts and len(own) != len(parameters):
+            wrong = WrongInput(NO_RUN, "prior", parameters=tuple(own))
+            yield FormHypothesis("input", f"prior of {name}", (), parts, _BEYOND, wrong=wrong, unit=1.0)
+
+
+def _own_responses(rows: ChannelRows, parameters: np.ndarray, here: np.ndarray) -> np.ndarray:
+    """Return the responses of some rows of a channel to parameters, (n, p); of others none."""
+    found = np.zeros((len(rows.entry), len(parameters)))
+    place = {int(column): n for n, column in enumerate(rows.live)}
+    for n, parameter in enumerate(parameters.tolist()):
+        if parameter in place:
+            found[here, n] = rows.columns[here, place[parameter]]
+    return found
 
 
 def _of_runs(

@@ -7,7 +7,7 @@ the others, a sentence states what would make it agree.
 import math
 from collections.abc import Iterable, Iterator
 
-from imubayes.adequacy.adequacy_record import NoiseComparison
+from imubayes.adequacy.adequacy_record import AgreeingInput, Disagreement, NoiseComparison
 from imubayes.criticism import diagnosis_record as diagnosis
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.explanation_records import (
@@ -19,7 +19,7 @@ from imubayes.criticism.explanation_records import (
     FoundNoise,
     FoundStep,
 )
-from imubayes.display.fit_cautions import contradiction_text, noise_ratio
+from imubayes.display.fit_cautions import agreement_text, contradiction_text, noise_ratio
 from imubayes.display.numbers_and_labels import listed, percent, pretty, significant, value_and_sd
 
 _LEAST_TOLD, _MOST_NAMES, _WELL_KNOWN = 0.01, 4, 0.1
@@ -32,7 +32,7 @@ _NOISE = {
 }  # fmt: skip
 _KINDS: dict[Explanation, str] = {
     "nothing": "nothing missing", "noise": "noise not as stated", "effects": "an effect missing",
-    "input": "a wrong record", "outside": "a cause outside the catalogue",
+    "input": "a wrong record or prior", "outside": "a cause outside the catalogue",
 }  # fmt: skip
 
 
@@ -138,44 +138,38 @@ def _assumptions(found: Evidence) -> str:
 _MOST = 3
 
 
-def place_text(found: diagnosis.Disagreement) -> str:
+def place_text(found: Disagreement) -> str:
     """Return a run, or a row of one, as it is named in a sentence."""
+    if not found.run:
+        return "a prior"
     return f"run {found.run}" if found.row is None else f"row {found.row} of run {found.run}"
 
 
-def _sentence(found: diagnosis.Disagreement, probability: float) -> str:
+def _prior_sentence(best: AgreeingInput, chance: str, adverb: str) -> str:
+    return (
+        f"A prior{adverb} contradicts the data{chance}: as fitted, {best.quantity} is "
+        f"{significant(abs(best.agreeing[0]), 2)} of its standard deviations off. State a wider prior for it in the "
+        "model, and fit again: what is missing beside it is told then."
+    )
+
+
+def _sentence(found: Disagreement, probability: float) -> str:
     place, (adverb, chance) = place_text(found), likely(probability)
     said = (
         f"{place[0].upper()}{place[1:]}{adverb} does not agree with "
         f"{'the other runs' if found.row is None else 'the other rows'}{chance}."
     )
     best, *others = found.causes
-    said += f" It would agree with {_cause(best, found)}."
+    if best.form == "prior":
+        return _prior_sentence(best, chance, adverb)
+    said += f" It would agree with {agreement_text(best, found.row)}."
     if others:
-        said += f" It would agree as well with {'; or '.join(_cause(each, found) for each in others[:_MOST])}."
+        said += (
+            f" It would agree as well with {'; or '.join(agreement_text(each, found.row) for each in others[:_MOST])}."
+        )
     if found.instead:
         said += f" Alternatively the record of {listed(list(found.instead), _MOST)} is wrong."
     return f"{said} Correct the record, or leave the {'run' if found.row is None else 'row'} out, and fit again."
-
-
-def _cause(each: diagnosis.AgreeingInput, found: diagnosis.Disagreement) -> str:
-    """Return what would make a run agree."""
-    unit = f" {pretty(each.unit)}" if each.unit not in ("", "1") else ""
-    pairs = [value_and_sd(value, sd) for value, sd in zip(each.agreeing, each.sd, strict=True)]
-    sizes = ", ".join(f"{value} ± {sd}" for value, sd in pairs)
-    if each.form == "seat":
-        return f"the unit turned in its mounting by ({sizes}){unit} about its axes"
-    if each.form == "output_offset":
-        which = "outputs of every channel" if len(pairs) > 1 else f"output of {each.quantity}"
-        return f"its {which} changed by ({sizes}){unit}"
-    if each.form == "factor":
-        return f"{each.quantity} times {sizes}, all rows alike"
-    if each.form == "output_factor":
-        return f"its outputs times {sizes}"
-    recorded = significant(each.recorded, 5)
-    if found.row is not None:
-        return f"{each.quantity} = {sizes}{unit} (recorded: {recorded})"
-    return f"{each.quantity} about {sizes}{unit} on average (recorded: {recorded})"
 
 
 _MOST_NAMED = 3

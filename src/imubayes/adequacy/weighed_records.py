@@ -1,0 +1,263 @@
+"""What was recorded wrongly in a run, weighed against the model of the user at the noise known beforehand.
+
+A gross error of the record distorts the parameters, so that the linear response to it about the fit leads nowhere.
+Every suspected error is therefore corrected in the campaign, from several starts, and the parameters are estimated
+beside it anew: the model is linear about the corrected record.  The noise of a channel is that known before the fit, or
+larger where the residuals say so, which keeps what the model lacks from being told as a wrong record.
+
+`fit` says the likeliest beside its intervals, and `diagnose` begins from it (`imubayes.criticism.evidence`).
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imubayes.adequacy.adequacy_record import AgreeingInput, DoubtedRun
+from imubayes.adequacy.deletion_diagnostics import (
+    LinearFit,
+    WeightedFit,
+    agree,
+    disagreeing_runs,
+    divide,
+    known_before,
+    linear_fit,
+    runs_apart,
+)
+from imubayes.adequacy.known_noise import largest_scatter
+from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.units import to_si
+from imubayes.inference.fitted_model import Fit
+from imubayes.responses.wrong_inputs import Predictions, WrongInput, exchanged, of_sensors, problem_of, suspected
+
+_WIDTHS = {"degC": 30.0, "rad": 1.0}
+"""Standard deviations of errors of a column by its SI unit; of a ratio and of the attitude of a seat 0.3."""
+_RATIO = 0.3
+_STARTS = {"degC": (0.0, -60.0, -25.0, 25.0, 60.0), "rad": (0.0, -1.5, 1.5, 3.0)}
+"""Sizes from which the best one is looked for."""
+_SIGN = -2.0  # of a factor, what reverses the sign of a column
+_DOUBTED = 4
+"""Runs that agree least with the others, whose records are weighed."""
+_ROUNDS, _REWEIGHED = 5, 3
+_DISAGREES = math.log(0.005)
+"""Log chance of what a run adds to the others, above which nothing in any record is weighed (convention)."""
+_TOLD, NEAR = 10.0, 3.0
+"""Log odds from which a wrong record is told, and within which of the likeliest another cannot be told from it."""
+_PRIOR_ODDS = math.log(0.05)
+"""Of a wrong record in the campaign, shared by those that are weighed.  Convention, as in a diagnosis."""
+
+
+@dataclass(frozen=True)
+class WeighedRecord:
+    """An error of the record with its size.
+
+    Attributes
+    ----------
+    size, sd : what has to be added to the record, (d,), and its standard deviation.
+    z : the parameters beside it, (P,).
+    log_odds : natural logarithm of the odds against the record as it is.
+    explains : whether with it the runs agree with one another at the noise known beforehand.
+    """
+
+    wrong: WrongInput
+    size: np.ndarray
+    sd: np.ndarray
+    z: np.ndarray
+    log_odds: float
+    explains: bool
+
+
+def weighed_records(fitted: Fit) -> tuple[WeighedRecord, ...]:
+    """Return the errors of the record that are likelier than the record as it is, the likeliest first.
+
+    Empty where the runs agree with one another.
+    """
+    if not fitted.optimised:
+        return ()
+    weighing = _Weighing(fitted)
+    told = sorted(disagreeing_runs(weighing.stated).items(), key=lambda each: each[1])
+    doubted = [run for run, log_p in told if log_p < _DISAGREES][:_DOUBTED]
+    suspects = [*_suspects(fitted, doubted)]
+    each = math.log(len(suspects) or 1) - _PRIOR_ODDS
+    found = [weighing.weighed(wrong) for wrong in suspects]
+    odds = [replace(one, log_odds=one.log_odds - each) for one in found if one is not None]
+    return tuple(sorted((one for one in odds if one.log_odds > 0), key=lambda one: -one.log_odds))
+
+
+def _suspects(fitted: Fit, runs: Sequence[int]) -> Iterator[WrongInput]:
+    campaign = fitted.model.campaign
+    for run in runs:
+        yield from (each for each in suspected(campaign, run) if each.form != "output_offset")
+        if len(campaign.runs) > 2:
+            yield WrongInput(run, "unit")
+    yield from (each for each in exchanged(campaign) if {each.run, each.other} <= {*runs})
+
+
+def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
+    """Return the runs that the others do not predict, and what in their record would make them agree.
+
+    Where an error of the record is likelier than the record as it is, and all runs agree with it corrected, the run of
+    the likeliest is told, with what the runs cannot tell from it; else the runs without which the others agree with one
+    another.  Where they do not, something is missing in the model and no run is to blame.
+    """
+    weighed = weighed_records(fitted)
+    if not weighed or weighed[0].log_odds < _TOLD or not weighed[0].explains:
+        return runs_apart(fitted)
+    campaign, best = fitted.model.campaign, weighed[0]
+    near = [each for each in weighed if each.log_odds > best.log_odds - NEAR and each.wrong.run == best.wrong.run]
+    odds = np.array([each.log_odds for each in near])
+    share = np.exp(odds - np.logaddexp.reduce(odds))
+    causes = [agreeing_input(fitted, e.wrong, e.size, e.sd, p) for e, p in zip(near, share.tolist(), strict=True)]
+    log_p = disagreeing_runs(_Weighing(fitted).stated)[best.wrong.run]
+    return (DoubtedRun(run=campaign.runs[best.wrong.run].name, p=math.exp(log_p), causes=tuple(causes)),)
+
+
+def agreeing_input(
+    fitted: Fit, wrong: WrongInput, size: np.ndarray, sd: np.ndarray, probability: float
+) -> AgreeingInput:
+    """Return an error of the record in its unit.
+
+    Parameters
+    ----------
+    fitted : of the campaign as recorded.
+    size, sd : what has to be added to the record, (d,), and its standard deviation.
+    probability : among all wrong inputs.
+    """
+    campaign = fitted.model.campaign
+    if wrong.form == "prior":
+        # The estimate of the fit, which its summary states as well.
+        places = list(wrong.parameters)
+        farthest = int(np.argmax(np.abs(np.asarray(fitted.z)[places])))
+        return AgreeingInput(
+            form="prior", quantity=fitted.model.layout.parameters[places[farthest]].name, unit="1", recorded=0.0,
+            agreeing=(float(fitted.z[places[farthest]]),), sd=(float(sd[farthest]),), probability=probability,
+        )  # fmt: skip
+    run = campaign.runs[wrong.run]
+    recorded: float | None = None
+    if wrong.form in ("exchange", "unit"):
+        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "unit"
+        unit, recorded, factor = "1", 0.0, 1.0
+    elif wrong.form.endswith("factor"):
+        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "outputs"
+        unit, recorded, factor = "1", 1.0, 1.0
+    elif wrong.form == "seat":
+        quantity, unit, recorded, factor = "mounting", "arcmin", 0.0, to_si("arcmin")
+    elif wrong.covariate:
+        column = COVARIATES[wrong.covariate]
+        values = campaign.as_read(run, wrong.covariate)
+        quantity, unit, factor = column.column, column.unit, column.factor(campaign.site.gravity)
+        recorded = float(np.nanmean(values) if wrong.row is None else values[wrong.row]) / factor
+    else:
+        # The outputs of all channels, or of one.
+        channel = campaign.channels[wrong.channel or 0]
+        quantity = "outputs" if wrong.channel is None else channel.name
+        unit, recorded, factor = channel.output_unit, 0.0, 1.0
+    return AgreeingInput(
+        form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
+        agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
+        probability=probability, other="" if wrong.other is None else campaign.runs[wrong.other].name,
+    )  # fmt: skip
+
+
+class _Weighing:
+    """The evidence of the campaign of a fit, as recorded and corrected."""
+
+    def __init__(self, fitted: Fit):
+        self.fitted, self.model, self.h = fitted, fitted.model, known_before(fitted)
+        self.stated = linear_fit(self.model, self.model.problem, fitted.z, self.h)
+        self.as_recorded = _evidence(self.stated)[1]
+        self.largest = largest_scatter(fitted.model)
+
+    def weighed(self, wrong: WrongInput) -> WeighedRecord | None:
+        """Return an error of the record at its best size; None where it explains nothing."""
+        if wrong.form == "unit":
+            return self._of_other_unit(wrong)
+        z = np.asarray(self.fitted.z)
+        starts = [self._at(wrong, size, z, free=False) for size in self._starts(wrong)]
+        known = [each for each in starts if each is not None]
+        best = max(known, key=lambda each: each.log_odds, default=None)
+        for _ in range(_ROUNDS):
+            further = self._at(wrong, best.size, best.z, free=True) if best is not None else None
+            if best is None or further is None or not wrong.possible(self.model.campaign, further.size):
+                break
+            settled = bool(np.all(np.abs(further.size - best.size) < 0.1 * further.sd))
+            best = further
+            if settled:
+                break
+        return best if best is not None and len(best.sd) else None
+
+    def _starts(self, wrong: WrongInput) -> list[np.ndarray]:
+        if wrong.form == "exchange":
+            return [np.ones(1)]
+        freedom = wrong.freedom(self.model.campaign)
+        if wrong.form == "offset":
+            return [np.array([size]) for size in _STARTS.get(COVARIATES[wrong.covariate].si, (0.0,))]
+        return [np.zeros(freedom), *([np.array([_SIGN])] if wrong.form.endswith("factor") else [])]
+
+    def _width(self, wrong: WrongInput) -> float:
+        return _WIDTHS.get(COVARIATES[wrong.covariate].si, _RATIO) if wrong.form == "offset" else _RATIO
+
+    def _at(self, wrong: WrongInput, size: np.ndarray, z: np.ndarray, free: bool) -> WeighedRecord | None:
+        """Return the record corrected by about a size, which is estimated beside parameters near z where it is free."""
+        campaign = wrong.corrected(self.model.campaign, size)
+        problem = problem_of(self.model, campaign)
+        if problem is None:
+            return None
+        linear = linear_fit(self.model, problem, z, self.h)
+        count = len(linear.precision)
+        if not np.isfinite(linear.misfit).all():
+            return None
+        if free:
+            response = Predictions(self.model, z).response(wrong, campaign)
+            if response is None:
+                return None
+            # Of an exchange 1 is the name, and the estimate tells whether it is one.
+            centre = 1.0 if wrong.form == "exchange" else 0.0
+            linear = _beside(linear, divide(problem, self.h, response), response, self._width(wrong), centre - size)
+        fit, evidence = _evidence(linear)
+        sd = np.sqrt(np.diag(np.linalg.inv(fit.whole)))[count:]
+        moved = fit.shift[count:] if free else np.zeros(len(size))
+        return WeighedRecord(
+            wrong,
+            size + moved,
+            sd,
+            z + fit.shift[:count],
+            evidence - self.as_recorded,
+            agree(fit, self.largest),
+        )
+
+    def _of_other_unit(self, wrong: WrongInput) -> WeighedRecord:
+        own = of_sensors(self.model)
+        here = (self.stated.run == wrong.run)[:, None]
+        response, weighted = self.stated.jacobian[:, own] * here, self.stated.weighted[:, own] * here
+        linear = _beside(self.stated, weighted, response, math.sqrt(2.0), np.zeros(len(own)))
+        fit, evidence = _evidence(linear)
+        count = len(self.stated.precision)
+        z, size = self.fitted.z + fit.shift[:count], fit.shift[count:]
+        sd = np.sqrt(np.diag(np.linalg.inv(fit.whole)))[count:]
+        return WeighedRecord(wrong, size, sd, z, evidence - self.as_recorded, agree(fit, self.largest))
+
+
+def _beside(
+    linear: LinearFit, weighted: np.ndarray, response: np.ndarray, width: float, centre: np.ndarray
+) -> LinearFit:
+    """Return a linear fit with further columns, (E, d), whose coefficients have a prior."""
+    return replace(
+        linear,
+        jacobian=np.concatenate([linear.jacobian, response], axis=1),
+        weighted=np.concatenate([linear.weighted, weighted], axis=1),
+        precision=np.append(linear.precision, np.full(len(centre), width**-2.0)),
+        centre=np.append(linear.centre, centre),
+    )
+
+
+def _evidence(linear: LinearFit) -> tuple[WeightedFit, float]:
+    """Return a linear fit at the noise that its channels show, no less than known, and the log of its evidence."""
+    whole = linear.whole
+    fit = linear.fit(whole)
+    for _ in range(_REWEIGHED):
+        fit = linear.fit(whole, 1 / fit.noise_ratios)
+    scale = np.repeat(np.log(fit.weight), whole.count).sum()
+    volume = np.linalg.slogdet(fit.whole)[1] - np.log(linear.precision).sum()
+    return fit, 0.5 * float(scale - fit.chi2 - volume)

@@ -1,0 +1,107 @@
+"""Counts and deviations of raw samples: standard errors in the place of deviations, and counts unlike those of sisters.
+
+Both change what is known of the noise by a factor, which a fit takes for scatter that something missing makes.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from imubayes.campaign.stream_checks import Finding
+from imubayes.foundations.campaign_data import Channel, Run
+
+_SAME = math.log(1.5)
+"""Logarithm of the ratio of two deviations up to which they are one: noise is stated to tens of per cent."""
+_FEWEST, _MORE_SAMPLES = 9.0, math.log(8.0)
+"""Samples of a row from which its standard error is told from its deviation.  Logarithm of how many times as many
+samples a second as in sister runs are doubted.  Convention: a factor of two is another setting of the logger."""
+_SISTERS, _ALIKE = 2, math.log(1.3)
+
+
+def check_samples(runs: Sequence[Run], where: Sequence[str], channels: Sequence[Channel]) -> list[Finding]:
+    """Return what counts and deviations of raw samples say against each other, against the noise and between runs.
+
+    Parameters
+    ----------
+    where : place of each run, for messages.
+    """
+    return [*_standard_errors(runs, where, channels), *_counts(runs, where)]
+
+
+def without_counts(run: str, deviations: Sequence[str], where: str) -> list[Finding]:
+    """Return that a table has deviations of raw samples without the number of these: each row counts as one sample.
+
+    Parameters
+    ----------
+    run, where : name of the run, and its table.
+    deviations : columns of deviations.
+    """
+    if not deviations:
+        return []
+    return [
+        Finding(
+            "samples_missing", "warning", run,
+            f"column '{deviations[0]}' holds deviations of raw samples, and no column says how many: each row counts "
+            "as one sample of a raw log",
+            f"{where}, column 'samples'", "the number of raw samples of each row beside '…_sd'",
+            "add the column 'samples', or leave out '…_sd'",
+        )
+    ]  # fmt: skip
+
+
+def _standard_errors(runs: Sequence[Run], where: Sequence[str], channels: Sequence[Channel]) -> Iterator[Finding]:
+    """Yield one finding for all channels whose recorded deviation is the stated noise over √samples."""
+    told: dict[str, list[float]] = {}
+    places = list[str]()
+    for run, place in zip(runs, where, strict=True):
+        for k, channel in enumerate(channels):
+            sd, good = run.sample_sd[:, k], np.isfinite(run.sample_sd[:, k]) & (run.samples >= _FEWEST)
+            if not channel.noise or not good.any() or not np.median(sd[good]) > 0:
+                continue
+            root, ratio = math.sqrt(float(np.median(run.samples[good]))), float(np.median(sd[good])) / channel.noise
+            if abs(math.log(ratio * root)) < _SAME < abs(math.log(ratio)):
+                told.setdefault(channel.name, []).append(root)
+                places.append(place)
+    if told:
+        root = float(np.median(np.concatenate([*told.values()])))
+        yield Finding(
+            "standard_errors", "warning", "",
+            f"the deviations of {', '.join(told)} are the stated noise over √samples, {root:.3g}: they are standard "
+            "errors of the means",
+            f"{places[0]}, column '{next(iter(told))}_sd'" + (" and others" if len(places) > 1 else ""),
+            "the standard deviation of the raw samples of the row",
+            "multiply the columns '…_sd' by √samples, or correct 'noise' of the channels",
+        )  # fmt: skip
+
+
+def _counts(runs: Sequence[Run], where: Sequence[str]) -> Iterator[Finding]:
+    """Yield the runs with many times as many samples a second as the others of their procedure."""
+    rates = [_samples_a_second(run) for run in runs]
+    for k, (run, place) in enumerate(zip(runs, where, strict=True)):
+        others = [
+            math.log(rate) for n, (rate, each) in enumerate(zip(rates, runs, strict=True))
+            if rate and n != k and each.procedure == run.procedure
+        ]  # fmt: skip
+        own = rates[k]
+        if not own or len(others) < _SISTERS or np.ptp(others) > _ALIKE:
+            continue
+        apart = math.log(own) - float(np.median(others))
+        if abs(apart) > _MORE_SAMPLES:
+            factor, more = math.exp(abs(apart)), "many" if apart > 0 else "few"
+            yield Finding(
+                "samples_unlike", "warning", run.name,
+                f"'samples' is {factor:.3g} times too {more}, or the logger ran {factor:.3g} times as "
+                f"{'fast' if apart > 0 else 'slowly'} as in the other runs: {own:.4g} samples a second",
+                f"{place}, column 'samples'", "the number of raw samples of each row",
+                f"correct 'samples' of run '{run.name}' unless its logger was set otherwise",
+            )  # fmt: skip
+
+
+def _samples_a_second(run: Run) -> float:
+    """Return the samples over the time from row to row; 0 where it is not known."""
+    time = run.covariates.get("time")
+    if time is None or run.rows < 3 or run.tumble is not None:
+        return 0.0
+    step = float(np.median(np.diff(time)))
+    return float(np.median(run.samples)) / step if step > 0 else 0.0

@@ -1,0 +1,33 @@
+"""Mistakes of whole files: a run of another unit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, single_runs
+from imubayes.campaign.setup_gate.setup_view import RunView
+from imubayes.foundations.campaign_data import Campaign
+
+
+@dataclass(frozen=True)
+class OtherUnit(Mistake):
+    """A run is of another unit: its sensors have errors of their own, all channels at once.
+
+    Nothing in the record of the run is to be corrected, so that its view stays as it is.  Its errors are independent of
+    those of the other runs.
+    """
+
+    kind: ClassVar[str] = "other_unit"
+
+    @classmethod
+    def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
+        """Return each run whose input is stated, where others tell what the unit is like.
+
+        A reference gyro has errors of its own.
+        """
+        known = [scope for scope in single_runs(views, tables_only=False) if views[scope.runs[0]].reference is None]
+        return known if len(known) > 2 else []
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run as it is."""
+        return views[place]

@@ -1,0 +1,135 @@
+"""The rates of a table that were recorded without their signs, or not at all: the gyros tell them row by row.
+
+The open value of a column of rates is a rate for each row.  It has two points with a name: the recorded rates with the
+signs that the gyros show, and a column that holds nothing but zeros.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, all_runs, single_runs
+from imubayes.campaign.setup_gate.setup_view import RunView, changed
+from imubayes.foundations.campaign_data import Campaign
+
+_LEAST_RATE = math.radians(0.5)  # rad/s, of rows that count as turning
+_LEAST_ALONG = 0.3  # cosine between the axis of the table and that of the gyro that tells its rate
+_AS_RECORDED = 0.2  # relative difference of rates that are alike but for the sign
+
+
+def shown_rates(campaign: Campaign, view: RunView) -> np.ndarray | None:
+    """Return the rate of the table in each row that the gyro nearest to its axis shows, rad/s; None without one."""
+    if view.table is None or view.outer is not None or view.reference is not None:
+        return None
+    along = [
+        float(channel.axes[0] @ view.body_to_table[2]) if channel.kind == "gyro" else 0.0
+        for channel in campaign.channels
+    ]
+    place = int(np.argmax(np.abs(along)))
+    if abs(along[place]) < _LEAST_ALONG:
+        return None
+    channel = campaign.channels[place]
+    return (view.observed[:, place] - channel.offset) / (channel.scale_si * along[place])
+
+
+@dataclass(frozen=True)
+class RateWithoutSign(Mistake):
+    """The rates of a run were recorded as magnitudes; `signs` are those of its rows."""
+
+    signs: np.ndarray
+    kind: ClassVar[str] = "rate_without_sign"
+
+    @property
+    def unlikelihood(self) -> float:
+        """Every sign is chosen by the outputs."""
+        return 2 * math.log(2) * len(self.signs)
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield the runs whose rates have one sign, and whose gyros show both at about these rates."""
+        for scope in single_runs(views):
+            view = views[scope.runs[0]]
+            shown, turning = shown_rates(campaign, view), np.abs(view.rate) > _LEAST_RATE
+            if shown is None or not turning.any() or len(np.unique(np.sign(view.rate[turning]))) > 1:
+                continue
+            alike = np.abs(np.abs(shown) - np.abs(view.rate)) < _AS_RECORDED * np.abs(view.rate)
+            signs = np.where(turning & np.isfinite(shown), np.sign(shown * np.sign(view.rate[turning][0])), 1.0)
+            if alike[turning].all() and 0 < np.sum(signs < 0) < np.sum(turning):
+                yield cls(scope, signs)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with signed rates."""
+        view = views[place]
+        return changed(view, rate=view.rate * self.signs, span=view.span * self.signs)
+
+
+@dataclass(frozen=True)
+class RatesExchanged(Mistake):
+    """The rates of two rows of a run are exchanged; `rows` are their places from 0, of `among` rows."""
+
+    rows: tuple[int, int]
+    among: int
+    kind: ClassVar[str] = "rates_exchanged"
+
+    @property
+    def unlikelihood(self) -> float:
+        """The rows are chosen by the outputs."""
+        return 2 * math.log(self.among * (self.among - 1) / 2)
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield the runs in which two rows alone are off, and each has about the rate of the other."""
+        for scope in single_runs(views):
+            view = views[scope.runs[0]]
+            shown = shown_rates(campaign, view)
+            if shown is None:
+                continue
+            off = np.flatnonzero(~_alike(shown, view.rate))
+            if len(off) == 2 and _alike(shown[off], view.rate[off[::-1]]).all():
+                yield cls(scope, (int(off[0]), int(off[1])), view.rows)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the two rates in their places."""
+        view, order = views[place], np.arange(self.among)
+        order[list(self.rows)] = self.rows[::-1]
+        return changed(view, rate=view.rate[order], span=view.span[order])
+
+
+def _alike(shown: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+    return np.abs(shown - recorded) < _AS_RECORDED * np.maximum(np.abs(recorded), _LEAST_RATE) + _LEAST_RATE
+
+
+@dataclass(frozen=True)
+class RatesMissing(Mistake):
+    """The column of rates holds zeros in runs that turned; `rates` are those that the gyros show, run by run."""
+
+    rates: tuple[np.ndarray, ...]
+    kind: ClassVar[str] = "rates_missing"
+
+    @property
+    def unlikelihood(self) -> float:
+        """Every rate is chosen by the outputs: among as many as a gyro tells apart over its range."""
+        return 2 * math.log(1e4) * sum(map(len, self.rates))
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield all runs together, and each, whose rates are zero while a gyro shows that the table turns."""
+        shown = {k: shown_rates(campaign, view) for k, view in enumerate(views) if not np.any(view.rate)}
+        turned = {
+            k: np.nan_to_num(each) for k, each in shown.items()
+            if each is not None and np.nanmax(np.abs(each), initial=0.0) > 10 * _LEAST_RATE
+        }  # fmt: skip
+        if turned:
+            name = views[next(iter(turned))].name
+            scope = Scope("run", name, tuple(turned)) if len(turned) == 1 else all_runs(tuple(turned))
+            yield cls(scope, tuple(turned.values()))
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the rates that the gyro shows."""
+        return changed(views[place], rate=self.rates[self.scope.runs.index(place)])
+
+
+RATE_RECORDS: tuple[type[Mistake], ...] = (RateWithoutSign, RatesExchanged, RatesMissing)

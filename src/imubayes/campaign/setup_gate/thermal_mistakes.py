@@ -1,0 +1,207 @@
+"""Mistakes in the recorded temperatures: of a run, of two runs, or of the two thermometers.
+
+They show only where the outputs follow the temperature.  Any temperature that the outputs agree with is a hypothesis,
+and rivals the mistakes that have a name: degrees Fahrenheit, exchanged columns, a column in the wrong order.
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, all_runs, single_runs
+from imubayes.campaign.setup_gate.setup_view import RunView, changed
+from imubayes.foundations.campaign_data import Campaign
+
+_LEAST_COURSE = 2.0  # °C; a temperature that changes by less is the same reversed
+_MARGIN = 10.0  # °C, by which a corrected temperature may exceed those of the other runs
+_PLACES = 4  # of temperatures, between which the best one is found
+SENSOR, CONVERTER = "temperature", "converter_temperature"
+
+
+def _recorded(views: Sequence[RunView], names: tuple[str, ...]) -> list[Scope]:
+    """Return all runs with these temperatures together, and each by itself."""
+    places = [scope for scope in single_runs(views) if set(names) <= set(views[scope.runs[0]].temperatures)]
+    return [all_runs([place.runs[0] for place in places])] * (len(places) > 1) + places
+
+
+def _among_others(mistake: Mistake, views: Sequence[RunView]) -> bool:
+    """Whether the corrected temperatures of a run are among those of the other runs.
+
+    Elsewhere no run tells what the outputs should be, and any temperature explains them.
+    """
+    (place,) = mistake.scope.runs
+    others = [view for k, view in enumerate(views) if k != place]
+    for name, values in mistake.corrected(views, place, 0.0).temperatures.items():
+        known = [view.temperatures[name] for view in others if name in view.temperatures]
+        if not known:
+            return False
+        reach = np.concatenate(known)
+        if np.min(values) < np.min(reach) - _MARGIN or np.max(values) > np.max(reach) + _MARGIN:
+            return False
+    return True
+
+
+@dataclass(frozen=True)
+class _OfTemperatures(Mistake):
+    @property
+    def record(self) -> str:
+        """Temperatures."""
+        return SENSOR
+
+
+@dataclass(frozen=True)
+class TemperatureUnit(_OfTemperatures):
+    """Temperatures of a run are in degrees Fahrenheit.
+
+    In all runs they would be another scale of temperature, with other coefficients, and describe the outputs as well.
+    """
+
+    names: tuple[str, ...]
+    kind: ClassVar[str] = "temperature_unit"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield each thermometer of each run, and both."""
+        for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
+            for scope in _recorded(views, names):
+                mistake = cls(scope, names)
+                if scope.section == "run" and _among_others(mistake, views):
+                    yield mistake
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with its temperatures in °C."""
+        view = views[place]
+        return changed(
+            view,
+            temperatures={
+                name: (values - 32) / 1.8 if name in self.names else values
+                for name, values in view.temperatures.items()
+            },
+        )
+
+
+@dataclass(frozen=True)
+class ThermometersExchanged(_OfTemperatures):
+    """The temperatures of sensor and converter are exchanged."""
+
+    kind: ClassVar[str] = "thermometers_exchanged"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield all runs with both thermometers, and each; a converter at one temperature has it stated for the run."""
+        columns = [k for k, view in enumerate(views) if np.ptp(view.temperatures.get(CONVERTER, 0.0)) > 0]
+        for scope in _recorded([views[k] for k in columns], (SENSOR, CONVERTER)):
+            scope = replace(scope, runs=tuple(columns[place] for place in scope.runs))
+            mistake = cls(scope)
+            if scope.section != "run" or _among_others(mistake, views):
+                yield mistake
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the two columns in their places."""
+        recorded = views[place].temperatures
+        return changed(views[place], temperatures={SENSOR: recorded[CONVERTER], CONVERTER: recorded[SENSOR]})
+
+
+@dataclass(frozen=True)
+class TemperatureReversed(_OfTemperatures):
+    """Columns of temperatures run backwards in time."""
+
+    names: tuple[str, ...]
+    kind: ClassVar[str] = "temperature_reversed"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield the runs in which a temperature changes, and those in which both do."""
+        for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
+            for scope in single_runs(views):
+                recorded = views[scope.runs[0]].temperatures
+                if all(name in recorded and np.ptp(recorded[name]) > _LEAST_COURSE for name in names):
+                    yield cls(scope, names)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the columns in the order of time."""
+        recorded = views[place].temperatures
+        return changed(views[place], temperatures={**recorded, **{name: recorded[name][::-1] for name in self.names}})
+
+
+@dataclass(frozen=True)
+class TemperatureValue(_OfTemperatures):
+    """The temperature of a run is another one; the size in °C is added to what was recorded.
+
+    Attributes
+    ----------
+    reach : least and largest size that leads to temperatures of other runs.
+    """
+
+    names: tuple[str, ...]
+    reach: tuple[float, float]
+    kind: ClassVar[str] = "temperature_value"
+    open_value: ClassVar[bool] = True
+    per_radian: ClassVar[float] = 100.0
+    settled: ClassVar[float] = 1.0
+    rarity: ClassVar[float] = 8.0
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield the thermometer of the sensors in each run; the only one of a converter goes with it."""
+        for scope in single_runs(views):
+            own = views[scope.runs[0]].temperatures
+            names = tuple(own)
+            others = [view.temperatures for k, view in enumerate(views) if k != scope.runs[0]]
+            known = [np.concatenate([each[name] for each in others if name in each] or [[]]) for name in names]
+            if names and all(len(each) for each in known):
+                low = max(np.min(each) - _MARGIN - np.min(own[name]) for name, each in zip(names, known, strict=True))
+                high = min(np.max(each) + _MARGIN - np.max(own[name]) for name, each in zip(names, known, strict=True))
+                if low < high:
+                    yield cls(scope, names, (float(low), float(high)))
+
+    def grid(self) -> tuple[float, ...]:
+        """Return sizes through the temperatures that other runs tell."""
+        return tuple(np.linspace(*self.reach, _PLACES).tolist())
+
+    def possible(self, size: float) -> bool:
+        """Return whether other runs tell what the outputs are at such temperatures."""
+        return self.reach[0] < size < self.reach[1] and abs(size) > _LEAST_COURSE
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run at the other temperature."""
+        recorded = views[place].temperatures
+        return changed(views[place], temperatures={**recorded, **{name: recorded[name] + size for name in self.names}})
+
+
+@dataclass(frozen=True)
+class TemperaturesExchanged(_OfTemperatures):
+    """The temperatures of two runs are exchanged; `second` is the name of the second, `other` its place."""
+
+    second: str
+    other: int
+    kind: ClassVar[str] = "temperatures_exchanged"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every pair of runs at different temperatures."""
+        mean = {k: {name: np.mean(x) for name, x in view.temperatures.items()} for k, view in enumerate(views)}
+        for first, second in itertools.combinations([k for k, own in mean.items() if own], 2):
+            one, other = mean[first], mean[second]
+            if one.keys() == other.keys() and any(abs(one[name] - other[name]) > _LEAST_COURSE for name in one):
+                yield cls(Scope("run", views[first].name, (first, second)), views[second].name, second)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the temperatures of the other."""
+        view, source = views[place], views[self.scope.runs[0] if place == self.other else self.other]
+        return changed(view, temperatures={name: _as_long(x, view.rows) for name, x in source.temperatures.items()})
+
+
+def _as_long(values: np.ndarray, rows: int) -> np.ndarray:
+    """Return a column as it is in a run of so many rows."""
+    if len(values) == rows:
+        return values
+    return np.interp(np.linspace(0, 1, rows), np.linspace(0, 1, len(values)), values)
+
+
+TEMPERATURE_MISTAKES: tuple[type[Mistake], ...] = (
+    ThermometersExchanged, TemperaturesExchanged, TemperatureUnit, TemperatureReversed, TemperatureValue,
+)  # fmt: skip

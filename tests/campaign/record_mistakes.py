@@ -1,0 +1,135 @@
+"""Mistakes in the record of a run, a row or two runs, planted into fresh campaigns as text.
+
+Beside mistakes with a name there are those of any value.  None shares code with the package.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from campaign_files import Files
+
+Cells = dict[str, list[str]]
+Planter = Callable[[Files, np.random.Generator], tuple[str, ...] | None]
+"""Plants a mistake, and returns what a message has to contain; None where the campaign cannot have it."""
+
+
+def changed(files: Files, run: dict, column: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Change a column of a run; empty cells stay empty."""
+
+    def edit(columns: Cells) -> None:
+        values = np.array([float(cell) if cell else np.nan for cell in columns[column]])
+        columns[column] = ["" if np.isnan(each) else f"{each:.9g}" for each in change(values)]
+
+    files.edit(run, edit)
+
+
+def temperatures(files: Files, run: dict) -> np.ndarray:
+    """Return the temperatures of a run."""
+    found: list[np.ndarray] = []
+
+    def look(values: np.ndarray) -> np.ndarray:
+        found.append(values)
+        return values
+
+    changed(files, run, "temperature_degC", look)
+    return found[0]
+
+
+def heater_off(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Record the set point of a chamber whose heater was off: any value far from the true one."""
+    run = files.runs[draw.integers(len(files.runs))]
+    true = temperatures(files, run)
+    others = np.concatenate([temperatures(files, each) for each in files.runs if each is not run])
+    if not others.min() - 5 < true.mean() < others.max() + 5:
+        return None
+    recorded = true + draw.choice([-1, 1]) * draw.uniform(25, 40)
+    changed(files, run, "temperature_degC", lambda _: recorded)
+    return (f"run '{run['name']}'", "mean temperature of")
+
+
+def temperatures_exchanged(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Exchange the temperatures of two runs."""
+    known = {each["name"]: temperatures(files, each) for each in files.runs}
+    alike = [(a, b) for a in files.runs for b in files.runs if len(known[a["name"]]) == len(known[b["name"]])]
+    pairs = [(a, b) for a, b in alike if known[a["name"]].mean() < known[b["name"]].mean() - 15]
+    if not pairs:
+        return None
+    one, other = pairs[draw.integers(len(pairs))]
+    held = [known[each["name"]] for each in (one, other)]
+    changed(files, one, "temperature_degC", lambda _: held[1])
+    changed(files, other, "temperature_degC", lambda _: held[0])
+    return (f"'{one['name']}'", f"'{other['name']}'", "temperatures of runs", "exchanged")
+
+
+def other_unit(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Give one run the scale factors and biases of another unit."""
+    run = files.runs[draw.integers(len(files.runs))]
+    channels = list(files.document["channel"])
+    if len(channels) < 3 or len(files.runs) < 4:
+        return None
+    for channel in channels:
+        scale, ppm = float(channel["scale"]), draw.normal(0, 3e-3)
+        bias = draw.choice([-1, 1]) * draw.uniform(0.02, 0.05) * scale
+        bias *= 1.0 if channel["kind"] == "accelerometer" else 20.0
+        changed(files, run, str(channel["name"]), lambda x, ppm=ppm, bias=bias: (1 + ppm) * x + bias)
+    return (f"run '{run['name']}' is of another unit",)
+
+
+def rate_without_sign(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Record the speed of the table in one run, and not its direction."""
+    runs = files.of("rate_table")
+    if not runs:
+        return None
+    run = runs[draw.integers(len(runs))]
+    changed(files, run, "table_rate_deg_s", np.abs)
+    return (f"in run '{run['name']}'", "without their sign")
+
+
+def rates_missing(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Record a rate of zero in all runs of a rate table."""
+    runs = files.of("rate_table")
+    for run in runs:
+        changed(files, run, "table_rate_deg_s", np.zeros_like)
+    return ("'table_rate_deg_s' is zero",) if runs else None
+
+
+def sign_in_one_row(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Write one output of one row with the wrong sign: of the channel whose output is largest there."""
+    run = files.runs[draw.integers(len(files.runs))]
+    kind = "gyro" if run["procedure"] == "rate_table" else "accelerometer"
+    names = files.channels(kind)
+    if len(names) < 2:
+        return None
+    place: list[tuple[str, int]] = []
+
+    def edit(columns: Cells) -> None:
+        row = int(draw.integers(2, len(columns[names[0]]) - 2))
+        name = max(names, key=lambda each: abs(float(columns[each][row])))
+        columns[name][row] = f"{-float(columns[name][row]):.9g}"
+        place.append((name, row + 1))
+
+    files.edit(run, edit)
+    ((name, row),) = place
+    return (f"'{run['name']}'", f"'{name}' has the wrong sign in row {row}")
+
+
+def scale_ten_times(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """State the scale of one channel or of all of a kind ten times too small or too large."""
+    kind = str(draw.choice(sorted({str(each["kind"]) for each in files.document["channel"]})))
+    channels = [each for each in files.document["channel"] if each["kind"] == kind]
+    factor = float(draw.choice([0.1, 10.0]))
+    chosen = channels if draw.random() < 0.5 else [channels[draw.integers(len(channels))]]
+    right = [f"scale = {float(each['scale']):.6g} for '{each['name']}'" for each in chosen]
+    for each in chosen:
+        each["scale"] = float(each["scale"]) * factor
+    files.save()
+    return tuple(right)
+
+
+RECORD_MISTAKES: dict[str, Planter] = {
+    each.__name__: each
+    for each in (
+        heater_off, temperatures_exchanged, other_unit, rate_without_sign, rates_missing, sign_in_one_row,
+        scale_ten_times,
+    )
+}  # fmt: skip
