@@ -22,6 +22,7 @@ class TumbleHeading(MotionEffect):
     name = "tumble_heading"
     stage = Stage.STAND
     per = ("run",)
+    needs = ("posed",)
     nuisance = True
     confused_with = "gyro biases, unless the gyros resolve the Earth rate"
     reference = "Groves, Principles of GNSS, Inertial and Multisensor Navigation, § 5.6.2 (gyrocompassing)"

@@ -26,6 +26,7 @@ from imubayes.model import bound_effects as binding
 from imubayes.model import nodes_and_entries
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.dry_run import dry_run
+from imubayes.model.carried_motion import bind_carried
 from imubayes.model.effect_registry import EffectClass, Registry, with_noise_priors
 from imubayes.model.grouping import Grouping, colour_columns
 from imubayes.model.integrated_outputs import bind_servos, bind_transitions
@@ -52,13 +53,14 @@ def build_problem(assembly: Assembly, hyper_correlation: HyperCorrelation | None
     """Return the arrays of an assembly, as NumPy arrays on the host."""
     nodes = assembly.grouping.nodes
     spread_of, spread_unit = _learnt_prior_widths(assembly)
-    observations = _observations(assembly.grouping)
+    observations, transitions = _observations(assembly.grouping), bind_transitions(assembly)
     slow = any(issubclass(effect.effect_class, SlowNoise) for effect in assembly.effects)
     return Problem(
         nodes=assembly.nodes,
         channels=assembly.channels,
         layers=assembly.path(np.arange(len(nodes.run)), tuple(Stage), injected=nodes.injected),
-        transitions=bind_transitions(assembly),
+        transitions=transitions,
+        carried=bind_carried(assembly, transitions),
         servos=bind_servos(assembly),
         turns=nodes.turns,
         node_weight=nodes.stimulus.weight,
@@ -163,7 +165,7 @@ def _noise_layer(effect: binding.BoundEffect, assembly: Assembly) -> NoiseLayer:
 
 
 # Unknowns of the procedures themselves, added whether or not the model file lists them.
-_IMPLIED_BY_POSES, _IMPLIED_BY_TURNS = ("pose_attitude",), ("tumble_heading", "rotation_closure")
+_IMPLIED_BY_POSES, _IMPLIED_BY_TURNS, _IMPLIED_BY_RESTS = ("pose_attitude",), ("rotation_closure",), ("tumble_heading",)
 _IMPLIED_BY_SERVO = ("servo_start",)
 _IMPLIED_BY_BENCHES = ("unknown_heading", "unknown_level")
 
@@ -401,6 +403,7 @@ def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> Mo
     tumbles = [run.tumble for run in campaign.runs if run.tumble is not None]
     names = list(_IMPLIED_BY_POSES) if tumbles else []
     names += _IMPLIED_BY_TURNS if any(tumble.turns for tumble in tumbles) else ()
+    names += _IMPLIED_BY_RESTS if any(tumble.turns and not tumble.in_motion for tumble in tumbles) else ()
     names += _IMPLIED_BY_SERVO if nodes_and_entries.servo_runs(campaign) else ()
     present = {channel.kind for channel in campaign.channels}
     names += [name for name in _IMPLIED_BY_BENCHES if present & set(registry.effects[name].kinds)]

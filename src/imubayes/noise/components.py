@@ -386,6 +386,28 @@ class RotationClosure(EntryNoise):
         return self.sigma**2
 
 
+class HandAcceleration(EntryNoise):
+    """Acceleration of the hand, the drill or the wheel that carries the unit: variance σ² of a row in motion.
+
+    It is stated as a specific force, whatever the number of samples: what a row averages of it is independent of how
+    densely it was sampled.
+    """
+
+    name = "hand_acceleration"
+    per = ()
+    needs = ("hand",)
+    kinds = ("accelerometer",)
+    confused_with = "white_noise, where no other run determines it"
+    reference = "definition; specific force is that of gravity and of the motion"
+
+    sigma: Scalar = parameter(
+        "output", "lognormal(0.003 scale, 1.5)", (1e-9, 0.1), "the standard deviation of a row in motion"
+    )
+
+    def variance(self, entry: Entry) -> Scalars:
+        return self.sigma**2
+
+
 _HOUR = 3600.0
 # Below this x a series replaces (x − 1 + exp(−x))/x², which cancels there; the first neglected term is x³/120.
 _SMALL = 1e-3
@@ -476,15 +498,45 @@ class PulseQuantisation(SlowNoise):
     )
 
     def states(self, row: RowSpan) -> StateCovariance:
-        follows = row.gap < _TOUCHING * row.length
-        one = jnp.ones(1)
-        return StateCovariance(
-            2 * (self.q / row.length) ** 2,
-            -one / row.length,
-            self.q**2 / row.length * one,
-            jnp.where(follows, 1.0, 0.0) * one,
-            0.0 * one,
-        )
+        return _of_ends(self.q, row)
+
+
+class HandVelocity(SlowNoise):
+    """Variance 2 v²/T² of a row of T s in motion, covariance −v²/(T₁T₂) of rows that follow one another.
+
+    The mean acceleration of a hand, a drill or a wheel over a row is the change of its velocity over T.  Velocities of
+    standard deviation v at the ends of rows are bounded: what one row has too much the next one lacks.  In body axes
+    this holds as well, since rows that follow share the velocity in between; what the turning of the body leaves over
+    is `hand_acceleration`.
+    """
+
+    name = "hand_velocity"
+    per = ()
+    needs = ("hand",)
+    kinds = ("accelerometer",)
+    excludes = ("correlated_noise", "outliers")
+    confused_with = "hand_acceleration, where velocities last longer than a row"
+    reference = "kinematics: the mean of a derivative; spectrum of IEEE Std 952, annex C, quantization noise"
+
+    v: Scalar = parameter(
+        "output", "lognormal(0.005 scale, 1.5)", (1e-9, 0.1), "the standard deviation of the velocity, times 1 s"
+    )
+
+    def states(self, row: RowSpan) -> StateCovariance:
+        return _of_ends(self.v, row)
+
+
+def _of_ends(size: Scalar, row: RowSpan) -> StateCovariance:
+    """Return the covariance of a row whose integral errs by white noise at both ends, shared by rows that follow."""
+    follows = row.gap < _TOUCHING * row.length
+    one = jnp.ones(1)
+    return StateCovariance(
+        2 * (size / row.length) ** 2,
+        -one / row.length,
+        size**2 / row.length * one,
+        jnp.where(follows, 1.0, 0.0) * one,
+        0.0 * one,
+    )
 
 
 def _decaying(variance: Float[Array, " J"], times: Float[Array, " J"], row: RowSpan) -> StateCovariance:

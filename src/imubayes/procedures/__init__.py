@@ -19,6 +19,7 @@ from imubayes.procedures.rate_table import RATE_TABLE
 from imubayes.procedures.reference_gyro import REFERENCE_GYRO
 from imubayes.procedures.rotation_modulation import ROTATION_MODULATION
 from imubayes.procedures.servo_table import SERVO_TABLE
+from imubayes.procedures.slow_motion import SLOW_MOTION
 from imubayes.procedures.static_record import STATIC_RECORD
 from imubayes.procedures.textbook import TextbookResult
 
@@ -37,6 +38,7 @@ PROCEDURES: dict[str, Procedure] = {
         MULTI_AXIS_TABLE,
         CENTRIFUGE,
         FREE_TUMBLE,
+        SLOW_MOTION,
         STATIC_RECORD,
     )
 }

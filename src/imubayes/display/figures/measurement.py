@@ -93,7 +93,7 @@ def _measured(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
     order = np.argsort(x, kind="stable")
     band = ((predicted - wide)[order], (predicted + wide)[order])
     axes.fill_between(x[order], *band, color=style.BAND_WIDE, linewidth=0, zorder=1)
-    if _procedure(own).reduction is Reduction.POSES or x.size < 2:
+    if _procedure(own).reduction.by_hand or x.size < 2:
         axes.plot(x, predicted, "_", color=style.VERMILION, markersize=9, markeredgewidth=1.4)
     else:
         axes.plot(x[order], predicted[order], color=style.VERMILION)
