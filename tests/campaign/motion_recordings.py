@@ -52,6 +52,15 @@ def smooth(rng: np.random.Generator, time: np.ndarray, low: float, high: float, 
     return np.sqrt(2 / terms) * np.sum(np.cos(2 * np.pi * frequency[:, None] * time + phase[:, None]), axis=0)
 
 
+def shaken(rng: np.random.Generator, time: np.ndarray, size: float = 0.1, terms: int = 80) -> np.ndarray:
+    """Return a displacement, m, whose acceleration has this standard deviation, m/s², alike from 0.3 to 15 Hz."""
+    frequency, phase = rng.uniform(0.3, 15.0, terms), rng.uniform(0, 2 * np.pi, terms)
+    found = np.zeros(len(time))
+    for omega, begins in zip(2 * np.pi * frequency, phase, strict=True):
+        found += np.cos(omega * time + begins) / omega**2
+    return size * np.sqrt(2 / terms) * found
+
+
 def read(
     errors: UnitErrors, rng: np.random.Generator, attitude: Callable[[np.ndarray], Rotation],
     place: Callable[[np.ndarray], np.ndarray], seconds: float, hz: float, walk: float = 0.0,
@@ -72,7 +81,7 @@ def read(
     rate = rate + middle.inv().apply(EARTH)
     before, after = place(time - step), place(time + step)
     moved = (before - 2 * here + after) / step**2
-    force = turned.inv().apply(moved + [0, 0, GRAVITY])
+    force = turned.inv().apply(moved + np.array([0, 0, GRAVITY]))
     force = 0.5 * (force[:-1] + force[1:])
     whole = round(seconds * hz)
     force, rate = (each[: whole * FINE].reshape(whole, FINE, 3).mean(axis=1) for each in (force, rate))
@@ -104,3 +113,48 @@ def waved(
         return np.stack([np.interp(time, fine, column) for column in values.T], axis=1)
 
     return read(errors, rng, lambda t: Rotation.from_euler("xyz", at(t, angles)), lambda t: at(t, path), seconds, hz)
+
+
+def drilled(
+    errors: UnitErrors, seed: int, axis: int, sense: float, seconds: float = 20.0, hz: float = 100.0,
+    turns_per_second: float = 1.0, lean: float = 0.0,
+) -> dict[str, np.ndarray]:  # fmt: skip
+    """Return a unit that is turned about one of its axes, which lies level within some degrees and wobbles.
+
+    The rate drags by some percent and varies; the unit sits some centimetres off the axis, and the drill shakes.
+
+    Parameters
+    ----------
+    axis, sense : of the body, and ±1.
+    lean : elevation of the axis, rad.
+    """
+    rng = np.random.default_rng(seed)
+    fine = np.arange(-1.0, seconds + 1.0, 1 / (hz * FINE))
+    share = 1 - rng.uniform(0, 0.1) * fine / seconds + 0.03 * smooth(rng, fine, 0.1, 0.6)
+    phase = 2 * np.pi * sense * turns_per_second * np.cumsum(share) / (hz * FINE) + rng.uniform(0, 2 * np.pi)
+    seat = Rotation.from_rotvec(rng.normal(0, np.radians(3), 3))  # of the body on the chuck
+    wobble = np.radians(0.4) * np.stack([np.cos(phase + 0.7), np.sin(2 * phase), np.zeros(len(phase))], axis=1)
+    wander = np.radians(0.5) * np.stack([smooth(rng, fine, 0.05, 0.5) for _ in range(3)], axis=1)
+    lying = Rotation.from_euler("zy", [rng.uniform(0, 2 * np.pi), lean + rng.normal(0, np.radians(4))])
+    to_axis = Rotation.from_matrix(np.roll(np.eye(3), axis, axis=1))  # body → chuck, x along the axis
+    spun = Rotation.from_rotvec(np.outer(phase, [1, 0, 0]))
+    body = lying * Rotation.from_rotvec(wander) * Rotation.from_rotvec(np.roll(wobble, 1, axis=1)) * spun * to_axis * seat
+    quaternion = body.as_quat()
+    quaternion *= np.cumprod(np.concatenate([[1.0], np.sign(np.sum(quaternion[1:] * quaternion[:-1], axis=1))]))[:, None]
+    off = body.apply(rng.normal(0, 0.015, 3))
+    shake = np.stack([shaken(rng, fine) for _ in range(3)], axis=1)
+
+    def at(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(time, fine, column) for column in values.T], axis=1)
+
+    return read(
+        errors, rng, lambda t: Rotation.from_quat(at(t, quaternion)), lambda t: at(t, off + shake), seconds, hz
+    )
+
+
+def drilled_all(errors: UnitErrors, seed: int, **more: float) -> dict[str, dict[str, np.ndarray]]:
+    """Return six runs: each axis of the body, both ways."""
+    return {
+        f"{'xyz'[axis]}-{'forward' if sense > 0 else 'reverse'}": drilled(errors, 6 * seed + 2 * axis + (sense < 0), axis, sense, **more)
+        for axis in range(3) for sense in (1.0, -1.0)
+    }  # fmt: skip

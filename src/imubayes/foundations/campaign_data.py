@@ -237,6 +237,8 @@ class Tumble:
         rows are static.
     carried_turn, carried_step : shape (n,); its transition, and the number of steps from the start of that.
     carried_back : shape (n,); True where its pose is that at the end of the transition.
+    first_gyros : shape (7, 6); first estimate of bias, rad/s, and scale factor error of the gyros along the body axes,
+        from which a fit begins, then its information matrix; empty where all rows are static.
     """
 
     pose: np.ndarray
@@ -252,6 +254,7 @@ class Tumble:
     carried_turn: np.ndarray = field(default_factory=_no_places)
     carried_step: np.ndarray = field(default_factory=_no_places)
     carried_back: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    first_gyros: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
 
     @property
     def in_motion(self) -> bool:

@@ -165,7 +165,8 @@ def _noise_layer(effect: binding.BoundEffect, assembly: Assembly) -> NoiseLayer:
 
 
 # Unknowns of the procedures themselves, added whether or not the model file lists them.
-_IMPLIED_BY_POSES, _IMPLIED_BY_TURNS, _IMPLIED_BY_RESTS = ("pose_attitude",), ("rotation_closure",), ("tumble_heading",)
+_IMPLIED_BY_POSES, _IMPLIED_BY_TURNS = ("pose_attitude",), ("tumble_heading", "rotation_closure")
+_IMPLIED_BY_MOTION = ("carried_closure",)
 _IMPLIED_BY_SERVO = ("servo_start",)
 _IMPLIED_BY_BENCHES = ("unknown_heading", "unknown_level")
 
@@ -402,8 +403,8 @@ def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> Mo
     """Return the model with the unknowns of the procedures themselves, and of temperatures that are stated as such."""
     tumbles = [run.tumble for run in campaign.runs if run.tumble is not None]
     names = list(_IMPLIED_BY_POSES) if tumbles else []
-    names += _IMPLIED_BY_TURNS if any(tumble.turns for tumble in tumbles) else ()
-    names += _IMPLIED_BY_RESTS if any(tumble.turns and not tumble.in_motion for tumble in tumbles) else ()
+    names += _IMPLIED_BY_TURNS if any(tumble.turns and not tumble.in_motion for tumble in tumbles) else ()
+    names += _IMPLIED_BY_MOTION if any(tumble.in_motion for tumble in tumbles) else ()
     names += _IMPLIED_BY_SERVO if nodes_and_entries.servo_runs(campaign) else ()
     present = {channel.kind for channel in campaign.channels}
     names += [name for name in _IMPLIED_BY_BENCHES if present & set(registry.effects[name].kinds)]

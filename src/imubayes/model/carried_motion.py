@@ -21,6 +21,10 @@ from imubayes.model.assembly import Assembly
 from imubayes.model.integrated_outputs import Transitions
 
 
+_FIRST_PRECISION = np.repeat([np.radians(5.0), 0.03], 3) ** -2.0  # of biases, rad/s, and scale factors, a priori
+_FARTHEST = 4.0  # standard deviations of the prior that the first estimate of a gyro is followed
+
+
 class CarriedInstants(eqx.Module):
     """The nodes that are carried (n of them), in the transitions of a campaign (T of them, of K steps).
 
@@ -108,3 +112,27 @@ def _since_start(rotations: Float[Array, "T K 3 3"]) -> tuple[Float[Array, "T 3 
     first = jnp.broadcast_to(jnp.eye(3), (len(rotations), 3, 3))
     total, before = jax.lax.scan(onward, first, jnp.swapaxes(rotations, 0, 1))
     return total, jnp.concatenate([jnp.swapaxes(before, 0, 1), total[:, None]], axis=1)
+
+
+def first_point(assembly: Assembly) -> np.ndarray:
+    """Return z, (P,), from which a fit begins: the middle of the prior, but for the gyros of a unit in motion.
+
+    Where the unit turns many times between its poses, nominal scale factors would be off by more than a turn.  The
+    first estimates that the poses of the runs stand on are taken, each by its information: about one axis, at one rate,
+    a run tells one combination of bias and scale factor.
+    """
+    z = np.zeros(len(assembly.layout))
+    tumbles = [run.tumble for run in assembly.grouping.campaign.runs if run.tumble is not None]
+    first = [tumble.first_gyros for tumble in tumbles if len(tumble.first_gyros)]
+    if not first:
+        return z
+    information = sum((each[1:] for each in first), start=np.diag(_FIRST_PRECISION))
+    bias, scale = np.split(np.linalg.solve(information, sum(each[1:] @ each[0] for each in first)), 2)
+    axes = {channel.name: channel.axes[0] for channel in assembly.grouping.campaign.of_kind("gyro")}
+    along = {"gyro_bias": {name: axis @ bias for name, axis in axes.items()}}
+    along["gyro_scale_factor"] = {name: axis**2 @ scale for name, axis in axes.items()}
+    for place, parameter in enumerate(assembly.layout.parameters):
+        value = along.get(parameter.effect, {}).get(parameter.label[0] if parameter.label else "")
+        if value is not None:
+            z[place] = np.clip(parameter.prior.z(float(value)), -_FARTHEST, _FARTHEST)
+    return z

@@ -374,12 +374,34 @@ class RotationClosure(EntryNoise):
 
     name = "rotation_closure"
     per = ("run",)
+    needs = ("posed",)
     kinds = ("closure",)
     nuisance = True
     reference = "definition; Tedaldi et al., ICRA 2014, eq. (16) takes it as equal for all transitions"
 
     sigma: Scalar = parameter(
         "arcsec", "lognormal(0.05 deg, 1.5)", (1, 3600), "the standard deviation of the closing rotation"
+    )
+
+    def variance(self, entry: Entry) -> Scalars:
+        return self.sigma**2
+
+
+class CarriedClosure(EntryNoise):
+    """Variance σ² of each component of the closing rotation of a unit in motion, from pose to pose.
+
+    It is that of `rotation_closure`, over stretches of equal length, in all runs alike: few of them are in one run.
+    """
+
+    name = "carried_closure"
+    per = ()
+    needs = ("hand",)
+    kinds = ("closure",)
+    nuisance = True
+    reference = "definition; IEEE Std 952, angle random walk over some ten seconds"
+
+    sigma: Scalar = parameter(
+        "arcsec", "lognormal(0.03 deg, 1)", (1, 3600), "the standard deviation of the closing rotation"
     )
 
     def variance(self, entry: Entry) -> Scalars:

@@ -11,6 +11,7 @@ from imubayes.procedures.centrifuge import CENTRIFUGE
 from imubayes.procedures.converter_temperature import CURRENT_INJECTION, THERMAL_RAMP
 from imubayes.procedures.dividing_head import DIVIDING_HEAD
 from imubayes.procedures.fitted_terms import StandardCombination
+from imubayes.procedures.free_rotation import FREE_ROTATION
 from imubayes.procedures.free_tumble import FREE_TUMBLE
 from imubayes.procedures.geographic_tumble import GEOGRAPHIC_TUMBLE
 from imubayes.procedures.multi_axis_table import MULTI_AXIS_TABLE
@@ -39,6 +40,7 @@ PROCEDURES: dict[str, Procedure] = {
         CENTRIFUGE,
         FREE_TUMBLE,
         SLOW_MOTION,
+        FREE_ROTATION,
         STATIC_RECORD,
     )
 }

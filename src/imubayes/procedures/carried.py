@@ -38,9 +38,7 @@ def carried_stimulus(run: Run, campaign: Campaign) -> Stimulus:
 
 def _nominal_motion(tumble: Tumble, campaign: Campaign) -> CarriedNodes:
     """Return the motion of every node since its pose by the nominal gyros."""
-    gyros = [(place, channel) for place, channel in enumerate(campaign.channels) if channel.kind == "gyro"]
-    signal = np.stack([(tumble.readings[..., i] - c.offset) / c.scale_si for i, c in gyros], axis=-1)
-    rate = signal @ np.linalg.pinv(np.array([channel.axes[0] for _, channel in gyros])).T
+    rate = nominal_rates(tumble, campaign)
     turned = _since_start(rate * tumble.step[..., None] + tumble.coning)
     turn, step, back = tumble.carried_turn, tumble.carried_step, tumble.carried_back
     last = np.maximum(np.sum(tumble.step > 0, axis=1) - 1, 0)[turn]
@@ -59,6 +57,13 @@ def _nominal_motion(tumble: Tumble, campaign: Campaign) -> CarriedNodes:
         step=step,
         back=back,
     )
+
+
+def nominal_rates(tumble: Tumble, campaign: Campaign) -> np.ndarray:
+    """Return the mean rate of every step by the nominal gyros, (T, K, 3), rad/s, body axes."""
+    gyros = [(place, channel) for place, channel in enumerate(campaign.channels) if channel.kind == "gyro"]
+    signal = np.stack([(tumble.readings[..., i] - c.offset) / c.scale_si for i, c in gyros], axis=-1)
+    return signal @ np.linalg.pinv(np.array([channel.axes[0] for _, channel in gyros])).T
 
 
 def _since_start(vectors: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ that was knocked says nothing.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy  # loads its parts when they are first used
@@ -18,16 +18,25 @@ import scipy  # loads its parts when they are first used
 from imubayes.campaign.reduction import Limits
 from imubayes.campaign.reduction import static_poses as static
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, levelling, wrong_acceleration_unit
-from imubayes.campaign.reduction.motion_windows import Division, contiguous, divide, stretches, window_weights
+from imubayes.campaign.reduction.motion_windows import (
+    Division,
+    about_one_axis,
+    contiguous,
+    divide,
+    stretches,
+    window_weights,
+)
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Tumble
 from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import input_error
 
-LEAST_STRETCHES = 3
-MOST_ROWS = 250  # effort
+LEAST_SECONDS = 5.0
+MOST_ROWS, MOST_ABOUT_ONE_AXIS = 250, 120  # effort; about one axis there are several runs
 KNOCKED = 6.0  # robust standard deviations of the force of all windows
-_ROUNDS = 12
+_ROUNDS, _SCATTER = 12, 0.05  # steps, and scatter of the force of a window over g
+_ROUGH, _ROUGH_NOISE = 4, 70.0  # order of differences, and their variance of white noise
+_LEAST_TOGETHER = 6  # windows
 _BIAS, _SCALE = np.radians(20.0), 0.2  # a priori, of the first estimate
 # Gravity and all hand accelerations leave |f| of this share of g on average.
 _INCONSISTENT = np.deg2rad(30.0)
@@ -107,13 +116,15 @@ def reduce_motion(
     length, readings = _steps(log)
     rates = _rates_of(readings, channels)
     coning = _coning(log)
-    before = GyroEstimate(np.zeros(3), np.zeros(3))
-    estimate = _gyros_by_gravity(windows, rates, length, coning, gravity, before)
+    estimate = _gyros_by_gravity(windows, rates, length, coning, gravity)
     carried = _carried_force(windows, rates, length, coning, estimate)
     attitude, misfit = _attitudes(log, carried, rates, length, coning, estimate, gravity)
     findings += _inconsistent(misfit, gravity, file)
-    kept, left = _kept_windows(misfit)
-    tumble = _tumble(log, windows, attitude, kept, (length, readings, coning))
+    kept, left = _kept_windows(misfit, MOST_ABOUT_ONE_AXIS if about_one_axis(log.rate) else MOST_ROWS)
+    tumble = replace(
+        _tumble(log, windows, attitude, kept, (length, readings, coning)),
+        first_gyros=np.vstack([[*estimate.bias, *estimate.scale], estimate.information]),
+    )
     rows = _rows(numbers, log, windows, channels, kept)
     notes = (*notes, *_notes(log, kept, left, misfit, estimate))
     return ReducedTumble(rows, tumble, notes, tuple(findings))
@@ -132,7 +143,7 @@ def _divided(
         )  # fmt: skip
     recording = static.record(numbers, channels, None, file)
     _, rate = static.body_vectors(recording.readings, channels, file)
-    division = divide(rate - np.median(rate, axis=0), recording.interval)
+    division = divide(rate, recording.interval)
     parts = contiguous(recording.time, recording.interval, division.samples)
     series, left = stretches(parts, division)
     first = [start + place * division.samples for start, count in series for place in range(count)]
@@ -141,11 +152,11 @@ def _divided(
     clipped = np.stack([np.isin(recording.readings[:, i], limits.get(name, ())) for i, name in enumerate(names)])
     bad = np.array([clipped[:, start : start + division.samples + 1].any() for start in first], dtype=bool)
     chosen = np.flatnonzero(~bad)
-    if len(chosen) < LEAST_STRETCHES:
-        seconds = LEAST_STRETCHES * division.samples * recording.interval
+    seconds = len(chosen) * division.samples * recording.interval
+    if seconds < LEAST_SECONDS:
         raise input_error(
-            f"the log holds {len(chosen)} stretches of motion without gaps and clipped samples",
-            file, f"{LEAST_STRETCHES} or more, {seconds:.3g} s in all; some minutes in all attitudes are recommended",
+            f"the log holds {seconds:.3g} s of motion without gaps and clipped samples",
+            file, f"{LEAST_SECONDS:g} s or more in one piece; some minutes in all attitudes are recommended",
             "record for longer, within the ranges of all channels",
         )  # fmt: skip
     follows = np.array([not begins[i] and i > 0 and not bad[i - 1] for i in chosen])
@@ -191,10 +202,14 @@ def _rates_of(readings: np.ndarray, channels: Sequence[Channel]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class GyroEstimate:
-    """First estimate of the gyros: true rate = (rate − bias)/(1 + scale), shape (3,) each, body axes."""
+    """First estimate of the gyros: true rate = (rate − bias)/(1 + scale), shape (3,) each, body axes.
+
+    `information`, (6, 6), is that of bias and scale by the data, without the prior that the estimate is held by.
+    """
 
     bias: np.ndarray
     scale: np.ndarray
+    information: np.ndarray
 
     def corrected(self, rate: np.ndarray) -> np.ndarray:
         """Return true rates, (…, 3)."""
@@ -230,23 +245,32 @@ def _carried_force(
 
 
 def _gyros_by_gravity(
-    windows: Windows, rates: np.ndarray, length: np.ndarray, coning: np.ndarray, gravity: float, gyros: GyroEstimate
+    windows: Windows, rates: np.ndarray, length: np.ndarray, coning: np.ndarray, gravity: float
 ) -> GyroEstimate:
     """Return the biases and scale factors of the gyros with which gravity keeps its direction in every stretch.
 
-    Robust least squares of the scatter of carried forces within a stretch, by differences.
+    Robust least squares of the scatter of carried forces, by differences: first within some windows, then within twice
+    as many, up to a stretch.  What is left of an error of the scale factor would be more than a turn at once.
     """
+    count = windows.force.shape[1]
+    sizes = [count // parts for parts in (32, 16, 8, 4, 2, 1) if count // parts >= _LEAST_TOGETHER] or [count]
 
-    def misfit(values: np.ndarray) -> np.ndarray:
-        held = GyroEstimate(gyros.bias + values[:3] * _BIAS, gyros.scale + values[3:] * _SCALE)
-        force = _carried_force(windows, rates, length, coning, held) / gravity
-        scatter = force - np.median(force, axis=1, keepdims=True)
-        return np.concatenate([scatter.ravel(), values * 0.1])
+    def misfit(values: np.ndarray, size: int) -> np.ndarray:
+        held = GyroEstimate(values[:3] * _BIAS, values[3:] * _SCALE, nothing)
+        force = _carried_force(windows, rates, length, coning, held)[:, : count // size * size] / gravity
+        grouped = force.reshape(len(force), -1, size, 3)
+        scatter = grouped - grouped.mean(axis=2, keepdims=True)
+        return np.concatenate([scatter.ravel(), values])
 
-    found = scipy.optimize.least_squares(
-        misfit, np.zeros(6), loss="soft_l1", f_scale=0.05, max_nfev=_ROUNDS, diff_step=1e-4
-    )
-    return GyroEstimate(gyros.bias + found.x[:3] * _BIAS, gyros.scale + found.x[3:] * _SCALE)
+    values, nothing, jacobian = np.zeros(6), np.zeros((6, 6)), np.zeros((1, 6))
+    for size in sizes:
+        found = scipy.optimize.least_squares(
+            misfit, values, loss="soft_l1", f_scale=_SCATTER, max_nfev=_ROUNDS, diff_step=1e-4, args=(size,), xtol=1e-5
+        )
+        values, jacobian = found.x, found.jac[:-6]
+    wide = np.repeat([_BIAS, _SCALE], 3)
+    information = jacobian.T @ jacobian / np.outer(wide, wide) / _SCATTER**2
+    return GyroEstimate(values[:3] * _BIAS, values[3:] * _SCALE, information)
 
 
 def _attitudes(
@@ -282,14 +306,14 @@ def _attitudes(
     return attitude, local - np.array([0.0, 0.0, gravity])
 
 
-def _kept_windows(misfit: np.ndarray) -> tuple[np.ndarray, int]:
+def _kept_windows(misfit: np.ndarray, most: int) -> tuple[np.ndarray, int]:
     """Return which windows are used, (T, L), and how many were knocked."""
     deviation = np.linalg.norm(misfit - np.median(misfit.reshape(-1, 3), axis=0), axis=2)
     # The median length of a normal vector in space is 1.538 standard deviations of a component.
     good = deviation < KNOCKED * max(float(np.median(deviation)) / 1.538, 1e-6)
     kept, places = np.zeros(good.shape, dtype=bool), np.flatnonzero(good)
-    if len(places) > MOST_ROWS:
-        places = places[np.unique(np.linspace(0, len(places) - 1, MOST_ROWS).round().astype(int))]
+    if len(places) > most:
+        places = places[np.unique(np.linspace(0, len(places) - 1, most).round().astype(int))]
     kept.ravel()[places] = True
     return kept, int(np.sum(~good))
 
@@ -328,7 +352,7 @@ def _rows(
 ) -> dict[str, np.ndarray]:
     """Return the columns of the windows; the gyros have none, since their outputs carry the attitude.
 
-    The scatter of single samples is that of their second differences, which the motion hardly adds to.
+    The scatter of single samples is that of their fourth differences, which the motion hardly adds to.
     """
     turn, place = np.nonzero(kept)
     per = log.division.per_window
@@ -344,8 +368,9 @@ def _rows(
             rows[channel.name] = rows[f"{channel.name}_sd"] = np.full(len(start), np.nan)
             continue
         rows[channel.name] = windows.readings[turn, place, index]
-        rough = np.diff(log.readings[:, index][inside], 2, axis=1)
-        rows[f"{channel.name}_sd"] = np.sqrt(np.mean(rough**2, axis=1) / 6) if per > 1 else np.full(len(start), np.nan)
+        rough = np.diff(log.readings[:, index][inside], _ROUGH, axis=1)
+        usual = np.full(len(start), np.nan)
+        rows[f"{channel.name}_sd"] = np.sqrt(np.mean(rough**2, axis=1) / _ROUGH_NOISE) if per > _ROUGH else usual
     return rows
 
 

@@ -16,9 +16,8 @@ WINDOW_ANGLE = 1.2  # rad: a rotating vector is shortened by 6 % in the mean ove
 STEP_SECONDS, STEP_ANGLE = 0.1, 0.2
 # Random walk and bias instability of a consumer gyro turn by some 0.05 deg over half of the longest.
 STRETCH_SECONDS, MOST_STRETCH_SECONDS = 10.0, 60.0
-# What 3 % of scale factor make of half of it is 30 degrees, from which the fit finds the attitudes of both ends.
-STRETCH_ANGLE = math.radians(2000.0)
-MOST_STRETCHES = 12  # effort: each brings three angles
+MOST_STRETCHES, MOST_ABOUT_ONE_AXIS = 12, 1  # effort: each brings three angles
+ONE_AXIS = 0.95  # of the mean square rate, along one axis of the body: the unit turns about it
 _FAST = 0.98  # quantile of the rate for which steps and windows are chosen
 _DEGREE = 4  # of polynomials that are averaged exactly
 
@@ -30,11 +29,13 @@ class Division:
     Attributes
     ----------
     step, window, stretch : samples in a step, steps in a window, windows in a stretch.
+    most : stretches that are used.
     """
 
     step: int
     window: int
     stretch: int
+    most: int
 
     @property
     def per_window(self) -> int:
@@ -60,15 +61,21 @@ def divide(rate: np.ndarray, interval: float) -> Division:
     rate : shape (N, 3), body axes, rad/s.
     interval : sampling interval, s.
     """
-    speed = np.linalg.norm(rate, axis=1)
-    fast = max(float(np.quantile(speed, _FAST)), 1e-3)
+    fast = max(float(np.quantile(np.linalg.norm(rate, axis=1), _FAST)), 1e-3)
     step = max(1, int(min(STEP_SECONDS, STEP_ANGLE / fast) / interval))
     window = min(WINDOW_SECONDS, WINDOW_ANGLE / fast) / (step * interval)
     steps = max(2, 2 * int(window / 2))
-    seconds, usual = steps * step * interval, max(float(speed.mean()), 1e-3)
-    whole = 1.02 * len(rate) * interval / MOST_STRETCHES
-    longest = min(STRETCH_ANGLE / usual, max(STRETCH_SECONDS, min(whole, MOST_STRETCH_SECONDS)))
-    return Division(step, steps, max(2, int(longest / seconds)))
+    whole = len(rate) * interval
+    most = MOST_ABOUT_ONE_AXIS if about_one_axis(rate) else MOST_STRETCHES
+    count = max(1, min(most, math.ceil(whole / STRETCH_SECONDS)))
+    stretch = min(whole / count, MOST_STRETCH_SECONDS) / (steps * step * interval)
+    return Division(step, steps, max(2, 2 * int(stretch / 2)), most)
+
+
+def about_one_axis(rate: np.ndarray) -> bool:
+    """Return whether a unit turns about one axis of its body, by its rates (N, 3), and keeps turning."""
+    squares = np.linalg.eigvalsh(rate.T @ rate / len(rate))
+    return bool(squares[-1] > ONE_AXIS * squares.sum())
 
 
 def contiguous(time: np.ndarray, interval: float, least: int) -> list[tuple[int, int]]:
@@ -81,15 +88,16 @@ def contiguous(time: np.ndarray, interval: float, least: int) -> list[tuple[int,
 def stretches(parts: list[tuple[int, int]], division: Division) -> tuple[list[tuple[int, int]], int]:
     """Return for each series of stretches its first sample and their number, and how many stretches are left out.
 
-    More than `MOST_STRETCHES` are not used: they are taken in series of six, spread evenly over the record.
+    More than the division allows are not used: they are taken spread evenly over the record, in series.
     """
     series = [(start, (stop - start) // division.samples) for start, stop in parts]
-    whole = sum(count for _, count in series)
-    if whole <= MOST_STRETCHES:
+    whole, most = sum(count for _, count in series), division.most
+    if whole <= most:
         return series, 0
-    short = [(start + place * division.samples, min(6, count - place)) for start, count in series
-             for place in range(0, count, 6)]  # fmt: skip
-    chosen = np.unique(np.linspace(0, len(short) - 1, MOST_STRETCHES // 6).round().astype(int))
+    long = max(1, most // 2)
+    short = [(start + place * division.samples, min(long, count - place)) for start, count in series
+             for place in range(0, count, long)]  # fmt: skip
+    chosen = np.unique(np.linspace(0, len(short) - 1, most // long).round().astype(int))
     kept = [short[place] for place in chosen]
     return kept, whole - sum(count for _, count in kept)
 
