@@ -138,18 +138,20 @@ def drilled(
     lying = Rotation.from_euler("zy", [rng.uniform(0, 2 * np.pi), lean + rng.normal(0, np.radians(4))])
     to_axis = Rotation.from_matrix(np.roll(np.eye(3), axis, axis=1))  # body → chuck, x along the axis
     spun = Rotation.from_rotvec(np.outer(phase, [1, 0, 0]))
-    body = lying * Rotation.from_rotvec(wander) * Rotation.from_rotvec(np.roll(wobble, 1, axis=1)) * spun * to_axis * seat
+    body = (
+        lying * Rotation.from_rotvec(wander) * Rotation.from_rotvec(np.roll(wobble, 1, axis=1)) * spun * to_axis * seat
+    )
     quaternion = body.as_quat()
-    quaternion *= np.cumprod(np.concatenate([[1.0], np.sign(np.sum(quaternion[1:] * quaternion[:-1], axis=1))]))[:, None]
+    quaternion *= np.cumprod(np.concatenate([[1.0], np.sign(np.sum(quaternion[1:] * quaternion[:-1], axis=1))]))[
+        :, None
+    ]
     off = body.apply(rng.normal(0, 0.015, 3))
     shake = np.stack([shaken(rng, fine) for _ in range(3)], axis=1)
 
     def at(time: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(time, fine, column) for column in values.T], axis=1)
 
-    return read(
-        errors, rng, lambda t: Rotation.from_quat(at(t, quaternion)), lambda t: at(t, off + shake), seconds, hz
-    )
+    return read(errors, rng, lambda t: Rotation.from_quat(at(t, quaternion)), lambda t: at(t, off + shake), seconds, hz)
 
 
 def drilled_all(errors: UnitErrors, seed: int, **more: float) -> dict[str, dict[str, np.ndarray]]:
