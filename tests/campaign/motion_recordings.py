@@ -156,7 +156,8 @@ def drilled(
 
 def drilled_all(errors: UnitErrors, seed: int, **more: float) -> dict[str, dict[str, np.ndarray]]:
     """Return six runs: each axis of the body, both ways."""
-    return {
-        f"{'xyz'[axis]}-{'forward' if sense > 0 else 'reverse'}": drilled(errors, 6 * seed + 2 * axis + (sense < 0), axis, sense, **more)
-        for axis in range(3) for sense in (1.0, -1.0)
-    }  # fmt: skip
+    found = {}
+    for axis, name in enumerate("xyz"):
+        for sense, word in ((1.0, "forward"), (-1.0, "reverse")):
+            found[f"{name}-{word}"] = drilled(errors, 6 * seed + 2 * axis + (sense < 0), axis, sense, **more)
+    return found

@@ -21,6 +21,7 @@ from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_a
 from imubayes.inference.parameter_fit import linearise
 from imubayes.model.bind import Model, bind
 from imubayes.model.bound_effects import observability
+from imubayes.model.carried_motion import first_point
 from imubayes.model.effect_registry import Registry
 from imubayes.model.model_file import GRAVITY, EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
@@ -164,7 +165,7 @@ def untold_effects(model: Model) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class LinearInformation:
-    """A model linear about the middle of its priors.
+    """A model linear about the middle of its priors; of a unit in motion, about the first estimate of its gyros.
 
     Attributes
     ----------
@@ -180,11 +181,14 @@ class LinearInformation:
 
 def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInformation:
     """Return the linear model at noise scales h, (H,), those of the campaign if None."""
-    about = linearise(model.problem, np.zeros(len(model.layout)))
+    start = first_point(model.assembly)
+    about = linearise(model.problem, start)
     scales = np.zeros(len(model.hyper_layout)) if h is None else h
     residual, jacobian, widths = whitened_about(model.problem, about, scales)
     owner = np.array([parameter.effect for parameter in model.layout.parameters])
-    return LinearInformation(jacobian.T @ jacobian + np.diag(widths**-2), jacobian.T @ residual, widths, owner)
+    return LinearInformation(
+        jacobian.T @ jacobian + np.diag(widths**-2), jacobian.T @ (residual + jacobian @ start), widths, owner
+    )
 
 
 def _kept(

@@ -25,8 +25,8 @@ from imubayes.foundations.quantity_names import name_of
 from imubayes.model import bound_effects as binding
 from imubayes.model import nodes_and_entries
 from imubayes.model.assembly import Assembly, assemble
-from imubayes.model.dry_run import dry_run
 from imubayes.model.carried_motion import bind_carried
+from imubayes.model.dry_run import dry_run
 from imubayes.model.effect_registry import EffectClass, Registry, with_noise_priors
 from imubayes.model.grouping import Grouping, colour_columns
 from imubayes.model.integrated_outputs import bind_servos, bind_transitions

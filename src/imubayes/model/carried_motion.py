@@ -20,7 +20,6 @@ from imubayes.foundations.signal_path_state import HandMotion
 from imubayes.model.assembly import Assembly
 from imubayes.model.integrated_outputs import Transitions
 
-
 _FIRST_PRECISION = np.repeat([np.radians(5.0), 0.03], 3) ** -2.0  # of biases, rad/s, and scale factors, a priori
 _FARTHEST = 4.0  # standard deviations of the prior that the first estimate of a gyro is followed
 

@@ -250,7 +250,6 @@ def _carried_on(motion: Motion, hand: HandMotion, frame: "Carried", turning: Vec
     the instant.  The gyros see the Earth's rotation along; what moves a point of the body against the Earth is the
     rest.
     """
-
     earth_turn = arrays.exponential(-hand.elapsed * motion.earth_rate)
 
     def felt(local: Vector3) -> Vector3:

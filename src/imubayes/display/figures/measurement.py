@@ -15,7 +15,7 @@ from imubayes.display import figure_style as style
 from imubayes.display.figures import panels
 from imubayes.display.numbers_and_labels import covariate, pretty, readable
 from imubayes.foundations.covariates import Covariate, shown
-from imubayes.procedures import Procedure, Reduction, procedure_named
+from imubayes.procedures import Procedure, procedure_named
 
 _PITCH = 3.0
 _MODEL_BAND = "#f3c9a8"
