@@ -19,7 +19,7 @@ from imubayes.compiled.jax_settings import clear_if_crowded, prepare_jax
 from imubayes.effects.base import MotionEffect, Stage
 from imubayes.effects.thermometer import TemperatureOffset
 from imubayes.foundations.arrays import Array, Float, Scalar
-from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.campaign_data import Campaign, Tumble
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.quantity_names import name_of
 from imubayes.model import bound_effects as binding
@@ -401,10 +401,7 @@ def _refuse_unknown_procedures(campaign: Campaign) -> None:
 
 def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> ModelSpec:
     """Return the model with the unknowns of the procedures themselves, and of temperatures that are stated as such."""
-    tumbles = [run.tumble for run in campaign.runs if run.tumble is not None]
-    names = list(_IMPLIED_BY_POSES) if tumbles else []
-    names += _IMPLIED_BY_TURNS if any(tumble.turns and not tumble.in_motion for tumble in tumbles) else ()
-    names += _IMPLIED_BY_MOTION if any(tumble.in_motion for tumble in tumbles) else ()
+    names = _by_hand([run.tumble for run in campaign.runs if run.tumble is not None])
     names += _IMPLIED_BY_SERVO if nodes_and_entries.servo_runs(campaign) else ()
     present = {channel.kind for channel in campaign.channels}
     names += [name for name in _IMPLIED_BY_BENCHES if present & set(registry.effects[name].kinds)]
@@ -415,6 +412,13 @@ def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> Mo
         EffectSpec(name, where=where, optional=name in _IMPLIED_BY_BENCHES) for name in names if name not in listed
     )
     return replace(spec, effects=spec.effects + implied)
+
+
+def _by_hand(tumbles: Sequence[Tumble]) -> list[str]:
+    """Return the unknowns of runs without a table: attitudes, heading, and what the gyros wander."""
+    names = list(_IMPLIED_BY_POSES) if tumbles else []
+    names += _IMPLIED_BY_TURNS if any(tumble.turns and not tumble.in_motion for tumble in tumbles) else ()
+    return [*names, *(_IMPLIED_BY_MOTION if any(tumble.in_motion for tumble in tumbles) else ())]
 
 
 def _temperature_errors(listed: Collection[str], campaign: Campaign, registry: Registry) -> list[str]:

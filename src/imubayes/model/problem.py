@@ -134,7 +134,7 @@ def _at(layer: NoiseLayer, quantity: Callable, chosen: dict[str, Array], *entrie
     member = layer.noise
     if namespace(layer.acts, *chosen.values()) is not np:
         return _one_by_one(member, quantity, chosen, entries)
-    if member.__module__ == components.__name__:
+    if member.__module__.rpartition(".")[0] == components.__name__.rpartition(".")[0]:
         # Its fields are all that a formula takes of a member: to make one takes longer than the formula.
         return np.asarray(quantity(member, SimpleNamespace(**chosen), *entries))
     shape = np.broadcast_shapes(*(value.shape for value in chosen.values()))

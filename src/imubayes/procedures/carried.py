@@ -10,8 +10,7 @@ import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Run, Tumble
 from imubayes.foundations.errors import input_error
-from imubayes.procedures.free_tumble import rotation_matrices
-from imubayes.procedures.kinematics import CarriedNodes, Stimulus, at_rest
+from imubayes.procedures.kinematics import CarriedNodes, Stimulus, at_rest, rotation_matrices
 
 
 def carried_stimulus(run: Run, campaign: Campaign) -> Stimulus:

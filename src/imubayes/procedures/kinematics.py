@@ -383,6 +383,16 @@ def row_path(angle: np.ndarray, rate: np.ndarray, span: np.ndarray) -> tuple[np.
     return middle + share[:, None] * swept, weight
 
 
+def rotation_matrices(vectors: np.ndarray) -> np.ndarray:
+    """Return the rotations by vectors, (n, 3) rad → (n, 3, 3), by Rodrigues' formula."""
+    angle = np.linalg.norm(vectors, axis=1)
+    x, y, z = (vectors / np.where(angle == 0, 1.0, angle)[:, None]).T
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    sine, rest = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
+    return np.eye(3) + sine * cross + rest * (cross @ cross)
+
+
 def about_z(angle: np.ndarray) -> np.ndarray:
     """Return rotations about z, (n,) → (n, 3, 3)."""
     c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)

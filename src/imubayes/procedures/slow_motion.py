@@ -9,9 +9,19 @@ The textbook estimate is that of a multi-position test, an ellipsoid fitted to |
 the hand for none.
 """
 
+from collections.abc import Sequence
+
+from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.carried import carried_stimulus
-from imubayes.procedures.free_tumble import tumble_test
+from imubayes.procedures.magnitude_estimate import of_accelerometers
+from imubayes.procedures.textbook import TextbookResult
+
+
+def ellipsoid_fit(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
+    """Return scale factors and biases of the accelerometers by |f| = g in each window, run by run."""
+    return [result for run in runs for result in of_accelerometers(run, campaign)]
+
 
 SLOW_MOTION = Procedure(
     name="slow_motion",
@@ -21,5 +31,5 @@ SLOW_MOTION = Procedure(
     abscissae=("time", "row"),
     row_name="window",
     kinematics=carried_stimulus,
-    evaluate=tumble_test,
+    evaluate=ellipsoid_fit,
 )

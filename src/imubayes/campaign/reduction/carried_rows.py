@@ -148,9 +148,8 @@ def _divided(
     series, left = stretches(parts, division)
     first = [start + place * division.samples for start, count in series for place in range(count)]
     begins = [place == 0 for _, count in series for place in range(count)]
-    names = [channel.name for channel in channels]
-    clipped = np.stack([np.isin(recording.readings[:, i], limits.get(name, ())) for i, name in enumerate(names)])
-    bad = np.array([clipped[:, start : start + division.samples + 1].any() for start in first], dtype=bool)
+    clipped = {c.name: np.isin(recording.readings[:, i], limits.get(c.name, ())) for i, c in enumerate(channels)}
+    bad = _spoilt(first, division.samples, clipped)
     chosen = np.flatnonzero(~bad)
     seconds = len(chosen) * division.samples * recording.interval
     if seconds < LEAST_SECONDS:
@@ -165,10 +164,16 @@ def _divided(
     )
     seconds = division.samples * recording.interval
     notes = (f"{left} stretches of {seconds:.3g} s are left out, evenly, to bound the effort of the fit",) * (left > 0)
-    spoilt = [name for name, own in zip(names, clipped, strict=True) if own.any()]
     if bad.any():
-        notes += (f"{', '.join(spoilt)}: clipped; {int(bad.sum())} stretches of {seconds:.3g} s left out",)
+        named = ", ".join(name for name, own in clipped.items() if own.any())
+        notes += (f"{named}: clipped; {int(bad.sum())} stretches of {seconds:.3g} s left out",)
     return log, notes
+
+
+def _spoilt(first: Sequence[int], samples: int, clipped: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return which stretches hold a clipped sample of any channel, shape (T,)."""
+    any_channel = np.any(list(clipped.values()), axis=0)
+    return np.array([any_channel[start : start + samples + 1].any() for start in first], dtype=bool)
 
 
 def _windows(log: MotionLog) -> Windows:
