@@ -19,7 +19,7 @@ from imubayes.model.problem import prior_widths
 from imubayes.procedures import classical
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
-from motion_recordings import GRAVITY, NAMES, UnitErrors, drilled_all, random_unit, waved
+from motion_recordings import GRAVITY, NAMES, UnitErrors, drilled, drilled_all, random_unit, waved
 
 HELD = "normal(0, 0.001 arcsec)"
 UNITS = {"accelerometer": "m/s^2", "gyro": "rad/s"}
@@ -86,7 +86,7 @@ def pulls(campaign: Campaign, spec: ModelSpec, errors: UnitErrors) -> dict[str, 
 @cache
 def waved_campaign(seed: int = 1) -> tuple[Campaign, UnitErrors]:
     errors = random_unit(np.random.default_rng(100 + seed))
-    return campaign_of({"waved": waved(errors, seed, seconds=90.0, knocks=2)}, "slow_motion"), errors
+    return campaign_of({"waved": waved(errors, seed, seconds=45.0, knocks=2)}, "slow_motion"), errors
 
 
 def test_a_unit_that_never_rests_has_windows_between_poses() -> None:
@@ -94,7 +94,7 @@ def test_a_unit_that_never_rests_has_windows_between_poses() -> None:
     run = campaign.runs[0]
     assert run.tumble is not None
     assert run.tumble.in_motion
-    assert 100 < run.rows <= 250
+    assert 50 < run.rows <= 250
     assert np.isfinite(run.observed[:, :3]).all()
     assert np.isnan(run.observed[:, 3:]).all()
     sums = np.bincount(run.tumble.carried_row, run.tumble.carried_weight)
@@ -113,6 +113,14 @@ def test_knocked_windows_are_left_out() -> None:
     assert after.rows < before.rows
 
 
+def test_a_gap_divides_the_log() -> None:
+    columns = drilled(random_unit(np.random.default_rng(102)), 9, 2, 1.0, seconds=20.0)
+    there = np.abs(columns["time_s"] - 8.0) > 0.5
+    run = campaign_of({"gap": {name: values[there] for name, values in columns.items()}}, "free_rotation").runs[0]
+    assert run.rows > 30
+    assert np.all(np.abs(run.covariates["time"] - 8.0) > 0.5)
+
+
 def test_a_short_log_is_refused() -> None:
     errors = random_unit(np.random.default_rng(1))
     short = {name: values[:200] for name, values in waved(errors, 1, seconds=5.0).items()}
@@ -120,11 +128,10 @@ def test_a_short_log_is_refused() -> None:
         campaign_of({"waved": short}, "slow_motion")
 
 
-@pytest.mark.compiled
 def test_slow_motion_recovers_the_unit() -> None:
     found = pulls(waved_campaign()[0], model_of(), waved_campaign()[1])
     assert max(abs(pull) for pull, _ in found.values()) < 4.0
-    assert found["gyro_scale_factor.scale[gx]"][1] < 0.005
+    assert found["gyro_scale_factor.scale[gx]"][1] < 0.01
 
 
 @cache
@@ -133,22 +140,37 @@ def drilled_campaign(seed: int = 2) -> tuple[Campaign, UnitErrors]:
     return campaign_of(drilled_all(errors, seed), "free_rotation"), errors
 
 
+@cache
+def z_campaign(planted: float = 0.0) -> tuple[Campaign, UnitErrors]:
+    errors = random_unit(np.random.default_rng(102))
+    errors = replace(errors, gyro_scale=errors.gyro_scale + planted)
+    runs = {name: drilled(errors, 9, 2, sense, seconds=8.0) for name, sense in (("forward", 1.0), ("reverse", -1.0))}
+    return campaign_of(runs, "free_rotation"), errors
+
+
+def textbook(campaign: Campaign) -> dict[str, float]:
+    return {each.name: each.value for each in classical(campaign) if hasattr(each, "value")}
+
+
 def test_turns_counted_by_gravity_are_the_textbook_estimate() -> None:
-    campaign, errors = drilled_campaign()
-    found = {each.name: each for each in classical(campaign) if hasattr(each, "value")}
-    true = truth(errors)
-    for axis in "xyz":
-        scale = found[f"scale_factor[g{axis}]"].value / np.radians(1) - 1
-        assert scale == pytest.approx(true[f"gyro_scale_factor.scale[g{axis}]"], abs=3e-3)
+    campaign, errors = z_campaign()
+    found = textbook(campaign)
+    scale = found["scale_factor[gz]"] / np.radians(1) - 1
+    assert scale == pytest.approx(truth(errors)["gyro_scale_factor.scale[gz]"], abs=4e-3)
+    assert "scale_factor[gx]" not in found
 
 
 def test_one_rate_alone_is_no_textbook_estimate() -> None:
-    campaign, _ = drilled_campaign()
-    one = replace(campaign, runs=campaign.runs[:1])
-    assert not [each for each in classical(one) if hasattr(each, "value")]
+    campaign, _ = z_campaign()
+    assert textbook(replace(campaign, runs=campaign.runs[:1])) == {}
 
 
-@pytest.mark.compiled
+def test_a_planted_scale_factor_moves_the_textbook_estimate() -> None:
+    before, after = (textbook(z_campaign(planted)[0])["scale_factor[gz]"] for planted in (0.0, 0.01))
+    assert after / before == pytest.approx(1 + 0.01 / (1 + z_campaign()[1].gyro_scale[2]), abs=3e-4)
+
+
+@pytest.mark.slow
 def test_a_drill_tells_scale_factors_of_gyros_without_a_table() -> None:
     found = pulls(*_with_model(drilled_campaign(), "rotation_centre"))
     widths = [found[f"gyro_scale_factor.scale[g{axis}]"][1] for axis in "xyz"]
@@ -177,17 +199,3 @@ def test_pulls_of_many_units(procedure: str) -> None:
         assert 0.7 < np.sqrt(np.mean(np.square(values))) < 1.3, effect
     everything = np.concatenate(list(by_effect.values()))
     assert 0.85 < np.sqrt(np.mean(everything**2)) < 1.15
-
-
-def test_a_gyro_that_lags_in_scale_is_seen_by_gravity() -> None:
-    """The textbook estimate is shown red: a planted scale factor of 1 % moves it by 1 %."""
-    errors = random_unit(np.random.default_rng(102))
-    off = replace(errors, gyro_scale=errors.gyro_scale + 0.01)
-    found = {
-        each.name: each.value
-        for each in classical(campaign_of(drilled_all(off, 2), "free_rotation"))
-        if hasattr(each, "value")
-    }
-    before = {each.name: each.value for each in classical(drilled_campaign()[0]) if hasattr(each, "value")}
-    ratio = found["scale_factor[gz]"] / before["scale_factor[gz]"]
-    assert ratio == pytest.approx(1 + 0.01 / (1 + errors.gyro_scale[2]), abs=2e-4)

@@ -28,8 +28,9 @@ _LEAST_TURNING = 0.3  # of g across the axis: with less the phase is noise
 def counted_turns(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
     """Return scale factor and bias of each gyro along whose axis runs turned, by turns that gravity counts.
 
-    For each run the mean rate that a gyro saw is Ω_r; the slope of the unwrapped phase of the force across the axis is
-    the true rate Ω.  Over the runs along a gyro Ω_r = (1 + s)(Ω + b): least squares of two runs and more.
+    For each run the mean rate that a gyro saw is Ω_r; times the slope of the phase of the force across the axis,
+    against the angle of the gyro, it is the true rate Ω.  Over the runs along a gyro Ω_r = (1 + s)(Ω + b): least
+    squares of two runs and more.
     """
     found: list[TextbookResult] = []
     axes = {channel.name: channel for channel in campaign.channels if channel.kind == "gyro"}
@@ -62,14 +63,12 @@ def _rates(run: Run, campaign: Campaign) -> tuple[np.ndarray, float]:
     u, v = across @ (force - force.mean(axis=0)).T
     if np.median(np.hypot(u, v)) < _LEAST_TURNING * campaign.site.gravity:
         return mean, float("nan")
-    # Windows are apart by more than a turn: the gyros say how many, gravity the rest.
-    time = run.covariates["time"]
-    size, phase = float(np.linalg.norm(mean)), -np.arctan2(v, u)
-    for span in np.geomspace(4 * np.median(np.diff(time)), np.ptp(time), 12):
-        near = time - time[0] <= span
-        turned = np.unwrap(phase[near] - size * time[near])
-        size += float(np.polyfit(time[near], turned, 1)[0])
-    return mean, size
+    # The gyro says how many turns there are between two windows, gravity the rest.
+    along = np.concatenate([[0.0], np.cumsum((step @ axis) * tumble.step)])
+    ends = tumble.carried_turn * tumble.step.shape[1] + tumble.carried_step
+    angle = np.bincount(tumble.carried_row, tumble.carried_weight * along[ends])
+    turned = angle + np.unwrap(-np.arctan2(v, u) - angle)
+    return mean, float(np.linalg.norm(mean) * np.polyfit(angle, turned, 1)[0])
 
 
 def _of_gyro(channel: Channel, pairs: np.ndarray) -> list[TextbookResult]:

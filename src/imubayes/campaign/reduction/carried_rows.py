@@ -143,7 +143,8 @@ def _divided(
         )  # fmt: skip
     recording = static.record(numbers, channels, None, file)
     _, rate = static.body_vectors(recording.readings, channels, file)
-    division = divide(rate, recording.interval)
+    longest = max(recording.time[b] - recording.time[a] for a, b in contiguous(recording.time, recording.interval, 0))
+    division = divide(rate, recording.interval, float(longest))
     parts = contiguous(recording.time, recording.interval, division.samples)
     series, left = stretches(parts, division)
     first = [start + place * division.samples for start, count in series for place in range(count)]

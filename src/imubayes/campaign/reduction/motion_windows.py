@@ -53,22 +53,23 @@ class Division:
         return self.steps * self.step
 
 
-def divide(rate: np.ndarray, interval: float) -> Division:
+def divide(rate: np.ndarray, interval: float, longest: float) -> Division:
     """Return the division of a record by how fast it turns.
 
     Parameters
     ----------
     rate : shape (N, 3), body axes, rad/s.
     interval : sampling interval, s.
+    longest : part of the record without a gap, s.
     """
     fast = max(float(np.quantile(np.linalg.norm(rate, axis=1), _FAST)), 1e-3)
     step = max(1, int(min(STEP_SECONDS, STEP_ANGLE / fast) / interval))
     window = min(WINDOW_SECONDS, WINDOW_ANGLE / fast) / (step * interval)
     steps = max(2, 2 * int(window / 2))
-    whole = len(rate) * interval
+    whole = (len(rate) - 1) * interval
     most = MOST_ABOUT_ONE_AXIS if about_one_axis(rate) else MOST_STRETCHES
     count = max(1, min(most, math.ceil(whole / STRETCH_SECONDS)))
-    stretch = min(whole / count, MOST_STRETCH_SECONDS) / (steps * step * interval)
+    stretch = min(whole / count, longest, MOST_STRETCH_SECONDS) / (steps * step * interval)
     return Division(step, steps, max(2, 2 * int(stretch / 2)), most)
 
 
