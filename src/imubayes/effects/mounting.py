@@ -193,7 +193,7 @@ class LeverArm(PlaceEffect):
 
 
 class RotationCentre(PlaceEffect):
-    """Acceleration of `lever_arm` at r, body axes, from the axis of a drill, a wheel or a record player.
+    """Acceleration Ω×(Ω×r) + Ω̇×r + 2 ω_E×(Ω×r) at r, body axes, from the axis of a drill or a wheel.
 
     All accelerometers have it in common, and each run another: nobody knows where the unit sits on the wheel.  The
     component of r along the axis has no effect.  At one turn a second, 1 cm is 40 mg.
