@@ -74,7 +74,7 @@ def campaign_in_motion() -> Campaign:
         {"name": name, "kind": kind, "input_axis": [float(name[1] == axis) for axis in "xyz"], "scale": 1.0,
          "output_unit": "SI", "per": "rad/s" if kind == "gyro" else "m/s^2"} for kind, name in kinds
     ]  # fmt: skip
-    content = {"format": 1, "name": "motion", "site": {"latitude_deg": 48.0, "height_m": 0.0}, "channel": channels,
+    content = {"format": 1, "name": "in-motion", "site": {"latitude_deg": 48.0, "height_m": 0.0}, "channel": channels,
                "unit": {"serial": "1"}, "run": [{"name": "waved", "procedure": "slow_motion"}]}  # fmt: skip
     return imubayes.build_campaign(content, {"waved": waved(errors, 1, seconds=20.0)})
 
