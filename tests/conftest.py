@@ -34,6 +34,7 @@ COMPILED = (
     "display/test_comparison.py",
     "results",
     "procedures/test_joint.py",
+    "procedures/test_motion.py",
     "procedures/test_serial_joint.py",
     "procedures/test_recovery.py",
     "procedures/test_converters.py",

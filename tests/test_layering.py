@@ -28,7 +28,8 @@ FLOORS = (
 PLUGINS = ("procedures", "effects", "noise")
 # What the plug-ins of a package build on; all other modules of such a package are plug-ins.
 FOUNDATIONS = (
-    "base", "shared_formulas", "ambient", "converter_temperature", "fitted_terms", "kinematics", "textbook",
+    "base", "shared_formulas", "ambient", "carried", "components", "converter_temperature", "fitted_terms",
+    "kinematics", "magnitude_estimate", "textbook",
 )  # fmt: skip
 MOST_LINES = 500
 

@@ -210,7 +210,7 @@ def procedure_pages() -> Pages:
         title, _, text = text.partition(": ")
         columns = ", ".join(" or ".join(f"`{each}`" for each in group) for group in procedure.columns)
         link = f"[`{name}`](#{title.lower().replace(' ', '-')})"
-        rows.append((link, columns, ", ".join(examples.get(name, [])), procedure.reference))
+        rows.append((link, columns, ", ".join(examples.get(name, ["none"])), procedure.reference))
         sections[title] = f"## {title}\n\n{text[:1].upper()}{text[1:]}\n"
     intro = (
         "# Test procedures\n\nEach run of a campaign names its `procedure`. Runs of several procedures are fitted "

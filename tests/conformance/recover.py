@@ -1,12 +1,15 @@
 """Simulate–recover: what a model predicts at known values, with noise, is found again."""
 
+import sys
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+import imubayes
 from imubayes.effects.base import AmbientEffect
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.posterior_mode import find_mode
@@ -27,6 +30,9 @@ from small_campaign import (
     tumble_campaign,
     wide_campaign,
 )
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
+from motion_recordings import NAMES, random_unit, waved
 
 # Where a limit lies among the inputs of a few rows decides which of them feel it at all: that is scanned, not fitted.
 HELD = {"converter_saturation": {"limit": "lognormal(30 scale, 0.01)"}}
@@ -60,9 +66,23 @@ def declared_alone(member: type, registry: Registry | None = None) -> Model:
     return bind(replace(model, effects=(held, *model.effects[1:])), shown_by(member), registry)
 
 
+def campaign_in_motion() -> Campaign:
+    """Return a unit that is waved, from the simulator of the tests of motion."""
+    errors = random_unit(np.random.default_rng(1))
+    kinds = [("accelerometer" if name[0] == "a" else "gyro", name) for name in NAMES]
+    channels = [
+        {"name": name, "kind": kind, "input_axis": [float(name[1] == axis) for axis in "xyz"], "scale": 1.0,
+         "output_unit": "SI", "per": "rad/s" if kind == "gyro" else "m/s^2"} for kind, name in kinds
+    ]  # fmt: skip
+    content = {"format": 1, "name": "in-motion", "site": {"latitude_deg": 48.0, "height_m": 0.0}, "channel": channels,
+               "unit": {"serial": "1"}, "run": [{"name": "waved", "procedure": "slow_motion"}]}  # fmt: skip
+    return imubayes.build_campaign(content, {"waved": waved(errors, 1, seconds=20.0)})
+
+
 def shown_by(member: type) -> Campaign:
     """Return the small campaign whose runs supply what a member needs."""
     special = {"reference": referenced_campaign, "driven": driven_campaign, "directions": directed_campaign,
+               "hand": campaign_in_motion,
                "unknown_heading": anyhow_campaign, "unknown_level": anyhow_campaign}  # fmt: skip
     special |= {"outer_angle": serial_campaign, "middle_angle": serial_campaign}
     for need, among in special.items():

@@ -13,6 +13,7 @@ from imubayes.campaign import reduction as reduce
 from imubayes.campaign.equipment import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.physical_checks import check_log, check_rest, check_rows
+from imubayes.campaign.reduction.carried_rows import reduce_motion
 from imubayes.campaign.reduction.free_tumble import reduce_tumble
 from imubayes.campaign.reduction.pose_table import reduce_means
 from imubayes.campaign.run_tables import (
@@ -284,7 +285,7 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
             f"run '{entry.name}' states the uncertainty of turns, and has none",
             str(source.file), "turn_uncertainty_deg for rows of a rate table, each a turn or a rest", "remove the key",
         )  # fmt: skip
-    if reduction is Reduction.POSES:
+    if reduction.by_hand:
         return _load_tumble(source, entry, equipment, survey.limits)
     gravity = equipment.site.gravity
     bench = equipment.benches.get(entry.table or "", reduce.BenchSettings())
@@ -335,7 +336,7 @@ def _attitude(source: TableSource, entry: RunEntry, equipment: Equipment, rows: 
 
 
 def _survey(source: TableSource, entry: RunEntry) -> _Survey:
-    poses = procedure_named(entry.procedure).reduction is Reduction.POSES
+    poses = procedure_named(entry.procedure).reduction.by_hand
     monitor = Monitor(source, entry.name, all_move=poses)
     tracker = None if source.layout.reduced else _segment_tracker(source)
     builder = None
@@ -362,7 +363,14 @@ def _load_tumble(
     source: TableSource, entry: RunEntry, equipment: Equipment, limits: reduce.Limits
 ) -> tuple[Run, list[Finding]]:
     where, gravity, channels = str(source.file), equipment.site.gravity, equipment.channels
-    if source.layout.reduced:
+    if PROCEDURES[entry.procedure].reduction is Reduction.CARRIED:
+        if source.layout.reduced:
+            raise input_error(
+                f"run '{entry.name}' is given as means, and a unit in motion has none",
+                where, "a raw log of all channels with time_s", "give the raw log; its windows are found in it",
+            )  # fmt: skip
+        reduced = reduce_motion(source.whole(), channels, gravity, where, limits)
+    elif source.layout.reduced:
         reduced = reduce_means(source.whole(), channels, gravity, where)
     else:
         reduced = reduce_tumble(source.whole(), channels, gravity, entry.initial_rest_s, where, limits)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from imubayes.effects.base import MotionEffect, Order, PlaceEffect, Stage
 from imubayes.effects.shared_formulas import BodyRotation
-from imubayes.foundations.arrays import Scalar, compose, cross, exponential, rotate, vector3
+from imubayes.foundations.arrays import Scalar, Vector3, compose, cross, exponential, rotate, vector3
 from imubayes.foundations.earth import EARTH_RATE
 from imubayes.foundations.signal_path_state import Ambient, Experience, Motion
 from imubayes.parameters.declarations import parameter
@@ -22,6 +22,7 @@ class TumbleHeading(MotionEffect):
     name = "tumble_heading"
     stage = Stage.STAND
     per = ("run",)
+    needs = ("posed",)
     nuisance = True
     confused_with = "gyro biases, unless the gyros resolve the Earth rate"
     reference = "Groves, Principles of GNSS, Inertial and Multisensor Navigation, § 5.6.2 (gyrocompassing)"
@@ -188,12 +189,38 @@ class LeverArm(PlaceEffect):
     z: Scalar = parameter("mm", "normal(0, 20 mm)", (1, 50), "the sensor's position along body z")
 
     def apply(self, experience: Experience) -> Experience:
-        place = vector3(self.x, self.y, self.z)
-        rate = experience.table_rate
-        velocity = cross(rate, place)
-        tangential = cross(experience.table_acceleration, place)
-        coriolis = 2 * cross(experience.rate - rate, velocity)
-        return replace(experience, force=experience.force + cross(rate, velocity) + tangential + coriolis)
+        return off_axis(experience, vector3(self.x, self.y, self.z))
+
+
+class RotationCentre(PlaceEffect):
+    """Acceleration Ω×(Ω×r) + Ω̇×r + 2 ω_E×(Ω×r) at r, body axes, from the axis of a drill or a wheel.
+
+    All accelerometers have it in common, and each run another: nobody knows where the unit sits on the wheel.  The
+    component of r along the axis has no effect.  At one turn a second, 1 cm is 40 mg.
+    """
+
+    name = "rotation_centre"
+    stage = Stage.PLACE
+    per = ("run",)
+    kinds = ("accelerometer",)
+    needs = ("hand",)
+    confused_with = "lever_arm, where the unit sits in one way alone"
+    reference = "IEEE Std 1293, centrifuge geometry; Groves § 6.3.1.3"
+    x: Scalar = parameter("mm", "normal(0, 100 mm)", (1, 300), "the unit's position along body x")
+    y: Scalar = parameter("mm", "normal(0, 100 mm)", (1, 300), "the unit's position along body y")
+    z: Scalar = parameter("mm", "normal(0, 100 mm)", (1, 300), "the unit's position along body z")
+
+    def apply(self, experience: Experience) -> Experience:
+        return off_axis(experience, vector3(self.x, self.y, self.z))
+
+
+def off_axis(experience: Experience, place: Vector3) -> Experience:
+    """Return what acts at a place off the axis, body axes, m."""
+    rate = experience.table_rate
+    velocity = cross(rate, place)
+    tangential = cross(experience.table_acceleration, place)
+    coriolis = 2 * cross(experience.rate - rate, velocity)
+    return replace(experience, force=experience.force + cross(rate, velocity) + tangential + coriolis)
 
 
 class ReferenceGyroEffect(MotionEffect):

@@ -217,9 +217,16 @@ class Mounting:
     uncertainty: float | None = None
 
 
+def _no_places() -> np.ndarray:
+    return np.zeros(0, dtype=int)
+
+
 @dataclass(frozen=True)
 class Tumble:
-    """The moving part of a free tumble: what the gyros saw between one static pose and the next.
+    """The moving part of a unit that a hand or a drill turns: what the gyros saw between one pose and the next.
+
+    A row is the mean over a static pose, or over a short window in motion.  The instants of such a window are carried:
+    their attitude is that of the nearest pose, turned by what the gyros saw since.
 
     Attributes
     ----------
@@ -231,6 +238,12 @@ class Tumble:
     coning : shape (transitions, K, 3); body rotation vector of each step less its mean rate times its length, in
         rad, from the nominal calibration: what averaging the rate over a step leaves out.
     flagged : shape (poses,); True where the pose was disturbed and is excluded from the fit.
+    carried_row, carried_weight : shape (n,); row of each instant in motion, and its weight in the mean; empty where all
+        rows are static.
+    carried_turn, carried_step : shape (n,); its transition, and the number of steps from the start of that.
+    carried_back : shape (n,); True where its pose is that at the end of the transition.
+    first_gyros : shape (7, 6); first estimate of bias, rad/s, and scale factor error of the gyros along the body axes,
+        from which a fit begins, then its information matrix; empty where all rows are static.
     """
 
     pose: np.ndarray
@@ -241,6 +254,17 @@ class Tumble:
     readings: np.ndarray
     coning: np.ndarray
     flagged: np.ndarray
+    carried_row: np.ndarray = field(default_factory=_no_places)
+    carried_weight: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    carried_turn: np.ndarray = field(default_factory=_no_places)
+    carried_step: np.ndarray = field(default_factory=_no_places)
+    carried_back: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    first_gyros: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether rows are windows in motion."""
+        return len(self.carried_row) > 0
 
     @property
     def turns(self) -> int:

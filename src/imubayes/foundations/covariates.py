@@ -218,6 +218,8 @@ CONDITIONS: dict[str, str] = {
     "injection": "a run of procedure current_injection",
     "temperature uncertainty": "a run that states temperature_uncertainty_degC",
     "converter_temperature uncertainty": "a run that states converter_temperature_uncertainty_degC",
+    "hand": "a unit in motion: slow_motion or free_rotation",
+    "posed": "a free tumble",
     "driven": "a table that the gyro drives",
     "unknown_heading": 'a table with azimuth_deg = "unknown", or a record at rest without a table',
     "unknown_level": "such a table without axis_uncertainty_arcsec, or a record at rest without a table",

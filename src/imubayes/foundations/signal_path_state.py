@@ -62,6 +62,25 @@ class OuterAxes(eqx.Module):
     acceleration: Float[Array, "*batch 2"]
 
 
+class HandMotion(eqx.Module):
+    """How a unit that is carried by hand has moved since its pose, at one instant.
+
+    Attributes
+    ----------
+    turn : body at the instant → body in the pose, the product of the rotations that the gyros saw.
+    elapsed : time since the pose, s; negative before it.
+    rate : inertial rate of the body as its gyros saw it, rad/s, body axes.
+    acceleration : its derivative, rad/s².
+    carried : 1 where the unit is carried; 0 where it stands on a table, and all else is the identity or 0.
+    """
+
+    turn: Matrices
+    elapsed: Scalars
+    rate: Vectors
+    acceleration: Vectors
+    carried: Scalars
+
+
 class Motion(eqx.Module):
     """Where the unit is and how it turns, at one instant.
 
@@ -76,6 +95,7 @@ class Motion(eqx.Module):
     earth_rate : the Earth's rotation in n, rad/s; zero where the reference has measured it along.
     outer : the axes that carry the inner one, with `base` the frame of the outer one at angle 0; None where no run has
         any.
+    hand : motion since the pose of a unit that is carried; None where no run has any.
 
     Examples
     --------
@@ -94,6 +114,7 @@ class Motion(eqx.Module):
     gravity: Vectors
     earth_rate: Vectors
     outer: OuterAxes | None = None
+    hand: HandMotion | None = None
 
 
 class Records(eqx.Module):
@@ -136,6 +157,7 @@ class Nodes(eqx.Module):
     injected : shape (N,), 1 where a current is injected.
     records : the nodes in the order of time.
     outer : the axes that carry the inner one, leaves (N, …); None where no run has any.
+    hand : motion since the pose, leaves (N, …), by the nominal gyros; None where no unit is carried.
     """
 
     stands: Motion
@@ -150,6 +172,7 @@ class Nodes(eqx.Module):
     injected: Float[Array, " N"]
     records: Records
     outer: OuterAxes | None = None
+    hand: HandMotion | None = None
 
     def at(self, chosen: Array) -> "Nodes":
         """Return chosen nodes, with all stands."""

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.effects.base import AmbientEffect
-from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_about
 from imubayes.inference.parameter_fit import linearise
 from imubayes.model.bind import Model, bind
 from imubayes.model.bound_effects import observability
+from imubayes.model.carried_motion import first_point
 from imubayes.model.effect_registry import Registry
 from imubayes.model.model_file import GRAVITY, EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
@@ -33,7 +34,7 @@ FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lev
            "gyro_bias_temperature_quadratic", "gyro_bias_temperature_cubic", "gyro_scale_temperature",
            "accel_bias_temperature", "accel_bias_temperature_quadratic", "accel_bias_temperature_cubic",
            "accel_scale_temperature", "converter_gain_drift", "converter_offset_drift")  # fmt: skip
-NOISE = ("white_noise", "encoder_noise", "run_scatter")
+NOISE = ("white_noise", "encoder_noise", "run_scatter", "hand_acceleration", "hand_velocity")
 # Of bias, scale factor and misalignment, and of further effects: the least share of the information from the data.
 TOLD, _DETERMINED = 0.1, 0.5
 # Factor by which a further effect may widen the standard deviation of a bias, scale factor or misalignment, and one of
@@ -88,7 +89,7 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
     """
     by_hand = _turned_by_hand(campaign)
     purposes = purposes_of(campaign)
-    further = tuple(dict.fromkeys((*FURTHER, *purposes)))
+    further = tuple(dict.fromkeys((*_further(campaign), *purposes)))
     wanted = (*of_equipment(), *STATION, *SENSORS, *further, *NOISE)
     found = {each.effect_class.name: each.missing for each in observability(campaign)}
     names = [name for name in wanted if not found[name]]
@@ -102,6 +103,16 @@ def propose_effects(campaign: Campaign) -> EffectProposal:
         missing={name: found[name] for name in (*SENSORS, *further) if set(found[name]) - {"gyro", "accelerometer"}},
         turned_by_hand=by_hand,
     )
+
+
+def _further(campaign: Campaign) -> tuple[str, ...]:
+    """Return the further effects: a unit that is waved has no axis that its sensors could be off by a lever arm."""
+    waved = all(_in_motion(run) for run in campaign.runs)
+    return tuple(name for name in FURTHER if not (waved and name == "lever_arm"))
+
+
+def _in_motion(run: Run) -> bool:
+    return run.tumble is not None and run.tumble.in_motion
 
 
 def purposes_of(campaign: Campaign) -> tuple[str, ...]:
@@ -121,6 +132,10 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
     Gravity of unknown direction cannot tell a rotation of the unit from one of its axes: the first accelerometer lies
     along its nominal axis, the second in the nominal plane of both.
     """
+    if name == "white_noise" and all(map(_in_motion, campaign.runs)):
+        # Windows of one length cannot tell it from the acceleration of the hand; the samples within them can.
+        carried = tuple(channel.name for channel in campaign.of_kind("accelerometer"))
+        return (EffectSpec(name, carried, prior={"sigma": "lognormal(1 noise, 0.2)"}),)
     if name == "white_noise" and by_hand:  # with room for what is slower than a rest
         return (EffectSpec(name, prior={"sigma": "lognormal(2 noise, 1.0)"}),)
     turned = [run.turn_uncertainty for run in campaign.runs if run.turn_uncertainty is not None]
@@ -150,7 +165,7 @@ def untold_effects(model: Model) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class LinearInformation:
-    """A model linear about the middle of its priors.
+    """A model linear about the middle of its priors; of a unit in motion, about the first estimate of its gyros.
 
     Attributes
     ----------
@@ -166,11 +181,14 @@ class LinearInformation:
 
 def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInformation:
     """Return the linear model at noise scales h, (H,), those of the campaign if None."""
-    about = linearise(model.problem, np.zeros(len(model.layout)))
+    start = first_point(model.assembly)
+    about = linearise(model.problem, start)
     scales = np.zeros(len(model.hyper_layout)) if h is None else h
     residual, jacobian, widths = whitened_about(model.problem, about, scales)
     owner = np.array([parameter.effect for parameter in model.layout.parameters])
-    return LinearInformation(jacobian.T @ jacobian + np.diag(widths**-2), jacobian.T @ residual, widths, owner)
+    return LinearInformation(
+        jacobian.T @ jacobian + np.diag(widths**-2), jacobian.T @ (residual + jacobian @ start), widths, owner
+    )
 
 
 def _kept(

@@ -24,6 +24,7 @@ from imubayes.inference.parameter_fit import fit_at
 from imubayes.inference.plausibility import implausible_estimates, unexplained_outputs
 from imubayes.inference.posterior_mode import Mode, find_mode, heights, log_evidence, message
 from imubayes.model.bind import Model
+from imubayes.model.carried_motion import first_point
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import Problem, compile_predictions
 
@@ -79,7 +80,7 @@ def joint_fit(
         if file is not None and resume:
             file.check()
         tell("fitting: mode")
-        mode, others = _best_start(problem, sampling, start, tell)
+        mode, others = _best_start(model, sampling, start, tell)
         fit = judged_fit(model, mode)
         if not fit.converged:
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
@@ -187,17 +188,18 @@ def model_hash(model: Model) -> str:
 
 
 def _best_start(
-    problem: Problem,
+    model: Model,
     sampling: Settings | None,
     start: tuple[np.ndarray, np.ndarray] | None,
     tell: Progress,
 ) -> tuple[Mode, list[np.ndarray]]:
     """Fit from the start and from draws of the prior; return the best, and other ends worth a look."""
-    size, hyper_size = problem.size
+    problem = model.problem
+    _, hyper_size = problem.size
     compile_predictions(problem)
-    z, h = start if start is not None else (np.zeros(size), np.zeros(hyper_size))
+    z, h = start if start is not None else (first_point(model.assembly), np.zeros(hyper_size))
     mode = find_mode(problem, np.asarray(z), np.asarray(h))
-    draws = _dispersed(size, sampling) if sampling is not None or start is None else []
+    draws = _dispersed(first_point(model.assembly), sampling) if sampling is not None or start is None else []
     ends = [fit_at(problem, draw, mode.h) for draw in counted(tell, "fitting: dispersed start", draws)]
     here, *densities = heights(problem, [mode.z, *ends], mode.h).tolist()
     best = int(np.argmax(densities)) if densities else -1
@@ -211,10 +213,11 @@ def _best_start(
     return mode, others
 
 
-def _dispersed(size: int, sampling: Settings | None) -> list[Float[Array, " P"]]:
-    """Return draws of the prior to begin fits at."""
+def _dispersed(first: np.ndarray, sampling: Settings | None) -> list[Float[Array, " P"]]:
+    """Return draws of the prior to begin fits at, with what is estimated beforehand: turns of a unit in motion."""
     random = np.random.default_rng([sampling.seed if sampling else 0, 1])
-    return [np.asarray(random.normal(size=size)) for _ in range(_DISPERSED)]
+    draws = [np.asarray(random.normal(size=len(first))) for _ in range(_DISPERSED)]
+    return [np.where(first == 0, draw, first) for draw in draws]
 
 
 def _negligible(problem: Problem, end: np.ndarray, mode: Mode) -> bool:

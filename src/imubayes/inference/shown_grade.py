@@ -19,6 +19,7 @@ from imubayes.inference.laplace_marginal import climb, inverse_of_precision
 from imubayes.inference.parameter_fit import linearise
 from imubayes.inference.proposed_effects import SENSORS, TOLD, EffectProposal, linear_information
 from imubayes.model.bind import Model, bind
+from imubayes.model.carried_motion import first_point
 from imubayes.model.model_file import ModelSpec
 
 _IMPROBABLE = 1e-3
@@ -78,7 +79,7 @@ def shown_grade(campaign: Campaign, proposal: EffectProposal) -> ShownGrade | No
     grade: Grade = coarser[0]
     # Under the widest priors the noise scales do not make up for errors that the priors forbid.
     wide = _graded(spec, campaign, grade)
-    h, _ = climb(wide.problem, linearise(wide.problem, np.zeros(len(wide.layout))), np.zeros(len(wide.hyper_layout)))
+    h, _ = climb(wide.problem, linearise(wide.problem, first_point(wide.assembly)), np.zeros(len(wide.hyper_layout)))
     plain = _distances(bind(spec, campaign), h)
     if not plain.contradict:
         return None

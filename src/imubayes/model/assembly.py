@@ -12,7 +12,7 @@ from imubayes.foundations.signal_path_state import Ambient, Nodes
 from imubayes.model import signal_path
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
-from imubayes.model.nodes_and_entries import KINDS, NodeTable, motion_at, outer_axes, records_of
+from imubayes.model.nodes_and_entries import KINDS, NodeTable, hand_motion, motion_at, outer_axes, records_of
 from imubayes.parameters.declarations import Layout
 
 
@@ -150,7 +150,7 @@ def nodes_of(campaign: Campaign, nodes: NodeTable) -> Nodes:
     still, at_rest = np.zeros(len(first)), np.zeros((len(first), 3))
     stands = replace(
         motion_at(campaign, nodes, first), table_angle=still, table_rate=still, table_acceleration=still,
-        reference_rate=at_rest, reference_acceleration=at_rest,
+        reference_rate=at_rest, reference_acceleration=at_rest, hand=None,
     )  # fmt: skip
     return Nodes(
         stands=stands,
@@ -165,6 +165,7 @@ def nodes_of(campaign: Campaign, nodes: NodeTable) -> Nodes:
         injected=nodes.injected,
         records=records_of(nodes),
         outer=outer_axes(stimulus, np.arange(len(nodes.run))),
+        hand=hand_motion(stimulus, np.arange(len(nodes.run))),
     )
 
 

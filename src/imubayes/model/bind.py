@@ -19,12 +19,13 @@ from imubayes.compiled.jax_settings import clear_if_crowded, prepare_jax
 from imubayes.effects.base import MotionEffect, Stage
 from imubayes.effects.thermometer import TemperatureOffset
 from imubayes.foundations.arrays import Array, Float, Scalar
-from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.campaign_data import Campaign, Tumble
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.quantity_names import name_of
 from imubayes.model import bound_effects as binding
 from imubayes.model import nodes_and_entries
 from imubayes.model.assembly import Assembly, assemble
+from imubayes.model.carried_motion import bind_carried
 from imubayes.model.dry_run import dry_run
 from imubayes.model.effect_registry import EffectClass, Registry, with_noise_priors
 from imubayes.model.grouping import Grouping, colour_columns
@@ -52,13 +53,14 @@ def build_problem(assembly: Assembly, hyper_correlation: HyperCorrelation | None
     """Return the arrays of an assembly, as NumPy arrays on the host."""
     nodes = assembly.grouping.nodes
     spread_of, spread_unit = _learnt_prior_widths(assembly)
-    observations = _observations(assembly.grouping)
+    observations, transitions = _observations(assembly.grouping), bind_transitions(assembly)
     slow = any(issubclass(effect.effect_class, SlowNoise) for effect in assembly.effects)
     return Problem(
         nodes=assembly.nodes,
         channels=assembly.channels,
         layers=assembly.path(np.arange(len(nodes.run)), tuple(Stage), injected=nodes.injected),
-        transitions=bind_transitions(assembly),
+        transitions=transitions,
+        carried=bind_carried(assembly, transitions),
         servos=bind_servos(assembly),
         turns=nodes.turns,
         node_weight=nodes.stimulus.weight,
@@ -164,6 +166,7 @@ def _noise_layer(effect: binding.BoundEffect, assembly: Assembly) -> NoiseLayer:
 
 # Unknowns of the procedures themselves, added whether or not the model file lists them.
 _IMPLIED_BY_POSES, _IMPLIED_BY_TURNS = ("pose_attitude",), ("tumble_heading", "rotation_closure")
+_IMPLIED_BY_MOTION = ("carried_closure",)
 _IMPLIED_BY_SERVO = ("servo_start",)
 _IMPLIED_BY_BENCHES = ("unknown_heading", "unknown_level")
 
@@ -398,9 +401,7 @@ def _refuse_unknown_procedures(campaign: Campaign) -> None:
 
 def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> ModelSpec:
     """Return the model with the unknowns of the procedures themselves, and of temperatures that are stated as such."""
-    tumbles = [run.tumble for run in campaign.runs if run.tumble is not None]
-    names = list(_IMPLIED_BY_POSES) if tumbles else []
-    names += _IMPLIED_BY_TURNS if any(tumble.turns for tumble in tumbles) else ()
+    names = _by_hand([run.tumble for run in campaign.runs if run.tumble is not None])
     names += _IMPLIED_BY_SERVO if nodes_and_entries.servo_runs(campaign) else ()
     present = {channel.kind for channel in campaign.channels}
     names += [name for name in _IMPLIED_BY_BENCHES if present & set(registry.effects[name].kinds)]
@@ -411,6 +412,13 @@ def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> Mo
         EffectSpec(name, where=where, optional=name in _IMPLIED_BY_BENCHES) for name in names if name not in listed
     )
     return replace(spec, effects=spec.effects + implied)
+
+
+def _by_hand(tumbles: Sequence[Tumble]) -> list[str]:
+    """Return the unknowns of runs without a table: attitudes, heading, and what the gyros wander."""
+    names = list(_IMPLIED_BY_POSES) if tumbles else []
+    names += _IMPLIED_BY_TURNS if any(tumble.turns and not tumble.in_motion for tumble in tumbles) else ()
+    return [*names, *(_IMPLIED_BY_MOTION if any(tumble.in_motion for tumble in tumbles) else ())]
 
 
 def _temperature_errors(listed: Collection[str], campaign: Campaign, registry: Registry) -> list[str]:

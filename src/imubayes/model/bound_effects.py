@@ -25,7 +25,7 @@ from imubayes.parameters.declarations import Declared, Parameter, declared_optio
 from imubayes.procedures.ambient import unknown_covariates
 
 # An effect that needs one of these, or a covariate that is absent there, must be switched off in the runs without it.
-_GATES = ("injection", "reference", "driven", "directions", "unknown_heading", "unknown_level")
+_GATES = ("injection", "reference", "driven", "directions", "unknown_heading", "unknown_level", "hand", "posed")
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
 _AMBIENT_SHARING = {"run": ("run",)}  # a run states the uncertainty of its own temperature
@@ -206,7 +206,7 @@ def _without_single_runs(
     learnt = "run" in sharing and hyper_fields(effect_class)
     if single_runs or spec.prior or not (issubclass(effect_class, SharedNoise) or learnt):
         return channels, ()
-    found = tuple(name for name in channels if grouping.run_count(name) == 1)
+    found = tuple(name for name in channels if grouping.run_count(name) <= 1)
     if found and found == channels:
         raise SingleRunError(
             Issue(

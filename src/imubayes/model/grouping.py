@@ -143,12 +143,12 @@ class Grouping:
         reached = np.isin(entries.run, list(runs))
         if channels is not None:
             own = [label[per.index("channel")]] if "channel" in per else list(channels)
-            # Closure errors depend on every channel: the outputs are inverted jointly.
+            # Closure errors and carried attitudes depend on every channel: the outputs are inverted jointly.
             angles = [place for place, channel in enumerate(self.campaign.channels) if channel.kind == "angle"]
             # A gyro that drives the table affects its angle.
             felt = [names.index(name) for name in own]
             driven = angles if any(self.campaign.channels[place].kind == "gyro" for place in felt) else []
-            reached &= np.isin(entries.channel, [*felt, *driven]) | entries.closing
+            reached &= np.isin(entries.channel, [*felt, *driven]) | entries.closing | entries.carried
         for axis, part in zip(per, label, strict=True):
             if axis == "pose":
                 reached &= (entries.pose == int(part)) | (entries.pose_stop == int(part))

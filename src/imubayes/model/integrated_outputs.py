@@ -127,20 +127,30 @@ def _readings_by_kind(assembly: Assembly, step: np.ndarray, readings: np.ndarray
     return by_kind
 
 
-def closing_rotations(
-    transitions: Transitions, channels: dict[str, Channels], motion: Motion, values: Float[Array, " V"]
-) -> Float[Array, "T 3"]:
-    """Return the closure error of each transition as a rotation vector, rad, body axes.
+def inverted_rates(
+    transitions: Transitions, channels: dict[str, Channels], values: Float[Array, " V"]
+) -> Float[Array, "TK 3"]:
+    """Return the mean inertial rate of every step that reproduces the recorded outputs, rad/s, body axes.
 
     Parameters
     ----------
     transitions : the recorded motion between poses.
     channels : constants of the channels, per kind.
-    motion : the static nodes after all kinematic effects; its mounting is the attitude of each pose.
     values : all parameters in SI, then the null values.
     """
+    return _inverted(transitions, channels, values)["gyro"]
+
+
+def closing_rotations(transitions: Transitions, motion: Motion, rate: Float[Array, "TK 3"]) -> Float[Array, "T 3"]:
+    """Return the closure error of each transition as a rotation vector, rad, body axes.
+
+    Parameters
+    ----------
+    transitions : the recorded motion between poses.
+    motion : all nodes after all kinematic effects; its mounting is the attitude of each pose.
+    rate : mean rate of every step, rad/s, body axes.
+    """
     turned = jax.vmap(compose)(motion.base, motion.mounting)
-    rate = _inverted(transitions, channels, values)["gyro"]
     count, steps = transitions.step.shape
     rotation = rate.reshape(count, steps, 3) * transitions.step[..., None] + transitions.coning
     carried = _product(jax.vmap(jax.vmap(exponential))(rotation))

@@ -19,10 +19,10 @@ from imubayes.foundations.arrays import Array, Int
 from imubayes.foundations.campaign_data import Campaign, Kind, Run
 from imubayes.foundations.covariates import ambient_names
 from imubayes.foundations.earth import earth_rate
-from imubayes.foundations.signal_path_state import Ambient, Motion, OuterAxes, Records
+from imubayes.foundations.signal_path_state import Ambient, HandMotion, Motion, OuterAxes, Records
 from imubayes.noise.components import RowSpan
 from imubayes.procedures import PROCEDURES
-from imubayes.procedures.kinematics import OuterMotion, Stimulus, turning_rate
+from imubayes.procedures.kinematics import CarriedNodes, OuterMotion, Stimulus, turning_rate
 
 # Sorted, because that is the order in which JAX walks through a dictionary.
 KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")
@@ -60,8 +60,9 @@ class Entries:
     """What was measured, one entry per value (E of them).
 
     The channel index counts the campaign's channels; a closing rotation's components count on from there.
-    `row` is the row within the run, or the transition for closing rotations.  `transition_start` and `_stop` are
-    poses, −1 for readouts.
+    `row` is the row within the run, or the transition for closing rotations.  `pose` and `pose_stop` are the poses that
+    it joins, the same for readouts, −1 where there is none.  `closing` marks closing rotations; `carried` the readouts
+    in motion, whose attitude every gyro has a part in.
     """
 
     run: np.ndarray
@@ -72,6 +73,7 @@ class Entries:
     pose: np.ndarray
     pose_stop: np.ndarray
     closing: np.ndarray
+    carried: np.ndarray
 
     def __len__(self) -> int:
         return len(self.value)
@@ -120,7 +122,18 @@ def _join(parts: Sequence[Stimulus], order: np.ndarray) -> Stimulus:
         for name in ambient_names()
     }
     columns: dict[str, Any] = {name: joined(name) for name in _OF_NODES}
-    return Stimulus(**columns, ambient=ambient, injected=False, outer=_join_outer(parts, order))
+    return Stimulus(
+        **columns, ambient=ambient, injected=False, outer=_join_outer(parts, order), hand=_join_hand(parts, order)
+    )
+
+
+def _join_hand(parts: Sequence[Stimulus], order: np.ndarray) -> CarriedNodes | None:
+    if all(part.hand is None for part in parts):
+        return None
+    found = [part.hand or CarriedNodes.none(len(part.row)) for part in parts]
+    return CarriedNodes(
+        *(np.concatenate([getattr(each, name) for each in found])[order] for name in CarriedNodes.__dataclass_fields__)
+    )
 
 
 def _join_outer(parts: Sequence[Stimulus], order: np.ndarray) -> OuterMotion | None:
@@ -142,6 +155,16 @@ def outer_axes(stimulus: Stimulus, chosen: np.ndarray) -> OuterAxes | None:
     )
 
 
+def hand_motion(stimulus: Stimulus, chosen: np.ndarray) -> HandMotion | None:
+    """Return the motion since its pose of a unit that is carried, at chosen nodes, by its nominal gyros."""
+    hand = stimulus.hand
+    if hand is None:
+        return None
+    return HandMotion(
+        hand.turn[chosen], hand.elapsed[chosen], hand.rate[chosen], hand.acceleration[chosen], hand.carried[chosen]
+    )
+
+
 def motion_at(campaign: Campaign, nodes: NodeTable, chosen: np.ndarray) -> Motion:
     """Return the motion at chosen nodes; a reference gyro there has the rotation of the Earth in its rate."""
     stimulus = nodes.stimulus
@@ -157,6 +180,7 @@ def motion_at(campaign: Campaign, nodes: NodeTable, chosen: np.ndarray) -> Motio
         gravity=np.tile([0.0, 0.0, campaign.site.gravity], (len(chosen), 1)),
         earth_rate=np.where(referenced[:, None], 0.0, earth_rate(campaign.site.latitude)),
         outer=outer_axes(stimulus, chosen),
+        hand=hand_motion(stimulus, chosen),
     )
 
 
@@ -181,7 +205,9 @@ def join_entries(campaign: Campaign) -> Entries:
     for index, run in enumerate(campaign.runs):
         row, channel = np.nonzero(np.isfinite(run.observed))
         pose = run.tumble.pose[row] if run.tumble is not None else np.full(len(row), -1)
-        _append(columns, index, row, channel, run.observed[row, channel], run.samples[row], pose, pose, False)
+        in_motion = run.tumble is not None and run.tumble.in_motion
+        values = run.observed[row, channel]
+        _append(columns, index, row, channel, values, run.samples[row], pose, pose, False, in_motion)
     channels = len(campaign.channels)
     for index, run in enumerate(campaign.runs):
         if run.tumble is None:
@@ -190,13 +216,14 @@ def join_entries(campaign: Campaign) -> Entries:
         component = channels + np.tile(np.arange(3), len(run.tumble.start))
         start, stop = run.tumble.start[transition], run.tumble.stop[transition]
         nothing = np.zeros(len(transition))
-        _append(columns, index, transition, component, nothing, nothing + 1, start, stop, True)
+        _append(columns, index, transition, component, nothing, nothing + 1, start, stop, True, False)
     return Entries(**{name: np.concatenate(parts) for name, parts in columns.items()})
 
 
-def _append(columns, run, row, channel, value, samples, pose, pose_stop, closing) -> None:
+def _append(columns, run, row, channel, value, samples, pose, pose_stop, closing, carried) -> None:
     count = len(row)
-    new = (np.full(count, run), row, channel, value, samples, pose, pose_stop, np.full(count, closing))
+    marks = np.full(count, closing), np.full(count, carried)
+    new = (np.full(count, run), row, channel, value, samples, pose, pose_stop, *marks)
     for name, part in zip(columns, new, strict=True):
         columns[name].append(np.asarray(part))
 

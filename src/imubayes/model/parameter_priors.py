@@ -237,7 +237,8 @@ def _channel_units(channel: Channel | None, campaign: Campaign) -> _ChannelUnits
     if channel.noise is not None:
         return _ChannelUnits({"noise": channel.noise, "scale": scale})
     column = [known.name for known in campaign.channels].index(channel.name)
-    spread = max((np.nanstd(run.observed[:, column]) for run in campaign.runs if run.rows), default=0.0)
+    outputs = (run.observed[:, column] for run in campaign.runs)
+    spread = max((np.nanstd(values) for values in outputs if np.isfinite(values).any()), default=0.0)
     spread = spread if np.isfinite(spread) and spread > 0 else scale
     return _ChannelUnits({"noise": _UNKNOWN_NOISE_SHARE * float(spread), "scale": scale}, noise_known=False)
 

@@ -32,7 +32,8 @@ from imubayes.foundations.arrays import (
     take_last,
 )
 from imubayes.foundations.signal_path_state import Nodes, SignalPath
-from imubayes.model.integrated_outputs import Servos, Transitions, closing_rotations, servo_angles
+from imubayes.model.carried_motion import CarriedInstants, carried_motion
+from imubayes.model.integrated_outputs import Servos, Transitions, closing_rotations, inverted_rates, servo_angles
 from imubayes.model.nodes_and_entries import Timeline
 from imubayes.model.parameter_priors import HyperCorrelation
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
@@ -133,7 +134,7 @@ def _at(layer: NoiseLayer, quantity: Callable, chosen: dict[str, Array], *entrie
     member = layer.noise
     if namespace(layer.acts, *chosen.values()) is not np:
         return _one_by_one(member, quantity, chosen, entries)
-    if member.__module__ == components.__name__:
+    if member.__module__.rpartition(".")[0] == components.__name__.rpartition(".")[0]:
         # Its fields are all that a formula takes of a member: to make one takes longer than the formula.
         return np.asarray(quantity(member, SimpleNamespace(**chosen), *entries))
     shape = np.broadcast_shapes(*(value.shape for value in chosen.values()))
@@ -225,7 +226,7 @@ class Problem(eqx.Module):
 
     Attributes
     ----------
-    nodes, channels, layers, transitions, servos : the forward model.
+    nodes, channels, layers, transitions, carried, servos : the forward model.
     turns : rows as (number of rows, nodes per row), in the order of the nodes; static.
     node_weight : shape (N,).
     timeline : times of the entries; None in a model without slow noise.
@@ -240,6 +241,7 @@ class Problem(eqx.Module):
     channels: dict[str, Channels]
     layers: tuple[Layer, ...]
     transitions: Transitions | None
+    carried: CarriedInstants | None
     servos: Servos | None
     turns: tuple[tuple[int, int], ...] = eqx.field(static=True)
     node_weight: Float[Array, " N"]
@@ -277,7 +279,21 @@ def values_of(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " V"]:
 
 def signal_path(problem: Problem, values: Float[Array, " V"]) -> SignalPath:
     """Return the signal path at every node, for parameters in SI and nulls."""
-    return propagate(problem.layers, initial_path(problem.nodes), values)
+    return _signal_path(problem, values, _rates(problem, values))
+
+
+def _rates(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "TK 3"] | None:
+    """Return the rates of the steps between poses; None where there are none."""
+    transitions = problem.transitions
+    return None if transitions is None else inverted_rates(transitions, problem.channels, values)
+
+
+def _signal_path(problem: Problem, values: Float[Array, " V"], rate: Float[Array, "TK 3"] | None) -> SignalPath:
+    nodes = problem.nodes
+    if problem.carried is not None and problem.transitions is not None and rate is not None:
+        hand = carried_motion(problem.transitions, problem.carried, rate, len(nodes.stand))
+        nodes = replace(nodes, hand=hand)
+    return propagate(problem.layers, initial_path(nodes), values)
 
 
 def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
@@ -289,15 +305,16 @@ def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
 @jax.jit
 def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, " E"]:
     """Return the prediction from parameters in SI and nulls."""
-    path = signal_path(problem, values)
+    rate = _rates(problem, values)
+    path = _signal_path(problem, values, rate)
     outputs = [row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
     if problem.servos is not None:
         angles = servo_angles(problem.servos, problem.layers, problem.nodes, problem.channels, values)
         outputs.append(jnp.degrees(angles).reshape(-1))
     predicted = take(jnp.concatenate(outputs), problem.observations.readout)
-    if problem.transitions is None:
+    if problem.transitions is None or rate is None:
         return predicted
-    closing = closing_rotations(problem.transitions, problem.channels, path.motion, values)
+    closing = closing_rotations(problem.transitions, path.motion, rate)
     return jnp.concatenate([predicted, closing.reshape(-1)])
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from imubayes.effects.base import Effect, Stage
 from imubayes.foundations import arrays
 from imubayes.foundations.arrays import Array, Float, Matrix3, Vector3
-from imubayes.foundations.signal_path_state import Ambient, Experience, Motion, Nodes, Sample, SignalPath
+from imubayes.foundations.signal_path_state import Ambient, Experience, HandMotion, Motion, Nodes, Sample, SignalPath
 
 
 class Carried(eqx.Module):
@@ -148,6 +148,7 @@ class Broadcast(Layer):
             gravity=arrays.take(stand.gravity, at.stand),
             earth_rate=arrays.take(stand.earth_rate, at.stand),
             outer=at.outer,
+            hand=at.hand,
         )
         return eqx.tree_at(lambda p: (p.motion, p.ambient), path, (motion, at.ambient))
 
@@ -230,6 +231,8 @@ def on_body(motion: Motion) -> Experience:
         own = motion.table_rate * jnp.array([0.0, 0.0, 1.0])
         turning = turning + into_body(motion, frame.rate)
         faster = faster + into_body(motion, frame.acceleration + arrays.cross(frame.rate, own))
+    if motion.hand is not None:
+        return _carried_on(motion, motion.hand, frame, turning, faster)
     return Experience(
         rate=turning + into_body(motion, arrays.rotate_back(frame.to_local, motion.earth_rate)),
         force=into_body(motion, frame.force),
@@ -237,6 +240,32 @@ def on_body(motion: Motion) -> Experience:
         table_acceleration=faster,
         north=into_body(motion, arrays.rotate_back(frame.to_local, jnp.array([0.0, 1.0, 0.0]))),
         up=into_body(motion, arrays.rotate_back(frame.to_local, jnp.array([0.0, 0.0, 1.0]))),
+    )
+
+
+def _carried_on(motion: Motion, hand: HandMotion, frame: "Carried", turning: Vector3, faster: Vector3) -> Experience:
+    """Return what acts on a body that may be carried on from its pose: C_nb = exp(−ω_E τ) · C_nb,pose · turn.
+
+    What is fixed to the local level is turned by exp(ω_E τ) first, then into the body of the pose, then into that of
+    the instant.  The gyros see the Earth's rotation along; what moves a point of the body against the Earth is the
+    rest.
+    """
+    earth_turn = arrays.exponential(-hand.elapsed * motion.earth_rate)
+
+    def felt(local: Vector3) -> Vector3:
+        posed = into_body(motion, arrays.rotate_back(frame.to_local, arrays.rotate_back(earth_turn, local)))
+        return arrays.rotate_back(hand.turn, posed)
+
+    earth = felt(motion.earth_rate)
+    turning = turning + hand.carried * (hand.rate - earth)
+    moved = frame.force - arrays.rotate_back(frame.to_local, motion.gravity)
+    return Experience(
+        rate=turning + earth,
+        force=felt(motion.gravity) + arrays.rotate_back(hand.turn, into_body(motion, moved)),
+        table_rate=turning,
+        table_acceleration=faster + hand.acceleration,
+        north=felt(jnp.array([0.0, 1.0, 0.0])),
+        up=felt(jnp.array([0.0, 0.0, 1.0])),
     )
 
 

@@ -366,26 +366,6 @@ class RunScatter(SharedNoise):
         return self.tau**2
 
 
-class RotationClosure(EntryNoise):
-    """Variance σ² of each component of the closing rotation of a free tumble: angle random walk, bandwidth, timing.
-
-    The closing rotation is what remains when the gyros propagate the attitude from one pose to the next.
-    """
-
-    name = "rotation_closure"
-    per = ("run",)
-    kinds = ("closure",)
-    nuisance = True
-    reference = "definition; Tedaldi et al., ICRA 2014, eq. (16) takes it as equal for all transitions"
-
-    sigma: Scalar = parameter(
-        "arcsec", "lognormal(0.05 deg, 1.5)", (1, 3600), "the standard deviation of the closing rotation"
-    )
-
-    def variance(self, entry: Entry) -> Scalars:
-        return self.sigma**2
-
-
 _HOUR = 3600.0
 # Below this x a series replaces (x − 1 + exp(−x))/x², which cancels there; the first neglected term is x³/120.
 _SMALL = 1e-3
@@ -476,15 +456,20 @@ class PulseQuantisation(SlowNoise):
     )
 
     def states(self, row: RowSpan) -> StateCovariance:
-        follows = row.gap < _TOUCHING * row.length
-        one = jnp.ones(1)
-        return StateCovariance(
-            2 * (self.q / row.length) ** 2,
-            -one / row.length,
-            self.q**2 / row.length * one,
-            jnp.where(follows, 1.0, 0.0) * one,
-            0.0 * one,
-        )
+        return of_shared_ends(self.q, row)
+
+
+def of_shared_ends(size: Scalar, row: RowSpan) -> StateCovariance:
+    """Return the covariance of a row whose integral errs by white noise at both ends, shared by rows that follow."""
+    follows = row.gap < _TOUCHING * row.length
+    one = jnp.ones(1)
+    return StateCovariance(
+        2 * (size / row.length) ** 2,
+        -one / row.length,
+        size**2 / row.length * one,
+        jnp.where(follows, 1.0, 0.0) * one,
+        0.0 * one,
+    )
 
 
 def _decaying(variance: Float[Array, " J"], times: Float[Array, " J"], row: RowSpan) -> StateCovariance:

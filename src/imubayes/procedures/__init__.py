@@ -11,6 +11,7 @@ from imubayes.procedures.centrifuge import CENTRIFUGE
 from imubayes.procedures.converter_temperature import CURRENT_INJECTION, THERMAL_RAMP
 from imubayes.procedures.dividing_head import DIVIDING_HEAD
 from imubayes.procedures.fitted_terms import StandardCombination
+from imubayes.procedures.free_rotation import FREE_ROTATION
 from imubayes.procedures.free_tumble import FREE_TUMBLE
 from imubayes.procedures.geographic_tumble import GEOGRAPHIC_TUMBLE
 from imubayes.procedures.multi_axis_table import MULTI_AXIS_TABLE
@@ -19,6 +20,7 @@ from imubayes.procedures.rate_table import RATE_TABLE
 from imubayes.procedures.reference_gyro import REFERENCE_GYRO
 from imubayes.procedures.rotation_modulation import ROTATION_MODULATION
 from imubayes.procedures.servo_table import SERVO_TABLE
+from imubayes.procedures.slow_motion import SLOW_MOTION
 from imubayes.procedures.static_record import STATIC_RECORD
 from imubayes.procedures.textbook import TextbookResult
 
@@ -37,6 +39,8 @@ PROCEDURES: dict[str, Procedure] = {
         MULTI_AXIS_TABLE,
         CENTRIFUGE,
         FREE_TUMBLE,
+        SLOW_MOTION,
+        FREE_ROTATION,
         STATIC_RECORD,
     )
 }

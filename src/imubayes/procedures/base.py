@@ -182,6 +182,13 @@ class Reduction(Enum):
     """Short rows that follow a continuously varying stimulus."""
     POSES = auto()
     """Static poses and the rotations between them."""
+    CARRIED = auto()
+    """Short windows of a unit in motion, and the rotations from pose to pose."""
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether the gyros record a motion that nobody knows, of a unit without a table."""
+        return self in (Reduction.POSES, Reduction.CARRIED)
 
 
 @dataclass(frozen=True)
@@ -238,5 +245,5 @@ class Procedure:
         put = not (self.by_direction or self.injected or run.tumble is not None)
         return replace(
             found, injected=self.injected, driven=self.driven, directed=self.by_direction,
-            unstated=campaign.unstated(run) if put else frozenset(),
+            unstated=campaign.unstated(run) if put else found.unstated,
         )  # fmt: skip

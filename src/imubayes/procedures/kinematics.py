@@ -52,6 +52,38 @@ class OuterMotion:
 
 
 @dataclass(frozen=True)
+class CarriedNodes:
+    """Motion of a unit that is carried, at the nodes of a run, by its nominal gyros.
+
+    Attributes
+    ----------
+    turn : shape (n, 3, 3), body at the node → body in its pose.
+    elapsed : shape (n,), time since its pose, s.
+    rate, acceleration : shape (n, 3), body axes, rad/s and rad/s².
+    carried : shape (n,), 1 where the unit is carried, else 0.
+    transition, step, back : shape (n,), where the node is in the transitions of its run, as in `Tumble`.
+    """
+
+    turn: np.ndarray
+    elapsed: np.ndarray
+    rate: np.ndarray
+    acceleration: np.ndarray
+    carried: np.ndarray
+    transition: np.ndarray
+    step: np.ndarray
+    back: np.ndarray
+
+    @staticmethod
+    def none(count: int) -> "CarriedNodes":
+        """Return the motion of a unit that is not carried, at some number of nodes."""
+        zero, places = np.zeros((count, 3)), np.zeros(count, dtype=int)
+        eye = np.broadcast_to(np.eye(3), (count, 3, 3))
+        return CarriedNodes(
+            eye, np.zeros(count), zero, zero, np.zeros(count), places, places, np.zeros(count, dtype=bool)
+        )
+
+
+@dataclass(frozen=True)
 class Stimulus:
     """The nodes of one run (n of them), in SI.
 
@@ -70,6 +102,7 @@ class Stimulus:
     unstated : what nobody stated of where the unit was put (`Campaign.unstated`).
     outer : the axes that carry the table's inner one, whose frame at angle 0 is then no longer `base`; None where
         there are none.
+    hand : motion since its pose of a unit that is carried; None where it is not.
     """
 
     row: np.ndarray
@@ -88,6 +121,7 @@ class Stimulus:
     directed: bool = False
     unstated: frozenset[str] = frozenset()
     outer: OuterMotion | None = None
+    hand: CarriedNodes | None = None
 
     @property
     def referenced(self) -> bool:
@@ -101,7 +135,11 @@ class Stimulus:
         carried = self.outer is not None and bool(np.any(self.outer.rate != 0))
         accelerations = [self.table_acceleration, self.reference_acceleration]
         accelerations += [self.outer.acceleration] if self.outer is not None else []
+        if self.hand is not None:
+            accelerations.append(self.hand.acceleration)
         told = {
+            "hand": self.hand is not None,
+            "posed": self.hand is None and bool(np.any(self.pose >= 0)),
             "turning": bool(np.any(self.table_rate != 0) or np.any(self.pose >= 0)) or self.referenced or carried,
             "acceleration": any(np.any(values != 0) for values in accelerations),
             "reference": self.referenced,
@@ -343,6 +381,16 @@ def row_path(angle: np.ndarray, rate: np.ndarray, span: np.ndarray) -> tuple[np.
         count = _FURTHER_NODES + math.ceil(_NODES_PER_TURN * turns)
         share, weight = (part / 2 for part in gauss_legendre(count))
     return middle + share[:, None] * swept, weight
+
+
+def rotation_matrices(vectors: np.ndarray) -> np.ndarray:
+    """Return the rotations by vectors, (n, 3) rad → (n, 3, 3), by Rodrigues' formula."""
+    angle = np.linalg.norm(vectors, axis=1)
+    x, y, z = (vectors / np.where(angle == 0, 1.0, angle)[:, None]).T
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    sine, rest = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
+    return np.eye(3) + sine * cross + rest * (cross @ cross)
 
 
 def about_z(angle: np.ndarray) -> np.ndarray:

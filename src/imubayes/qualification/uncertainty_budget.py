@@ -38,7 +38,8 @@ from imubayes.qualification.posterior_quantities import posterior_quantities
 from imubayes.results.result import Result
 
 SOURCES: dict[str, parts.Source] = {
-    "mounting_error": "fixture", "pose_attitude": "fixture", "lever_arm": "fixture", "servo_start": "fixture",
+    "mounting_error": "fixture", "pose_attitude": "fixture", "lever_arm": "fixture",
+    "rotation_centre": "fixture", "servo_start": "fixture",
     "table_axis_tilt": "table", "table_rate_error": "table", "table_wobble": "table", "encoder_harmonic": "table",
     "time_skew": "table", "tumble_heading": "site", "unknown_heading": "site", "unknown_level": "site",
     "station_heading": "site",

@@ -17,6 +17,7 @@ from imubayes.campaign.convert.column_names import (
     TEMPERATURE,
     TIME,
 )
+from imubayes.campaign.convert.motion_kind import procedure_in_motion
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.convert.raw_counts import nominal_of_counts
 from imubayes.campaign.convert.recorded_runs import Columns, RecordedRun, still_seconds
@@ -206,7 +207,7 @@ def _procedure(run: RecordedRun, rates: np.ndarray, options: ConvertOptions, whe
             "state the angle or the column, add the accelerometers, or give a record at rest",
         )  # fmt: skip
     if not seconds:
-        return "free_tumble", ""
+        return procedure_in_motion({} if run.means else run.columns, rates)
     if options.turn_deg is None and (turning := _turning(rates)):
         raise _turns_about_the_vertical(run, turning, where)
     warmth = run.columns.get(TEMPERATURE, np.zeros(1))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.convert.column_names import ACCEL_UNITS, ACCELEROMETERS, GYRO_UNITS, GYROS, SIX, TIME
+from imubayes.campaign.convert.motion_kind import per_radian_in_motion
 from imubayes.campaign.convert.options import ConvertOptions
 from imubayes.campaign.convert.raw_counts import LEAST_TURNS, estimate_gyros, find_poses
 from imubayes.campaign.convert.unnamed_columns import GRAVITY, READ, rest_means, unit_of_gravity
@@ -217,6 +218,12 @@ def _other_rate(time: np.ndarray | None, per_radian: float) -> str:
     )
 
 
+def _of_motion(part: Mapping[str, np.ndarray]) -> tuple[float, str]:
+    """Return what the gyros read for one radian where there are no turns between poses; 0 where it is not told."""
+    size = per_radian_in_motion(part)
+    return size, f" (gravity turns by {size:.4g} per radian)" if size else ""
+
+
 def _per_radian(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:
     """Return how much the gyros read for one radian, from the turns between poses; 0 where there are too few."""
     part = {name: np.asarray(values[:_MOST_SAMPLES]) for name, values in columns.items()}
@@ -228,14 +235,14 @@ def _per_radian(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, s
         return 0.0, ""
     rests, initial = find_poses(force, float(np.median(np.diff(time))), None)
     if len(rests) <= LEAST_TURNS:
-        return 0.0, ""
+        return _of_motion(part)
     down = np.array([force[rest.start : rest.stop].mean(0) for rest in rests])
     down /= np.linalg.norm(down, axis=1, keepdims=True)
     try:
         found = estimate_gyros(rate, down, time, rests, initial, where)
     except (InputError, np.linalg.LinAlgError):
-        return 0.0, ""
+        return _of_motion(part)
     sizes = np.abs(found.scale)
     if sizes.max() > 1.5 * sizes.min():
-        return 0.0, ""
+        return _of_motion(part)
     return float(np.median(sizes)), f" (turns between poses integrate to {float(np.median(sizes)):.4g} per radian)"

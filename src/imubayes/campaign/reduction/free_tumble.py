@@ -270,7 +270,7 @@ def _tumble(recording: static.Recording, detection: Detection, flagged: np.ndarr
         length, mean = static.step_means(recording.time, recording.readings, edges)
         rotation, correction = static.rotation_between(recording, edges)
         propagated = attitude[before] @ rotation
-        attitude[after] = _levelling(propagated @ level[after]) @ propagated
+        attitude[after] = levelling(propagated @ level[after]) @ propagated
         lengths.append(length)
         readings.append(mean)
         corrections.append(correction)
@@ -300,14 +300,14 @@ def unturned(good: np.ndarray, level: np.ndarray, flagged: np.ndarray, channels:
     good : shape (R,), the poses that are rows.
     level : calibrated force of every pose, shape (poses, 3).
     """
-    attitude = np.array([_levelling(force) for force in level])
+    attitude = np.array([levelling(force) for force in level])
     none = np.zeros(0, dtype=int)
     return Tumble(
         good, attitude, none, none, np.zeros((0, 1)), np.zeros((0, 1, channels)), np.zeros((0, 1, 3)), flagged
     )
 
 
-def _levelling(force: np.ndarray) -> np.ndarray:
+def levelling(force: np.ndarray) -> np.ndarray:
     """Return the smallest rotation that makes a force point up, shape (3, 3)."""
     return scipy.spatial.transform.Rotation.align_vectors(UP, force)[0].as_matrix()
 

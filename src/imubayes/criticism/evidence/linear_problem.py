@@ -25,7 +25,8 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.noise.components import RotationClosure, SeriesNoise, SharedNoise, TailNoise, WhiteNoise
+from imubayes.noise.components import SeriesNoise, SharedNoise, TailNoise, WhiteNoise
+from imubayes.noise.hand_components import CarriedClosure, RotationClosure
 from imubayes.responses.candidate_effects import Coefficient, Response, Responses
 
 BELIEVED = 0.03
@@ -239,7 +240,8 @@ def _closing_rows(at: _At) -> Iterator[ChannelRows]:
     for k, run in enumerate(at.model.campaign.runs):
         entry = np.flatnonzero(used & (entries.run == k))
         own = (p for p, (each, kind, _) in enumerate(parameters)
-               if issubclass(kind, RotationClosure) and run.name in each.label)  # fmt: skip
+               if (issubclass(kind, RotationClosure) and run.name in each.label)
+               or (issubclass(kind, CarriedClosure) and run.tumble is not None and run.tumble.in_motion))  # fmt: skip
         place = next(own, None)
         if not len(entry) or place is None:
             continue

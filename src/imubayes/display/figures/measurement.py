@@ -15,7 +15,7 @@ from imubayes.display import figure_style as style
 from imubayes.display.figures import panels
 from imubayes.display.numbers_and_labels import covariate, pretty, readable
 from imubayes.foundations.covariates import Covariate, shown
-from imubayes.procedures import Procedure, Reduction, procedure_named
+from imubayes.procedures import Procedure, procedure_named
 
 _PITCH = 3.0
 _MODEL_BAND = "#f3c9a8"
@@ -93,7 +93,7 @@ def _measured(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
     order = np.argsort(x, kind="stable")
     band = ((predicted - wide)[order], (predicted + wide)[order])
     axes.fill_between(x[order], *band, color=style.BAND_WIDE, linewidth=0, zorder=1)
-    if _procedure(own).reduction is Reduction.POSES or x.size < 2:
+    if _procedure(own).reduction.by_hand or x.size < 2:
         axes.plot(x, predicted, "_", color=style.VERMILION, markersize=9, markeredgewidth=1.4)
     else:
         axes.plot(x[order], predicted[order], color=style.VERMILION)

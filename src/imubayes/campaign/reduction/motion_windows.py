@@ -1,0 +1,127 @@
+"""Windows and steps of a log without rests: how a record of motion is divided, and the weights of its instants.
+
+The record is divided into steps of equally many samples, several steps into a window, several windows into a stretch
+from one pose to the next.  A row is the mean of the samples of a window.  The model knows the attitude at the ends of
+steps only: the weights of these instants are such that they average every polynomial in time up to the fourth degree
+as the samples do, so that nothing is lost where the unit turns by half a radian within a window.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+WINDOW_SECONDS = 0.8  # longer than the strokes of a hand that is not at rest
+WINDOW_ANGLE = 1.2  # rad: a rotating vector is shortened by 6 % in the mean over it
+STEP_SECONDS, STEP_ANGLE = 0.1, 0.2
+# Random walk and bias instability of a consumer gyro turn by some 0.05 deg over half of the longest.
+STRETCH_SECONDS, MOST_STRETCH_SECONDS = 10.0, 60.0
+MOST_STRETCHES, MOST_ABOUT_ONE_AXIS = 12, 1  # effort: each brings three angles
+ONE_AXIS = 0.95  # of the mean square rate, along one axis of the body: the unit turns about it
+_FAST = 0.98  # quantile of the rate for which steps and windows are chosen
+_DEGREE = 4  # of polynomials that are averaged exactly
+
+
+@dataclass(frozen=True)
+class Division:
+    """How a record is divided.
+
+    Attributes
+    ----------
+    step, window, stretch : samples in a step, steps in a window, windows in a stretch.
+    most : stretches that are used.
+    """
+
+    step: int
+    window: int
+    stretch: int
+    most: int
+
+    @property
+    def per_window(self) -> int:
+        """Samples of a window."""
+        return self.step * self.window
+
+    @property
+    def steps(self) -> int:
+        """Steps of a stretch."""
+        return self.window * self.stretch
+
+    @property
+    def samples(self) -> int:
+        """Intervals between samples of a stretch."""
+        return self.steps * self.step
+
+
+def divide(rate: np.ndarray, interval: float, longest: float) -> Division:
+    """Return the division of a record by how fast it turns.
+
+    Parameters
+    ----------
+    rate : shape (N, 3), body axes, rad/s.
+    interval : sampling interval, s.
+    longest : part of the record without a gap, s.
+    """
+    fast = max(float(np.quantile(np.linalg.norm(rate, axis=1), _FAST)), 1e-3)
+    step = max(1, int(min(STEP_SECONDS, STEP_ANGLE / fast) / interval))
+    window = min(WINDOW_SECONDS, WINDOW_ANGLE / fast) / (step * interval)
+    steps = max(2, 2 * int(window / 2))
+    whole = (len(rate) - 1) * interval
+    most = MOST_ABOUT_ONE_AXIS if about_one_axis(rate) else MOST_STRETCHES
+    count = max(1, min(most, math.ceil(whole / STRETCH_SECONDS)))
+    stretch = min(whole / count, longest, MOST_STRETCH_SECONDS) / (steps * step * interval)
+    return Division(step, steps, max(2, 2 * int(stretch / 2)), most)
+
+
+def about_one_axis(rate: np.ndarray) -> bool:
+    """Return whether a unit turns about one axis of its body, by its rates (N, 3), and keeps turning."""
+    squares = np.linalg.eigvalsh(rate.T @ rate / len(rate))
+    return bool(squares[-1] > ONE_AXIS * squares.sum())
+
+
+def contiguous(time: np.ndarray, interval: float, least: int) -> list[tuple[int, int]]:
+    """Return first and last sample of the parts of a record without gaps, of at least so many intervals each."""
+    gaps = np.flatnonzero(np.diff(time) > max(0.05, 3 * interval))
+    first, last = np.concatenate([[0], gaps + 1]), np.concatenate([gaps, [len(time) - 1]])
+    return [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= least]
+
+
+def stretches(parts: list[tuple[int, int]], division: Division) -> tuple[list[tuple[int, int]], int]:
+    """Return for each series of stretches its first sample and their number, and how many stretches are left out.
+
+    More than the division allows are not used: they are taken spread evenly over the record, in series.
+    """
+    series = [(start, (stop - start) // division.samples) for start, stop in parts]
+    whole, most = sum(count for _, count in series), division.most
+    if whole <= most:
+        return series, 0
+    long = max(1, most // 2)
+    short = [(start + place * division.samples, min(long, count - place)) for start, count in series
+             for place in range(0, count, long)]  # fmt: skip
+    chosen = np.unique(np.linspace(0, len(short) - 1, most // long).round().astype(int))
+    kept = [short[place] for place in chosen]
+    return kept, whole - sum(count for _, count in kept)
+
+
+def window_weights(time: np.ndarray, division: Division) -> tuple[np.ndarray, np.ndarray]:
+    """Return weights of the samples of a window, (S + 1,), and of the ends of its steps, (W + 1,); each sums to 1.
+
+    Samples are weighted by the trapezoidal rule, the ends of steps by the least change of it that averages polynomials
+    as the samples do.
+
+    Parameters
+    ----------
+    time : shape (S + 1,), of the samples of one window, its ends included, equally spaced.
+    """
+    samples = np.ones(len(time))
+    samples[[0, -1]] = 0.5
+    samples /= samples.sum()
+    place = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
+    at = place[:: division.step]
+    rule = np.ones(len(at))
+    rule[[0, -1]] = 0.5
+    rule /= rule.sum()
+    powers = np.arange(min(_DEGREE, division.window) + 1)[:, None]
+    wanted = (place**powers) @ samples
+    table = at**powers
+    return samples, rule + np.linalg.pinv(table) @ (wanted - table @ rule)

@@ -1,0 +1,97 @@
+"""The noise of a unit that nobody put on a table: what its gyros wander from pose to pose, what carries it accelerates.
+
+Rows in motion are windows of a unit that its own gyros follow.
+"""
+
+from imubayes.foundations.arrays import Scalar, Scalars
+from imubayes.noise.components import Entry, EntryNoise, RowSpan, SlowNoise, StateCovariance, of_shared_ends
+from imubayes.parameters.declarations import parameter
+
+
+class RotationClosure(EntryNoise):
+    """Variance σ² of each component of the closing rotation of a free tumble: angle random walk, bandwidth, timing.
+
+    The closing rotation is what remains when the gyros propagate the attitude from one pose to the next.
+    """
+
+    name = "rotation_closure"
+    per = ("run",)
+    needs = ("posed",)
+    kinds = ("closure",)
+    nuisance = True
+    reference = "definition; Tedaldi et al., ICRA 2014, eq. (16) takes it as equal for all transitions"
+
+    sigma: Scalar = parameter(
+        "arcsec", "lognormal(0.05 deg, 1.5)", (1, 3600), "the standard deviation of the closing rotation"
+    )
+
+    def variance(self, entry: Entry) -> Scalars:
+        return self.sigma**2
+
+
+class CarriedClosure(EntryNoise):
+    """Variance σ² of each component of the closing rotation of a unit in motion, from pose to pose.
+
+    It is that of `rotation_closure`, over stretches of equal length, in all runs alike: few of them are in one run.
+    """
+
+    name = "carried_closure"
+    per = ()
+    needs = ("hand",)
+    kinds = ("closure",)
+    nuisance = True
+    reference = "definition; IEEE Std 952, angle random walk over some ten seconds"
+
+    sigma: Scalar = parameter(
+        "arcsec", "lognormal(0.03 deg, 1)", (1, 3600), "the standard deviation of the closing rotation"
+    )
+
+    def variance(self, entry: Entry) -> Scalars:
+        return self.sigma**2
+
+
+class HandAcceleration(EntryNoise):
+    """Acceleration of the hand, the drill or the wheel that carries the unit: variance σ² of a row in motion.
+
+    It is stated as a specific force, whatever the number of samples: what a row averages of it is independent of how
+    densely it was sampled.
+    """
+
+    name = "hand_acceleration"
+    per = ()
+    needs = ("hand",)
+    kinds = ("accelerometer",)
+    confused_with = "white_noise, where no other run determines it"
+    reference = "definition; specific force is that of gravity and of the motion"
+
+    sigma: Scalar = parameter(
+        "output", "lognormal(0.003 scale, 1.5)", (1e-9, 0.1), "the standard deviation of a row in motion"
+    )
+
+    def variance(self, entry: Entry) -> Scalars:
+        return self.sigma**2
+
+
+class HandVelocity(SlowNoise):
+    """Variance 2 v²/T² of a row of T s in motion, covariance −v²/(T₁T₂) of rows that follow one another.
+
+    The mean acceleration of a hand, a drill or a wheel over a row is the change of its velocity over T.  Velocities of
+    standard deviation v at the ends of rows are bounded: what one row has too much the next one lacks.  In body axes
+    this holds as well, since rows that follow share the velocity in between; what the turning of the body leaves over
+    is `hand_acceleration`.
+    """
+
+    name = "hand_velocity"
+    per = ()
+    needs = ("hand",)
+    kinds = ("accelerometer",)
+    excludes = ("correlated_noise", "outliers")
+    confused_with = "hand_acceleration, where velocities last longer than a row"
+    reference = "kinematics: the mean of a derivative; spectrum of IEEE Std 952, annex C, quantization noise"
+
+    v: Scalar = parameter(
+        "output", "lognormal(0.005 scale, 1.5)", (1e-9, 0.1), "the standard deviation of the velocity, times 1 s"
+    )
+
+    def states(self, row: RowSpan) -> StateCovariance:
+        return of_shared_ends(self.v, row)

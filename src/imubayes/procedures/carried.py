@@ -1,0 +1,76 @@
+"""Stimulus of a unit in motion that its own gyros follow: windows between poses, common to all such procedures.
+
+The nominal motion is that of the nominal gyros: it shows which effects a run can tell of.  The model replaces it by the
+motion that its own coefficients of the gyros give (`imubayes.model.carried_motion`).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from imubayes.foundations.campaign_data import Campaign, Run, Tumble
+from imubayes.foundations.errors import input_error
+from imubayes.procedures.kinematics import CarriedNodes, Stimulus, at_rest, rotation_matrices
+
+
+def carried_stimulus(run: Run, campaign: Campaign) -> Stimulus:
+    """Return the stimulus of a run in motion, at the ends of the steps of its windows.
+
+    Raises
+    ------
+    InputError
+        where the run is no reduced log.
+    """
+    tumble = run.tumble
+    if tumble is None or not tumble.in_motion:
+        raise input_error(
+            f"run '{run.name}' of {run.procedure} has no motion between its windows",
+            f"run '{run.name}'",
+            "a raw log of all channels with time_s",
+            "give the raw log, not means; the windows are found in it",
+        )
+    weights = np.split(tumble.carried_weight, np.flatnonzero(np.diff(tumble.carried_row)) + 1)
+    pose = tumble.pose[tumble.carried_row]
+    still = at_rest(run, campaign, weights, np.eye(3), tumble.attitude[pose])
+    return replace(still, pose=pose, hand=_nominal_motion(tumble, campaign), unstated=frozenset({"unknown_heading"}))
+
+
+def _nominal_motion(tumble: Tumble, campaign: Campaign) -> CarriedNodes:
+    """Return the motion of every node since its pose by the nominal gyros."""
+    rate = nominal_rates(tumble, campaign)
+    turned = _since_start(rate * tumble.step[..., None] + tumble.coning)
+    turn, step, back = tumble.carried_turn, tumble.carried_step, tumble.carried_back
+    last = np.maximum(np.sum(tumble.step > 0, axis=1) - 1, 0)[turn]
+    before, after = np.maximum(step - 1, 0), np.minimum(step, last)
+    early, late = rate[turn, before], rate[turn, after]
+    apart = 0.5 * (tumble.step[turn, before] + tumble.step[turn, after])
+    total = np.concatenate([np.zeros((len(tumble.step), 1)), np.cumsum(tumble.step, axis=1)], axis=1)
+    behind = np.einsum("nji,njk->nik", turned[turn, -1], turned[turn, step])
+    return CarriedNodes(
+        turn=np.where(back[:, None, None], behind, turned[turn, step]),
+        elapsed=total[turn, step] - np.where(back, total[turn, -1], 0.0),
+        rate=0.5 * (early + late),
+        acceleration=np.where(before == after, 0.0, 1 / apart)[:, None] * (late - early),
+        carried=np.ones(len(turn)),
+        transition=turn,
+        step=step,
+        back=back,
+    )
+
+
+def nominal_rates(tumble: Tumble, campaign: Campaign) -> np.ndarray:
+    """Return the mean rate of every step by the nominal gyros, (T, K, 3), rad/s, body axes."""
+    gyros = [(place, channel) for place, channel in enumerate(campaign.channels) if channel.kind == "gyro"]
+    signal = np.stack([(tumble.readings[..., i] - c.offset) / c.scale_si for i, c in gyros], axis=-1)
+    return signal @ np.linalg.pinv(np.array([channel.axes[0] for _, channel in gyros])).T
+
+
+def _since_start(vectors: np.ndarray) -> np.ndarray:
+    """Return the products of the first 0, 1, … K rotations by vectors (T, K, 3), shape (T, K + 1, 3, 3)."""
+    count, steps = vectors.shape[:2]
+    each = rotation_matrices(vectors.reshape(-1, 3)).reshape(count, steps, 3, 3)
+    found = np.empty((count, steps + 1, 3, 3))
+    found[:, 0] = np.eye(3)
+    for step in range(steps):
+        found[:, step + 1] = found[:, step] @ each[:, step]
+    return found

@@ -1,0 +1,35 @@
+"""Slow motion: a unit that is waved through all attitudes and never rests.
+
+Every window of the log is a weak pose: the mean force is gravity, plus what the hand accelerates.  The gyros carry the
+attitude from window to window, so that gravity is one vector in all of them, and not of one magnitude alone: this
+determines biases, scale factors and misalignments of accelerometers and gyros.  The acceleration of the hand is noise
+(`hand_acceleration`, `hand_velocity`): it is estimated, and stated with the result.
+
+The textbook estimate is that of a multi-position test, an ellipsoid fitted to |f| = g, which takes the acceleration of
+the hand for none.
+"""
+
+from collections.abc import Sequence
+
+from imubayes.foundations.campaign_data import Campaign, Run
+from imubayes.procedures.base import Procedure, Reduction
+from imubayes.procedures.carried import carried_stimulus
+from imubayes.procedures.magnitude_estimate import of_accelerometers
+from imubayes.procedures.textbook import TextbookResult
+
+
+def ellipsoid_fit(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
+    """Return scale factors and biases of the accelerometers by |f| = g in each window, run by run."""
+    return [result for run in runs for result in of_accelerometers(run, campaign)]
+
+
+SLOW_MOTION = Procedure(
+    name="slow_motion",
+    reference="Groves, Principles of GNSS, Inertial and Multisensor Navigation, § 5.6.1; Skog and Händel, IMEKO 2006",
+    columns=(("time_s",),),
+    reduction=Reduction.CARRIED,
+    abscissae=("time", "row"),
+    row_name="window",
+    kinematics=carried_stimulus,
+    evaluate=ellipsoid_fit,
+)

@@ -1,0 +1,201 @@
+"""Units that never rest, waved or drilled by simulators of the tests' own, through reduction, model and textbook."""
+
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imubayes
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.errors import InputError
+from imubayes.inference.laplace_marginal import knowledge
+from imubayes.inference.posterior_mode import find_mode
+from imubayes.model.carried_motion import first_point
+from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.model.problem import prior_widths
+from imubayes.procedures import classical
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
+from motion_recordings import GRAVITY, NAMES, UnitErrors, drilled, drilled_all, random_unit, waved
+
+HELD = "normal(0, 0.001 arcsec)"
+UNITS = {"accelerometer": "m/s^2", "gyro": "rad/s"}
+SENSORS = ("gyro_bias", "gyro_scale_factor", "gyro_misalignment", "accel_bias", "accel_scale_factor")
+
+
+def campaign_of(runs: dict[str, dict[str, np.ndarray]], procedure: str) -> Campaign:
+    kinds = [("accelerometer" if name[0] == "a" else "gyro", name) for name in NAMES]
+    channels = [
+        {"name": name, "kind": kind, "input_axis": [float(name[1] == axis) for axis in "xyz"], "scale": 1.0,
+         "output_unit": UNITS[kind], "per": UNITS[kind]} for kind, name in kinds
+    ]  # fmt: skip
+    content = {
+        "format": 1, "name": "motion", "site": {"latitude_deg": 48.0, "height_m": 0.0, "gravity_m_s2": GRAVITY},
+        "unit": {"serial": "1", "grade": "consumer"}, "channel": channels,
+        "run": [{"name": name, "procedure": procedure} for name in runs],
+    }  # fmt: skip
+    return imubayes.build_campaign(content, runs)
+
+
+def model_of(*further: str) -> ModelSpec:
+    listed = [EffectSpec(name) for name in (*SENSORS, "hand_acceleration", "hand_velocity", *further)]
+    listed += [
+        EffectSpec("accel_misalignment", ("ax",), prior={"toward_o": HELD, "toward_p": HELD}),
+        EffectSpec("accel_misalignment", ("ay",), prior={"toward_p": HELD}),
+        EffectSpec("accel_misalignment", ("az",)),
+        EffectSpec("white_noise", ("ax", "ay", "az"), prior={"sigma": "lognormal(1 noise, 0.2)"}),
+    ]
+    return ModelSpec("motion", tuple(listed))
+
+
+def truth(errors: UnitErrors) -> dict[str, float]:
+    """Return true coefficients in SI; an axis that is tilted in the simulator is longer than 1."""
+    found = {}
+    for kind, scale, bias, tilt in (
+        ("accel", errors.accel_scale, errors.accel_bias, errors.accel_tilt),
+        ("gyro", errors.gyro_scale, errors.gyro_bias, errors.gyro_tilt),
+    ):
+        size = np.linalg.norm(np.eye(3) + tilt, axis=1)
+        for place, axis in enumerate("xyz"):
+            name = f"{kind[0]}{axis}"
+            found[f"{kind}_scale_factor.scale[{name}]"] = (1 + scale[place]) * size[place] - 1
+            found[f"{kind}_bias.bias[{name}]"] = bias[place] / size[place]
+    return found
+
+
+def pulls(campaign: Campaign, spec: ModelSpec, errors: UnitErrors) -> dict[str, tuple[float, float]]:
+    """Return (estimate − truth)/sd and sd of bias and scale factor of all channels, at the mode."""
+    model = imubayes.bind(spec, campaign)
+    problem = model.problem
+    mode = find_mode(problem, first_point(model.assembly), np.zeros(len(model.hyper_layout)))
+    assert mode.converged
+    known = knowledge(problem, mode.about, mode.h)
+    sd = np.sqrt(np.diag(np.linalg.inv(known.precision + np.diag(prior_widths(problem, mode.h) ** -2.0))))
+    value, beyond = (np.asarray(problem.priors.values(z)) for z in (mode.z, mode.z + 1e-3 * sd))
+    true, width = truth(errors), 1e3 * np.abs(beyond - value)
+    return {
+        name: ((value[place] - true[name]) / width[place], width[place])
+        for place, name in enumerate(model.layout.names)
+        if name in true
+    }
+
+
+@cache
+def waved_campaign(seed: int = 1) -> tuple[Campaign, UnitErrors]:
+    errors = random_unit(np.random.default_rng(100 + seed))
+    return campaign_of({"waved": waved(errors, seed, seconds=45.0, knocks=2)}, "slow_motion"), errors
+
+
+def test_a_unit_that_never_rests_has_windows_between_poses() -> None:
+    campaign, _ = waved_campaign()
+    run = campaign.runs[0]
+    assert run.tumble is not None
+    assert run.tumble.in_motion
+    assert 50 < run.rows <= 250
+    assert np.isfinite(run.observed[:, :3]).all()
+    assert np.isnan(run.observed[:, 3:]).all()
+    sums = np.bincount(run.tumble.carried_row, run.tumble.carried_weight)
+    assert sums == pytest.approx(1.0)
+    assert np.sqrt(np.mean(run.sample_sd[:, :3] ** 2)) == pytest.approx(0.02, rel=0.1)  # of the samples, not the motion
+
+
+def test_knocked_windows_are_left_out() -> None:
+    errors = random_unit(np.random.default_rng(7))
+    columns = waved(errors, 7, seconds=40.0)
+    before = campaign_of({"waved": columns}, "slow_motion").runs[0]
+    columns["ax"] = columns["ax"] + np.where(np.abs(columns["time_s"] - 20.0) < 0.2, 40.0, 0.0)
+    after = campaign_of({"waved": columns}, "slow_motion").runs[0]
+    assert not any("windows left out" in note for note in before.notes)
+    assert any("windows left out" in note for note in after.notes)
+    assert after.rows < before.rows
+
+
+def test_a_gap_divides_the_log() -> None:
+    columns = drilled(random_unit(np.random.default_rng(102)), 9, 2, 1.0, seconds=20.0)
+    there = np.abs(columns["time_s"] - 8.0) > 0.5
+    run = campaign_of({"gap": {name: values[there] for name, values in columns.items()}}, "free_rotation").runs[0]
+    assert run.rows > 30
+    assert np.all(np.abs(run.covariates["time"] - 8.0) > 0.5)
+
+
+def test_a_short_log_is_refused() -> None:
+    errors = random_unit(np.random.default_rng(1))
+    short = {name: values[:200] for name, values in waved(errors, 1, seconds=5.0).items()}
+    with pytest.raises(InputError, match="of motion without gaps"):
+        campaign_of({"waved": short}, "slow_motion")
+
+
+def test_slow_motion_recovers_the_unit() -> None:
+    found = pulls(waved_campaign()[0], model_of(), waved_campaign()[1])
+    assert max(abs(pull) for pull, _ in found.values()) < 4.0
+    assert found["gyro_scale_factor.scale[gx]"][1] < 0.01
+
+
+@cache
+def drilled_campaign(seed: int = 2) -> tuple[Campaign, UnitErrors]:
+    errors = random_unit(np.random.default_rng(100 + seed))
+    return campaign_of(drilled_all(errors, seed), "free_rotation"), errors
+
+
+@cache
+def z_campaign(planted: float = 0.0) -> tuple[Campaign, UnitErrors]:
+    errors = random_unit(np.random.default_rng(102))
+    errors = replace(errors, gyro_scale=errors.gyro_scale + planted)
+    runs = {name: drilled(errors, 9, 2, sense, seconds=8.0) for name, sense in (("forward", 1.0), ("reverse", -1.0))}
+    return campaign_of(runs, "free_rotation"), errors
+
+
+def textbook(campaign: Campaign) -> dict[str, float]:
+    return {each.name: each.value for each in classical(campaign) if hasattr(each, "value")}
+
+
+def test_turns_counted_by_gravity_are_the_textbook_estimate() -> None:
+    campaign, errors = z_campaign()
+    found = textbook(campaign)
+    scale = found["scale_factor[gz]"] / np.radians(1) - 1
+    assert scale == pytest.approx(truth(errors)["gyro_scale_factor.scale[gz]"], abs=4e-3)
+    assert "scale_factor[gx]" not in found
+
+
+def test_one_rate_alone_is_no_textbook_estimate() -> None:
+    campaign, _ = z_campaign()
+    assert textbook(replace(campaign, runs=campaign.runs[:1])) == {}
+
+
+def test_a_planted_scale_factor_moves_the_textbook_estimate() -> None:
+    before, after = (textbook(z_campaign(planted)[0])["scale_factor[gz]"] for planted in (0.0, 0.01))
+    assert after / before == pytest.approx(1 + 0.01 / (1 + z_campaign()[1].gyro_scale[2]), abs=3e-4)
+
+
+@pytest.mark.slow
+def test_a_drill_tells_scale_factors_of_gyros_without_a_table() -> None:
+    found = pulls(*_with_model(drilled_campaign(), "rotation_centre"))
+    widths = [found[f"gyro_scale_factor.scale[g{axis}]"][1] for axis in "xyz"]
+    assert max(widths) < 200e-6
+    assert max(abs(pull) for pull, _ in found.values()) < 4.0
+
+
+def _with_model(made: tuple[Campaign, UnitErrors], *further: str) -> tuple[Campaign, ModelSpec, UnitErrors]:
+    return made[0], model_of(*further), made[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("procedure", ["slow_motion", "free_rotation"])
+def test_pulls_of_many_units(procedure: str) -> None:
+    by_effect: dict[str, list[float]] = {}
+    for seed in range(20):
+        errors = random_unit(np.random.default_rng(500 + seed))
+        if procedure == "slow_motion":
+            found = pulls(campaign_of({"waved": waved(errors, seed)}, procedure), model_of(), errors)
+        else:
+            campaign = campaign_of(drilled_all(errors, seed), procedure)
+            found = pulls(campaign, model_of("rotation_centre"), errors)
+        for name, (pull, _) in found.items():
+            by_effect.setdefault(name.partition(".")[0], []).append(pull)
+    for effect, values in by_effect.items():
+        assert 0.7 < np.sqrt(np.mean(np.square(values))) < 1.3, effect
+    everything = np.concatenate(list(by_effect.values()))
+    assert 0.85 < np.sqrt(np.mean(everything**2)) < 1.15
