@@ -9,7 +9,7 @@ import pytest
 from imubayes.batch.archive_covariates import serial_number
 from imubayes.batch.changes import compare_models, regression, trends
 from imubayes.batch.parameter_population import populations
-from imubayes.batch.population_priors import next_unit_model
+from imubayes.batch.population_priors import KnownPrior, next_unit_model, with_priors
 from imubayes.batch.posterior_table import (
     Outcome,
     Quantities,
@@ -19,7 +19,7 @@ from imubayes.batch.posterior_table import (
     unit_table,
 )
 from imubayes.foundations.errors import InputError
-from imubayes.model.model_file import EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec, read_model
 
 Z = np.array([-1.96, -0.674, 0.0, 0.674, 1.96])
 WIDE = 1000.0
@@ -149,3 +149,18 @@ def test_the_prior_of_a_scatter_between_runs_stays_at_zero():
     text = model.effects[0].prior["tau"]
     assert text.startswith("halfnormal(")
     assert float(text.removeprefix("halfnormal(").removesuffix(")").split()[0]) == pytest.approx(2, rel=0.15)
+
+
+def test_a_channel_whose_prior_is_not_known_keeps_the_effect():
+    """Of two channels one has a population: an effect that went with the other would be missing, its noise as well."""
+    spec = read_model("reference-gyro")
+    noise = next(each for each in spec.effects if each.name == "white_noise")
+    known = {"white_noise.sigma[gx]": KnownPrior("log", 0.0, 0.1, "output")}
+    changed, replaced = with_priors(spec, known, ["white_noise.sigma[gx]", "white_noise.sigma[gz]"])
+    parts = [each for each in changed.effects if each.name == "white_noise"]
+    assert [each.channels for each in parts] == [("gx",), ("gz",)]
+    assert dict(parts[1].prior) == dict(noise.prior)
+    assert [each.parameter for each in replaced] == ["white_noise.sigma[gx]"]
+    assert [each for each in changed.effects if each.name != "white_noise"] == [
+        each for each in spec.effects if each.name != "white_noise"
+    ]

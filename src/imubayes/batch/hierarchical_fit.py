@@ -46,12 +46,14 @@ class HierarchicalFit:
     units : schema `imubayes.batch.parameter_population.SHRUNK`; the unit's own estimate is that of its fit alone.
     fitted : number of units that were fitted again; the others have no noise scale that their population determines.
     left_out : units that could not be fitted again, with the reason; their fits alone are used.
+    doubted : units whose noise contradicts the model: their intervals do not hold.
     """
 
     populations: Populations
     units: pl.DataFrame
     fitted: int
     left_out: tuple[str, ...]
+    doubted: tuple[str, ...] = ()
 
 
 def hierarchical_fit(
@@ -143,7 +145,8 @@ def _result(alone: tuple[pl.DataFrame, pl.DataFrame], found: FittedAgain) -> Hie
     }  # fmt: skip
     failed = found.units.filter(pl.col("reason") != "")
     left = tuple(f"{unit}: {reason}" for unit, reason in failed.select("unit", "reason").iter_rows())
-    return HierarchicalFit(record.model_copy(update=counts), units.select(*SHRUNK.names()), found.fitted, left)
+    doubted = tuple(dict.fromkeys(_doubted(_latest(alone[1]))["unit"]))
+    return HierarchicalFit(record.model_copy(update=counts), units.select(*SHRUNK.names()), found.fitted, left, doubted)
 
 
 def fitted_again(
@@ -170,8 +173,12 @@ def fitted_again(
         UnitSource(row["digest"], row["unit"], row["campaign"], row["file"], row["file"].endswith(".parquet"))
         for row in latest.iter_rows(named=True)
     ]
-    priors = scale_priors(list(unit_populations(parameters, units)))
-    models = {digest: with_priors(spec, known, _PRIOR_DIGITS)[0] for digest, known in priors.items()}
+    # The noise of a unit that contradicts its model is not that of the others.
+    doubted = set(_doubted(units)["digest"])
+    found = scale_priors(list(unit_populations(parameters, units)))
+    priors = {digest: known for digest, known in found.items() if digest not in doubted}
+    names = dict(latest.select("digest", "names").iter_rows())
+    models = {digest: with_priors(spec, known, names[digest], _PRIOR_DIGITS)[0] for digest, known in priors.items()}
     tasks = (
         ChunkTask(spec, BatchSettings(), group, {each.digest: models[each.digest] for each in group})
         for group in _chunks([each for each in sources if each.digest in models])
@@ -195,6 +202,10 @@ def fitted_again(
         pl.concat([left, tables.unit_table(model, code, good)]).sort(_ORDER, maintain_order=True),
         len(good),
     )
+
+
+def _doubted(units: pl.DataFrame) -> pl.DataFrame:
+    return units.filter(pl.col("noise_violations").list.len() + pl.col("noise_contradicted").list.len() > 0)
 
 
 def _chunks(sources: Sequence[UnitSource]) -> Iterator[tuple[UnitSource, ...]]:

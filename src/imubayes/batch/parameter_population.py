@@ -26,9 +26,12 @@ SHRUNK = pl.Schema(
         "unit": pl.String, "digest": pl.String, "date": pl.Date, "parameter": pl.String, "unit_of_measure": pl.String,
         "estimate": pl.Float64, "estimate_sd": pl.Float64, "shrunk": pl.Float64, "shrunk_sd": pl.Float64,
         "distance": pl.Float64, "p": pl.Float64, "outlying": pl.Boolean,
+        "trusted": pl.Boolean,
     }
 )  # fmt: skip
-"""One row per unit and parameter: the unit's own estimate without the prior of its model, and with the population."""
+"""One row per unit and parameter: its own estimate without the prior of the model, and the one given the population.
+
+Units whose noise contradicts the model are not `trusted`: neither interval holds."""
 
 
 class OutlyingUnit(Record):
@@ -61,7 +64,7 @@ class ParameterPopulation(Record):
     next_mean, predictive_sd : mean and standard deviation of the next unit, mean and spread being uncertain.
     information_error : bits lost to the Monte Carlo error of the units' posteriors.
     outlying : units at a false discovery rate of 5 %, within their groups.
-    laws : groups, steps, trends and covariates; None for derived quantities and if too few units are informative.
+    laws : groups, steps, trends and covariates; None if too few units are informative.
     """
 
     parameter: str
@@ -109,6 +112,8 @@ def populations(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Populati
         found.append(_record(each))
         if each.units is not None:
             frames.append(_frame(each))
+    doubted = units.filter(pl.col("noise_violations").list.len() + pl.col("noise_contradicted").list.len() > 0)
+    frame = pl.concat(frames).with_columns(trusted=~pl.col("digest").is_in(doubted["digest"].to_list()))
     record = Populations(
         model=units["model"][0] if units.height else "",
         units=units["unit"].n_unique(),
@@ -116,7 +121,7 @@ def populations(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Populati
         left_out=units.filter(pl.col("status") != "fitted").height,
         parameters=tuple(found),
     )
-    return record, pl.concat(frames)
+    return record, frame
 
 
 def _record(each: UnitPopulation) -> ParameterPopulation:
@@ -181,7 +186,7 @@ def _outlying(table: pl.DataFrame, posteriors: UnitPosteriors, shares: ShrunkUni
 def _frame(each: UnitPopulation) -> pl.DataFrame:
     """Return the units of a parameter with the population as prior; logarithms become values again."""
     assert each.units is not None
-    table, posteriors, shares = each.table, each.posteriors, each.units
+    table, posteriors, shares = each.table, each.own, each.units
     estimate, variance = posteriors.likelihood
     # The estimate of a noise scale is one only if its data outweigh its prior.
     known = posteriors.informative & ((posteriors.from_data > 0.5) | (each.scale == "linear"))
@@ -195,6 +200,7 @@ def _frame(each: UnitPopulation) -> pl.DataFrame:
         "distance": shares.distance, "p": shares.p, "outlying": shares.outlying,
     }  # fmt: skip
     kept = table.select("unit", "digest", "date", "parameter", "unit_of_measure")
+    columns["trusted"] = np.ones(table.height, dtype=bool)
     return kept.with_columns(pl.Series(name, values) for name, values in columns.items()).with_columns(
         pl.col(pl.Float64).fill_nan(None)
     )

@@ -65,12 +65,7 @@ def next_unit_model(spec: ModelSpec, found: Populations, name: str = "") -> tupl
     InputError
         where no parameter has a population.
     """
-    known = {
-        each.parameter: KnownPrior(each.scale, each.next_mean, each.predictive_sd, each.unit_of_measure)
-        for each in found.parameters
-        if each.kind != "derived" and each.next_mean is not None and each.predictive_sd is not None
-    }
-    changed, replaced = with_priors(spec, known)
+    changed, replaced = with_priors(spec, known_priors(found), [each.parameter for each in found.parameters])
     source = f"the population of {found.units} units (model {found.model})"
     if not replaced:
         raise input_error(
@@ -82,8 +77,17 @@ def next_unit_model(spec: ModelSpec, found: Populations, name: str = "") -> tupl
     return replace(changed, name=name or f"{spec.name}-population", priors_from=source), replaced
 
 
+def known_priors(found: Populations) -> dict[str, KnownPrior]:
+    """Return what the populations say of the parameters of the next unit."""
+    return {
+        each.parameter: KnownPrior(each.scale, each.next_mean, each.predictive_sd, each.unit_of_measure)
+        for each in found.parameters
+        if each.kind != "derived" and each.next_mean is not None and each.predictive_sd is not None
+    }
+
+
 def with_priors(
-    spec: ModelSpec, known: Mapping[str, KnownPrior], digits: int = _DIGITS
+    spec: ModelSpec, known: Mapping[str, KnownPrior], names: Iterable[str], digits: int = _DIGITS
 ) -> tuple[ModelSpec, list[ReplacedPrior]]:
     """Return a model with other priors of parameters of channels, and what was replaced.
 
@@ -92,25 +96,26 @@ def with_priors(
     Parameters
     ----------
     known : by the name of the parameter; those of mountings and tables are passed over.
+    names : of all parameters that the model has: channels whose priors are not known keep theirs.
     digits : significant digits of the numbers of a prior.
     """
-    registry = Registry().with_files(spec.files)
+    registry, every = Registry().with_files(spec.files), tuple(names)
     effects: list[EffectSpec] = []
     replaced: list[ReplacedPrior] = []
     for effect in spec.effects:
         kind = registry.find(effect.name, effect.where)
         of_channel = (effect.per or ",".join(kind.per)) == "channel"
         own = {key: each for key, each in known.items() if QuantityName.of(key).effect == effect.name}
-        channels = _channels(effect, own) if of_channel else []
+        channels = _channels(effect, (*every, *own)) if of_channel and _channels(effect, own) else []
         defaults = {field: each.prior for field, each in declared_parameters(kind).items()}
         parts = [_on_channel(effect, defaults, channel, own, digits, replaced) for channel in channels]
         effects.extend(parts or [effect])
     return replace(spec, effects=tuple(effects)), replaced
 
 
-def _channels(effect: EffectSpec, known: Iterable[str]) -> list[str]:
-    """Return the channels that an effect has known parameters on."""
-    labels = (QuantityName.of(key).labels for key in known)
+def _channels(effect: EffectSpec, names: Iterable[str]) -> list[str]:
+    """Return the channels that an effect has parameters on."""
+    labels = (name.labels for name in map(QuantityName.of, names) if name.effect == effect.name)
     found = dict.fromkeys(each[0] for each in labels if len(each) == 1)
     return [label for label in found if effect.channels is None or label in effect.channels]
 

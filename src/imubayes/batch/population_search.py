@@ -124,7 +124,7 @@ def search(units: UnitEstimates, covariates: Sequence[UnitCovariate]) -> Structu
         best = weighed[0]
         leads = one < 0.5 and best.candidate.kind not in ("one", "tails")
         if not leads or one > 1 - FOUND or len(findings) == _MOST_FINDINGS:
-            possible = best if leads else None
+            possible = best if leads and best.probability > 0.5 else None
             return Structure(tuple(findings), possible, one, tuple(weighed), *_explained(units, base, shares))
         findings.append(best)
         shares = np.column_stack([shares, _shares(best, base.shape[1])])

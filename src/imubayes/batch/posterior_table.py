@@ -344,7 +344,7 @@ def chosen_model(results: str | Path, model: str | None) -> str:
         "the results are of several models" if found else f"there are no results of model '{model}'",
         str(results),
         ", ".join(known),
-        "name one of them with --model-hash",
+        "name one of them with --model-hash; the last one is the newest",
     )
 
 

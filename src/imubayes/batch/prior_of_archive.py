@@ -8,10 +8,11 @@ import polars as pl
 
 from imubayes.archive.campaign_file import unit_of
 from imubayes.batch.hierarchical_fit import hierarchical_fit
-from imubayes.batch.population_priors import next_unit_model
+from imubayes.batch.population_priors import known_priors, with_priors
 from imubayes.batch.posterior_table import chosen_model, read_outcomes
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
+from imubayes.model.bind import bind
 from imubayes.model.model_file import ModelSpec
 
 
@@ -41,6 +42,16 @@ def given_archive(
             "a campaign that is not among them: its data would count twice",
             "imubayes batch population FOLDER --out units.parquet gives each of its units with the others as prior",
         )
-    found = hierarchical_fit(results, progress=progress)
-    model, _ = next_unit_model(spec, found.populations, spec.name)
-    return replace(model, priors_from=f"the population of {found.populations.units} units in {results}")
+    found = hierarchical_fit(results, progress=progress).populations
+    mine = bind(spec, campaign)
+    names = [*mine.layout.names, *mine.hyper_layout.names]
+    known = {name: each for name, each in known_priors(found).items() if name in names}
+    model, replaced = with_priors(spec, known, names)
+    if not replaced:
+        raise input_error(
+            "no parameter of this campaign has a population",
+            str(results),
+            "a batch of units like this one",
+            "see them with `imubayes batch population`, or leave --population out",
+        )
+    return replace(model, priors_from=f"the population of {found.units} units in {results}")

@@ -41,7 +41,8 @@ class UnitPopulation:
     ----------
     table : rows of the parameter, one for each unit, ordered by unit.
     scale : ``linear`` or ``log``, on which all numbers are.
-    posteriors : of the units.
+    posteriors : what the data of the units say, the means of the other parameters given if they are joint.
+    own : what the data of each unit alone say of it.
     structure : groups, steps, trends and covariates; None if it was not searched.
     population : of the units within their groups.
     units : of the units given the population; None without one.
@@ -50,6 +51,7 @@ class UnitPopulation:
     table: pl.DataFrame
     scale: Scale
     posteriors: UnitPosteriors
+    own: UnitPosteriors
     structure: Structure | None
     population: Population
     units: ShrunkUnits | None
@@ -73,7 +75,7 @@ def unit_populations(parameters: pl.DataFrame, units: pl.DataFrame) -> Iterator[
 def _alone(table: pl.DataFrame, units: pl.DataFrame, by_digest: pl.DataFrame) -> UnitPopulation:
     """Return the population of one parameter by itself: of a noise scale, a derived quantity, or of logarithms."""
     posteriors, scale = posteriors_of(table, units)
-    structure = _structure(table["kind"][0], posteriors, _covariates(table, by_digest))
+    structure = _structure(posteriors, _covariates(table, by_digest))
     explained = _explained(structure, posteriors)
     within = posteriors.shifted(explained)
     if _has_likelihoods(table):
@@ -83,7 +85,7 @@ def _alone(table: pl.DataFrame, units: pl.DataFrame, by_digest: pl.DataFrame) ->
         known = shrunk(within, outcome) if outcome.posterior is not None else None
     if known is not None and structure is not None and structure.findings:
         known = _with_structure(known, within, outcome, structure)
-    return UnitPopulation(table, scale, posteriors, structure, outcome, known)
+    return UnitPopulation(table, scale, posteriors, posteriors, structure, outcome, known)
 
 
 def _covariates(table: pl.DataFrame, by_digest: pl.DataFrame) -> list[UnitCovariate]:
@@ -111,7 +113,7 @@ def _joint(tables: Sequence[pl.DataFrame], units: pl.DataFrame, by_digest: pl.Da
     joint = JointUnits.of(of_units, known)
     spreads = _settled(JointPopulation.start(joint))
     searched, covariates = spreads, covariates_of(known)
-    structures = [_structure("parameter", searched.site(place), covariates) for place in range(len(joint.names))]
+    structures = [_structure(searched.site(place), covariates) for place in range(len(joint.names))]
     for place, found in enumerate(structures):
         spreads = spreads.with_offsets(place, _explained(found, searched.site(place)))
     if any(found is not None and found.findings for found in structures):
@@ -161,9 +163,9 @@ def _of_joint(
     mine = spreads.units.present[:, place]
     site = spreads.site(place).of(mine)
     within = _within(spreads, place).of(mine)
-    outcome = population(within)
+    outcome, alone = population(within), posteriors_of(table, known)[0]
     if outcome.posterior is None:
-        return UnitPopulation(table, "linear", site, structure, outcome, None)
+        return UnitPopulation(table, "linear", site, alone, structure, outcome, None)
     (mean, covariance), (own, sd) = spreads.means, spreads.given
     outcome = outcome.with_mean(centre + width * mean[place], width * float(np.sqrt(covariance[place, place])))
     units = compared(within, outcome, centre + width * own[mine, place], width * sd[mine, place])
@@ -173,7 +175,7 @@ def _of_joint(
         if int(site.informative.sum()) == len(structure.doubt):
             doubt[site.informative] = structure.doubt
         units = replace(units, sd=np.sqrt(units.sd**2 + relies**2 * doubt))
-    return UnitPopulation(table, "linear", site, structure, outcome, units)
+    return UnitPopulation(table, "linear", site, alone, structure, outcome, units)
 
 
 def _has_likelihoods(table: pl.DataFrame) -> bool:
@@ -196,10 +198,10 @@ def _of_scales(
     return outcome, replace(compared(within, outcome, found.mean, found.sd), others=others)
 
 
-def _structure(kind: str, posteriors: UnitPosteriors, covariates: list[UnitCovariate]) -> Structure | None:
-    """Return the structure of the informative units; None for derived quantities and for few units."""
+def _structure(posteriors: UnitPosteriors, covariates: list[UnitCovariate]) -> Structure | None:
+    """Return the structure of the informative units; None for few units."""
     used = np.flatnonzero(posteriors.informative)
-    if kind == "derived" or len(used) <= LEAST_UNITS:
+    if len(used) <= LEAST_UNITS:
         return None
     estimate, variance = (each[used] for each in posteriors.likelihood)
     prior = posteriors.stated_sd

@@ -246,7 +246,7 @@ def _finding_lines(each: PooledFinding) -> list[str]:
         lines.append(f"In its place: {' or '.join(told)}.")
     if each.named:
         shown = ", ".join(each.named[:_MOST_NAMED]) + (", …" if len(each.named) > _MOST_NAMED else "")
-        lines.append(f"{counted(len(each.named), 'unit')} show it alone: {shown}.")
+        lines.append(f"Shown by {counted(len(each.named), 'unit')} alone: {shown}.")
     return lines
 
 

@@ -1,5 +1,6 @@
 """Report of a population: what parts the units, mean and spread of every parameter, units unlike the others; priors."""
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -23,8 +24,9 @@ def population_report(found: Populations, fit: HierarchicalFit | None = None) ->
     """
     said = f"{counted(found.units, 'unit')}, {counted(found.campaigns, 'campaign')}, {found.left_out} without estimates"
     known = [each for each in found.parameters if each.mean is not None]
-    told = [said, *(line for each in known for line in finding_lines(each)), *_nothing(known)]
-    head = ("parameter", "unit", "units", "mean", "spread", "law", "error / bit")
+    own = [each for each in known if each.kind != "derived"]
+    told = [said, *(line for each in own for line in finding_lines(each)), *_nothing(own), *_of_doubted(fit)]
+    head = ("parameter", "unit", "units", "mean", "spread", "law")
     sheet = Sheet("Population", head, [_population_row(each) for each in known], left=(0, 1, 5), note=_NOTE)
     rows = [
         cells(each.parameter, unit.unit, concise(unit.value, unit.sd), f"{unit.distance:+.1f} sd")
@@ -32,14 +34,26 @@ def population_report(found: Populations, fit: HierarchicalFit | None = None) ->
         for unit in each.outlying[:_MOST_OUTLYING]
     ]
     outlying = Sheet("Outlying units", ("parameter", "unit", "estimate", "distance"), rows, left=(0, 1))
-    unknown = [f"{each.parameter}: {each.reason}" for each in found.parameters if each.mean is None]
-    return Report(told, [sheet.with_few(0, 3, 4, 1), outlying], [*unknown, *_of_rounds(fit)])
+    return Report(told, [sheet.with_few(0, 3, 4, 1), outlying], [*_unknown(found), *_of_rounds(fit)])
 
 
 _NOTE = (
-    "spread: half the width of the central 68.3 %, within a group; (log): of the natural logarithm; error: information "
-    "lost to draws"
+    "mean: of the first group, of the units before a step, or at the middle of a trend; spread: half the width of the "
+    "central 68.3 % within a group; (log): of the natural logarithm"
 )
+
+
+def _unknown(found: Populations) -> Iterator[str]:
+    """Yield a line for each reason why parameters have no population, with their names."""
+    missing = [each for each in found.parameters if each.mean is None]
+    for reason in dict.fromkeys(each.reason for each in missing):
+        names = [each.parameter for each in missing if each.reason == reason]
+        yield f"No population, as {reason}: {listed(names)}."
+
+
+def _of_doubted(fit: HierarchicalFit | None) -> Iterator[str]:
+    if fit is not None and fit.doubted:
+        yield f"Intervals must not be trusted, neither alone nor given the population: {listed(fit.doubted)}."
 
 
 def _nothing(known: Sequence[ParameterPopulation]) -> Iterator[str]:
@@ -83,8 +97,8 @@ def _finding(found: PopulationFinding, unit: str) -> str:
         return f"step over {found.covariate} {found.at}, {_offset(others[0], unit)} in {_members(others[0])}"
     apart = "; ".join(f"{_of(group, found)} {_offset(group, unit)}" for group in others)
     if found.kind == "groups":
-        return f"{len(found.groups)} groups of units, {apart} from {_members(first)}"
-    return f"differs with {found.covariate}, {apart} from {first.name} ({counted(len(first.units), 'unit')})"
+        return f"{len(found.groups)} groups of units, {apart} against {_members(first)}"
+    return f"differs with {found.covariate}, {apart} against {first.name} ({counted(len(first.units), 'unit')})"
 
 
 def _of(group: PopulationGroup, found: PopulationFinding) -> str:
@@ -92,6 +106,8 @@ def _of(group: PopulationGroup, found: PopulationFinding) -> str:
 
 
 def _offset(group: PopulationGroup, unit: str) -> str:
+    if unit.startswith("log "):
+        return f"{significant(math.exp(group.offset), 2)} times"
     value, sd = value_and_sd(group.offset, group.offset_sd)
     return f"{'' if value.startswith('-') else '+'}{value} ± {sd} {unit}"
 
@@ -115,7 +131,7 @@ def _population_row(each: ParameterPopulation) -> Sequence[Cell]:
     return cells(
         each.parameter, unit, f"{each.informative}/{each.units}",
         concise(each.mean, each.mean_sd or 0.0), concise(each.spread or 0.0, each.spread_sd or 0.0),
-        law, significant(each.information_error, 1) if each.information_error else "0"
+        law,
     )  # fmt: skip
 
 

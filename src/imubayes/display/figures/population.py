@@ -11,6 +11,7 @@ from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.display import figure_style as style
 from imubayes.display.loop.diagnosis_sentences import probability
 from imubayes.display.numbers_and_labels import pretty, shortened
+from imubayes.foundations.errors import Issue, closest_first, refuse
 
 _MOST_UNITS, _WIDE = 60, 0.5
 _CAPTION = (
@@ -31,6 +32,11 @@ def population_picture(found: Populations, units: pl.DataFrame, parameters: Sequ
     parameters : names of those to draw; the six that deviate most if there are none.
     """
     known = {each.parameter: each for each in found.parameters if each.mean is not None and each.spread}
+    refuse(
+        Issue(f"'{name}' has no population", "--parameter", closest_first(name, known), "name one of these")
+        for name in parameters
+        if name not in known
+    )
     chosen = [known[name] for name in parameters if name in known] or ranked(list(known.values()))
     chosen = chosen[: style.MOST_PANELS]
     tables = [_rows(each, units) for each in chosen]
@@ -66,7 +72,7 @@ def _legend() -> list:
     return [
         Patch(color=style.BAND, label="±1 spread"), Patch(color=style.BAND_WIDE, label="±2 spreads"),
         style.dot(style.QUIET, "unit alone"), style.dot(style.BLUE, "given the population"),
-        style.dot(style.VERMILION, "outlying", marker="D"),
+        style.dot(style.VERMILION, "outlying", marker="D"), style.dot(style.INK, "not to be trusted", marker="X"),
     ]  # fmt: skip
 
 
@@ -94,7 +100,7 @@ def _panel(axes: Axes, each: ParameterPopulation, table: pl.DataFrame) -> None:
     )
     for row in place:
         axes.errorbar(
-            value[row], row, xerr=sd[row], marker="D" if table["outlying"][int(row)] else "o", markersize=4,
+            value[row], row, xerr=sd[row], marker=_marker(table, int(row)), markersize=4,
             color=colours[row], elinewidth=1.2, zorder=3,
         )  # fmt: skip
     _name_units(axes, table)
@@ -103,6 +109,12 @@ def _panel(axes: Axes, each: ParameterPopulation, table: pl.DataFrame) -> None:
     axes.set_xlabel(unit if unit not in ("", "1") else "")
     axes.set_ylim(-1, table.height)
     axes.set_title(f"{shortened(each.parameter, 40)}{_said(each)}", loc="left", fontsize=9)
+
+
+def _marker(table: pl.DataFrame, row: int) -> str:
+    if not table["trusted"][row]:
+        return "X"
+    return "D" if table["outlying"][row] else "o"
 
 
 def _said(each: ParameterPopulation) -> str:
