@@ -108,7 +108,7 @@ def changed(**entries: Any) -> dict[str, Any]:
         (CONTENT, {"tumble": {**columns(), "ax": outputs()[:3]}}, ["columns of other shapes: 'ax' 3"]),
         (CONTENT, {"tumble": {**columns(), "axx": outputs()}}, ["column 'axx'", "columns of run 'tumble'"]),
         (CONTENT, {"tumble": {**columns(), "ax": ["a"] * len(ANGLE)}}, ["column 'ax' holds string, not numbers"]),
-        (CONTENT, {"tumble": {**columns(), "ax": 10 * outputs()}}, ["responds with 10 times its nominal scale"]),
+        (CONTENT, {"tumble": {**columns(), "ax": 10 * outputs()}}, ["channel 'ax' is 10 times too large"]),
         (CONTENT, {"tumble": {**columns(), "ax": -outputs()}}, ["channel 'ax' is reversed in sign"]),
     ],
 )
@@ -236,4 +236,5 @@ def test_every_shipped_campaign_is_that_of_its_columns(name):
 
 def test_the_shipped_campaigns_have_all_procedures():
     contents = [tomllib.loads((DATA / name / "campaign.toml").read_text()) for name in SHIPPED]
-    assert {run["procedure"] for content in contents for run in content["run"]} >= set(PROCEDURES)
+    in_motion = {"free_rotation", "slow_motion"}  # recordings of a hand, which are made by tests
+    assert {run["procedure"] for content in contents for run in content["run"]} >= set(PROCEDURES) - in_motion

@@ -44,7 +44,7 @@ def laid():
     index = np.repeat(np.arange(3), [7, 5, 3])
     row = np.concatenate([np.arange(each.rows) for each in runs])
     zero = np.zeros(len(row), int)
-    entries = Entries(index, row, zero, zero, zero, zero - 1, zero - 1, zero > 0)
+    entries = Entries(index, row, zero, zero, zero, zero - 1, zero - 1, zero > 0, zero > 0)
     return timeline(Campaign("c", Site(1.0, 0.0, 9.8), (), {}, {}, tuple(runs)), entries, index), index
 
 

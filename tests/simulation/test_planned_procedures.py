@@ -24,9 +24,10 @@ def simulated(name, folder):
 
 
 def test_every_procedure_has_a_plan():
-    assert all(procedure.plan is not None for procedure in PROCEDURES.values())
+    planned = {name for name, procedure in PROCEDURES.items() if procedure.plan is not None}
+    assert set(PROCEDURES) - planned == {"free_rotation", "slow_motion"}  # a hand follows no plan
     shipped = {run.procedure for plan in PLANS.glob("*.toml") for run in read_plan(plan).file.run}
-    assert shipped == set(PROCEDURES)
+    assert shipped == planned
 
 
 @pytest.fixture(scope="module")

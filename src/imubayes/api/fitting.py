@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 import lazy_loader
 
-from imubayes.batch.prior_of_archive import given_archive
 from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
@@ -25,6 +24,7 @@ from imubayes.results.result_folder import write_result
 
 # What only a sampled fit needs.
 posterior_quantities: Any = lazy_loader.load("imubayes.qualification.posterior_quantities", suppress_warning=True)
+prior_of_archive: Any = lazy_loader.load("imubayes.batch.prior_of_archive", suppress_warning=True)
 report_budgets: Any = lazy_loader.load("imubayes.qualification.report_budgets", suppress_warning=True)
 
 
@@ -136,7 +136,7 @@ def _given_archive(
     loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     spec = model if isinstance(model, ModelSpec) else read_model(model)
     with progress_of(progress) as tell:
-        return given_archive(spec, population, loaded, tell)
+        return prior_of_archive.given_archive(spec, population, loaded, tell)
 
 
 def bound(campaign: Campaign | str | Path, model: ModelSpec | str | Path) -> Model:

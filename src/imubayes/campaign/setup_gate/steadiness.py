@@ -202,8 +202,9 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_tried(each, doubted)]
     tried = levels.tried(suspected, first)
     likeliest = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
-    found = told_by_name([each for each in likeliest if each is not None and each.mistake.possible(each.size)])
-    said = [each for each in _strongest(found) if _is_sayable(each, campaign)]
+    found = told_by_name([each for each in likeliest if each is not None])
+    # An impossible size may be what the outputs show best: a weaker mistake is not the cause then.
+    said = [each for each in _strongest(found) if each.mistake.possible(each.size) and _is_sayable(each, campaign)]
     return [each for each in said if not levels[0].passes_for_noise(each.mistake)]
 
 
