@@ -187,6 +187,17 @@ def fitted_again(
     for fitted in executor(tasks):
         new.extend(fitted)
         progress(f"{len(new)} of {len(models)} units given their population")
+    return _with_new_fits(model, latest, parameters, units, new)
+
+
+def _with_new_fits(
+    model: str,
+    latest: pl.DataFrame,
+    parameters: pl.DataFrame,
+    units: pl.DataFrame,
+    new: Sequence[tables.UnitPosterior],
+) -> FittedAgain:
+    """Return tables with the new fits in the place of those alone; a failed one leaves its reason."""
     good = [each for each in new if each.outcome.status == "fitted"]
     reasons = {each.identity.digest: each.outcome.reason for each in new if each.outcome.status != "fitted"}
     replaced = pl.col("digest").is_in([each.identity.digest for each in good])

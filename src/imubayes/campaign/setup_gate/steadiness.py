@@ -202,16 +202,17 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_tried(each, doubted)]
     tried = levels.tried(suspected, first)
     likeliest = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
-    found = told_by_name([each for each in likeliest if each is not None])
-    # An impossible size may be what the outputs show best: a weaker mistake is not the cause then.
-    said = [each for each in _strongest(found) if each.mistake.possible(each.size) and _is_sayable(each, campaign)]
+    said = [each for each in _strongest([*filter(None, likeliest)]) if _is_sayable(each, campaign)]
     return [each for each in said if not levels[0].passes_for_noise(each.mistake)]
 
 
 def _strongest(found: Sequence[Explanation]) -> list[Explanation]:
-    """Return those of about the most support: what is too weak to be said is not told under another name."""
-    best = max((each.support for each in found), default=0.0)
-    return [each for each in found if each.support > best - DECISIVE]
+    """Return those of possible size and about the most support.
+
+    What is too weak to be said is not told under another name, and neither is what is impossible.
+    """
+    least = max((each.support for each in found), default=0.0) - DECISIVE
+    return [each for each in told_by_name([x for x in found if x.mistake.possible(x.size)]) if each.support > least]
 
 
 def _is_sayable(found: Explanation, campaign: Campaign) -> bool:
