@@ -89,6 +89,7 @@ def test_a_sum_that_all_units_measure_leaves_its_parts_as_uncertain_as_their_pri
     assert c.mean_sd < 0.3
 
 
+@pytest.mark.slow
 def test_units_given_the_others_are_within_their_uncertainty_whatever_they_measure():
     rows = np.array([[1.0, 1.0, 0.0], [1.0, -0.2, 0.0], [0.0, 0.0, 1.0]])
     errors, means = [], []

@@ -56,6 +56,7 @@ def test_every_estimate_states_how_its_uncertainty_was_evaluated(capsys, name):
         assert one["uncertainty"].startswith("type A"), one["name"]
 
 
+@pytest.mark.slow
 def test_the_carrier_without_a_fit(tmp_path, capsys):
     out = tmp_path / "carrier.csv"
     assert run(["carrier", str(ROOT / "data" / "rotation-modulation"), "pyramid-unfinished", "--out", str(out)]) == 0

@@ -119,6 +119,7 @@ def test_unusable_command_lines(capsys, tmp_path, monkeypatch, words):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_refit_that_is_not_taken_has_status_1(place, capsys, monkeypatch, tmp_path):
     refit = sys.modules["imubayes.loop.refit"]
     monkeypatch.setattr(refit, "observed_delta_chi2", lambda *_: -4.0)

@@ -63,6 +63,7 @@ def test_expected_is_found(second):
     assert abs(value.value - truth) < 4 * value.sd
 
 
+@pytest.mark.slow
 def test_what_is_missing_helps_unseen_runs(second):
     unseen = second.held_out
     assert (unseen.verdict, unseen.by) == ("helps", "run")
@@ -196,6 +197,7 @@ def test_what_stands_in_the_model_is_not_added_again(first):
         extend(first.fit, ["white_noise"])
 
 
+@pytest.mark.slow
 def test_a_prior_gives_way_to_what_was_measured_beyond_doubt(first):
     """A thousand times the usual drift in the readings: held back by its prior it would not be found."""
     assert extend(first.fit, [LACKING]).widened == {}

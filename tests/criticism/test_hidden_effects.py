@@ -66,6 +66,7 @@ def test_an_effect_is_found_with_its_size(effect: str) -> None:
     sized(effect, 10.0, 3)
 
 
+@pytest.mark.slow
 def test_an_effect_far_beyond_its_typical_size_is_found_with_its_size() -> None:
     """A drift of the bias over three runs, most of which offsets of runs take."""
     sized("accel_bias_drift", 10.0, 3)

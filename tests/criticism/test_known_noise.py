@@ -102,6 +102,7 @@ def test_scatter_of_one_of_three_equal_gyros_is_told_by_its_sisters():
     assert contradicted(offset(fit, 1, 1.8, channels=(0, 1, 2))) == []
 
 
+@pytest.mark.slow
 def test_noise_as_the_model_says_contradicts_nothing():
     fit = fitted_to("hidden-none")
     assert [contradicted(redrawn(fit, seed)) for seed in range(8)] == [[]] * 8

@@ -77,6 +77,7 @@ def test_a_random_walk_is_no_drift(seed: int) -> None:
     assert not surely_wrong(found), told(found)
 
 
+@pytest.mark.slow
 def test_noise_of_another_size() -> None:
     """Samples within rows tell what the noise is; the rows scatter more."""
     more = 1.2 * ROW * np.random.default_rng(1003).normal(size=len(converter().model.entries))

@@ -81,6 +81,7 @@ def test_chi2_is_that_of_the_fit_and_of_the_diagnosis(explored, facts):
     assert sum(cell["chi2"] for cell in facts["cells"]) == pytest.approx(facts["chi2"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_preview_predicts_what_the_diagnosis_predicts(client, first, facts, told):
     found = client.json("preview", {"model": first, "effects": [HIDDEN]})
     assert found["delta_chi2"] == pytest.approx(told["delta_chi2"], rel=1e-9)
