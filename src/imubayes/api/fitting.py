@@ -70,7 +70,7 @@ def fit(
     -3.2
     """
     clock = time.perf_counter()
-    declared = bound(campaign, model if population is None else _given_archive(campaign, model, population, progress))
+    declared = bound(campaign, model, population, progress)
     load_seconds = time.perf_counter() - clock
     folder = Path(out) if out is not None else None
     checkpoint = _checkpoint(declared, folder)
@@ -127,19 +127,19 @@ def load(folder: str | Path) -> Result:
     return read_result(folder)
 
 
-def _given_archive(
+def bound(
     campaign: Campaign | str | Path,
     model: ModelSpec | str | Path,
-    population: str | Path,
-    progress: Callable[[str], None] | None,
-) -> ModelSpec:
+    population: str | Path | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Model:
+    """Return a model bound to a campaign, each read from its file where it is not in memory.
+
+    Its priors are the population of a batch if the results folder of one is given.
+    """
     loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     spec = model if isinstance(model, ModelSpec) else read_model(model)
-    with progress_of(progress) as tell:
-        return prior_of_archive.given_archive(spec, population, loaded, tell)
-
-
-def bound(campaign: Campaign | str | Path, model: ModelSpec | str | Path) -> Model:
-    """Return a model bound to a campaign, each read from its file where it is not in memory."""
-    loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
-    return bind(model if isinstance(model, ModelSpec) else read_model(model), loaded)
+    if population is not None:
+        with progress_of(progress) as tell:
+            spec = prior_of_archive.given_archive(spec, population, loaded, tell)
+    return bind(spec, loaded)

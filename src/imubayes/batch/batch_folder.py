@@ -15,13 +15,13 @@ import datetime
 import hashlib
 import math
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import unquote
 
 import polars as pl
@@ -100,6 +100,11 @@ class UnitSource:
     name: str
     path: str
     archived: bool
+
+    @staticmethod
+    def of_row(row: Mapping[str, Any]) -> "UnitSource":
+        """Return the source of a row of the table of units."""
+        return UnitSource(row["digest"], row["unit"], row["campaign"], row["file"], row["file"].endswith(".parquet"))
 
     def read(self) -> Campaign:
         """Return the campaign; raises InputError where it cannot be used."""

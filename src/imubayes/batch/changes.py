@@ -24,7 +24,7 @@ import polars as pl
 from imubayes.batch.archive_covariates import serial_number
 from imubayes.batch.population import LEAST_UNITS, discoveries
 from imubayes.batch.population_laws import normal_law
-from imubayes.batch.unit_populations import posteriors_of, usable_rows
+from imubayes.batch.unit_populations import own_estimates, posteriors_of, usable_rows
 from imubayes.foundations.records import Record, finite
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival, t_survival
 from imubayes.foundations.units import DAYS_PER_YEAR
@@ -299,11 +299,7 @@ def dated_estimates(parameters: pl.DataFrame, units: pl.DataFrame) -> pl.DataFra
     found = []
     for rows in usable_rows(parameters):
         posteriors, scale = posteriors_of(rows, units)
-        estimate, variance = posteriors.likelihood
-        own, deviation = estimate, np.sqrt(np.where(posteriors.informative, variance, 1.0))
-        if scale == "log":
-            own = np.exp(estimate)
-            deviation = own * deviation
+        own, deviation = own_estimates(posteriors, scale)
         kept = rows.select("unit", "date", "parameter", "unit_of_measure").with_columns(
             estimate=own, estimate_sd=deviation
         )

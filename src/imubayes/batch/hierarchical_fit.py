@@ -10,7 +10,7 @@ Results are kept beside the parts of the batch, by the digests of the campaigns 
 """
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,9 +20,9 @@ import polars as pl
 from imubayes.batch import posterior_table as tables
 from imubayes.batch.batch_folder import BatchSettings, UnitSource
 from imubayes.batch.fit_chunk import in_process
-from imubayes.batch.parameter_population import SHRUNK, Populations, populations
+from imubayes.batch.parameter_population import SHRUNK, Populations, estimates_alone, populations
 from imubayes.batch.population_priors import KnownPrior, with_priors
-from imubayes.batch.run_batch import CHUNK, ChunkTask, Executor
+from imubayes.batch.run_batch import ChunkTask, Executor, chunks_of
 from imubayes.batch.unit_populations import UnitPopulation, unit_populations
 from imubayes.foundations.errors import kept_if_possible
 from imubayes.foundations.files import new_folder, remove
@@ -53,7 +53,7 @@ class HierarchicalFit:
     units: pl.DataFrame
     fitted: int
     left_out: tuple[str, ...]
-    doubted: tuple[str, ...] = ()
+    doubted: tuple[str, ...]
 
 
 def hierarchical_fit(
@@ -137,7 +137,7 @@ class RefitEnding(Record):
 def _result(alone: tuple[pl.DataFrame, pl.DataFrame], found: FittedAgain) -> HierarchicalFit:
     """Return the populations, over the campaigns of the batch."""
     record, units = populations(found.parameters, found.units)
-    own = populations(*alone)[1].select("digest", "parameter", "estimate", "estimate_sd")
+    own = estimates_alone(*alone)
     units = units.drop("estimate", "estimate_sd").join(own, on=["digest", "parameter"], how="left")
     counts = {
         "units": alone[1]["unit"].n_unique(), "campaigns": alone[1].height,
@@ -145,7 +145,7 @@ def _result(alone: tuple[pl.DataFrame, pl.DataFrame], found: FittedAgain) -> Hie
     }  # fmt: skip
     failed = found.units.filter(pl.col("reason") != "")
     left = tuple(f"{unit}: {reason}" for unit, reason in failed.select("unit", "reason").iter_rows())
-    doubted = tuple(dict.fromkeys(_doubted(_latest(alone[1]))["unit"]))
+    doubted = tuple(dict.fromkeys(tables.doubted(_latest(alone[1]))["unit"]))
     return HierarchicalFit(record.model_copy(update=counts), units.select(*SHRUNK.names()), found.fitted, left, doubted)
 
 
@@ -169,19 +169,16 @@ def fitted_again(
     """
     latest = _latest(alone[1])
     parameters, units = (each.filter(pl.col("digest").is_in(latest["digest"].to_list())) for each in alone)
-    sources = [
-        UnitSource(row["digest"], row["unit"], row["campaign"], row["file"], row["file"].endswith(".parquet"))
-        for row in latest.iter_rows(named=True)
-    ]
+    sources = [UnitSource.of_row(row) for row in latest.iter_rows(named=True)]
     # The noise of a unit that contradicts its model is not that of the others.
-    doubted = set(_doubted(units)["digest"])
+    doubted = set(tables.doubted(units)["digest"])
     found = scale_priors(list(unit_populations(parameters, units)))
     priors = {digest: known for digest, known in found.items() if digest not in doubted}
     names = dict(latest.select("digest", "names").iter_rows())
     models = {digest: with_priors(spec, known, names[digest], _PRIOR_DIGITS)[0] for digest, known in priors.items()}
     tasks = (
         ChunkTask(spec, BatchSettings(), group, {each.digest: models[each.digest] for each in group})
-        for group in _chunks([each for each in sources if each.digest in models])
+        for group in chunks_of([each for each in sources if each.digest in models])
     )
     new: list[tables.UnitPosterior] = []
     for fitted in executor(tasks):
@@ -213,14 +210,6 @@ def _with_new_fits(
         pl.concat([left, tables.unit_table(model, code, good)]).sort(_ORDER, maintain_order=True),
         len(good),
     )
-
-
-def _doubted(units: pl.DataFrame) -> pl.DataFrame:
-    return units.filter(pl.col("noise_violations").list.len() + pl.col("noise_contradicted").list.len() > 0)
-
-
-def _chunks(sources: Sequence[UnitSource]) -> Iterator[tuple[UnitSource, ...]]:
-    return (tuple(sources[start : start + CHUNK]) for start in range(0, len(sources), CHUNK))
 
 
 def scale_priors(found: Sequence[UnitPopulation]) -> Mapping[str, Mapping[str, KnownPrior]]:

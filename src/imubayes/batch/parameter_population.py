@@ -11,6 +11,7 @@ and its population has the prior of the model on its mean: few units determine a
 still bound it.
 """
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -18,8 +19,19 @@ import polars as pl
 
 from imubayes.batch.population import ShrunkUnits, UnitPosteriors
 from imubayes.batch.population_findings import PopulationLaws, laws_of
-from imubayes.batch.unit_populations import UnitPopulation, unit_populations
+from imubayes.batch.posterior_table import doubted
+from imubayes.batch.unit_populations import (
+    Scale,
+    UnitPopulation,
+    latest_tables,
+    own_estimates,
+    posteriors_of,
+    unit_populations,
+)
 from imubayes.foundations.records import Record, finite
+
+LEAST_OF_SCALES = 0.5
+"""Share of the information on a noise scale that must come from a unit's data for its own estimate to be one."""
 
 SHRUNK = pl.Schema(
     {
@@ -107,13 +119,11 @@ def populations(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Populati
     ----------
     parameters, units : as `imubayes.batch.posterior_table.read_parameters` and `read_units` return them.
     """
-    found, frames = [], [SHRUNK.to_frame()]
+    found, frames, doubts = [], [SHRUNK.to_frame()], doubted(units)["digest"].to_list()
     for each in unit_populations(parameters, units):
         found.append(_record(each))
         if each.units is not None:
-            frames.append(_frame(each))
-    doubted = units.filter(pl.col("noise_violations").list.len() + pl.col("noise_contradicted").list.len() > 0)
-    frame = pl.concat(frames).with_columns(trusted=~pl.col("digest").is_in(doubted["digest"].to_list()))
+            frames.append(_frame(each, doubts))
     record = Populations(
         model=units["model"][0] if units.height else "",
         units=units["unit"].n_unique(),
@@ -121,7 +131,7 @@ def populations(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Populati
         left_out=units.filter(pl.col("status") != "fitted").height,
         parameters=tuple(found),
     )
-    return record, frame
+    return record, pl.concat(frames)
 
 
 def _record(each: UnitPopulation) -> ParameterPopulation:
@@ -183,24 +193,36 @@ def _outlying(table: pl.DataFrame, posteriors: UnitPosteriors, shares: ShrunkUni
     )
 
 
-def _frame(each: UnitPopulation) -> pl.DataFrame:
+def _frame(each: UnitPopulation, doubts: Sequence[str]) -> pl.DataFrame:
     """Return the units of a parameter with the population as prior; logarithms become values again."""
     assert each.units is not None
-    table, posteriors, shares = each.table, each.own, each.units
-    estimate, variance = posteriors.likelihood
-    # The estimate of a noise scale is one only if its data outweigh its prior.
-    known = posteriors.informative & ((posteriors.from_data > 0.5) | (each.scale == "linear"))
-    own, own_sd = np.where(known, estimate, np.nan), np.where(known, np.sqrt(np.where(known, variance, 1.0)), np.nan)
+    table, shares = each.table, each.units
+    own, own_sd = _shown_alone(each.own, each.scale)
     mean, sd = shares.mean, shares.sd
     if each.scale == "log":
-        own, mean = np.exp(own), np.exp(mean)
-        own_sd, sd = own * own_sd, mean * sd
+        mean = np.exp(mean)
+        sd = mean * sd
     columns = {
         "estimate": own, "estimate_sd": own_sd, "shrunk": mean, "shrunk_sd": sd,
         "distance": shares.distance, "p": shares.p, "outlying": shares.outlying,
     }  # fmt: skip
     kept = table.select("unit", "digest", "date", "parameter", "unit_of_measure")
-    columns["trusted"] = np.ones(table.height, dtype=bool)
     return kept.with_columns(pl.Series(name, values) for name, values in columns.items()).with_columns(
-        pl.col(pl.Float64).fill_nan(None)
+        pl.col(pl.Float64).fill_nan(None), trusted=~pl.col("digest").is_in(doubts)
     )
+
+
+def _shown_alone(own: UnitPosteriors, scale: Scale) -> tuple[np.ndarray, np.ndarray]:
+    """Return estimate and standard uncertainty of each unit; of a noise scale if its data outweigh its prior."""
+    estimate, sd = own_estimates(own, scale)
+    weighs = (own.from_data > LEAST_OF_SCALES) | (scale == "linear")
+    return np.where(weighs, estimate, np.nan), np.where(weighs, sd, np.nan)
+
+
+def estimates_alone(parameters: pl.DataFrame, units: pl.DataFrame) -> pl.DataFrame:
+    """Return the own estimates of the latest calibration of each unit, by digest and parameter."""
+    frames = [SHRUNK.to_frame().select("digest", "parameter", "estimate", "estimate_sd")]
+    for table in latest_tables(parameters):
+        own, sd = _shown_alone(*posteriors_of(table, units))
+        frames.append(table.select("digest", "parameter").with_columns(estimate=own, estimate_sd=sd))
+    return pl.concat(frames).with_columns(pl.col(pl.Float64).fill_nan(None))

@@ -31,13 +31,7 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from imubayes.batch.population_laws import (
-    GridPosterior,
-    mixing,
-    mixture,
-    normal_law,
-    student_law,
-)
+from imubayes.batch.population_laws import GridPosterior, mixing, mixture, normal_law, student_law
 from imubayes.foundations.tail_probabilities import normal_survival
 
 LEAST_FROM_DATA = 0.05
@@ -84,20 +78,6 @@ class UnitPosteriors:
         return replace(self, mean=self.mean - by, prior_mean=self.prior_mean - by)
 
     @cached_property
-    def natural(self) -> tuple[np.ndarray, np.ndarray]:
-        """Linear term and precision of the log likelihood of each unit, (n,) each; 0 without information."""
-        used = self.informative
-        with np.errstate(divide="ignore", invalid="ignore"):
-            linear = self.mean / self.sd**2 - np.where(np.isinf(self.prior_sd), 0, self.prior_mean / self.prior_sd**2)
-            precision = 1 / self.sd**2 - 1 / self.prior_sd**2
-        return np.where(used, linear, 0.0), np.where(used, precision, 0.0)
-
-    @cached_property
-    def usable(self) -> np.ndarray:
-        """Whether a unit has a posterior, shape (n,) bool."""
-        return np.isfinite(self.mean) & np.isfinite(self.sd) & (self.sd > 0)
-
-    @cached_property
     def from_data(self) -> np.ndarray:
         """1 − posterior variance / prior variance, shape (n,)."""
         return 1 - (self.sd / self.prior_sd) ** 2
@@ -110,13 +90,14 @@ class UnitPosteriors:
         error of a variance estimated from so many draws.
         """
         least = np.maximum(LEAST_FROM_DATA, np.sqrt(2 / self.draws))
-        return self.usable & (self.from_data > least)
+        usable = np.isfinite(self.mean) & np.isfinite(self.sd) & (self.sd > 0)
+        return usable & (self.from_data > least)
 
     @cached_property
     def likelihood(self) -> tuple[np.ndarray, np.ndarray]:
         """Estimate and variance of each unit with the prior divided out, (n,) each; 0 and ∞ without information."""
-        precision = np.where(self.informative, 1 / self.sd**2 - 1 / self.prior_sd**2, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
+            precision = np.where(self.informative, 1 / self.sd**2 - 1 / self.prior_sd**2, 0.0)
             variance = 1 / precision
             estimate = variance * (self.mean / self.sd**2 - self.prior_mean / self.prior_sd**2)
         return np.where(self.informative, estimate, 0.0), np.where(self.informative, variance, np.inf)
@@ -317,11 +298,8 @@ def shrunk(units: UnitPosteriors, found: Population) -> ShrunkUnits:
     if found.posterior is None:
         raise ValueError(found.reason)
     estimate, variance = units.likelihood
-    if np.isinf(found.freedom):
-        mean, sd = _normal_moments(found.posterior, *units.natural)
-    else:
-        mean, sd = _student_moments(found.posterior, estimate, variance)
-    return compared(units, found, mean, sd)
+    moments = _normal_moments if np.isinf(found.freedom) else _student_moments
+    return compared(units, found, *moments(found.posterior, estimate, variance))
 
 
 def compared(units: UnitPosteriors, found: Population, mean: np.ndarray, sd: np.ndarray) -> ShrunkUnits:
@@ -331,16 +309,16 @@ def compared(units: UnitPosteriors, found: Population, mean: np.ndarray, sd: np.
 
 
 def _normal_moments(
-    posterior: GridPosterior, linear: np.ndarray, precision: np.ndarray
+    posterior: GridPosterior, estimate: np.ndarray, variance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and standard deviation of each unit under the normal law, (n,) each."""
-    first, second = np.zeros(len(linear)), np.zeros(len(linear))
+    first, second = np.zeros(len(estimate)), np.zeros(len(estimate))
     parts = (posterior.weight, posterior.centre, posterior.centre_variance, posterior.scale**2)
     for weight, centre, uncertainty, spread in zip(*parts, strict=True):
-        left = 1 / (1 + precision * spread)
-        mean = left * (centre + linear * spread)
+        share = spread / (spread + variance)
+        mean = centre + share * (estimate - centre)
         first += weight * mean
-        second += weight * (mean**2 + spread * left + left**2 * uncertainty)
+        second += weight * (mean**2 + spread * (1 - share) + (1 - share) ** 2 * uncertainty)
     return first, np.sqrt(np.maximum(second - first**2, 0.0))
 
 

@@ -198,6 +198,11 @@ class UnitPosterior:
         return tuple(each for each in self.quantities if each.kind != "derived")
 
 
+def doubted(units: pl.DataFrame) -> pl.DataFrame:
+    """Return the rows of units whose noise contradicts the model: their intervals must not be trusted."""
+    return units.filter(pl.col("noise_violations").list.len() + pl.col("noise_contradicted").list.len() > 0)
+
+
 def packed(covariance: np.ndarray) -> list[float]:
     """Return the lower triangle (D (D + 1) / 2,) of a covariance (D, D), row by row."""
     return covariance[np.tril_indices(len(covariance))].tolist()

@@ -112,7 +112,7 @@ def run_batch(
         missing = batch_folder.still_to_do(parts, sources, retry)
         clock, before, done, failed = time.perf_counter(), len(sources) - len(missing), 0, 0
         state = BatchProgress(parts.key, len(sources), before, 0, 0, 0.0)
-        tasks = (ChunkTask(spec, settings, group) for group in _chunks(missing, chunk))
+        tasks = (ChunkTask(spec, settings, group) for group in chunks_of(missing, chunk))
         for fitted in executor(tasks):
             parts.write(fitted)
             done += len(fitted)
@@ -123,5 +123,8 @@ def run_batch(
     return state
 
 
-def _chunks(sources: Sequence[batch_folder.UnitSource], size: int) -> Iterator[tuple[batch_folder.UnitSource, ...]]:
+def chunks_of(
+    sources: Sequence[batch_folder.UnitSource], size: int = CHUNK
+) -> Iterator[tuple[batch_folder.UnitSource, ...]]:
+    """Return consecutive sources in groups of at most `size`."""
     return (tuple(sources[start : start + size]) for start in range(0, len(sources), size))

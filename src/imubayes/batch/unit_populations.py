@@ -65,11 +65,16 @@ def unit_populations(parameters: pl.DataFrame, units: pl.DataFrame) -> Iterator[
     parameters, units : as `imubayes.batch.posterior_table.read_parameters` and `read_units` return them.
     """
     by_digest = units.unique("digest", keep="first")
-    # Rows are in the order of the dates: the last one of a unit is its latest calibration.
-    tables = [rows.unique("unit", keep="last", maintain_order=True).sort("unit") for rows in usable_rows(parameters)]
+    tables = latest_tables(parameters)
     joint = {each.table["parameter"][0]: each for each in _joint(tables, units, by_digest)}
     for table in tables:
         yield joint.get(table["parameter"][0]) or _alone(table, units, by_digest)
+
+
+def latest_tables(parameters: pl.DataFrame) -> list[pl.DataFrame]:
+    """Return the rows of each parameter, those of the latest calibration of each unit, ordered by unit."""
+    # Rows are in the order of the dates: the last one of a unit is its latest calibration.
+    return [rows.unique("unit", keep="last", maintain_order=True).sort("unit") for rows in usable_rows(parameters)]
 
 
 def _alone(table: pl.DataFrame, units: pl.DataFrame, by_digest: pl.DataFrame) -> UnitPopulation:
@@ -263,6 +268,16 @@ def posteriors_of(table: pl.DataFrame, units: pl.DataFrame) -> tuple[UnitPosteri
     known = np.isfinite(square) & np.isfinite(median) & (square > 0)
     prior = np.where(known, median, 0.0), np.where(known, np.sqrt(np.where(known, square, 1.0)), np.inf)
     return UnitPosteriors(middle, width, *prior, number), "log"
+
+
+def own_estimates(own: UnitPosteriors, scale: Scale) -> tuple[np.ndarray, np.ndarray]:
+    """Return estimate and standard uncertainty of each unit by its data, (n,) each; NaN without information.
+
+    Logarithms become values again.
+    """
+    estimate, variance = own.likelihood
+    estimate, sd = (np.where(own.informative, each, np.nan) for each in (estimate, np.sqrt(variance)))
+    return (np.exp(estimate), np.exp(estimate) * sd) if scale == "log" else (estimate, sd)
 
 
 _LOGARITHMS = ("log_mean", "log_sd", "prior_log_mean", "prior_log_sd")

@@ -262,10 +262,8 @@ def complete_scores(
 def _scored(spec: ModelSpec, rows: Sequence[dict], issues: list[Issue]) -> Iterator[pl.DataFrame]:
     """Yield the scores of some campaigns; those that cannot be read or fitted again are added to the issues."""
     for row in rows:
-        path = Path(row["file"])
-        source = UnitSource(row["digest"], row["unit"], row["campaign"], row["file"], path.suffix == ".parquet")
         try:
-            yield unit_scores(refitted(spec, source.read(), row), row["unit"], row["digest"])
+            yield unit_scores(refitted(spec, UnitSource.of_row(row).read(), row), row["unit"], row["digest"])
         except InputError as error:
             issues.extend(error.issues)
 
