@@ -12,6 +12,7 @@ from imubayes.api.archives import ArchiveFit
 from imubayes.batch.hierarchical_fit import hierarchical_fit, scale_priors
 from imubayes.batch.unit_populations import unit_populations
 from imubayes.cli.main import run
+from imubayes.display.figures.population import population_picture
 from imubayes.foundations.errors import InputError
 
 BIAS, SLOPE = "accel_bias.bias[ax]", "accel_bias_temperature.slope[ax]"
@@ -55,6 +56,19 @@ def test_a_lot_is_listed_with_its_units_by_the_command(fitted, capsys):
     assert finding.groups[1].units == tuple(lot)
     assert finding.groups[1].offset == pytest.approx(ARCHIVE.shift, abs=4 * finding.groups[1].offset_sd)
     assert (folder / "p.png").stat().st_size > 10_000
+
+
+def test_every_unit_is_within_its_panel(fitted):
+    """Standard uncertainties of a scale may exceed half of it: on a logarithmic axis its points were cut off."""
+    fits = fitted[2]
+    picture = population_picture(fits.population(), fits.given_population(), ["run_scatter.tau[ax]", SLOPE])
+    scatter, slope = picture.axes[:2]
+    assert (scatter.get_xscale(), slope.get_xscale()) == ("log", "linear")
+    for axes in (scatter, slope):
+        low, high = axes.get_xlim()
+        points = [line.get_xdata()[0] for line in axes.lines if line.get_marker() in ("o", "D", "X")]
+        assert len(points) >= ARCHIVE.units
+        assert all(low < point < high for point in points if np.isfinite(point))
 
 
 def test_what_is_kept_is_not_fitted_again_and_damage_is_refused(fitted, tmp_path):

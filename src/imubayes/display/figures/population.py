@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.display import figure_style as style
@@ -134,6 +135,9 @@ def _bands(axes: Axes, each: ParameterPopulation) -> None:
         axes.axvspan(*(np.exp(ends) if each.scale == "log" else ends), color=colour, zorder=0)
     if _is_wide(each):
         axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.xaxis.set_minor_locator(NullLocator())
 
 
 def _is_wide(each: ParameterPopulation) -> bool:
@@ -163,11 +167,15 @@ def _name_units(axes: Axes, table: pl.DataFrame) -> None:
 
 def _limits(axes: Axes, own: np.ndarray, own_sd: np.ndarray, value: np.ndarray, sd: np.ndarray) -> None:
     """Bound the axis by what is well known: a unit that was hardly measured would flatten all others."""
-    ends = np.concatenate([value - 2 * sd, value + 2 * sd])
+    # On a logarithmic axis two standard deviations are a factor.
+    if logarithmic := axes.get_xscale() == "log":
+        ends = np.concatenate([value / (1 + 2 * sd / value), value + 2 * sd])
+    else:
+        ends = np.concatenate([value - 2 * sd, value + 2 * sd])
     known = np.isfinite(own) & (own_sd <= 5 * np.nanmedian(own_sd)) if np.isfinite(own_sd).any() else np.zeros(0, bool)
     ends = np.concatenate([ends, own[known] - own_sd[known], own[known] + own_sd[known]]) if known.any() else ends
-    if axes.get_xscale() == "log":
+    if logarithmic:
         ends = ends[ends > 0]
     low, high = float(np.min(ends)), float(np.max(ends))
     margin = 0.05 * (high - low)
-    axes.set_xlim(low - margin if axes.get_xscale() == "linear" else 0.9 * low, high + margin)
+    axes.set_xlim(0.9 * low if logarithmic else low - margin, high + margin)
