@@ -14,7 +14,6 @@ import polars as pl
 import tomlkit
 
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
-from imubayes.campaign.convert.column_names import TIME
 from imubayes.campaign.file_schemas import CampaignFile
 from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import input_error

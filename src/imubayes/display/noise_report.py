@@ -17,7 +17,7 @@ import numpy as np
 from imubayes.display.figures.allan import allan_figure
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, rounded, significant
-from imubayes.display.onboard.kalibr import noise_yaml
+from imubayes.display.kalibr_noise import noise_yaml
 from imubayes.foundations.files import write_text
 from imubayes.foundations.quantity_names import name_of
 from imubayes.noise_analysis.described_band import Cause, Gap
