@@ -1,13 +1,12 @@
-"""Commands on campaigns before a fit: `imubayes check`, `effects`, `noise`, `schema` and `simulate`.
+"""Commands on campaigns before a fit: `imubayes check`, `effects`, `schema` and `simulate`.
 
-`check` says what is there, and what is wrong.  `effects` shows the catalogue.  `noise` gives Allan deviation and noise
-terms of static records.  `schema` prints the JSON Schema of the files, for editors and readers of results.  `simulate`
-makes a synthetic campaign from a plan, with a truth file.  `selftest` computes what is known already.
+`check` says what is there, and what is wrong.  `effects` shows the catalogue.  `schema` prints the JSON Schema of the
+files, for editors and readers of results.  `simulate` makes a synthetic campaign from a plan, with a truth file.
 """
 
 import json
 import sys
-from importlib import import_module
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,20 +15,18 @@ from cyclopts import Parameter
 from imubayes.cli.session import (
     Flag,
     Json,
-    Names,
     Trust,
     progress,
     show,
-    split,
     start_jax,
     trusting,
 )
 from imubayes.foundations.errors import closest_first, input_error
+from imubayes.foundations.extensions import extensions
 
 if TYPE_CHECKING:
     from imubayes.campaign import Inspection
     from imubayes.display.check_report import CheckedModel
-    from imubayes.display.layout import Report
 
 
 def check(
@@ -139,22 +136,25 @@ def effects(name: str | None = None, *, campaign: Annotated[Path | None, Paramet
         print_catalogue()
 
 
-_RECORDS = {
-    "campaign": ("imubayes.campaign.file_schemas", "CampaignFile"),
-    "model": ("imubayes.campaign.file_schemas", "ModelFile"),
-    "plan": ("imubayes.simulation.test_plan", "PlanFile"),
-    "specification": ("imubayes.qualification.specification", "SpecificationFile"),
-    "certificate": ("imubayes.qualification.certificate", "CertificateFile"),
-    "constants": ("imubayes.qualification.onboard.record", "OnboardConstants"),
-    "diagnosis": ("imubayes.criticism.diagnosis_record", "Diagnosis"),
-    "change": ("imubayes.results.change_records", "ModelChange"),
-    "history": ("imubayes.loop.model_history", "Node"),
-    "fit": ("imubayes.results.fit_file", "FitRecord"),
-    "report": ("imubayes.qualification.report_record", "QualificationReport"),
-    "manifest": ("imubayes.results.folder_files", "Manifest"),
-    "summary": ("imubayes.results.summary", "Summary"),
+_SCHEMAS = "imubayes.schemas"
+_OF_KERNEL = {
+    "campaign": "imubayes.campaign.file_schemas:CampaignFile",
+    "model": "imubayes.campaign.file_schemas:ModelFile",
+    "plan": "imubayes.simulation.test_plan:PlanFile",
+    "diagnosis": "imubayes.criticism.diagnosis_record:Diagnosis",
+    "change": "imubayes.results.change_records:ModelChange",
+    "history": "imubayes.loop.model_history:Node",
+    "fit": "imubayes.results.fit_file:FitRecord",
+    "manifest": "imubayes.results.folder_files:Manifest",
+    "summary": "imubayes.results.summary:Summary",
 }
-"""Kind of file → module and name of its pydantic record."""
+"""Kind of file → its pydantic record; packages beside the kernel add theirs."""
+
+
+def kinds_of_files() -> dict[str, EntryPoint]:
+    """Return the pydantic record of each kind of file, loaded when it is asked for."""
+    own = {kind: EntryPoint(kind, record, _SCHEMAS) for kind, record in _OF_KERNEL.items()}
+    return {**own, **extensions("schemas")}
 
 
 def schema(kind: str) -> None:
@@ -168,12 +168,12 @@ def schema(kind: str) -> None:
         campaign (campaign.toml), model, plan, specification, certificate; report; constants (of `imubayes export`);
         summary, fit, diagnosis, change, history or manifest (JSON files of a result).
     """
-    if kind not in _RECORDS:
-        allowed = closest_first(kind, _RECORDS)
+    kinds = kinds_of_files()
+    if kind not in kinds:
+        allowed = closest_first(kind, kinds)
         raise input_error(f"there is no schema '{kind}'", "argument KIND", allowed, "use one of the allowed kinds")
-    module, record = _RECORDS[kind]
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    print(json.dumps(dialect | getattr(import_module(module), record).model_json_schema(), indent=1))
+    print(json.dumps(dialect | kinds[kind].load().model_json_schema(), indent=1))
 
 
 def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = False) -> None:

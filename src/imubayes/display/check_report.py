@@ -6,9 +6,7 @@ share appear once: the runs are counted and numbers become ranges.
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -18,7 +16,7 @@ from imubayes.display.fit_cautions import left_out_lines
 from imubayes.display.layout import Report, Sheet, cells
 from imubayes.display.numbers_and_labels import counted, listed
 from imubayes.foundations.campaign_data import Campaign, Grade, Run
-from imubayes.foundations.errors import InputError, Issue
+from imubayes.foundations.errors import InputError
 from imubayes.foundations.records import Record
 from imubayes.model.model_file import SingleRunEffect
 
