@@ -35,7 +35,7 @@ GUESTS = {
     ),
     "imubayes_archive": (("dataset",), ("batch",), ("population",), ("display",), ("api",), ("cli",), ("",)),
     "imubayes_explorer": ((
-        "linear_view", "point_table", "messages", "open_model", "edited_model", "refit_ahead", "knowledge",
+        "drawn_shape", "selection_text", "linear_view", "point_table", "messages", "open_model", "edited_model", "refit_ahead", "knowledge",
         "kept_session", "guard", "worker", "saved_page", "session", "server", "start", "cli", "",
     ),),
 }  # fmt: skip

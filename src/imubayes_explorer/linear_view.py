@@ -20,7 +20,6 @@ import numpy as np
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import ExplainedFit
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
-from imubayes.criticism.drawn_shape import DrawnCurve, drawn_shape, likest
 from imubayes.criticism.evidence.free_forms import AMPLITUDES
 from imubayes.criticism.evidence.hypothesis_evidence import Solved
 from imubayes.criticism.evidence.linear_problem import UNEXPECTED
@@ -35,6 +34,7 @@ from imubayes.model.derived_quantities import derived_jacobian
 from imubayes.parameters.declarations import prior_slopes
 from imubayes.responses.candidate_effects import CatalogueModel
 from imubayes.results.summary import ParameterSummary, Summary, in_output_units
+from imubayes_explorer.drawn_shape import DrawnCurve, drawn_shape, likest
 from imubayes_explorer.messages import MovedEstimate, RankedCause, RowsRanking
 from imubayes_explorer.refit_ahead import Ahead, refitted, told_values
 

@@ -9,10 +9,10 @@ from typing import Literal
 from pydantic import Field
 
 from imubayes.criticism.diagnosis_record import CovariateLabel
-from imubayes.criticism.drawn_shape import DrawnCurve
 from imubayes.criticism.explanation_records import ProbableExplanation, Verdict
 from imubayes.display.layout import Sheet
 from imubayes.foundations.records import Record
+from imubayes_explorer.drawn_shape import DrawnCurve
 from imubayes_explorer.kept_session import Lock, ModelNote
 
 Ordinate = Literal["known", "input", "fitted"]

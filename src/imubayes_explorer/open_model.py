@@ -12,12 +12,10 @@ import numpy as np
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
 from imubayes.criticism.diagnose import explained_fit
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
-from imubayes.criticism.drawn_shape import DrawnCurve, DrawnFormula
 from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.loop import diagnosis_report as report
 from imubayes.display.loop.diagnosis_sentences import evidence_text, form_text, sentence
-from imubayes.display.loop.selection_text import drawn_text, formula_text, preview_text, refitted_text, selection_text
 from imubayes.foundations.errors import input_error, kept_if_possible
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.tail_probabilities import chi2_survival
@@ -28,9 +26,11 @@ from imubayes.results.change_records import write_diagnosis
 from imubayes.results.history_tree import shown_place
 from imubayes.results.result import Result
 from imubayes_explorer import messages
+from imubayes_explorer.drawn_shape import DrawnCurve, DrawnFormula
 from imubayes_explorer.linear_view import LinearView
 from imubayes_explorer.point_table import PointTable
 from imubayes_explorer.refit_ahead import Ahead
+from imubayes_explorer.selection_text import drawn_text, formula_text, preview_text, refitted_text, selection_text
 
 Stamp = frozenset[tuple[str, int, int, int]]
 """Files, with what tells that one was replaced."""

@@ -18,7 +18,6 @@ from imubayes.api import add, export, fit, refit, remove
 from imubayes.display.loop.change_report import change_lines
 from imubayes.display.loop.diagnosis_report import add_command, formula_source
 from imubayes.display.loop.history import gain_text
-from imubayes.display.loop.selection_text import fitted_text
 from imubayes.foundations.errors import InputError, input_error, kept_if_possible
 from imubayes.foundations.files import write_text
 from imubayes.foundations.progress import Tell
@@ -36,6 +35,7 @@ from imubayes_explorer.messages import ChangeWanted, LockWanted, NoteWanted, Poi
 from imubayes_explorer.open_model import OpenModel, Stamp, opened, quoted, stamp_of
 from imubayes_explorer.point_table import PointTable
 from imubayes_explorer.refit_ahead import Ahead
+from imubayes_explorer.selection_text import fitted_text
 from imubayes_explorer.worker import TaskOutcome, TaskProgress, Worker
 
 _MOST_OPEN = 4

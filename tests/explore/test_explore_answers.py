@@ -23,7 +23,6 @@ from imubayes.cli.main import run
 from imubayes.criticism.evidence.free_forms import ChosenForm
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.display.loop.diagnosis_report import diagnosis_json
-from imubayes.display.loop.selection_text import selection_text
 from imubayes.inference.laplace_marginal import whitened_columns
 from imubayes.model.bind import Model
 from imubayes.results.result import Result
@@ -31,6 +30,7 @@ from imubayes.results.stored_tables import read_summary_and_residuals
 from imubayes_explorer.linear_view import LinearView
 from imubayes_explorer.messages import Brush, PointsWanted
 from imubayes_explorer.point_table import PointTable, decimated
+from imubayes_explorer.selection_text import selection_text
 from imubayes_explorer.session import Session
 
 HIDDEN = "gyro_scale_asymmetry"

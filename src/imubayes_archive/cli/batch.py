@@ -368,9 +368,9 @@ def pack(*folders: Path, out: Path, as_json: Json = False) -> int:
         Print one JSON object on standard output.
     """
     with progress() as tell:
-        from imubayes.display.check_report import packed_json, packed_report
         from imubayes_archive.dataset import campaign_folders
         from imubayes_archive.dataset import pack as pack_folders
+        from imubayes_archive.display.archive_report import packed_json, packed_report
 
         packed = pack_folders(campaign_folders(folders), out, tell)
     show(lambda: packed_json(packed), lambda: packed_report(packed, out), as_json)
@@ -390,8 +390,8 @@ def list_campaigns(archive: Path, *, as_json: Json = False) -> None:
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.display.check_report import list_json, list_report
     from imubayes_archive.dataset.store import open_archive
+    from imubayes_archive.display.archive_report import list_json, list_report
 
     campaigns = open_archive(archive).campaigns()
     show(lambda: list_json(campaigns), lambda: list_report(campaigns), as_json)
@@ -410,8 +410,8 @@ def check(archive: Path, *, as_json: Json = False) -> int:
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.display.check_report import archive_check, check_json
     from imubayes_archive.dataset.store import open_archive
+    from imubayes_archive.display.archive_report import archive_check, check_json
 
     opened = open_archive(archive)
     with progress() as tell:

@@ -118,10 +118,10 @@ def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) 
     with progress() as tell:
         from imubayes.campaign import load_campaign
         from imubayes.display.layout import Report, print_report
-        from imubayes.results.corrected_outputs import corrected_run, estimate_carrier
         from imubayes.results.history_tree import refuse_other_data
         from imubayes.results.result import read_result
         from imubayes_qualification.display.corrected_readings import carrier_sheet, rotating_run, write_carrier
+        from imubayes_qualification.onboard.corrected_outputs import corrected_run, estimate_carrier
 
         tell("reading the campaign")
         loaded = load_campaign(campaign)

@@ -21,7 +21,7 @@ from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.files import write_text
 from imubayes.model.model_file import UncertainEquipment
 from imubayes.procedures.rotation_modulation import attenuation, carrier
-from imubayes.results.corrected_outputs import CarrierEstimate
+from imubayes_qualification.onboard.corrected_outputs import CarrierEstimate
 from imubayes_qualification.onboard.inputs_along_axes import CalibratedInputs
 from imubayes_qualification.onboard.record import UnexpressedEffect
 from imubayes_qualification.onboard.recording_files import CorrectedRecording

@@ -99,7 +99,7 @@ def new(
     with progress() as tell:
         start_jax("new")
         from imubayes.api import new as begin
-        from imubayes.display.model_writer import proposal_report
+        from imubayes_recordings.display.model_writer import proposal_report
 
         made = begin(folder, files, mapping=mapping, progress=tell, **given)
     for note in made.notes:

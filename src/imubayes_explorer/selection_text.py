@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from imubayes.criticism.drawn_shape import DrawnFormula
 from imubayes.criticism.formula_search import ResidualFormula
 from imubayes.display.loop.diagnosis_sentences import probability
 from imubayes.display.numbers_and_labels import counted, listed, percent, relation, significant
+from imubayes_explorer.drawn_shape import DrawnFormula
 
 _EXPLAINS = 0.5
 
