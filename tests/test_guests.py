@@ -1,5 +1,6 @@
 """The kernel alone: without the packages beside it the loop runs, and what they add is refused or not there."""
 
+import ast
 import shutil
 import subprocess
 import sys
@@ -9,9 +10,20 @@ import pytest
 
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.extensions import answer_to, extensions
-from test_layering import GUESTS, SOURCE
+from test_layering import GUESTS, SOURCE, SOURCES, name_of, package
 
 ROOT = SOURCE.parent
+# What a package beside the kernel may use, as a user's own tool may.
+PUBLIC = (
+    "imubayes.api", "imubayes.campaign.campaign_reader", "imubayes.campaign.campaign_writer",
+    "imubayes.cli.registration",
+    "imubayes.cli.session", "imubayes.display.figure_style", "imubayes.display.layout",
+    "imubayes.display.numbers_and_labels", "imubayes.display.progress", "imubayes.display.shown_records",
+    "imubayes.effects.base", "imubayes.foundations", "imubayes.model.bind", "imubayes.model.model_file",
+    "imubayes.noise.components", "imubayes.parameters", "imubayes.procedures", "imubayes.results",
+)  # fmt: skip
+# Names that each takes from elsewhere in the kernel: they may become fewer.
+FROM_WITHIN = {"imubayes_archive": 55, "imubayes_explorer": 57, "imubayes_qualification": 90, "imubayes_recordings": 41}
 ALONE = """
 import sys
 sys.path[:0] = sys.argv[1:3]
@@ -67,3 +79,33 @@ def test_what_is_registered_is_there(group):
 def test_an_option_that_nothing_answers_is_refused():
     with pytest.raises(InputError, match="not installed"):
         answer_to("fit.nothing")
+
+
+def taken_from_within(sources: dict[str, str]) -> dict[str, set[str]]:
+    """Return the names of the kernel that each guest imports from modules that are not public."""
+    found: dict[str, set[str]] = {guest: set() for guest in GUESTS}
+    modules = {name_of(file) for file in SOURCES}
+    for module, text in sources.items():
+        if package(module) not in GUESTS:
+            continue
+        for node in ast.walk(ast.parse(text)):
+            source = str(node.module) if isinstance(node, ast.ImportFrom) else ""
+            if package(source) == "imubayes" and not is_public(source):
+                names = {f"{source}.{alias.name}" for alias in node.names}
+                found[package(module)] |= {name for name in names if name not in modules or not is_public(name)}
+    return found
+
+
+def is_public(module: str) -> bool:
+    return module == "imubayes" or module.startswith(tuple(f"{name}." for name in PUBLIC)) or module in PUBLIC
+
+
+def test_guests_take_no_more_from_within_the_kernel():
+    found = taken_from_within({name_of(file): file.read_text(encoding="utf-8") for file in SOURCES})
+    assert {guest: len(names) for guest, names in found.items()} == FROM_WITHIN
+
+
+def test_a_name_from_within_is_seen():
+    text = "from imubayes.inference.run_fit import joint_fit\nfrom imubayes.foundations.units import to_si"
+    found = taken_from_within({"imubayes_archive.batch.new": text})
+    assert found["imubayes_archive"] == {"imubayes.inference.run_fit.joint_fit"}
