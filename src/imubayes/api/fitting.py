@@ -12,7 +12,7 @@ from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue, refuse
-from imubayes.foundations.extensions import answer_to
+from imubayes.foundations.extensions import answer_to, extensions
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
@@ -83,7 +83,19 @@ def fit(
         result = result_of(fitted, folder, seed, load_seconds)
         if folder is not None:
             result = write_result(result, node_of(fitted.model, result.summary, seed))
+        if folder is not None and sample:
+            keep_beside(result, tell)
     return result
+
+
+def keep_beside(result: Result, progress: Callable[[str], None]) -> None:
+    """Let the packages beside the kernel keep their own in the folder of a sampled result, while its model is compiled.
+
+    The quick fits of the loop leave that to the commands that need it.
+    """
+    for name, entry in extensions("results").items():
+        progress(name)
+        entry.load()(result)
 
 
 def _checkpoint(model: Model, folder: Path | None) -> Path | None:

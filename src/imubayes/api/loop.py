@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
 
-from imubayes.api.fitting import bound
+from imubayes.api.fitting import bound, keep_beside
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.display.progress import progress_of
@@ -305,6 +305,8 @@ def _changed(
             added_variable=changes.added_variable(refit.change) if change.added else None,
             selection=next_selection(parent) if parent is not None and change.taken else 0,
         )
+        if refit.fit.posterior is not None and refit.fit.posterior.chains is not None and not refit.objection:
+            keep_beside(written, tell)
     return change.with_result(written)
 
 
