@@ -8,12 +8,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.api import correct, fit, onboard_constants
+from imubayes.api import fit
 from imubayes.campaign import load_campaign
 from imubayes.campaign.run_tables import RowBatch
 from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
+from imubayes_qualification.api.calibrated_unit import correct, onboard_constants
 from imubayes_qualification.display.corrected_readings import correction_lines
 from imubayes_qualification.display.onboard.formats import heading
 from imubayes_qualification.onboard.correct_recording import Correction, ReadingNoise, RowTally, correction_of

@@ -72,7 +72,7 @@ def _corrected(
     """Write the table; return what to say of it."""
     with progress() as tell:
         start_jax()
-        from imubayes import api
+        from imubayes_qualification.api import calibrated_unit as api
         from imubayes.campaign.run_tables import read_header
         from imubayes.results.result import read_result
         from imubayes_qualification.display.corrected_readings import correction_lines
@@ -90,7 +90,7 @@ def _corrected(
 def _along_axes(
     result: "Result", readings: Path, out: Path, temperatures: dict[str, float], nothing_across: bool
 ) -> list[str]:
-    from imubayes import api
+    from imubayes_qualification.api import calibrated_unit as api
     from imubayes.foundations.files import write_text
     from imubayes_qualification.display.corrected_readings import inputs_lines
 
@@ -182,7 +182,7 @@ def export(
     """
     start_jax()
     trusting(result, trust)
-    from imubayes import api
+    from imubayes_qualification.api import calibrated_unit as api
     from imubayes_qualification.display.onboard.formats import in_words
 
     if rate_hz is not None and not 0 < rate_hz < float("inf"):
@@ -245,7 +245,7 @@ def mission(
     with progress("propagating"):
         start_jax()
         trusting(result, trust)
-        from imubayes.api import navigation_impact
+        from imubayes_qualification.api.calibrated_unit import navigation_impact
         from imubayes_qualification.display.onboard.navigation import navigation_figure, navigation_report
 
         found = navigation_impact(
@@ -302,7 +302,7 @@ def report(
     with progress() as tell:
         start_jax()
         trusting(result, trust)
-        from imubayes.api import report as make_report
+        from imubayes_qualification.api.calibrated_unit import report as make_report
 
         found = make_report(result, spec, certificate=certificate, annexes=annex, out=out, progress=tell)
     from imubayes_qualification.display.report.first_page import alarms, banner

@@ -18,7 +18,7 @@ def selftest(as_json: Json = False) -> int:
     """
     with progress() as tell:
         start_jax("known answers")
-        from imubayes.api import selftest as known_answers
+        from imubayes_qualification.api.own_equation import selftest as known_answers
         from imubayes_qualification.display.own_equation import selftest_record, selftest_report
 
         answers = known_answers(tell)

@@ -41,7 +41,7 @@ def capture(
     column
         COLUMN=SOURCE, once for each column whose name is another, as of convert.
     """
-    from imubayes_recordings.api import capture as guided
+    from imubayes_recordings.api.capture import capture as guided
 
     screen = _Screen()
     given = stated(options, column)

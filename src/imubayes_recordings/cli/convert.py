@@ -98,7 +98,7 @@ def new(
         given |= _asked(given)
     with progress() as tell:
         start_jax("new")
-        from imubayes.api import new as begin
+        from imubayes_recordings.api.new_campaign import new as begin
         from imubayes_recordings.display.model_writer import proposal_report
 
         made = begin(folder, files, mapping=mapping, progress=tell, **given)
