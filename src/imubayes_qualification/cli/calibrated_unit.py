@@ -72,9 +72,9 @@ def _corrected(
     """Write the table; return what to say of it."""
     with progress() as tell:
         start_jax()
-        from imubayes_qualification.api import calibrated_unit as api
         from imubayes.campaign.run_tables import read_header
         from imubayes.results.result import read_result
+        from imubayes_qualification.api import calibrated_unit as api
         from imubayes_qualification.display.corrected_readings import correction_lines
         from imubayes_qualification.onboard.response import complete_kinds
 
@@ -90,8 +90,8 @@ def _corrected(
 def _along_axes(
     result: "Result", readings: Path, out: Path, temperatures: dict[str, float], nothing_across: bool
 ) -> list[str]:
-    from imubayes_qualification.api import calibrated_unit as api
     from imubayes.foundations.files import write_text
+    from imubayes_qualification.api import calibrated_unit as api
     from imubayes_qualification.display.corrected_readings import inputs_lines
 
     found = api.apply(result, readings, temperatures=temperatures, nothing_across=nothing_across)
