@@ -5,7 +5,9 @@ import threading
 import time
 import webbrowser
 from html import escape
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.compiled.jax_settings import prepare_jax
@@ -16,18 +18,13 @@ from imubayes.model.model_file import read_model
 from imubayes.results.folder_files import MANIFEST, checked
 from imubayes.results.result import Result
 
-try:
+# Without the extra the name of the function is still public: `explore` refuses when it is called.
+_MISSING = next((name for name in ("starlette", "uvicorn") if find_spec(name) is None), "")
+if TYPE_CHECKING or not _MISSING:
     import uvicorn
 
     from imubayes.explorer.guard import HOST, new_token
     from imubayes.explorer.server import application
-except ModuleNotFoundError as error:
-    if (error.name or "").partition(".")[0] not in ("starlette", "uvicorn"):
-        raise
-    raise input_error(
-        f"{error.name} is not installed", "imubayes explore", "the packages of imubayes[explore]",
-        "install them: pip install 'imubayes[explore]'",
-    ) from error  # fmt: skip
 
 _PATIENCE = 10.0
 SHIPPED = "hidden-gyro"
@@ -105,7 +102,8 @@ def explore(
     Raises
     ------
     InputError
-        for a place that is neither, a result without a folder, and a port that is taken.
+        if `imubayes[explore]` is not installed, for a place that is neither, a result without a folder, and a port that
+        is taken.
 
     Examples
     --------
@@ -115,6 +113,11 @@ def explore(
     True
     >>> page.stop()
     """
+    if _MISSING:
+        raise input_error(
+            f"{_MISSING} is not installed", "imubayes explore", "the packages of imubayes[explore]",
+            "install them: pip install 'imubayes[explore]'",
+        )  # fmt: skip
     prepare_jax("explore")
     if place is None and model is None:
         chosen = example(SHIPPED)
