@@ -144,7 +144,7 @@ def population(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     from imubayes.display.population_report import population_report
 
@@ -203,7 +203,7 @@ def prior(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     from dataclasses import asdict
 
@@ -249,7 +249,7 @@ def diagnose(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     start_jax()
     from imubayes.batch.pooled_discovery import pooled_discovery

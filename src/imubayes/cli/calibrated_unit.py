@@ -57,7 +57,7 @@ def apply(
     along_axes
         Treat every channel alone: there was no input across its axis.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     trusting(result, trust)
     stated = {"temperature": temperature, "converter_temperature": converter_temperature}
@@ -178,7 +178,7 @@ def export(
     accept_loss
         Leave out what the format cannot hold; the file says what and how large.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     start_jax()
     trusting(result, trust)
@@ -240,7 +240,7 @@ def mission(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     with progress("propagating"):
         start_jax()
@@ -297,7 +297,7 @@ def report(
         Annexes of page and PDF: results, budgets, evidence, all or none. Without it a page has all of them, and a PDF
         file the results. The JSON record has everything.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     with progress() as tell:
         start_jax()

@@ -252,7 +252,7 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = F
     seed
         Random seed; by default that of the plan.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     with progress() as tell:
         start_jax()

@@ -35,7 +35,7 @@ def explore(
     no_browser
         Print the address only, and open no browser.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     with progress():
         trusting(model or place, trust)

@@ -41,7 +41,7 @@ def classical(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     with progress() as tell:
         trusting(result, trust)
@@ -116,7 +116,7 @@ def compare(
     verbose
         Of two calibrations: print every quantity.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     of_one, of_two = parameters or runs or every, changed or any_unit or limits or as_json or verbose
     if of_one if other is not None else of_two:
@@ -181,7 +181,7 @@ def predict(
     verbose
         Print a line for each run and channel, and every estimate.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     with progress() as tell:
         start_jax("predict")
@@ -241,7 +241,7 @@ def fit(
     verbose
         Print every table: all parameters with intervals, runs, combinations, contributions of procedures.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     with ExitStack() as held:
         recorded = _read(campaign, held, out, resume, replace)

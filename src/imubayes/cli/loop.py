@@ -37,7 +37,7 @@ class _HowRefitted:
     verbose
         List the residual rms of every channel and run, also where it did not change.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
 
     sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False
@@ -120,7 +120,7 @@ def diagnose(
     verbose
         Print every table: all effects, noise, outliers, formulas and undetectable effects.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     with progress() as tell:
         start_jax("diagnose")
@@ -265,7 +265,7 @@ def plant(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
     """
     with progress() as tell:
         start_jax()
