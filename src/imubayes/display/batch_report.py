@@ -113,6 +113,8 @@ _SHOWN = 20
 
 def progress_text(state: BatchProgress) -> str:
     """Return how far a batch is, in one line."""
+    if not state.done and state.before < state.units:
+        return "compiling for the first units"
     left = state.seconds_left
     parts = [f"{state.before + state.done} of {state.units} units"]
     if state.done:
