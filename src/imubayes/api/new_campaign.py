@@ -98,7 +98,7 @@ def new(
         refuse_existing(model)
         tell("reading the campaign")
         campaign = load_campaign(folder)
-        tell("what the runs determine")
+        tell("determining what the runs show")
         proposal, said = propose_effects(campaign), ()
         tell("which grade the errors show")
         shown = shown_grade(campaign, proposal)

@@ -144,7 +144,7 @@ def scheduler_lost(what: str) -> InputError:
         f"the Dask scheduler has gone: {what}",
         "the cluster of the batch",
         "a scheduler that runs as long as the batch",
-        "start it, and run the same command again: the batch goes on with what is missing",
+        "start it, and run the same command again: the batch continues with the missing units",
     )
 
 

@@ -128,7 +128,7 @@ def _array(values: Any, where: str) -> pa.Array:
     try:
         array = pa.array(np.asarray(values), from_pandas=True)
     except (pa.ArrowException, ValueError, TypeError) as error:
-        remedy = "give numbers; NaN where a value is missing"
+        remedy = "give numbers, with NaN for a missing value"
         raise input_error(f"values that are no column: {error}", where, _COLUMNS, remedy) from None
     return array.cast(pa.float64()) if pa.types.is_floating(array.type) else array
 

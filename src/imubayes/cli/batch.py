@@ -275,7 +275,7 @@ def diagnose(
 def compare(
     old: Path, new: Path, *, out: Path | None = None, picture: Path | None = None, as_json: Json = False
 ) -> None:
-    """Show what changed with the model: per parameter and unit, with significance.
+    """Show changes with the model: per parameter and unit, with significance.
 
     Example: imubayes batch compare results/old results/new --out changes.parquet
 

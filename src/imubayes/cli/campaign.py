@@ -101,7 +101,7 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
         if len(declared.layout) > len(declared.entries):
             from imubayes.inference.proposed_effects import untold_effects
 
-            tell("what the runs determine")
+            tell("determining what the runs show")
             untold = untold_effects(declared)
     return inspection, CheckedModel(
         name=declared.spec.name,

@@ -43,7 +43,7 @@ def explore(
         from imubayes.explorer.start import explore as begin
 
         begun = begin(place, model, out, port=port, browser=not no_browser)
-    print(f"{begun.address}\nStop with Ctrl-C; what was accepted is kept.", flush=True)
+    print(f"{begun.address}\nStop with Ctrl-C. Accepted results are kept.", flush=True)
     try:
         with suppress(KeyboardInterrupt):
             begun.wait()

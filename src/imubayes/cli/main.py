@@ -81,7 +81,8 @@ app.command(
     name="capture",
     group=_ordered["Data"],
     sort_key=-1,
-    help="Record a unit turned by hand: hold, enough, turn to …, until the rests determine what was asked for.\n\n"
+    help="Record a unit turned by hand: hold, enough, turn to …, until the rests determine the requested "
+    "quantities.\n\n"
     "Example: imubayes capture campaigns/desk --from port.log --until accel_bias=0.2mg --gravity-m-s2 9.81; "
     "cat /dev/ttyUSB0 | imubayes capture campaigns/desk --from - --gravity-m-s2 9.81",
 )
@@ -197,8 +198,8 @@ def _issue_of(error: Exception) -> Issue:
 def _full(file: str | None) -> Issue:
     return Issue(
         "the disk is full",
-        str(file or "where this command writes, its temporary folder, or standard output"),
-        "a disk with room for what is written",
+        str(file or "the folder of the output, the temporary folder, or standard output"),
+        "a disk with enough free space",
         "make room, or choose another place with --out or TMPDIR; an earlier result is as it was",
     )
 

@@ -31,7 +31,7 @@ _UNITS = {"gyro": "rad/s", "accelerometer": "m/s²"}
 _INPUTS = {"gyro": "rate", "accelerometer": "specific force"}
 _CAUSES = {
     "memory": "it depends on earlier rows", "limit": "it acts at a limit of the input",
-    "covariate": "it depends on what the recording does not tell", "nonlinear": "it is not linear",
+    "covariate": "it depends on a quantity that the recording lacks", "nonlinear": "it is not linear",
 }  # fmt: skip
 
 

@@ -45,7 +45,8 @@ class Exploration:
         try:
             bound = socket.create_server((HOST, port))
         except (OSError, OverflowError) as error:
-            raise input_error(f"the port cannot be had: {getattr(error, 'strerror', None) or error}", f"--port {port}",
+            raise input_error(f"the port cannot be opened: "
+                              f"{getattr(error, 'strerror', None) or error}", f"--port {port}",
                               "a free port, or 0 for any", "choose another one") from error  # fmt: skip
         token, self.session = new_token(), session
         self.address = f"http://{HOST}:{bound.getsockname()[1]}/{token}/"

@@ -75,7 +75,7 @@ def require_fit(before: Fit) -> None:
             f"there is no fit to go on from: {before.message}",
             before.model.spec.where,
             "a fit that converged",
-            "mend what kept the fit from converging, fit again, then change the model",
+            "remove the cause, fit again until it converges, then change the model",
         )
 
 

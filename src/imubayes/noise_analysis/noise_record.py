@@ -280,7 +280,7 @@ def _refuse_short(record: RunningSum, shortest_tau: float, where: str) -> None:
         )  # fmt: skip
     if record.holes is not None and record.present < _LEAST_CONSECUTIVE * len(record.holes.start):
         raise input_error(
-            "most samples stand alone between empty cells", where, "consecutive samples",
+            "most samples are isolated between empty cells", where, "consecutive samples",
             "give a channel of a lower rate in a run of its own, without the empty rows",
         )  # fmt: skip
     if len(NoiseLikelihood(cosine_statistics(record), shortest_tau).octaves()) < described.LEAST_OCTAVES:

@@ -102,7 +102,7 @@ def reduce_means(
 
 def _calibration_notes(fit: MagnitudeFit, rows: np.ndarray, force: np.ndarray) -> list[str]:
     """Return notes on the calibration by |f| = g of poses, the rows (n,) of a table, and on those that it excludes."""
-    notes = [f"{len(rows)} poses are too few to tell a disturbed one by |f| = g, {LEAST_TO_JUDGE} are needed"]
+    notes = [f"{len(rows)} poses are too few to recognise a disturbed one by |f| = g: {LEAST_TO_JUDGE} are needed"]
     if fit.judges:
         notes = [f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²"]
     return [
