@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 def check(
     campaign: Path, *, model: Path | None = None, fix: Path | None = None, as_json: Json = False, verbose: Flag = False
 ) -> None:
-    """Read everything, say what is there and what is wrong.
+    """Read a campaign and list its contents and faults.
 
     The outputs are compared with the stated set-up: zero, sense, azimuth and elevation of tables, mountings, units,
     channels, files, latitude, thermometers. The zero of a table: table x is horizontal, 90 deg clockwise from
@@ -114,7 +114,7 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
 
 
 def effects(name: str | None = None, *, campaign: Annotated[Path | None, Parameter(name="--for")] = None) -> None:
-    """List the catalogue of effects, explain one, or say which a campaign could show.
+    """List the catalogue of effects, explain one, or list those that a campaign could show.
 
     Example: imubayes effects gyro_g_sensitivity
 
@@ -123,7 +123,7 @@ def effects(name: str | None = None, *, campaign: Annotated[Path | None, Paramet
     name
         The effect to explain.
     campaign
-        Folder with campaign.toml: which effects its runs could show, and what is missing for the others.
+        Folder with campaign.toml: list the effects that its runs could show, and the inputs missing for the others.
     """
     with progress():
         start_jax()
@@ -163,7 +163,7 @@ def noise(
         Folder to write: noise.json, the Allan deviation of every run as a figure, imu.yaml for kalibr, and
         noise-priors.toml, the terms as priors for models of other campaigns of the unit (key `noise_priors`).
     shortest_tau
-        Shortest averaging time in s that the terms have to describe; above 0 where a filter shapes the noise of
+        Shortest averaging time in s that the terms have to describe; above 0 if a filter shapes the noise of
         single samples.
     sample_rate
         Sampling rate in Hz of the raw data of those campaigns, for the priors; by default that of the record.
@@ -252,7 +252,7 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = F
     seed
         Random seed; by default that of the plan.
     trust
-        Trust the effect files that the input brings. They are code and run only if trusted; a file you name runs.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     with progress() as tell:
         start_jax()
@@ -269,7 +269,7 @@ def selftest(as_json: Json = False) -> int:
     """Compute published values, and a campaign whose answer is known by construction: for the records of a laboratory.
 
     Allan deviations (NIST SP 1065), propagation (JCGM 101), conformity (JCGM 106), sampling (GUM H.3) and a joint fit.
-    The exit status is 1 where a value differs.
+    The exit status is 1 if a value differs.
 
     Example: imubayes selftest
 
