@@ -160,7 +160,7 @@ def test_temperature_that_is_none_in_celsius(usual: float, tmp_path: Path) -> No
     (file := tmp_path / "log.csv").write_text(text(warm, f"{HEAD},temp"))
     read = read_recordings([file])
     assert "temperature_degC" not in read.campaign.tables["runs/recording.csv"]
-    assert "is no degC" in notes(read)
+    assert "is not in degC" in notes(read)
 
 
 def test_temperature_in_rows_of_its_own(tmp_path: Path) -> None:

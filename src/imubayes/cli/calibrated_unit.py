@@ -210,9 +210,7 @@ def mission(
     as_json: Json = False,
     trust: Trust = False,
 ) -> None:
-    """Compute the navigation errors that the calibration leaves.
-
-    Start and alignment are exact; body axes are forward, right, down.
+    """Compute the navigation errors that a calibration leaves; exact alignment, body axes forward, right, down.
 
     Example: imubayes mission results/desk-imu --duration-min 10 --speed-m-s 20
 

@@ -62,7 +62,7 @@ def check(
     if fix is not None:
         from imubayes.campaign.mends import mend_campaign
 
-        for mend in mend_campaign(campaign, fix) or ("nothing could be mended without a fact",):
+        for mend in mend_campaign(campaign, fix) or ("nothing can be corrected without a further fact",):
             print(f"mended: {mend}" if "→" in mend or "order" in mend else mend, file=sys.stderr)
         campaign = fix
     if model is None:
@@ -101,7 +101,7 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
         if len(declared.layout) > len(declared.entries):
             from imubayes.inference.proposed_effects import untold_effects
 
-            tell("determining what the runs show")
+            tell("determining the effects that the runs show")
             untold = untold_effects(declared)
     return inspection, CheckedModel(
         name=declared.spec.name,

@@ -200,13 +200,13 @@ def _full(file: str | None) -> Issue:
         "the disk is full",
         str(file or "the folder of the output, the temporary folder, or standard output"),
         "a disk with enough free space",
-        "make room, or choose another place with --out or TMPDIR; an earlier result is as it was",
+        "make room, or choose another place with --out or TMPDIR; an earlier result is unchanged",
     )
 
 
 def _out_of_memory() -> Issue:
     return Issue(
-        "there is not enough memory", "this command", "memory for all that is fitted jointly",
+        "there is not enough memory", "this command", "memory for all runs that are fitted jointly",
         "fit fewer runs or rows at once, or use a machine with more memory",
     )  # fmt: skip
 

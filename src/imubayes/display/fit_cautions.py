@@ -223,7 +223,9 @@ def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
     said = f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known before the fit"
     causes = [agreement_text(each) for each in doubted[0].causes[:_MOST_NAMED]]
     if causes:
-        return (f"{said}. It would agree with {'; or with '.join(causes)}: `{command}` weighs that beside effects.",)
+        return (
+            f"{said}. It would agree with {'; or with '.join(causes)}: `{command}` compares this with missing effects.",
+        )
     return (
         f"{said} (p {relation(doubted[0].p)}): `{command}` names the entry of the record that would make it agree.",
     )

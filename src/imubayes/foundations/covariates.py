@@ -214,7 +214,7 @@ CONDITIONS: dict[str, str] = {
     "larger input": "a larger input",
     "response": "a run that responds to it",
     "second run": "a second run of the channel",
-    "reference": "a reference gyro that rides along",
+    "reference": "a reference gyro on the same table",
     "injection": "a run of procedure current_injection",
     "temperature uncertainty": "a run that states temperature_uncertainty_degC",
     "converter_temperature uncertainty": "a run that states converter_temperature_uncertainty_degC",

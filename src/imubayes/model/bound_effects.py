@@ -212,7 +212,7 @@ def _without_single_runs(
             Issue(
                 f"'{spec.name}' differs from run to run, and {' and '.join(found)} had one run",
                 spec.where,
-                "channels of two runs and more, or a prior from experience",
+                "channels of two runs and more, or a prior from earlier units",
                 "leave the effect out, add a run, or state its prior",
             ),
             found,

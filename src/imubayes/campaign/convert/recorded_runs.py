@@ -149,7 +149,7 @@ def _beside(others: Columns, keep: np.ndarray, units: dict[str, str]) -> tuple[C
         usual = float(np.median(others[name][there])) if len(there) else 0.0
         if not units.get(name) and not _WARM[0] < usual < _WARM[1]:
             del kept[name]
-            notes.append(f"{name} reads {usual:.5g}, which is no degC: not read; its header may state K or degF")
+            notes.append(f"{name} reads {usual:.5g}, which is not in degC: not read; its header may state K or degF")
     return kept, notes
 
 

@@ -124,7 +124,7 @@ def _refuse_turning(rate: np.ndarray, file: str) -> None:
     if about > _AT_REST or size > _LARGEST_BIAS:
         what = f"differ by up to {np.degrees(about):.3g}" if about > _AT_REST else f"are about {np.degrees(size):.3g}"
         raise input_error(
-            f"the rates of the rows {what} deg/s: these are no static poses",
+            f"the rates of the rows {what} deg/s: these are not static poses",
             file,
             f"means of poses at rest, or the raw log of a free tumble; rates within {np.degrees(_AT_REST):.3g} deg/s",
             "correct the procedure of the run, or give the raw log: the poses are found in it",
