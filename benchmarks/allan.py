@@ -11,11 +11,11 @@ from importlib.util import find_spec
 import numpy as np
 from common import Report, in_words, once, seconds
 
-from imubayes.noise_analysis.allan_deviation import allan_variance
-from imubayes.noise_analysis.cosine_spectra import cosine_statistics
-from imubayes.noise_analysis.likelihood import NoiseLikelihood
-from imubayes.noise_analysis.running_sum import from_samples
-from imubayes.noise_analysis.term_estimates import estimate_terms
+from imubayes_recordings.noise_analysis.allan_deviation import allan_variance
+from imubayes_recordings.noise_analysis.cosine_spectra import cosine_statistics
+from imubayes_recordings.noise_analysis.likelihood import NoiseLikelihood
+from imubayes_recordings.noise_analysis.running_sum import from_samples
+from imubayes_recordings.noise_analysis.term_estimates import estimate_terms
 
 RATE = 100.0
 AGREEMENT, RATIO_BAR, MEMORY_BAR = 1e-10, 1.0, 300.0

@@ -4,32 +4,30 @@ import ast
 import re
 from pathlib import Path
 
-from test_layering import FLOORS, statements
+from test_layering import KERNEL, SOURCES, name_of, statements
 
 ROOT = Path(__file__).parents[1]
-SOURCE = ROOT / "src" / "imubayes"
 PAGE = ROOT / "ARCHITECTURE.md"
 BLOCK = re.compile(r"(?<=```mermaid\n).*?(?=```)", re.DOTALL)
-FOUNDATION = FLOORS[0]
+FOUNDATION = KERNEL[0]
 """Bottom-floor modules, which everything may use: one node, without arrows to it."""
 
 
 def room(module: str) -> str:
-    """Return the package, or top-level module, that a dotted module name belongs to."""
-    return module.split(".")[1] if "." in module else "imubayes"
+    """Return the package of the kernel that a dotted module name belongs to, or the guest."""
+    first, _, rest = module.partition(".")
+    return rest.partition(".")[0] if first == "imubayes" else first
 
 
 def imports() -> dict[str, set[str]]:
     """Return room → rooms that it imports."""
     found: dict[str, set[str]] = {}
-    for file in SOURCE.rglob("*.py"):
-        here = file.relative_to(SOURCE).parts[0].removesuffix(".py")
-        if here == "__init__":
-            continue
+    for file in SOURCES:
+        here = room(name_of(file))
         for node, _ in statements(ast.parse(file.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("imubayes."):
+            if here and isinstance(node, ast.ImportFrom) and (node.module or "").startswith("imubayes"):
                 found.setdefault(here, set()).add(room(str(node.module)))
-    return {here: others - {here, *FOUNDATION} for here, others in found.items() if here not in FOUNDATION}
+    return {here: others - {here, "", *FOUNDATION} for here, others in found.items() if here not in FOUNDATION}
 
 
 def reduced(edges: dict[str, set[str]]) -> dict[str, set[str]]:

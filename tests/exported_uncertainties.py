@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 
 from scipy import stats
 
-from imubayes.display.qualification.calibration_xml import DCC, SI, covariance_file, dcc_file
-from imubayes.display.qualification.words import value_text
-from imubayes.qualification.report_record import QualificationReport, ReportedEstimate, StandardEstimate
+from imubayes_qualification.certificate.report_record import QualificationReport, ReportedEstimate, StandardEstimate
+from imubayes_qualification.display.report.calibration_xml import DCC, SI, covariance_file, dcc_file
+from imubayes_qualification.display.report.words import value_text
 
 
 def of_table(report: QualificationReport) -> Iterator[tuple[str, str, float]]:

@@ -17,13 +17,14 @@ from imubayes.effects.base import Effect
 from imubayes.model.effect_registry import Registry
 from imubayes.procedures import PROCEDURES
 from imubayes.responses.residual_covariates import ResidualCovariate
+from test_layering import SOURCE, SOURCES
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "docs"))
 import gallery
 import reference_pages
 import responses
 
-DOCS, SOURCE = (Path(__file__).parents[1] / "src" / name for name in ("docs", "imubayes"))
+DOCS = SOURCE / "docs"
 
 
 def test_every_member_of_the_catalogue_has_a_page_with_cause_formula_and_parameters():
@@ -68,7 +69,7 @@ def test_every_key_of_a_campaign_is_listed():
 
 def test_every_symbol_of_the_standards_and_every_term_of_the_glossary_is_listed():
     pages = reference_pages.symbol_pages()
-    source = " ".join(file.read_text(encoding="utf-8") for file in (SOURCE / "campaign").rglob("*.py"))
+    source = " ".join(file.read_text(encoding="utf-8") for file in (SOURCE / "imubayes" / "campaign").rglob("*.py"))
     findings = {*SETUP_FINDINGS, *re.findall(r'Finding\(\s*"(\w+)"', source)}
     assert len(findings) > 30
     assert all(f"| `{name}` |" in pages["reference/findings.md"] for name in findings)
@@ -85,7 +86,7 @@ def test_links_of_documents_lead_to_pages_of_the_site():
 
 def test_every_sentence_that_is_explained_is_one_that_the_program_says_and_every_verdict_is_explained():
     page = (DOCS / "how-to" / "what-the-program-says.md").read_text(encoding="utf-8")
-    source = " ".join(file.read_text(encoding="utf-8") for file in SOURCE.rglob("*.py"))
+    source = " ".join(file.read_text(encoding="utf-8") for file in SOURCES)
     rows = re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)
     said = [phrase for row in rows for phrase in re.findall(r"`([^`]+)`", row)]
     assert len(said) > 20

@@ -1,13 +1,11 @@
 """Names of quantities are written and read in one place."""
 
 import re
-from pathlib import Path
 
 import pytest
 
 from imubayes.foundations.quantity_names import QuantityName, family_of, name_of
-
-SOURCE = Path(__file__).parents[1] / "src" / "imubayes"
+from test_layering import SOURCE, SOURCES
 
 
 @pytest.mark.parametrize(
@@ -36,7 +34,7 @@ PUT_TOGETHER = re.compile(
     r"""f["'](?:\{effect\}\.\{parameter\}|scale_factor|mounting_angle|axis_angle|input_axis|delta_k|white_noise\.sigma)\["""
 )
 # Fields of a log of an autopilot have brackets of their own.
-OTHER_BRACKETS = {"campaign/convert/formats/ulog.py"}
+OTHER_BRACKETS = {"imubayes_recordings/convert/formats/ulog.py"}
 
 
 def offenders(sources: dict[str, str]) -> list[str]:
@@ -49,8 +47,8 @@ def offenders(sources: dict[str, str]) -> list[str]:
 
 
 def test_no_other_file_takes_a_name_apart_or_puts_one_together():
-    files = {str(file.relative_to(SOURCE)): file for file in sorted(SOURCE.rglob("*.py"))}
-    for owner in ("foundations/quantity_names.py", *OTHER_BRACKETS):
+    files = {str(file.relative_to(SOURCE)): file for file in SOURCES}
+    for owner in ("imubayes/foundations/quantity_names.py", *OTHER_BRACKETS):
         del files[owner]
     assert offenders({name: file.read_text() for name, file in files.items()}) == []
 

@@ -7,18 +7,17 @@ import inspect
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import imubayes
 from imubayes.campaign.setup_gate.judgement import SETUP_FINDINGS
 from imubayes.campaign.stream_checks import FINDINGS
-from imubayes.cli.campaign import _RECORDS
+from imubayes.cli.campaign import kinds_of_files
 from imubayes.cli.main import app
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.procedures import PROCEDURES
-from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES
+from imubayes_qualification.budgets.standard_quantities import STANDARD_QUANTITIES
 
 ROOT = Path(__file__).parents[2]
 Pages = dict[str, str]
@@ -98,8 +97,8 @@ def command_pages() -> Pages:
 def schema_pages() -> Pages:
     """Return a page for each kind of file: its keys with type, default and meaning, from the JSON Schema."""
     pages, index = {}, {}
-    for kind, (module, record) in _RECORDS.items():
-        schema = getattr(import_module(module), record).model_json_schema()
+    for kind, record in kinds_of_files().items():
+        schema = record.load().model_json_schema()
         summary, _ = _described(schema)
         nested = schema.get("$defs", {})
         body = [f"# File format: {kind}\n\n{summary}\n\n`imubayes schema {kind}` prints the JSON Schema.\n"]

@@ -27,10 +27,26 @@ Public names, in four groups; everything else is private.
   answers that an installation reproduces.
 """
 
+from pathlib import Path
+from typing import Any
+
 import lazy_loader
+
+from imubayes.foundations.extensions import extensions
 
 __version__ = "0.2.0"
 
-# The public names stand in `__init__.pyi` and are loaded when they are first used: JAX takes seconds to import, and
-# `imubayes --help` needs none of it.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+# The names of the kernel are listed in `kernel_names.pyi`, those of the packages beside it in their metadata.  All are
+# loaded when they are first used: JAX takes seconds to import, and `imubayes --help` needs none of it.
+_kernel_name, _, _KERNEL_NAMES = lazy_loader.attach_stub(__name__, str(Path(__file__).with_name("kernel_names.py")))
+
+
+def __getattr__(name: str) -> Any:
+    if name in _KERNEL_NAMES or name.startswith("_"):
+        return sorted({*_KERNEL_NAMES, *extensions("functions")}) if name == "__all__" else _kernel_name(name)
+    added = extensions("functions").get(name)
+    return _kernel_name(name) if added is None else added.load()
+
+
+def __dir__() -> list[str]:
+    return __getattr__("__all__")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from beartype.roar import BeartypeCallHintViolation
 
-from imubayes.archive import campaign_file
-from imubayes.archive.campaign_file import content_checksum, read_campaign, read_head, write_campaign
 from imubayes.campaign import load_campaign
 from imubayes.foundations.errors import InputError
+from imubayes_archive.dataset import campaign_file
+from imubayes_archive.dataset.campaign_file import content_checksum, read_campaign, read_head, write_campaign
 
 DATA = Path(__file__).parents[2] / "data"
 SHIPPED = sorted(file.parent.name for file in DATA.glob("*/campaign.toml"))

@@ -7,10 +7,10 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from imubayes.archive import Archive, campaign_folders, pack
-from imubayes.archive.store import open_archive
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError
+from imubayes_archive.dataset import Archive, campaign_folders, pack
+from imubayes_archive.dataset.store import open_archive
 
 DATA = Path(__file__).parents[2] / "data"
 

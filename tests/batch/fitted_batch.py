@@ -2,8 +2,8 @@
 
 import sys
 
-from imubayes.batch.fit_chunk import in_process
-from imubayes.batch.run_batch import run_batch
+from imubayes_archive.batch.fit_chunk import in_process
+from imubayes_archive.batch.run_batch import run_batch
 
 
 def announced(tasks):

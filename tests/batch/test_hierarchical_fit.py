@@ -8,12 +8,12 @@ import pytest
 from accelerometer_archive import Archive, write_archive
 
 import imubayes
-from imubayes.api.archives import ArchiveFit
-from imubayes.batch.hierarchical_fit import hierarchical_fit, scale_priors
-from imubayes.batch.unit_populations import unit_populations
 from imubayes.cli.main import run
-from imubayes.display.figures.population import population_picture
 from imubayes.foundations.errors import InputError
+from imubayes_archive.api.archives import ArchiveFit
+from imubayes_archive.display.figures.population import population_picture
+from imubayes_archive.population.hierarchical_fit import hierarchical_fit, scale_priors
+from imubayes_archive.population.unit_populations import unit_populations
 
 BIAS, SLOPE = "accel_bias.bias[ax]", "accel_bias_temperature.slope[ax]"
 ARCHIVE = Archive(units=12, lot=5, shift=40.0, run_scatter=0.2)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.batch.noise_scale_population import ScaleLikelihoods, scale_population
+from imubayes_archive.population.noise_scale_population import ScaleLikelihoods, scale_population
 
 PRIOR = (-0.6, 1.1)
 

@@ -6,8 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.batch.parameter_population import populations
-from imubayes.batch.posterior_table import (
+from imubayes_archive.batch.posterior_table import (
     Outcome,
     Quantities,
     UnitIdentity,
@@ -15,6 +14,7 @@ from imubayes.batch.posterior_table import (
     parameter_table,
     unit_table,
 )
+from imubayes_archive.population.parameter_population import populations
 
 UNITS = 60
 

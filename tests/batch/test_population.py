@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from imubayes.batch.population import UnitPosteriors, information_error, population, shrunk
-from imubayes.batch.population_laws import mixture, normal_law, student_law
+from imubayes_archive.population.population import UnitPosteriors, information_error, population, shrunk
+from imubayes_archive.population.population_laws import mixture, normal_law, student_law
 
 MEAN, SPREAD, PRIOR = 3.0, 2.0, (0.0, 5.0)
 

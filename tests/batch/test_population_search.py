@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from imubayes.batch.population_findings import laws_of
-from imubayes.batch.population_search import UnitCovariate, search
-from imubayes.batch.population_structure import Law, UnitEstimates, fit_law
+from imubayes_archive.population.population_findings import laws_of
+from imubayes_archive.population.population_search import UnitCovariate, search
+from imubayes_archive.population.population_structure import Law, UnitEstimates, fit_law
 
 WIDTH, SPREAD, ERROR = 20.0, 0.5, 1.0
 TOTAL = float(np.hypot(SPREAD, ERROR))

@@ -6,8 +6,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.batch.fit_unit import QUANTILES, quantiles_of
-from imubayes.batch.posterior_table import (
+from imubayes.foundations.errors import InputError
+from imubayes.results.folder_files import seal
+from imubayes_archive.batch.fit_unit import QUANTILES, quantiles_of
+from imubayes_archive.batch.posterior_table import (
     PARAMETERS,
     UNITS,
     Outcome,
@@ -24,8 +26,6 @@ from imubayes.batch.posterior_table import (
     unit_table,
     unpacked,
 )
-from imubayes.foundations.errors import InputError
-from imubayes.results.folder_files import seal
 
 
 def fitted_unit(name: str = "A1") -> UnitPosterior:

@@ -6,13 +6,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.batch.pooled_discovery import pooled_discovery
-from imubayes.batch.pooled_evidence import PooledScores, pooled_scores
-from imubayes.batch.unit_scores import CandidateKey, scores_of
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
 from imubayes.parameters.declarations import Parameter
 from imubayes.parameters.priors import Normal
 from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
+from imubayes_archive.batch.pooled_discovery import pooled_discovery
+from imubayes_archive.batch.pooled_evidence import PooledScores, pooled_scores
+from imubayes_archive.batch.unit_scores import CandidateKey, scores_of
 
 ROWS, RUNS, OWN, UNITS = 60, 6, 2, 12
 RATE = np.tile(np.linspace(-1.0, 1.0, ROWS // RUNS), RUNS)

@@ -8,8 +8,8 @@ from tumble_files import NAMES, tumble_log
 
 from imubayes.campaign import load_campaign
 from imubayes.campaign.campaign_writer import write_campaign
-from imubayes.campaign.convert import convert
 from imubayes.foundations.errors import InputError
+from imubayes_recordings.convert import convert
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
 real = pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the real recordings are not here")

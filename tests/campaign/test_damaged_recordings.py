@@ -13,10 +13,10 @@ import pytest
 from test_recording_formats import EXTRA, ROWS, WRITERS
 
 from imubayes.campaign import inspect_campaign
-from imubayes.campaign.convert import read_recordings, recording
-from imubayes.campaign.convert.formats import KINDS
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError, Issue
+from imubayes_recordings.convert import read_recordings, recording
+from imubayes_recordings.convert.formats import KINDS
 
 CASES = Path(__file__).parents[2].parent / "shared" / "cases" / "rel" / "readers"
 LIMIT, ZEROS = 1 << 20, 1 << 18
@@ -73,7 +73,7 @@ def test_a_reader_that_fails_in_any_way_is_one_error(tmp_path: Path, monkeypatch
         raise ZeroDivisionError("somewhere inside")
 
     [kind] = [kind for kind in KINDS if kind.name == "NumPy .npy"]
-    monkeypatch.setattr("imubayes.campaign.convert.formats.KINDS", (kind.__class__(kind.name, kind.fits, failing),))
+    monkeypatch.setattr("imubayes_recordings.convert.formats.KINDS", (kind.__class__(kind.name, kind.fits, failing),))
     with pytest.raises(InputError, match=r"the NumPy \.npy file cannot be read: somewhere inside"):
         read_recordings([tmp_path / "log.npy"], gravity_m_s2=9.8)
 

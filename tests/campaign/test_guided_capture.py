@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from tumble_recordings import GRAVITY, Recording, random_attitudes
 
 import imubayes
-from imubayes.campaign.capture import UNTIL, Guidance, GuidedCapture, Wanted, growing_lines
-from imubayes.campaign.capture.pose_design import COEFFICIENTS, DIRECTIONS, design_of
 from imubayes.cli.main import run
-from imubayes.display.capture_lines import now_line, rest_line
+from imubayes_recordings.display.capture_lines import now_line, rest_line
+from imubayes_recordings.guided_capture import UNTIL, Guidance, GuidedCapture, Wanted, growing_lines
+from imubayes_recordings.guided_capture.pose_design import COEFFICIENTS, DIRECTIONS, design_of
 
 OPTIONS: dict[str, Any] = {"gravity_m_s2": GRAVITY}
 RESTS = 20

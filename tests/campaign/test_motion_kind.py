@@ -5,7 +5,7 @@ import pytest
 from motion_recordings import NAMES, drilled, random_unit, waved
 from tumble_recordings import random_attitudes
 
-from imubayes.campaign.convert.motion_kind import per_radian_in_motion, procedure_in_motion
+from imubayes_recordings.convert.motion_kind import per_radian_in_motion, procedure_in_motion
 
 
 def rates(columns: dict[str, np.ndarray]) -> np.ndarray:

@@ -11,9 +11,9 @@ from tumble_files import tumble_log
 from tumble_recordings import random_attitudes
 
 import imubayes
-from imubayes.campaign.convert import convert
 from imubayes.cli.main import run
 from imubayes.model.model_file import read_model
+from imubayes_recordings.convert import convert
 
 DATA = Path(__file__).parents[2] / "data"
 

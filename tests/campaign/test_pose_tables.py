@@ -8,10 +8,10 @@ from small_files import GRAVITY
 from tumble_files import NAMES, channels, tumble_log
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.convert import convert, read_recordings
 from imubayes.campaign.reduction.free_tumble import reduce_tumble
 from imubayes.campaign.reduction.pose_table import MOST_POSES, spread_over_the_sphere
 from imubayes.foundations.errors import InputError
+from imubayes_recordings.convert import convert, read_recordings
 
 SCALE, BIAS = np.array([1.002, 0.997, 1.004]), np.array([0.05, -0.03, 0.2])
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tumble_recordings import random_attitudes
 
-from imubayes.campaign.convert import read_recordings
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.units import to_si
+from imubayes_recordings.convert import read_recordings
 
 HZ = 100.0
 FORCE, RATE = ("ax", "ay", "az"), ("gx", "gy", "gz")

@@ -12,10 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import imubayes
-from imubayes.campaign.convert import convert, read_recordings
 from imubayes.foundations.errors import InputError
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
+from imubayes_recordings.convert import convert, read_recordings
 
 LATITUDE, EARTH = np.radians(48.0), 15.041067 / 3600  # rad, deg/s
 RATE_HZ, LEVEL_S, NOISE = 20.0, 40, 0.02

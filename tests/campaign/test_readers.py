@@ -154,7 +154,7 @@ def test_lines_of_keys() -> None:
 
 
 def test_import_is_light() -> None:
-    code = "import sys, imubayes.campaign, imubayes.campaign.convert; sys.exit('jax' in sys.modules)"
+    code = "import sys, imubayes.campaign, imubayes_recordings.convert; sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -8,8 +8,8 @@ from recording_writers import NAMES
 from scipy.spatial.transform import Rotation
 from tumble_recordings import GRAVITY, Recording, random_attitudes
 
-from imubayes.campaign.convert import ReadRecordings, read_recordings
 from imubayes.foundations.errors import InputError
+from imubayes_recordings.convert import ReadRecordings, read_recordings
 
 HZ = 100.0
 ACCEL, GYRO = 16384 / 9.80665, 131 * np.degrees(1)  # counts per m/s² and per rad/s, of ±2 g and ±250 deg/s

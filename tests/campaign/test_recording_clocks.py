@@ -7,8 +7,8 @@ import pytest
 from recording_writers import as_matrix
 from tumble_files import tumble_log
 
-from imubayes.campaign.convert import read_recordings
 from imubayes.foundations.errors import InputError
+from imubayes_recordings.convert import read_recordings
 
 COLUMNS, _ = tumble_log(poses=3)
 ROWS = as_matrix(COLUMNS)

@@ -14,9 +14,9 @@ from recording_writers import NAMES, as_matrix
 from tumble_files import tumble_log
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.convert import convert
 from imubayes.foundations.campaign_data import Run
 from imubayes.foundations.errors import InputError
+from imubayes_recordings.convert import convert
 
 COLUMNS, _ = tumble_log(poses=6)
 ROWS = as_matrix(COLUMNS)

@@ -9,11 +9,11 @@ from recording_writers import NAMES, as_matrix
 from tumble_files import tumble_log
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.convert import convert, read_recordings
-from imubayes.campaign.convert.column_names import role_of
-from imubayes.campaign.convert.options import read_options
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError
+from imubayes_recordings.convert import convert, read_recordings
+from imubayes_recordings.convert.column_names import role_of
+from imubayes_recordings.convert.options import read_options
 
 COLUMNS, _ = tumble_log(poses=12)
 ROWS = as_matrix(COLUMNS)

@@ -9,10 +9,10 @@ import pytest
 from recording_writers import NAMES, as_matrix
 from tumble_files import tumble_log
 
-from imubayes.campaign.convert import ReadRecordings, read_recordings
-from imubayes.campaign.convert.column_names import role_of
-from imubayes.campaign.convert.formats.cell_values import seconds_of_clock, seconds_of_stamp
 from imubayes.foundations.errors import InputError
+from imubayes_recordings.convert import ReadRecordings, read_recordings
+from imubayes_recordings.convert.column_names import role_of
+from imubayes_recordings.convert.formats.cell_values import seconds_of_clock, seconds_of_stamp
 
 COLUMNS, _ = tumble_log(poses=9)
 ROWS = as_matrix(COLUMNS)

@@ -8,14 +8,14 @@ import pytest
 from tumble_files import NAMES, tumble_log
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.convert import convert
-from imubayes.campaign.convert.column_choice import choose_tables
-from imubayes.campaign.convert.column_names import role_of
-from imubayes.campaign.convert.formats import open_recording
-from imubayes.campaign.convert.options import read_options
-from imubayes.campaign.convert.recorded_runs import recorded_runs
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError
+from imubayes_recordings.convert import convert
+from imubayes_recordings.convert.column_choice import choose_tables
+from imubayes_recordings.convert.column_names import role_of
+from imubayes_recordings.convert.formats import open_recording
+from imubayes_recordings.convert.options import read_options
+from imubayes_recordings.convert.recorded_runs import recorded_runs
 
 SIGNS = ("", "# ", "#", "% ", "%%", "// ", "; ", "\ufeff", "\ufeff# ")
 DELIMITERS = (",", ";", "\t", " ", ", ")

@@ -8,11 +8,11 @@ import pytest
 from scipy.io import savemat
 
 import imubayes
-from imubayes.campaign.convert import read_recordings
 from imubayes.campaign.physical_checks import check_gravity
 from imubayes.cli.main import run
 from imubayes.foundations.campaign_data import Site
 from imubayes.foundations.errors import InputError
+from imubayes_recordings.convert import read_recordings
 
 STEP, COUNT = 0.012, 1200  # s, lines
 

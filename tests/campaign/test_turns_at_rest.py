@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import inspect_campaign
-from imubayes.campaign.convert import read_recordings
 from imubayes.foundations.errors import InputError
+from imubayes_recordings.convert import read_recordings
 
 RATE_HZ, GRAVITY = 50, 9.81
 

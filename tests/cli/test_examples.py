@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from imubayes.cli.main import run
-from imubayes.explorer.start import SHIPPED
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.shipped_examples import copy_examples, example, examples, model_names, shipped
 from imubayes.model.model_file import read_model
+from imubayes_explorer.start import SHIPPED
 
 ROOT = Path(__file__).parents[2]
 

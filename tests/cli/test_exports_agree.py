@@ -9,11 +9,11 @@ import pytest
 import imubayes
 from exported_uncertainties import disagreements, rounded_otherwise
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.display.qualification.report_files import html_page, report_document
 from imubayes.foundations.errors import InputError
-from imubayes.qualification.certificate import Certificate
-from imubayes.qualification.report_record import QualificationReport
 from imubayes.results.change_records import write_diagnosis
+from imubayes_qualification.certificate.certificate import Certificate
+from imubayes_qualification.certificate.report_record import QualificationReport
+from imubayes_qualification.display.report.report_files import html_page, report_document
 
 BLOCK = Certificate.model_validate(
     {

@@ -7,13 +7,13 @@ import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
-from imubayes.display.figures.allan import allan_figure
-from imubayes.display.noise_report import priors_text
 from imubayes.model.bind import bind
 from imubayes.model.model_file import ModelSpec, read_model
-from imubayes.noise_analysis.noise_record import StaticNoise, fitted_deviations
-from imubayes.noise_analysis.noise_terms import NoiseTerm
 from imubayes.results.result_folder import model_text
+from imubayes_recordings.display.allan import allan_figure
+from imubayes_recordings.display.noise_report import priors_text
+from imubayes_recordings.noise_analysis.noise_record import StaticNoise, fitted_deviations
+from imubayes_recordings.noise_analysis.noise_terms import NoiseTerm
 
 SHIPPED = Path(__file__).parents[2] / "data" / "static-record"
 # The truth of the shipped record, from its truth.toml.

@@ -10,10 +10,10 @@ import pytest
 from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
 from imubayes.display.layout import report_text
-from imubayes.display.noise_report import noise_report, priors_text
-from imubayes.noise_analysis.described_band import Cause
-from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, static_noise
-from imubayes.noise_analysis.noise_terms import NoiseTerm
+from imubayes_recordings.display.noise_report import noise_report, priors_text
+from imubayes_recordings.noise_analysis.described_band import Cause
+from imubayes_recordings.noise_analysis.noise_record import ChannelNoise, StaticNoise, static_noise
+from imubayes_recordings.noise_analysis.noise_terms import NoiseTerm
 
 WHITE = 0.05  # deg/√h
 IN_OUTPUT = WHITE / 60  # deg/s over √Hz
@@ -214,7 +214,7 @@ def test_a_repeated_channel_beside_one_that_is_not(tmp_path: Path):
 
 def test_a_fit_that_did_not_converge_writes_no_prior(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The climb is cut short; an earlier file does not stay."""
-    monkeypatch.setattr("imubayes.noise_analysis.likelihood._STEPS", 1)
+    monkeypatch.setattr("imubayes_recordings.noise_analysis.likelihood._STEPS", 1)
     folder = campaign(tmp_path, {"time_s": time_of(), "g": white()})
     out = tmp_path / "out"
     out.mkdir()

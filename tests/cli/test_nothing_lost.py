@@ -143,7 +143,8 @@ def test_what_another_process_writes_is_refused_at_once(accel_channel, tmp_path,
     if out.suffix == "":
         out.mkdir()
     for name in ("imubayes.api.fitting.joint_fit", "imubayes.api.loop.refit_with",
-                 "imubayes.api.loop.refit_without", "imubayes.api.calibrated_unit.report_of"):  # fmt: skip
+                 "imubayes.api.loop.refit_without",
+                 "imubayes_qualification.api.calibrated_unit.report_of"):  # fmt: skip
         monkeypatch.setattr(name, lambda *_, **__: pytest.fail("it began"))
     held, done = threading.Event(), threading.Event()
 

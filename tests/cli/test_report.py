@@ -16,13 +16,14 @@ from display.made_diagnoses import ASYMMETRY, QUADRATIC, diagnosis
 from imubayes.cli.main import run
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.explanation_records import Verdict
-from imubayes.display.qualification.report_files import html_page, report_document
 from imubayes.foundations.errors import InputError
 from imubayes.model import derived_quantities
-from imubayes.qualification import report_budgets, report_build, uncertainty_budget
-from imubayes.qualification.report_record import QualificationReport
 from imubayes.results.change_records import write_diagnosis
 from imubayes.results.result import Result, read_result
+from imubayes_qualification.budgets import report_budgets, uncertainty_budget
+from imubayes_qualification.certificate import report_build
+from imubayes_qualification.certificate.report_record import QualificationReport
+from imubayes_qualification.display.report.report_files import html_page, report_document
 from kept_results import listed
 
 ROOT = Path(__file__).parents[2]

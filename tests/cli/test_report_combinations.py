@@ -7,10 +7,10 @@ import pytest
 
 from imubayes.cli.main import run
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.display.qualification.report_files import html_page, report_document
-from imubayes.qualification.report_record import QualificationReport
 from imubayes.results.change_records import write_diagnosis
 from imubayes.results.result import read_result
+from imubayes_qualification.certificate.report_record import QualificationReport
+from imubayes_qualification.display.report.report_files import html_page, report_document
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.slow  # a fit of its own; test_uncertainty_budget.py has functions of quantities at every run

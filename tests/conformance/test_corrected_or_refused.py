@@ -17,12 +17,12 @@ from imubayes.effects.shared_formulas import RunBias
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.bound_effects import BoundEffect
-from imubayes.qualification.onboard.correct_recording import needed_temperatures, not_given
-from imubayes.qualification.onboard.response import TEMPERATURES
-from imubayes.qualification.onboard.unexpressed_effects import acts_linearly
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import Residuals
 from imubayes.results.summary import Summary
+from imubayes_qualification.onboard.correct_recording import needed_temperatures, not_given
+from imubayes_qualification.onboard.response import TEMPERATURES
+from imubayes_qualification.onboard.unexpressed_effects import acts_linearly
 from small_campaign import in_wide_campaign, whole_catalogue
 
 # The effects of sensors and converters, and of where they sit, that the wide campaign shows.

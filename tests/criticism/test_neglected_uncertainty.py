@@ -16,8 +16,8 @@ from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
 from imubayes.model.model_file import EffectSpec, read_model
-from imubayes.qualification.taken_as_exact import ExactInput, exact_equipment, included_shifts, with_included
 from imubayes.responses.uncertain_equipment import uncertain_equipment
+from imubayes_qualification.budgets.taken_as_exact import ExactInput, exact_equipment, included_shifts, with_included
 
 
 @cache

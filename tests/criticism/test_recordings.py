@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from imubayes.api import Result, add, diagnose, fit
-from imubayes.campaign.convert import convert
 from imubayes.display.loop.diagnosis_report import diagnosis_json
 from imubayes.model.model_file import read_model
+from imubayes_recordings.convert import convert
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
 MODELS = Path(__file__).parents[2] / "models"

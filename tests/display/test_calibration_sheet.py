@@ -9,11 +9,11 @@ from rich.console import Console
 from display import synthetic_results as made
 from imubayes.display.fit_report import summary_html, summary_report
 from imubayes.display.layout import Report, print_report
-from imubayes.display.qualification.result_sections import axis_table
 from imubayes.display.quantity_tables import axis_sheet, calibration_sheets
 from imubayes.foundations.units import BIAS_CONVENTION
-from imubayes.qualification.report_record import MonteCarloError, ResultLine
 from imubayes.results.summary import Summary, in_output_units
+from imubayes_qualification.certificate.report_record import MonteCarloError, ResultLine
+from imubayes_qualification.display.report.result_sections import axis_table
 
 CHANNELS = (*made.GYROS, *made.ACCELEROMETERS)
 

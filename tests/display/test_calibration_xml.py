@@ -10,11 +10,13 @@ import pytest
 from lxml import etree
 
 from exported_uncertainties import disagreements
-from imubayes.display.qualification.calibration_xml import COLUMNS, DCC, SI, covariance_file, dcc_file
 from imubayes.foundations.errors import InputError
-from imubayes.qualification.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
-from imubayes.qualification.certificate import Certificate, CertifiedItem, Environment, Missing
-from imubayes.qualification.report_record import (
+from imubayes.results.summary import SoftwareVersion
+from imubayes_qualification.budgets.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
+from imubayes_qualification.budgets.standard_quantities import DigitalUnit, digital_unit
+from imubayes_qualification.budgets.taken_as_exact import QuantityShift, TakenAsExact
+from imubayes_qualification.certificate.certificate import Certificate, CertifiedItem, Environment, Missing
+from imubayes_qualification.certificate.report_record import (
     Adequacy,
     Conformity,
     LimitOutcome,
@@ -27,10 +29,8 @@ from imubayes.qualification.report_record import (
     StatisticalScope,
     ThermalLinearity,
 )
-from imubayes.qualification.report_subject import Provenance, Subject
-from imubayes.qualification.standard_quantities import DigitalUnit, digital_unit
-from imubayes.qualification.taken_as_exact import QuantityShift, TakenAsExact
-from imubayes.results.summary import SoftwareVersion
+from imubayes_qualification.certificate.report_subject import Provenance, Subject
+from imubayes_qualification.display.report.calibration_xml import COLUMNS, DCC, SI, covariance_file, dcc_file
 
 WRITTEN = Path(__file__).parent / "dcc_written.rng"
 BLOCK = Certificate.model_validate(

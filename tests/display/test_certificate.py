@@ -14,13 +14,40 @@ import numpy as np
 import pytest
 
 from imubayes.display.layout import Cell, Sheet
-from imubayes.display.qualification.certificate_pages import (
+from imubayes.foundations.campaign_data import Campaign, Run, Site
+from imubayes.foundations.earth import normal_gravity
+from imubayes.foundations.errors import InputError
+from imubayes.results.posterior_quantities import PosteriorQuantities
+from imubayes.results.summary import Quantity
+from imubayes.results.temperature_range import ThermalModel
+from imubayes_qualification.budgets.budget_parts import QuantityBudget, UncertaintyBudgets
+from imubayes_qualification.budgets.report_budgets import UnitWithBudgets
+from imubayes_qualification.budgets.taken_as_exact import TakenAsExact
+from imubayes_qualification.budgets.unit_under_test import TestedUnit
+from imubayes_qualification.certificate.capability import with_capability
+from imubayes_qualification.certificate.certificate import (
+    REQUIRED,
+    Certificate,
+    Missing,
+    MissingItem,
+    missing_items,
+    read_certificate,
+)
+from imubayes_qualification.certificate.report_record import (
+    Adequacy,
+    QualificationReport,
+    ReportedConvergence,
+    StatisticalScope,
+)
+from imubayes_qualification.certificate.report_subject import Provenance, Subject
+from imubayes_qualification.certificate.specification import read_specification
+from imubayes_qualification.display.report.certificate_pages import (
     certificate_facts,
     certificate_section,
     missing_section,
     statements,
 )
-from imubayes.display.qualification.document import (
+from imubayes_qualification.display.report.document import (
     Banner,
     Block,
     Drawing,
@@ -32,8 +59,8 @@ from imubayes.display.qualification.document import (
     typeset,
     without_empty_columns,
 )
-from imubayes.display.qualification.first_page import alarms
-from imubayes.display.qualification.pdf_file import (
+from imubayes_qualification.display.report.first_page import alarms
+from imubayes_qualification.display.report.pdf_file import (
     _blocks,
     _content,
     _members,
@@ -41,35 +68,10 @@ from imubayes.display.qualification.pdf_file import (
     missing_characters,
     shown_by_code_points,
 )
-from imubayes.display.qualification.report_files import html_page
-from imubayes.foundations.campaign_data import Campaign, Run, Site
-from imubayes.foundations.earth import normal_gravity
-from imubayes.foundations.errors import InputError
-from imubayes.qualification.budget_parts import QuantityBudget, UncertaintyBudgets
-from imubayes.qualification.capability import with_capability
-from imubayes.qualification.certificate import (
-    REQUIRED,
-    Certificate,
-    Missing,
-    MissingItem,
-    missing_items,
-    read_certificate,
-)
-from imubayes.qualification.posterior_quantities import PosteriorQuantities
-from imubayes.qualification.report_budgets import UnitWithBudgets
-from imubayes.qualification.report_record import (
-    Adequacy,
-    QualificationReport,
-    ReportedConvergence,
-    StatisticalScope,
-)
-from imubayes.qualification.report_subject import Provenance, Subject
-from imubayes.qualification.specification import read_specification
-from imubayes.qualification.taken_as_exact import TakenAsExact
-from imubayes.qualification.temperature_range import ThermalModel
-from imubayes.qualification.unit_under_test import TestedUnit
-from imubayes.results.summary import Quantity
+from imubayes_qualification.display.report.report_files import html_page
 from small_campaign import channels
+
+TEMPLATE = files("imubayes_qualification.display").joinpath("templates/qualification.typ")
 
 WHOLE = """
 format = 1
@@ -205,7 +207,7 @@ def test_signatures_stand_on_no_page_alone(tmp_path):
     """However long what stands before them is: on paper, the last statements are with them."""
     typst = pytest.importorskip("typst", reason="typst is not installed")
     block, _ = read_certificate(written(tmp_path, WHOLE))
-    template = files("imubayes.display").joinpath("templates/qualification.typ").read_text(encoding="utf-8")
+    template = TEMPLATE.read_text(encoding="utf-8")
     (tmp_path / "main.typ").write_text(template, encoding="utf-8")
     (tmp_path / "report.json").write_text("{}", encoding="utf-8")
     certified = list(certificate_section(_report().model_copy(update={"certificate": block})))
@@ -501,7 +503,7 @@ def test_symbols_in_prose_have_subscripts_and_names_and_commands_stay():
 def test_names_break_and_parameters_have_no_subscripts_on_paper():
     """In the template of PDF files: a name breaks where U+200B stands, and only symbols have subscripts."""
     typst = pytest.importorskip("typst", reason="typst is not installed")
-    template = files("imubayes.display").joinpath("templates/qualification.typ").read_text(encoding="utf-8")
+    template = TEMPLATE.read_text(encoding="utf-8")
     symbols = template[template.index("#let symbols") : template.index("// Commands stand")]
 
     def drawn(content: str, width: str = "9cm") -> str:

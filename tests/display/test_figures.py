@@ -35,8 +35,8 @@ from imubayes.display.figures import (
 from imubayes.display.figures.measurement import driver
 from imubayes.display.figures.panels import neighbour_means, set_abscissa
 from imubayes.display.numbers_and_labels import covariate
-from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.results.summary import Summary
+from imubayes.results.temperature_range import ThermalModel
 
 DATA = Path(__file__).parents[2] / "data"
 

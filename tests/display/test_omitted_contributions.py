@@ -5,17 +5,9 @@ import math
 import pytest
 
 from imubayes.display.layout import Sheet
-from imubayes.display.qualification.exact_tables import (
-    BESIDE,
-    included_table,
-    omissions,
-    omitted_beside,
-    omitted_note,
-    omitted_table,
-)
-from imubayes.display.qualification.result_sections import combination_section, mounting_section, standards_section
-from imubayes.qualification.budget_parts import QuantityBudget, UncertaintyBudgets
-from imubayes.qualification.report_record import (
+from imubayes_qualification.budgets.budget_parts import QuantityBudget, UncertaintyBudgets
+from imubayes_qualification.budgets.taken_as_exact import ExactInput, QuantityShift, TakenAsExact
+from imubayes_qualification.certificate.report_record import (
     MountingAngle,
     QualificationReport,
     ReportedCombination,
@@ -23,8 +15,20 @@ from imubayes.qualification.report_record import (
     ResultLine,
     StandardEstimate,
 )
-from imubayes.qualification.report_subject import Provenance
-from imubayes.qualification.taken_as_exact import ExactInput, QuantityShift, TakenAsExact
+from imubayes_qualification.certificate.report_subject import Provenance
+from imubayes_qualification.display.report.exact_tables import (
+    BESIDE,
+    included_table,
+    omissions,
+    omitted_beside,
+    omitted_note,
+    omitted_table,
+)
+from imubayes_qualification.display.report.result_sections import (
+    combination_section,
+    mounting_section,
+    standards_section,
+)
 
 BIAS, ANGLE, SUM, SEAT = "accel_bias.bias[ax]", "mounting_angle[ax,up]", "a[ax]+b[up]", "table_axis_tilt.x[rate]"
 U = 0.5

@@ -4,24 +4,10 @@ import numpy as np
 import pytest
 
 from imubayes.display.layout import Sheet
-from imubayes.display.qualification.budget_sections import budget_section
-from imubayes.display.qualification.document import Block
-from imubayes.display.qualification.first_page import alarms, banner, limits_table, risk_table, rules_text
-from imubayes.display.qualification.result_sections import mounting_section, result_section
-from imubayes.display.qualification.words import (
-    chance,
-    digits_text,
-    interval_text,
-    more_draws_text,
-    reference_temperature,
-    stated,
-    value_text,
-)
-from imubayes.qualification.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
-from imubayes.qualification.coverage import KnownUncertainty, coverage_of
-from imubayes.qualification.marginal import Marginal
-from imubayes.qualification.report_estimates import monte_carlo_error
-from imubayes.qualification.report_record import (
+from imubayes.inference.marginal import Marginal
+from imubayes_qualification.budgets.budget_parts import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
+from imubayes_qualification.certificate.report_estimates import monte_carlo_error
+from imubayes_qualification.certificate.report_record import (
     Adequacy,
     Conformity,
     LimitOutcome,
@@ -33,7 +19,21 @@ from imubayes.qualification.report_record import (
     ReportedEstimate,
     ResultLine,
 )
-from imubayes.qualification.report_subject import Provenance, ReportedEffect
+from imubayes_qualification.certificate.report_subject import Provenance, ReportedEffect
+from imubayes_qualification.display.report.budget_sections import budget_section
+from imubayes_qualification.display.report.document import Block
+from imubayes_qualification.display.report.first_page import alarms, banner, limits_table, risk_table, rules_text
+from imubayes_qualification.display.report.result_sections import mounting_section, result_section
+from imubayes_qualification.display.report.words import (
+    chance,
+    digits_text,
+    interval_text,
+    more_draws_text,
+    reference_temperature,
+    stated,
+    value_text,
+)
+from imubayes_qualification.evaluation.coverage import KnownUncertainty, coverage_of
 
 NAME, U = "accel_quadratic.quadratic[az]", 0.93
 VALUES = {"estimate": -22.44, "standard_uncertainty": U, "low": -24.2, "high": -20.6}

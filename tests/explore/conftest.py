@@ -3,7 +3,7 @@
 import pytest
 from explore_client import Client, settled
 
-from imubayes.explorer.start import explore
+from imubayes_explorer.start import explore
 
 
 @pytest.fixture(scope="session")

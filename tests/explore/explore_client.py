@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.explorer.start import Exploration
+from imubayes_explorer.start import Exploration
 
 PATIENCE = 1200.0
 """Seconds; a fit that compiles takes a minute of an idle machine."""

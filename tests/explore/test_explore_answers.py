@@ -23,15 +23,15 @@ from imubayes.cli.main import run
 from imubayes.criticism.evidence.free_forms import ChosenForm
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.display.loop.diagnosis_report import diagnosis_json
-from imubayes.display.loop.selection_text import selection_text
-from imubayes.explorer.linear_view import LinearView
-from imubayes.explorer.messages import Brush, PointsWanted
-from imubayes.explorer.point_table import PointTable, decimated
-from imubayes.explorer.session import Session
 from imubayes.inference.laplace_marginal import whitened_columns
 from imubayes.model.bind import Model
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import read_summary_and_residuals
+from imubayes_explorer.linear_view import LinearView
+from imubayes_explorer.messages import Brush, PointsWanted
+from imubayes_explorer.point_table import PointTable, decimated
+from imubayes_explorer.selection_text import selection_text
+from imubayes_explorer.session import Session
 
 HIDDEN = "gyro_scale_asymmetry"
 ROOT = Path(__file__).parents[2]
@@ -457,7 +457,7 @@ def test_the_command_of_the_page_gives_the_same_numbers(client, explored, first)
 
 def test_a_campaign_that_has_changed_is_told(client, explored, first, model, monkeypatch):
     monkeypatch.setattr(type(model), "campaign_changed", lambda self: True)
-    monkeypatch.setattr("imubayes.explorer.session.campaign_of", lambda folder: None)
+    monkeypatch.setattr("imubayes_explorer.session.campaign_of", lambda folder: None)
     status, content = client.ask("change", {"model": first, "add": [HIDDEN]})
     assert status == 400
     assert "no longer the one that was fitted" in json.loads(content)["issues"][0]

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-import imubayes.explorer
-from imubayes.explorer.guard import Guard, new_token
+import imubayes_explorer
+from imubayes_explorer.guard import Guard, new_token
 
 PORT = 4711
 OWN = {"host": f"127.0.0.1:{PORT}"}
@@ -88,7 +88,7 @@ def test_tokens_are_long_and_differ():
     assert min(map(len, tokens)) >= 32
 
 
-PAGE = Path(imubayes.explorer.__file__).parent / "page"
+PAGE = Path(imubayes_explorer.__file__).parent / "page"
 RELEASED = {
     "uPlot.iife.min.js": "19c8d4c6ad88929a79f4ae49d6f7161566dfd0ba3d15cc495e974f787eb78f1f",
     "uPlot.min.css": "df630c6a8d6f8eeaff264b50f73ce5b114f646ffd9a0bb74f049b0a00135fa04",

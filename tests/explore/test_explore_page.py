@@ -13,7 +13,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
-from imubayes.explorer.worker import TaskOutcome
+from imubayes_explorer.worker import TaskOutcome
 
 pytestmark = pytest.mark.skipif(LACKING, reason="Debian's chromium and chromium-driver are not here")
 HIDDEN = "gyro_scale_asymmetry"

@@ -13,13 +13,6 @@ from explore_client import settled, wait_for
 from starlette.requests import Request
 
 from imubayes.cli.main import run
-from imubayes.explorer.edited_model import prior_text, with_aside, with_prior
-from imubayes.explorer.kept_session import KeptSession
-from imubayes.explorer.messages import Brush, ChangeWanted, LockWanted
-from imubayes.explorer.open_model import opened
-from imubayes.explorer.server import _Answers
-from imubayes.explorer.session import Session
-from imubayes.explorer.worker import TaskOutcome, Worker
 from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import InputError, NotKept
 from imubayes.foundations.progress import Tell
@@ -27,6 +20,13 @@ from imubayes.model.nodes_and_entries import join_entries
 from imubayes.model.set_aside import without
 from imubayes.results.history_tree import read_tree, select
 from imubayes.results.stored_tables import read_summary_and_residuals
+from imubayes_explorer.edited_model import prior_text, with_aside, with_prior
+from imubayes_explorer.kept_session import KeptSession
+from imubayes_explorer.messages import Brush, ChangeWanted, LockWanted
+from imubayes_explorer.open_model import opened
+from imubayes_explorer.server import _Answers
+from imubayes_explorer.session import Session
+from imubayes_explorer.worker import TaskOutcome, Worker
 
 
 def test_what_cannot_be_kept_is_not_lost(tmp_path):
@@ -47,8 +47,8 @@ def test_a_result_whose_diagnosis_cannot_be_kept_is_opened(explored, first, monk
         raise PermissionError(13, "Permission denied")
 
     model = explored.session.require(first)
-    monkeypatch.setattr("imubayes.explorer.open_model.write_diagnosis", refused)
-    monkeypatch.setattr("imubayes.explorer.open_model.explained_fit", lambda *_: model.view.explained)
+    monkeypatch.setattr("imubayes_explorer.open_model.write_diagnosis", refused)
+    monkeypatch.setattr("imubayes_explorer.open_model.explained_fit", lambda *_: model.view.explained)
     with pytest.warns(NotKept, match="Permission denied"):
         found = opened(first, model.result, lambda _: None)
     assert found.diagnosis.verdict == model.diagnosis.verdict
@@ -64,7 +64,7 @@ def copied(explored, tmp_path):
 
 def test_the_tree_is_read_again_where_a_manifest_has_changed(copied, monkeypatch):
     read = []
-    monkeypatch.setattr("imubayes.explorer.session.read_tree", lambda folders: read.append(1) or read_tree(folders))
+    monkeypatch.setattr("imubayes_explorer.session.read_tree", lambda folders: read.append(1) or read_tree(folders))
     before = copied.state()
     assert copied.state().tree == before.tree
     assert len(read) == 1

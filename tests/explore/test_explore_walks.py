@@ -15,7 +15,7 @@ from explore_page import LACKING, Page
 from selenium.webdriver.common.keys import Keys
 
 from imubayes.api import fit
-from imubayes.explorer.start import explore
+from imubayes_explorer.start import explore
 
 pytestmark = [
     pytest.mark.slow,  # fits of their own; test_explore_page guards the walk, test_explore_session what is kept

@@ -12,11 +12,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import imubayes
-from imubayes.campaign.convert import convert
 from imubayes.inference.laplace_proposal import LaplaceProposal, LogDensity, WeighedProposal, weigh
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model
+from imubayes_recordings.convert import convert
 
 GRAVITY, TILT_DEG, BIAS_MG, NOISE_MG = 9.80665, 2.0, 50.0, 0.2
 BIAS = np.array([3e-3, -2e-3, 5e-3])  # g

@@ -11,9 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import imubayes
-from imubayes.campaign.convert import convert
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
+from imubayes_recordings.convert import convert
 
 LATITUDE, RATE, GRAVITY = np.radians(48.0), 15.041067, 9.80665  # deg/h, m/s²
 GYRO_BIAS, ACCEL_BIAS = np.array([5.0, -8.0, 12.0]), np.array([0.03, -0.02, 0.05])  # deg/h, m/s²

@@ -10,13 +10,13 @@ import reference_series
 
 from imubayes.campaign.run_tables import RowBatch
 from imubayes.foundations.errors import InputError
-from imubayes.noise_analysis.allan_deviation import (
+from imubayes_recordings.noise_analysis.allan_deviation import (
     AllanVariance,
     allan_variance,
     chi_square_interval,
     equivalent_degrees,
 )
-from imubayes.noise_analysis.running_sum import CHUNK, from_samples, running_sums
+from imubayes_recordings.noise_analysis.running_sum import CHUNK, from_samples, running_sums
 
 REFERENCE = json.loads(reference_series.FILE.read_text())
 EXPONENTS = reference_series.EXPONENTS
@@ -58,7 +58,7 @@ def test_deviations_are_those_of_the_definition():
 def test_chunks_join_without_a_seam(monkeypatch: pytest.MonkeyPatch):
     x = reference_series.series(2000)
     whole = allan_variance(from_samples(x, 1.0))
-    monkeypatch.setattr("imubayes.noise_analysis.allan_deviation.CHUNK", 37)
+    monkeypatch.setattr("imubayes_recordings.noise_analysis.allan_deviation.CHUNK", 37)
     np.testing.assert_allclose(allan_variance(from_samples(x, 1.0)).variance, whole.variance, rtol=1e-12)
 
 

@@ -7,13 +7,13 @@ import pytest
 import static_record as generator
 from scipy.fft import dct
 
-from imubayes.noise_analysis.allan_deviation import allan_variance
-from imubayes.noise_analysis.cosine_spectra import cosine_statistics, removed_shares
-from imubayes.noise_analysis.described_band import Octave, octave_fits
-from imubayes.noise_analysis.likelihood import NoiseLikelihood
-from imubayes.noise_analysis.noise_terms import Averages, NoiseTerm, allan_shape, coefficient_variance
-from imubayes.noise_analysis.running_sum import from_samples
-from imubayes.noise_analysis.term_estimates import NoiseEstimate, estimate_terms
+from imubayes_recordings.noise_analysis.allan_deviation import allan_variance
+from imubayes_recordings.noise_analysis.cosine_spectra import cosine_statistics, removed_shares
+from imubayes_recordings.noise_analysis.described_band import Octave, octave_fits
+from imubayes_recordings.noise_analysis.likelihood import NoiseLikelihood
+from imubayes_recordings.noise_analysis.noise_terms import Averages, NoiseTerm, allan_shape, coefficient_variance
+from imubayes_recordings.noise_analysis.running_sum import from_samples
+from imubayes_recordings.noise_analysis.term_estimates import NoiseEstimate, estimate_terms
 
 TERMS = (NoiseTerm.WHITE, NoiseTerm.QUANTISATION, NoiseTerm.RANDOM_WALK, NoiseTerm.FLICKER, NoiseTerm.MARKOV)
 STEP, TIME = 0.5, 7.0
@@ -51,7 +51,7 @@ def test_variances_of_coefficients_are_exact(term: NoiseTerm, count: int, block:
 @pytest.mark.parametrize(("samples", "limit"), [(120, 1 << 14), (120, 20)])
 def test_shares_of_removed_bands_are_exact(monkeypatch: pytest.MonkeyPatch, samples: int, limit: int):
     """From the covariance of white noise without two bands of frequency, an integral over what is left."""
-    monkeypatch.setattr("imubayes.noise_analysis.cosine_spectra._MOST_MEANS", limit)
+    monkeypatch.setattr("imubayes_recordings.noise_analysis.cosine_spectra._MOST_MEANS", limit)
     bands = [(0.2, 0.3), (0.7, 0.72)]
     statistics = cosine_statistics(from_samples(np.random.default_rng(12).normal(size=samples), STEP))
     frequency = (np.arange(200_000) + 0.5) / 200_000  # up to 1/(2 STEP) = 1 Hz
@@ -192,9 +192,9 @@ def test_gaps_read_as_zero_would_show():
 def test_blocks_and_single_coefficients_agree(monkeypatch: pytest.MonkeyPatch):
     """The two levels use the same information as one cosine transform of the whole record."""
     x = record(7, ALL_THREE, 65_536, 0.1)
-    monkeypatch.setattr("imubayes.noise_analysis.cosine_spectra._MOST_MEANS", 65_536)
+    monkeypatch.setattr("imubayes_recordings.noise_analysis.cosine_spectra._MOST_MEANS", 65_536)
     whole = estimated(x, 0.1)
-    monkeypatch.setattr("imubayes.noise_analysis.cosine_spectra._MOST_MEANS", 1024)
+    monkeypatch.setattr("imubayes_recordings.noise_analysis.cosine_spectra._MOST_MEANS", 1024)
     cut = estimated(x, 0.1)
     for name in ALL_THREE:
         one, other = whole.of(NoiseTerm(name)), cut.of(NoiseTerm(name))

@@ -5,10 +5,10 @@ import pytest
 import static_record as generator
 from scipy.signal import butter, lfilter
 
-from imubayes.noise_analysis.allan_deviation import allan_variance
-from imubayes.noise_analysis.described_band import Cause, DescribedBand
-from imubayes.noise_analysis.noise_terms import NoiseTerm
-from imubayes.noise_analysis.record_examination import (
+from imubayes_recordings.noise_analysis.allan_deviation import allan_variance
+from imubayes_recordings.noise_analysis.described_band import Cause, DescribedBand
+from imubayes_recordings.noise_analysis.noise_terms import NoiseTerm
+from imubayes_recordings.noise_analysis.record_examination import (
     Examination,
     at_own_rate,
     examined,
@@ -17,9 +17,9 @@ from imubayes.noise_analysis.record_examination import (
     without_rounding,
     without_temperature,
 )
-from imubayes.noise_analysis.running_sum import from_samples
-from imubayes.noise_analysis.spectral_lines import without_lines
-from imubayes.noise_analysis.term_estimates import NoiseEstimate, TermEstimate, estimate_terms
+from imubayes_recordings.noise_analysis.running_sum import from_samples
+from imubayes_recordings.noise_analysis.spectral_lines import without_lines
+from imubayes_recordings.noise_analysis.term_estimates import NoiseEstimate, TermEstimate, estimate_terms
 
 STEP, SAMPLES = 0.01, 60_000
 TIME = STEP * np.arange(SAMPLES)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import static_record as generator
 
-from imubayes.noise_analysis import running_sum
-from imubayes.noise_analysis.running_sum import from_samples, sudden_change
+from imubayes_recordings.noise_analysis import running_sum
+from imubayes_recordings.noise_analysis.running_sum import from_samples, sudden_change
 
 STEP, SAMPLES = 0.1, 60_000
 TIME = STEP * np.arange(SAMPLES)

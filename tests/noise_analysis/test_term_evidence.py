@@ -4,11 +4,17 @@ import numpy as np
 import pytest
 import static_record as generator
 
-from imubayes.noise_analysis.cosine_spectra import cosine_statistics
-from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
-from imubayes.noise_analysis.noise_terms import NoiseTerm
-from imubayes.noise_analysis.running_sum import from_samples
-from imubayes.noise_analysis.term_estimates import BASIC, LEAST_EVIDENCE, TermEvidence, highest, term_evidence
+from imubayes_recordings.noise_analysis.cosine_spectra import cosine_statistics
+from imubayes_recordings.noise_analysis.likelihood import Maximum, NoiseLikelihood
+from imubayes_recordings.noise_analysis.noise_terms import NoiseTerm
+from imubayes_recordings.noise_analysis.running_sum import from_samples
+from imubayes_recordings.noise_analysis.term_estimates import (
+    BASIC,
+    LEAST_EVIDENCE,
+    TermEvidence,
+    highest,
+    term_evidence,
+)
 
 WALK, FLICKER, QUANTISATION = NoiseTerm.RANDOM_WALK, NoiseTerm.FLICKER, NoiseTerm.QUANTISATION
 FAINT_WALK = {"white": 1.0, "random_walk": 5e-3}

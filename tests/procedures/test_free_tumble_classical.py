@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import imubayes
-from imubayes.campaign.convert import convert
 from imubayes.procedures.free_tumble import tumble_test
 from imubayes.procedures.textbook import Estimate, Undetermined
+from imubayes_recordings.convert import convert
 
 GRAVITY, SCALE, BIAS = 9.81, np.array([1.004, 0.997, 1.002]), np.array([0.03, -0.02, 0.1])
 TILT = np.array([[1.0, 0.0, 0.0], [0.004, 1.0, 0.0], [-0.003, 0.006, 1.0]])

@@ -11,9 +11,9 @@ from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run,
 from imubayes.procedures import classical
 from imubayes.procedures.rotation_modulation import carrier
 from imubayes.procedures.textbook import Estimate
-from imubayes.results.corrected_outputs import corrected_run, estimate_carrier
 from imubayes.results.result import Residuals
 from imubayes.results.summary import Summary
+from imubayes_qualification.onboard.corrected_outputs import corrected_run, estimate_carrier
 
 LATITUDE, GRAVITY, DEGREE = np.radians(34.25), 9.797, np.pi / 180
 HOUR = DEGREE / 3600

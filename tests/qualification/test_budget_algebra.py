@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from imubayes.qualification.budget_parts import (
+from imubayes_qualification.budgets.budget_parts import (
     degrees_of_freedom,
     deviation_with_halved_groups,
     deviation_with_more_of_a_run,
     linear_contributions,
     posterior_covariance,
 )
-from imubayes.qualification.coverage import effective_degrees
+from imubayes_qualification.evaluation.coverage import effective_degrees
 
 RANDOM = np.random.default_rng(7)
 WHITENED = RANDOM.normal(size=(60, 6)) * np.array([30, 10, 3, 1, 0.3, 0.01])

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from imubayes.foundations.errors import InputError
-from imubayes.qualification.conformity import conformity, overall_outcome, resolved_limits
-from imubayes.qualification.coverage import KnownUncertainty
-from imubayes.qualification.posterior_quantities import PosteriorQuantities
-from imubayes.qualification.specification import read_specification
-from imubayes.qualification.temperature_range import ThermalModel
-from imubayes.qualification.unit_under_test import TestedUnit
+from imubayes.results.posterior_quantities import PosteriorQuantities
 from imubayes.results.summary import CombinationSummary, Quantity
+from imubayes.results.temperature_range import ThermalModel
+from imubayes_qualification.budgets.unit_under_test import TestedUnit
+from imubayes_qualification.certificate.conformity import conformity, overall_outcome, resolved_limits
+from imubayes_qualification.certificate.specification import read_specification
+from imubayes_qualification.evaluation.coverage import KnownUncertainty
 
 SIZE = 20_000
 HEAD = 'format = 1\nname = "test"\n'

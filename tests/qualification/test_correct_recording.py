@@ -8,17 +8,18 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.api import correct, fit, onboard_constants
+from imubayes.api import fit
 from imubayes.campaign import load_campaign
 from imubayes.campaign.run_tables import RowBatch
-from imubayes.display.corrected_readings import correction_lines
-from imubayes.display.onboard.formats import heading
 from imubayes.foundations.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
-from imubayes.qualification.onboard.correct_recording import Correction, ReadingNoise, RowTally, correction_of
-from imubayes.qualification.onboard.recording_files import open_recording
-from imubayes.qualification.onboard.response import (
+from imubayes_qualification.api.calibrated_unit import correct, onboard_constants
+from imubayes_qualification.display.corrected_readings import correction_lines
+from imubayes_qualification.display.onboard.formats import heading
+from imubayes_qualification.onboard.correct_recording import Correction, ReadingNoise, RowTally, correction_of
+from imubayes_qualification.onboard.recording_files import open_recording
+from imubayes_qualification.onboard.response import (
     SensorPosterior,
     complete_kinds,
     linear_response,
@@ -119,7 +120,7 @@ def test_gravity_that_nobody_measured_is_in_what_is_stated(result, tmp_path, mon
         constants = onboard_constants(result)
         spread = pl.read_csv(tmp_path / "out.csv")["force_norm_systematic_sd_m_s2"].to_numpy()
         rests[name] = spread, constants.sd("M[z,az]"), constants.sd("M[z,gz]"), told, heading(constants, ())
-        monkeypatch.setattr("imubayes.qualification.onboard.response.included_shifts", lambda fit: ())
+        monkeypatch.setattr("imubayes_qualification.onboard.response.included_shifts", lambda fit: ())
     (sd, scale, gyro, told, head), (own, own_scale, own_gyro, silent, bare) = rests.values()
     assert np.sqrt(sd**2 - own**2) == pytest.approx(50e-6 * G, rel=0.05)
     assert np.sqrt(scale**2 - own_scale**2) == pytest.approx(50e-6, rel=0.05)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imubayes.qualification.coverage import (
+from imubayes.inference.marginal import Marginal
+from imubayes_qualification.evaluation.coverage import (
     KnownUncertainty,
     coverage_factor,
     coverage_of,
@@ -14,7 +15,6 @@ from imubayes.qualification.coverage import (
     equivalent_degrees,
     shortest_interval,
 )
-from imubayes.qualification.marginal import Marginal
 
 SIZE = 16_000
 

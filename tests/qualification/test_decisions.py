@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imubayes.qualification.decision_rules import (
+from imubayes.inference.marginal import (
+    FittedMarginal,
+    Marginal,
+    digits_deserved,
+    fitted_to,
+    last_digit,
+    numerical_tolerance,
+)
+from imubayes_qualification.evaluation.decision_rules import (
     ACCEPTED,
     DecisionRule,
     MeasuredValue,
@@ -18,14 +26,6 @@ from imubayes.qualification.decision_rules import (
     decide,
     global_risks,
     guard_for_risk,
-)
-from imubayes.qualification.marginal import (
-    FittedMarginal,
-    Marginal,
-    digits_deserved,
-    fitted_to,
-    last_digit,
-    numerical_tolerance,
 )
 
 

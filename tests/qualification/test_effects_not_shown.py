@@ -8,22 +8,22 @@ import pytest
 
 from imubayes.criticism.diagnosis_record import Diagnosis, UndetectableEffect
 from imubayes.display.layout import report_text
-from imubayes.display.onboard.navigation import navigation_report
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import EffectSpec
-from imubayes.qualification.onboard.constants import body_inputs, onboard_constants
-from imubayes.qualification.onboard.effects_not_shown import effects_not_shown
-from imubayes.qualification.onboard.navigation_impact import (
+from imubayes.results.result import Result, result_of
+from imubayes_qualification.display.onboard.navigation import navigation_report
+from imubayes_qualification.onboard.constants import body_inputs, onboard_constants
+from imubayes_qualification.onboard.effects_not_shown import effects_not_shown
+from imubayes_qualification.onboard.navigation_impact import (
     HiddenEffects,
     NavigationImpact,
     level_mission,
     motion_of,
     navigation_impact,
 )
-from imubayes.qualification.onboard.record import OnboardConstants
-from imubayes.results.result import Result, result_of
+from imubayes_qualification.onboard.record import OnboardConstants
 from small_campaign import ACCEL_SCALE, GRAVITY, LATITUDE, campaign, simulated, spec
 
 MISSION = level_mission(60.0, LATITUDE)
@@ -83,7 +83,7 @@ def test_a_bias_over_temperature_moves_by_half_of_its_size_times_the_square_of_t
 def test_what_the_fit_takes_up_of_an_effect_is_counted(unit, monkeypatch):
     (seen,) = hidden_in(unit, "accel_quadratic").effects
     assert seen.size < 10.0  # these runs would show the largest size that is met
-    monkeypatch.setattr("imubayes.qualification.onboard.effects_not_shown._SHOWN", math.inf)
+    monkeypatch.setattr("imubayes_qualification.onboard.effects_not_shown._SHOWN", math.inf)
     (found,) = hidden_in(unit, "accel_quadratic").effects
     assert found.size == 50.0
     other = fitted(EffectSpec("accel_quadratic", prior={"quadratic": "normal(50 ug/g^2, 0.0001 ug/g^2)"}))

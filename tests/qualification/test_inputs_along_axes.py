@@ -7,10 +7,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.api import apply, correct, onboard_constants
-from imubayes.display.corrected_readings import inputs_lines
 from imubayes.foundations.errors import InputError
 from imubayes.results.result import read_result
+from imubayes_qualification.api.calibrated_unit import apply, correct, onboard_constants
+from imubayes_qualification.display.corrected_readings import inputs_lines
 
 ROOT = Path(__file__).parents[2]
 TRUTH = tomllib.loads((ROOT / "data" / "accel-channel" / "truth.toml").read_text())["parameters"]

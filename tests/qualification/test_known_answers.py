@@ -7,8 +7,8 @@ import pytest
 
 from imubayes.cli.main import run
 from imubayes.inference.fitted_model import Posterior
-from imubayes.noise_analysis.allan_deviation import AllanVariance
-from imubayes.qualification import known_answers
+from imubayes_qualification.evaluation import known_answers
+from imubayes_recordings.noise_analysis.allan_deviation import AllanVariance
 
 
 def wrong(answers) -> list[str]:

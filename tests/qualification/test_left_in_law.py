@@ -17,15 +17,15 @@ from imubayes.effects.shared_formulas import RunBias
 from imubayes.foundations.arrays import take
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.problem import Problem, predict, row_means, signal_path, values_of
-from imubayes.qualification.onboard.correct_recording import correction_of, left_in_sd
-from imubayes.qualification.onboard.inputs_along_axes import effects_left_in
-from imubayes.qualification.onboard.response import TEMPERATURES, sensor_posterior
-from imubayes.qualification.onboard.unexpressed_effects import (
+from imubayes.results.result import Result
+from imubayes_qualification.onboard.correct_recording import correction_of, left_in_sd
+from imubayes_qualification.onboard.inputs_along_axes import effects_left_in
+from imubayes_qualification.onboard.response import TEMPERATURES, sensor_posterior
+from imubayes_qualification.onboard.unexpressed_effects import (
     input_ranges,
     modelled_outputs,
     unexpressed_effects,
 )
-from imubayes.results.result import Result
 from planted_result import planted
 from small_campaign import at_null, whole_catalogue
 

@@ -9,7 +9,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.api import correct, fit
+from imubayes.api import fit
+from imubayes_qualification.api.calibrated_unit import correct
 
 ROOT = Path(__file__).parents[2]
 DESK = ROOT / "data" / "desk-imu"

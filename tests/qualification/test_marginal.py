@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.qualification.marginal import FittedMarginal, Marginal, _likeliest
+from imubayes.inference.marginal import FittedMarginal, Marginal, _likeliest
 
 
 def test_slopes_of_the_log_density_are_its_derivatives():

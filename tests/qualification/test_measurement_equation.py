@@ -9,20 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.display.qualification.equations import mathml, plain, typst_mathematics
 from imubayes.effects.base import Order, RecordEffect, SignalEffect, Stage
 from imubayes.foundations.arrays import Scalar
 from imubayes.foundations.covariates import ambient_names
 from imubayes.foundations.signal_path_state import Ambient, Sample
 from imubayes.model.effect_registry import Registry
 from imubayes.parameters.declarations import declared_options, declared_parameters, parameter
-from imubayes.qualification.measurement_equation import (
+from imubayes_qualification.budgets.measurement_equation import (
     EquationLine,
     Expression,
     _covariate_symbol,
     formula,
     symbol,
 )
+from imubayes_qualification.display.report.equations import mathml, plain, typst_mathematics
 
 EFFECTS = {
     name: effect

@@ -7,14 +7,14 @@ import polars as pl
 import pytest
 
 from imubayes.foundations.errors import InputError
-from imubayes.qualification.onboard.navigation_impact import (
+from imubayes_qualification.onboard.navigation_impact import (
     COLUMNS,
     Mission,
     level_mission,
     navigation_impact,
     read_mission,
 )
-from imubayes.qualification.onboard.record import (
+from imubayes_qualification.onboard.record import (
     Constant,
     OnboardConstants,
     ThermalPolynomial,

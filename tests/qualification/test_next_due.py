@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from imubayes.qualification.repeatability import ComparedQuantity, next_due
+from imubayes.results.repeatability import ComparedQuantity, next_due
 
 
 def due(first, first_sd, second, second_sd, apart, days=100.0, lower=-math.inf, upper=math.inf):

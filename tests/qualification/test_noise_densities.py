@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from imubayes.foundations.errors import InputError
-from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, TermRecord, of_record
-from imubayes.noise_analysis.noise_terms import NoiseTerm
-from imubayes.qualification.onboard.losses import of_triad, read_noise, refuse_other_unit
-from imubayes.qualification.onboard.record import ThermalPolynomial, TriadConstants
+from imubayes_qualification.onboard.losses import of_triad, read_noise, refuse_other_unit
+from imubayes_qualification.onboard.record import ThermalPolynomial, TriadConstants
+from imubayes_recordings.noise_analysis.noise_record import ChannelNoise, StaticNoise, TermRecord, of_record
+from imubayes_recordings.noise_analysis.noise_terms import NoiseTerm
 from small_campaign import ACCEL_SCALE, GRAVITY, GYRO_SCALE, campaign
 
 DEGREE, HOUR = math.pi / 180, 3600.0

@@ -7,12 +7,12 @@ import pytest
 
 from imubayes.criticism.diagnosis_record import Diagnosis, RankedEffect
 from imubayes.criticism.explanation_records import CoefficientEstimate
-from imubayes.qualification.posterior_quantities import PosteriorQuantities
-from imubayes.qualification.report_estimates import _not_measured, _screened, standard_estimates
-from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES
-from imubayes.qualification.temperature_range import ThermalModel
-from imubayes.qualification.unit_under_test import TestedUnit, with_standards
+from imubayes.results.posterior_quantities import PosteriorQuantities
 from imubayes.results.summary import Quantity
+from imubayes.results.temperature_range import ThermalModel
+from imubayes_qualification.budgets.standard_quantities import STANDARD_QUANTITIES
+from imubayes_qualification.budgets.unit_under_test import TestedUnit, with_standards
+from imubayes_qualification.certificate.report_estimates import _not_measured, _screened, standard_estimates
 from small_campaign import channels
 
 SIZE = 4000

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 import yaml
 
-from imubayes.display.onboard.formats import ExportOptions, losses_of, write_constants
-from imubayes.display.onboard.kalibr import kalibr_yaml
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.units import BIAS_CONVENTION
-from imubayes.qualification.onboard.constants import body_inputs
-from imubayes.qualification.onboard.losses import NoiseDensity
-from imubayes.qualification.onboard.record import (
+from imubayes_qualification.display.onboard.formats import ExportOptions, losses_of, write_constants
+from imubayes_qualification.display.onboard.kalibr import kalibr_yaml
+from imubayes_qualification.onboard.constants import body_inputs
+from imubayes_qualification.onboard.losses import NoiseDensity
+from imubayes_qualification.onboard.record import (
     CONVENTIONS,
     Constant,
     OnboardConstants,

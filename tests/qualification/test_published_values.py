@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from imubayes.qualification.budget_parts import degrees_of_freedom, linear_contributions, posterior_covariance
-from imubayes.qualification.decision_rules import ToleranceInterval, conformance_probability
-from imubayes.qualification.marginal import Marginal, numerical_tolerance
+from imubayes.inference.marginal import Marginal, numerical_tolerance
+from imubayes_qualification.budgets.budget_parts import degrees_of_freedom, linear_contributions, posterior_covariance
+from imubayes_qualification.evaluation.decision_rules import ToleranceInterval, conformance_probability
 
 READING = np.array([21.521, 22.012, 22.512, 23.003, 23.507, 23.999, 24.513, 25.002, 25.503, 26.010, 26.511])
 CORRECTION = np.array([-0.171, -0.169, -0.166, -0.159, -0.164, -0.165, -0.156, -0.157, -0.159, -0.161, -0.160])

@@ -8,14 +8,14 @@ truly inside has to be 0.90 ± 0.03, and a guard band of 1.65 u may accept 5 % o
 import numpy as np
 import pytest
 
-from imubayes.qualification.decision_rules import (
+from imubayes.inference.marginal import Marginal
+from imubayes_qualification.evaluation.decision_rules import (
     DecisionRule,
     MeasuredValue,
     ToleranceInterval,
     conformance_probability,
     decide,
 )
-from imubayes.qualification.marginal import Marginal
 
 UNITS, DRAWS, U = 2000, 2000, 0.4
 TOLERANCE = ToleranceInterval(-2.0, 2.0)

@@ -4,10 +4,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.qualification.posterior_quantities import PosteriorQuantities
-from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
-from imubayes.qualification.unit_under_test import inputs_over_range
+from imubayes.results.posterior_quantities import PosteriorQuantities
 from imubayes.results.summary import Quantity
+from imubayes_qualification.budgets.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
+from imubayes_qualification.budgets.unit_under_test import inputs_over_range
 from small_campaign import channels
 
 RATES = np.array([-300.0, -150, -60, -20, -10, 0, 10, 20, 60, 150, 300])

@@ -10,10 +10,10 @@ from imubayes.api import Result, fit
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.model.model_file import read_model
-from imubayes.qualification.conformity import assess
-from imubayes.qualification.posterior_quantities import posterior_quantities
-from imubayes.qualification.report_budgets import unit_with_budgets
-from imubayes.qualification.uncertainty_budget import BudgetArrays, FunctionOfQuantities, budget_of
+from imubayes.results.posterior_quantities import posterior_quantities
+from imubayes_qualification.budgets.report_budgets import unit_with_budgets
+from imubayes_qualification.budgets.uncertainty_budget import BudgetArrays, FunctionOfQuantities, budget_of
+from imubayes_qualification.certificate.conformity import assess
 
 ROOT = Path(__file__).parents[2]
 NAMES = ["converter_gain_drift.slope[ax]", "accel_scale_factor.scale[ax]", "accel_bias.bias[ax]", "scale_factor[ax]"]

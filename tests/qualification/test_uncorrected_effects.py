@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from imubayes.display.corrected_readings import correction_lines
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import EffectSpec, ModelSpec
-from imubayes.qualification.onboard.correct_recording import RowTally, correction_of
-from imubayes.qualification.onboard.recording_files import CorrectedRecording
-from imubayes.qualification.onboard.response import sensor_posterior
-from imubayes.qualification.onboard.unexpressed_effects import input_ranges, unexpressed_effects
 from imubayes.results.result import Result, result_of
+from imubayes_qualification.display.corrected_readings import correction_lines
+from imubayes_qualification.onboard.correct_recording import RowTally, correction_of
+from imubayes_qualification.onboard.recording_files import CorrectedRecording
+from imubayes_qualification.onboard.response import sensor_posterior
+from imubayes_qualification.onboard.unexpressed_effects import input_ranges, unexpressed_effects
 from small_campaign import GRAVITY, simulated, wide_campaign
 
 WIDTH, COEFFICIENT, TAU = 100e-6 * GRAVITY, 300e-6 * GRAVITY, 1000.0

@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 from imubayes.api import fit
+from imubayes.inference.marginal import Marginal, digits_deserved, numerical_tolerance
 from imubayes.inference.run_fit import LAPLACE_DRAWS
-from imubayes.qualification.marginal import Marginal, digits_deserved, numerical_tolerance
-from imubayes.qualification.posterior_quantities import draws_lacking, posterior_quantities
+from imubayes.results.posterior_quantities import draws_lacking, posterior_quantities
 from imubayes.results.result import Result
 from imubayes.results.summary import is_constant
 
@@ -41,7 +41,7 @@ def test_the_draws_of_a_normal_posterior_leave_a_digit_whatever_it_is():
 
 @pytest.mark.slow
 def test_draws_are_made_until_every_quantity_deserves_a_digit(monkeypatch):
-    monkeypatch.setattr("imubayes.qualification.posterior_quantities.LAPLACE_DRAWS", 1000)
+    monkeypatch.setattr("imubayes.results.posterior_quantities.LAPLACE_DRAWS", 1000)
     result = fit(CAMPAIGN, MODEL, sample=False, until_digits=1)
     assert result.fit.posterior is not None
     # So few draws withhold some numbers.

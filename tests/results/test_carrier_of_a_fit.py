@@ -12,7 +12,7 @@ from simulate import write_simulated
 
 import imubayes.api
 from imubayes.campaign import load_campaign
-from imubayes.results.corrected_outputs import KINDS, corrected_run, estimate_carrier
+from imubayes_qualification.onboard.corrected_outputs import KINDS, corrected_run, estimate_carrier
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "models" / "rotation-modulation.toml"

@@ -14,8 +14,8 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.parameter_fit import fit_at
 from imubayes.inference.run_fit import joint_fit
-from imubayes.qualification import repeatability as module
-from imubayes.qualification.repeatability import Repeatability, repeatability_of
+from imubayes.results import repeatability as module
+from imubayes.results.repeatability import Repeatability, repeatability_of
 
 sys.path.insert(0, str(ROOT / "data" / "generators"))
 PAIRS = 6

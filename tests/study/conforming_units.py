@@ -18,22 +18,22 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.batch.fit_unit import posteriors
-from imubayes.batch.lanes import LANES, LaneStructure, find_modes
 from imubayes.compiled.jax_settings import prepare_jax
 from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.marginal import Marginal
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import EffectSpec, ModelSpec
-from imubayes.qualification.decision_rules import (
+from imubayes_archive.batch.fit_unit import posteriors
+from imubayes_archive.batch.lanes import LANES, LaneStructure, find_modes
+from imubayes_qualification.evaluation.decision_rules import (
     DecisionRule,
     MeasuredValue,
     ToleranceInterval,
     conformance_probability,
     decide,
 )
-from imubayes.qualification.marginal import Marginal
 
 prepare_jax()
 

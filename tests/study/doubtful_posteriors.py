@@ -18,11 +18,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "batch"))
 from small_units import MODEL, change_readings, edit, make_units
 
-from imubayes.batch.fit_unit import WeightShape, bound_to, joint_normal_vectors, weight_shape
 from imubayes.campaign import load_campaign
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.model_file import read_model
+from imubayes_archive.batch.fit_unit import WeightShape, bound_to, joint_normal_vectors, weight_shape
 
 REPORT = Path(__file__).parents[2] / "benchmarks" / "results" / "doubtful_posteriors.md"
 UNITS, STATED, TIMES = 200, 4e-4, (0.0, 10.0, 100.0)

@@ -22,11 +22,11 @@ from scipy.signal import lfilter
 sys.path.insert(0, str(Path(__file__).parent))
 from static_record_study import REPORT, generator, replaced
 
-from imubayes.noise_analysis.cosine_spectra import cosine_statistics
-from imubayes.noise_analysis.likelihood import NoiseLikelihood
-from imubayes.noise_analysis.noise_terms import NoiseTerm
-from imubayes.noise_analysis.running_sum import from_samples
-from imubayes.noise_analysis.term_estimates import NoiseEstimate, estimate_terms
+from imubayes_recordings.noise_analysis.cosine_spectra import cosine_statistics
+from imubayes_recordings.noise_analysis.likelihood import NoiseLikelihood
+from imubayes_recordings.noise_analysis.noise_terms import NoiseTerm
+from imubayes_recordings.noise_analysis.running_sum import from_samples
+from imubayes_recordings.noise_analysis.term_estimates import NoiseEstimate, estimate_terms
 
 HEADING = "## False terms"
 SEED, RECORDS, SAMPLES = 20270, 200, 4096

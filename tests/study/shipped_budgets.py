@@ -28,13 +28,13 @@ from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.parameters.declarations import Layout, Priors
 from imubayes.parameters.priors import Normal
-from imubayes.qualification.decision_rules import ADDS_UP
-from imubayes.qualification.report_budgets import functions_of_quantities, unit_with_budgets
-from imubayes.qualification.uncertainty_budget import BudgetArrays, budget_of
-from imubayes.qualification.unit_under_test import unit_under_test
 from imubayes.results.result import Result, read_result, result_of
 from imubayes.results.stored_tables import draws_of
 from imubayes.results.summary import is_constant
+from imubayes_qualification.budgets.report_budgets import functions_of_quantities, unit_with_budgets
+from imubayes_qualification.budgets.uncertainty_budget import BudgetArrays, budget_of
+from imubayes_qualification.budgets.unit_under_test import unit_under_test
+from imubayes_qualification.evaluation.decision_rules import ADDS_UP
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = sorted(file.parent.name for file in (ROOT / "data").glob("*/campaign.toml"))

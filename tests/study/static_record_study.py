@@ -18,11 +18,11 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "data" / "generators"))
 import static_record as generator  # noqa: E402
 
-from imubayes.noise_analysis.cosine_spectra import cosine_statistics  # noqa: E402
-from imubayes.noise_analysis.likelihood import NoiseLikelihood  # noqa: E402
-from imubayes.noise_analysis.noise_terms import NoiseTerm  # noqa: E402
-from imubayes.noise_analysis.running_sum import from_samples  # noqa: E402
-from imubayes.noise_analysis.term_estimates import TermEstimate, estimate_terms  # noqa: E402
+from imubayes_recordings.noise_analysis.cosine_spectra import cosine_statistics  # noqa: E402
+from imubayes_recordings.noise_analysis.likelihood import NoiseLikelihood  # noqa: E402
+from imubayes_recordings.noise_analysis.noise_terms import NoiseTerm  # noqa: E402
+from imubayes_recordings.noise_analysis.running_sum import from_samples  # noqa: E402
+from imubayes_recordings.noise_analysis.term_estimates import TermEstimate, estimate_terms  # noqa: E402
 
 REPORT = ROOT / "benchmarks" / "results" / "static_record.md"
 HEADING = "## Coverage"

@@ -9,9 +9,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from conforming_units import MODEL, UNITS, Shares, fitted_units, marginals_of, study, unit_of
 
-from imubayes.batch.fit_unit import joint_normal_vectors
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
+from imubayes_archive.batch.fit_unit import joint_normal_vectors
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from false_terms_study import SAMPLES, SHORT, Combination, counted
 
-from imubayes.noise_analysis.noise_terms import NoiseTerm
+from imubayes_recordings.noise_analysis.noise_terms import NoiseTerm
 
 RECORDS, SEED = 60, 20271
 MOST_FALSE = 5  # of 60 records: at 2 % six or more are seen in 0.1 % of such tests

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from imubayes.batch.population_search import Structure, UnitCovariate, search
-from imubayes.batch.population_structure import UnitEstimates
+from imubayes_archive.population.population_search import Structure, UnitCovariate, search
+from imubayes_archive.population.population_structure import UnitEstimates
 
 UNITS, PARAMETERS, WIDTH, APART = 60, 8, 30.0, 4.0
 

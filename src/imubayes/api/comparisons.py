@@ -6,13 +6,10 @@ from pathlib import Path
 from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.errors import input_error
+from imubayes.foundations.extensions import answer_to
 from imubayes.foundations.records import several
-from imubayes.qualification.conformity import resolved_limits
-from imubayes.qualification.repeatability import NextDue, Repeatability, next_due, repeatability_of
-from imubayes.qualification.specification import read_specification
-from imubayes.qualification.unit_under_test import unit_under_test
 from imubayes.results.prediction import RunPrediction, broad_scales, prediction
+from imubayes.results.repeatability import Repeatability, repeatability_of
 from imubayes.results.result import Result, opened
 
 
@@ -90,22 +87,6 @@ def repeatability(
         one, other = opened(first), opened(second)
         scales = broad_scales(one), broad_scales(other)
         found = repeatability_of(one.fit, other.fit, scales, several(changed), any_unit, tell)
-        return found if limits is None else found.model_copy(update={"due": _due(found, other, Path(limits))})
-
-
-def _due(found: Repeatability, later: Result, limits: Path) -> tuple[NextDue, ...]:
-    """Return when each quantity with limits reaches them, soonest first."""
-    if not found.days or found.days < 0:
-        raise input_error(
-            "a drift needs the dates of both calibrations, the later one second",
-            "start of the runs in campaign.toml",
-            "start = 2026-01-31T08:00:00Z in the first run of each",
-            "state them, or exchange the results",
-        )
-    compared = {each.name: each for each in found.quantities}
-    dues = [
-        next_due(each, found.days, limit.tolerance.lower, limit.tolerance.upper)
-        for limit in resolved_limits(*read_specification(limits), unit_under_test(later))
-        if (each := compared.get(limit.quantity.name)) is not None and each.unit == limit.quantity.unit
-    ]
-    return tuple(sorted(dues, key=lambda due: float("inf") if due.days is None else due.days))
+        if limits is None:
+            return found
+        return found.model_copy(update={"due": answer_to("repeatability.limits")(found, other, Path(limits))})

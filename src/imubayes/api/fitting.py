@@ -12,6 +12,7 @@ from imubayes.campaign import load_campaign
 from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import Issue, refuse
+from imubayes.foundations.extensions import answer_to, extensions
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
@@ -23,9 +24,7 @@ from imubayes.results.result import Result, read_result, result_of
 from imubayes.results.result_folder import write_result
 
 # What only a sampled fit needs.
-posterior_quantities: Any = lazy_loader.load("imubayes.qualification.posterior_quantities", suppress_warning=True)
-prior_of_archive: Any = lazy_loader.load("imubayes.batch.prior_of_archive", suppress_warning=True)
-report_budgets: Any = lazy_loader.load("imubayes.qualification.report_budgets", suppress_warning=True)
+posterior_quantities: Any = lazy_loader.load("imubayes.results.posterior_quantities", suppress_warning=True)
 
 
 def fit(
@@ -84,10 +83,19 @@ def fit(
         result = result_of(fitted, folder, seed, load_seconds)
         if folder is not None:
             result = write_result(result, node_of(fitted.model, result.summary, seed))
-        if folder is not None and sample:  # a quick fit of the loop leaves them to its first report
-            tell("uncertainty budgets")
-            report_budgets.keep_budgets(result)
+        if folder is not None and sample:
+            keep_beside(result, tell)
     return result
+
+
+def keep_beside(result: Result, progress: Callable[[str], None]) -> None:
+    """Let the packages beside the kernel keep their own in the folder of a sampled result, while its model is compiled.
+
+    The quick fits of the loop leave that to the commands that need it.
+    """
+    for name, entry in extensions("results").items():
+        progress(name)
+        entry.load()(result)
 
 
 def _checkpoint(model: Model, folder: Path | None) -> Path | None:
@@ -141,5 +149,5 @@ def bound(
     spec = model if isinstance(model, ModelSpec) else read_model(model)
     if population is not None:
         with progress_of(progress) as tell:
-            spec = prior_of_archive.given_archive(spec, population, loaded, tell)
+            spec = answer_to("fit.population")(spec, population, loaded, tell)
     return bind(spec, loaded)

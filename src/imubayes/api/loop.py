@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
 
-from imubayes.api.fitting import bound
+from imubayes.api.fitting import bound, keep_beside
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.display.progress import progress_of
@@ -25,7 +25,6 @@ from imubayes.loop.refit import Refit
 from imubayes.model.bind import bind
 from imubayes.model.effect_registry import names_in
 from imubayes.model.model_file import ModelSpec, read_model
-from imubayes.qualification.report_budgets import keep_budgets
 from imubayes.results import change_records as changes
 from imubayes.results.change_records import ModelChange
 from imubayes.results.folder_files import CHECKPOINT
@@ -306,20 +305,14 @@ def _changed(
             added_variable=changes.added_variable(refit.change) if change.added else None,
             selection=next_selection(parent) if parent is not None and change.taken else 0,
         )
-        _keep_budgets_of(written, refit)
+        if refit.fit.posterior is not None and refit.fit.posterior.chains is not None and not refit.objection:
+            keep_beside(written, tell)
     return change.with_result(written)
 
 
 def _words(effects: Sequence[str]) -> list[str]:
     """Return the names of effects; a Python file stands for those that it defines."""
     return [name for word in effects for name in (names_in(word) if word.endswith(".py") else (word,))]
-
-
-def _keep_budgets_of(after: Result, refit: Refit) -> None:
-    """Keep the budgets of a refit that was sampled and taken: the quick ones of the loop leave them to a report."""
-    posterior = refit.fit.posterior
-    if posterior is not None and posterior.chains is not None and not refit.objection:
-        keep_budgets(after)
 
 
 def _named(

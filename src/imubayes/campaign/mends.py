@@ -14,11 +14,12 @@ import polars as pl
 import tomlkit
 
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
-from imubayes.campaign.convert.column_names import TIME
 from imubayes.campaign.file_schemas import CampaignFile
-from imubayes.foundations.covariates import recorded_columns
+from imubayes.foundations.covariates import COVARIATES, recorded_columns
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import new_folder, refuse_occupied
+
+_TIME = COVARIATES["time"].column
 
 
 def mend_campaign(folder: Path, copy: Path) -> tuple[str, ...]:
@@ -100,12 +101,12 @@ def _of_table(table: Path, channels: Sequence[str], where: str) -> Iterator[str]
     with table.open(encoding="utf-8-sig") as stream:
         header, *lines = stream.read().splitlines() or [""]
     names = header.split(",")
-    words = [TIME, "samples", *recorded_columns(), *channels, *(f"{name}_sd" for name in channels)]
+    words = [_TIME, "samples", *recorded_columns(), *channels, *(f"{name}_sd" for name in channels)]
     right = [_allowed(name, [word for word in words if word not in names]) or name for name in names]
     mends = [f"{where}: column '{old}' → '{new}'" for old, new in zip(names, right, strict=True) if old != new]
-    if TIME in right:
-        lines, late = _in_order(lines, right.index(TIME))
-        mends += [f"{where}: {late} steps back in time, rows put in order of {TIME}"] if late else []
+    if _TIME in right:
+        lines, late = _in_order(lines, right.index(_TIME))
+        mends += [f"{where}: {late} steps back in time, rows put in order of {_TIME}"] if late else []
     if mends:
         table.write_text("\n".join([",".join(right), *lines]) + "\n", encoding="utf-8")
     yield from mends

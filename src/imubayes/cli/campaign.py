@@ -1,13 +1,12 @@
-"""Commands on campaigns before a fit: `imubayes check`, `effects`, `noise`, `schema` and `simulate`.
+"""Commands on campaigns before a fit: `imubayes check`, `effects`, `schema` and `simulate`.
 
-`check` says what is there, and what is wrong.  `effects` shows the catalogue.  `noise` gives Allan deviation and noise
-terms of static records.  `schema` prints the JSON Schema of the files, for editors and readers of results.  `simulate`
-makes a synthetic campaign from a plan, with a truth file.  `selftest` computes what is known already.
+`check` says what is there, and what is wrong.  `effects` shows the catalogue.  `schema` prints the JSON Schema of the
+files, for editors and readers of results.  `simulate` makes a synthetic campaign from a plan, with a truth file.
 """
 
 import json
 import sys
-from importlib import import_module
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,20 +15,18 @@ from cyclopts import Parameter
 from imubayes.cli.session import (
     Flag,
     Json,
-    Names,
     Trust,
     progress,
     show,
-    split,
     start_jax,
     trusting,
 )
 from imubayes.foundations.errors import closest_first, input_error
+from imubayes.foundations.extensions import extensions
 
 if TYPE_CHECKING:
     from imubayes.campaign import Inspection
     from imubayes.display.check_report import CheckedModel
-    from imubayes.display.layout import Report
 
 
 def check(
@@ -139,84 +136,25 @@ def effects(name: str | None = None, *, campaign: Annotated[Path | None, Paramet
         print_catalogue()
 
 
-def noise(
-    campaign: Path,
-    *,
-    runs: Names = None,
-    out: Path | None = None,
-    shortest_tau: float = 0.0,
-    sample_rate: float | None = None,
-    robust: Flag = False,
-    as_json: Json = False,
-) -> int:
-    """Estimate the noise terms of static records by likelihood, and their Allan deviations.
-
-    Example: imubayes noise data/static-record --out results/noise
-
-    Parameters
-    ----------
-    campaign
-        Folder with campaign.toml.
-    runs
-        Runs of procedure static_record; by default all of them.
-    out
-        Folder to write: noise.json, the Allan deviation of every run as a figure, imu.yaml for kalibr, and
-        noise-priors.toml, the terms as priors for models of other campaigns of the unit (key `noise_priors`).
-    shortest_tau
-        Shortest averaging time in s that the terms have to describe; above 0 if a filter shapes the noise of
-        single samples.
-    sample_rate
-        Sampling rate in Hz of the raw data of those campaigns, for the priors; by default that of the record.
-    robust
-        Leave out stretches in which the unit did not rest: steps on the floor, a hand on the bench.
-    as_json
-        Print one JSON object on standard output.
-    """
-    from imubayes.campaign import load_campaign
-    from imubayes.noise_analysis.noise_record import static_noise
-
-    for name, value in (("--shortest-tau", shortest_tau), ("--sample-rate", sample_rate or 0.0)):
-        if not 0 <= value < float("inf"):
-            raise input_error(f"a value of {value:g}", name, "a number above 0", "correct it")
-    written: list[Path] = []
-    with progress("reading the campaign") as tell:
-        read = load_campaign(campaign)
-        found = static_noise(read, split(runs) or (), shortest_tau, tell, robust)
-        if out is not None:
-            from imubayes.display.noise_report import write_noise
-            from imubayes.noise_analysis.noise_record import of_record
-
-            tell("drawing")
-            out.mkdir(parents=True, exist_ok=True)
-            written = write_noise(out, found, sample_rate, of_record(found, read))
-
-    def report() -> "Report":
-        from imubayes.display.noise_report import noise_report  # it brings Matplotlib
-
-        return noise_report(found)
-
-    show(lambda: found, report, as_json)
-    for file in written if not as_json else ():
-        print(f"wrote {file}")
-    return 0 if all(channel.converged for channel in found.channels) else 1
-
-
-_RECORDS = {
-    "campaign": ("imubayes.campaign.file_schemas", "CampaignFile"),
-    "model": ("imubayes.campaign.file_schemas", "ModelFile"),
-    "plan": ("imubayes.simulation.test_plan", "PlanFile"),
-    "specification": ("imubayes.qualification.specification", "SpecificationFile"),
-    "certificate": ("imubayes.qualification.certificate", "CertificateFile"),
-    "constants": ("imubayes.qualification.onboard.record", "OnboardConstants"),
-    "diagnosis": ("imubayes.criticism.diagnosis_record", "Diagnosis"),
-    "change": ("imubayes.results.change_records", "ModelChange"),
-    "history": ("imubayes.loop.model_history", "Node"),
-    "fit": ("imubayes.results.fit_file", "FitRecord"),
-    "report": ("imubayes.qualification.report_record", "QualificationReport"),
-    "manifest": ("imubayes.results.folder_files", "Manifest"),
-    "summary": ("imubayes.results.summary", "Summary"),
+_SCHEMAS = "imubayes.schemas"
+_OF_KERNEL = {
+    "campaign": "imubayes.campaign.file_schemas:CampaignFile",
+    "model": "imubayes.campaign.file_schemas:ModelFile",
+    "plan": "imubayes.simulation.test_plan:PlanFile",
+    "diagnosis": "imubayes.criticism.diagnosis_record:Diagnosis",
+    "change": "imubayes.results.change_records:ModelChange",
+    "history": "imubayes.loop.model_history:Node",
+    "fit": "imubayes.results.fit_file:FitRecord",
+    "manifest": "imubayes.results.folder_files:Manifest",
+    "summary": "imubayes.results.summary:Summary",
 }
-"""Kind of file → module and name of its pydantic record."""
+"""Kind of file → its pydantic record; packages beside the kernel add theirs."""
+
+
+def kinds_of_files() -> dict[str, EntryPoint]:
+    """Return the pydantic record of each kind of file, loaded when it is asked for."""
+    own = {kind: EntryPoint(kind, record, _SCHEMAS) for kind, record in _OF_KERNEL.items()}
+    return {**own, **extensions("schemas")}
 
 
 def schema(kind: str) -> None:
@@ -230,12 +168,12 @@ def schema(kind: str) -> None:
         campaign (campaign.toml), model, plan, specification, certificate; report; constants (of `imubayes export`);
         summary, fit, diagnosis, change, history or manifest (JSON files of a result).
     """
-    if kind not in _RECORDS:
-        allowed = closest_first(kind, _RECORDS)
+    kinds = kinds_of_files()
+    if kind not in kinds:
+        allowed = closest_first(kind, kinds)
         raise input_error(f"there is no schema '{kind}'", "argument KIND", allowed, "use one of the allowed kinds")
-    module, record = _RECORDS[kind]
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    print(json.dumps(dialect | getattr(import_module(module), record).model_json_schema(), indent=1))
+    print(json.dumps(dialect | kinds[kind].load().model_json_schema(), indent=1))
 
 
 def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = False) -> None:
@@ -263,27 +201,3 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = F
         tell("simulating")
         folder = simulate_plan(plan, out, seed)
     print(f"campaign in {folder}, truth in {folder / 'truth.toml'}; next: imubayes check {folder}")
-
-
-def selftest(as_json: Json = False) -> int:
-    """Compute published values, and a campaign whose answer is known by construction: for the records of a laboratory.
-
-    Allan deviations (NIST SP 1065), propagation (JCGM 101), conformity (JCGM 106), sampling (GUM H.3) and a joint fit.
-    The exit status is 1 if a value differs.
-
-    Example: imubayes selftest
-
-    Parameters
-    ----------
-    as_json
-        Print one JSON object on standard output.
-    """
-    with progress() as tell:
-        start_jax("known answers")
-        from imubayes.api import selftest as known_answers
-        from imubayes.display.own_equation import selftest_record, selftest_report
-
-        answers = known_answers(tell)
-        record = selftest_record(answers)
-    show(lambda: record, lambda: selftest_report(record), as_json)
-    return 0 if all(answer.agrees for answer in answers) else 1

@@ -9,34 +9,39 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import chain
 from pathlib import Path
 from typing import Any, NoReturn
 
 import cyclopts
 
 from imubayes import __version__
-from imubayes.cli.batch import archive, batch
-from imubayes.cli.calibrated_unit import apply, carrier, export, mission, report
-from imubayes.cli.campaign import check, effects, noise, schema, selftest, simulate
+from imubayes.cli.campaign import check, effects, schema, simulate
 from imubayes.cli.examples import demo, example
-from imubayes.cli.explore import explore
 from imubayes.cli.fit import classical, compare, fit, predict
 from imubayes.cli.loop import add, diagnose, history, plant, refit, remove
+from imubayes.cli.registration import GROUPS, Command
 from imubayes.cli.session import numbers_apart
 from imubayes.foundations.errors import InputError, Issue, NotKept, closest_first
+from imubayes.foundations.extensions import extensions
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Characters that steer a terminal: they come from names in files, and are shown as numbers.
 _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
 _COLLECTION_THRESHOLD = 2_000_000
-# In the order of work: what `imubayes --help` shows together.
-_GROUPS = {
-    "The loop": (demo, fit, compare, predict, diagnose, add, remove, refit, history, explore, plant),
-    "Data": (example, check, noise, classical, carrier, effects, simulate, schema, selftest),
-    "Results": (report, apply, export, mission),
-    "Many units": (archive, batch),
-}
+_LOOP = (demo, fit, compare, predict, diagnose, add, remove, refit, history)
+_COMMANDS = (
+    *(Command(call, "The loop", place) for place, call in enumerate(_LOOP)),
+    Command(plant, "The loop", 10),
+    Command(example, "Data", 0),
+    Command(check, "Data", 1),
+    Command(classical, "Data", 3),
+    Command(effects, "Data", 5),
+    Command(simulate, "Data", 6),
+    Command(schema, "Data", 7),
+)
+"""Commands of the kernel; those of the packages beside it have places between them."""
 
 app = cyclopts.App(
     name="imubayes",
@@ -47,45 +52,10 @@ app = cyclopts.App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-_ordered = {name: cyclopts.Group(name, sort_key=place) for place, name in enumerate(_GROUPS)}
-for _group, _commands in _GROUPS.items():
-    for _place, _command in enumerate(_commands):
-        if isinstance(_command, cyclopts.App):
-            _command.group, _command.sort_key = _ordered[_group], _place
-            app.command(_command)
-        else:
-            app.command(_command, group=_ordered[_group], sort_key=_place)
-# Its options are a dataclass of the campaign package: imported only when the command runs; its help stands here, or
-# `imubayes --help` would import it as well.
-app.command(
-    "imubayes.cli.convert:convert",
-    name="convert",
-    group=_ordered["Data"],
-    sort_key=-1,
-    help="Convert a recording of any format into a campaign folder.\n\n"
-    "Example: imubayes convert acc.mat gyro.mat --out campaigns/xsens --accel-unit count --gyro-unit count "
-    "--gravity-m-s2 9.81744",
-)
-
-app.command(
-    "imubayes.cli.convert:new",
-    name="new",
-    group=_ordered["Data"],
-    sort_key=-2,
-    help="Begin: a commented campaign of a recording, and a model with the effects that its runs can determine.\n\n"
-    "Example: imubayes new campaigns/desk imu.csv --gravity-m-s2 9.81",
-)
-
-app.command(
-    "imubayes.cli.capture:capture",
-    name="capture",
-    group=_ordered["Data"],
-    sort_key=-1,
-    help="Record a unit turned by hand: hold, enough, turn to …, until the rests determine the requested "
-    "quantities.\n\n"
-    "Example: imubayes capture campaigns/desk --from port.log --until accel_bias=0.2mg --gravity-m-s2 9.81; "
-    "cat /dev/ttyUSB0 | imubayes capture campaigns/desk --from - --gravity-m-s2 9.81",
-)
+_ordered = {name: cyclopts.Group(name, sort_key=place) for place, name in enumerate(GROUPS)}
+_beside = chain.from_iterable(entry.load() for entry in extensions("commands").values())
+for _command in chain(_COMMANDS, _beside):
+    _command.add_to(app, _ordered[_command.group])
 
 app.register_install_completion_command()
 

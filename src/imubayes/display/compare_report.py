@@ -41,11 +41,11 @@ from imubayes.foundations.quantity_names import family_of
 from imubayes.foundations.records import several
 from imubayes.model.model_file import read_model
 from imubayes.procedures import classical
-from imubayes.qualification.temperature_range import ThermalModel, thermal_model
 from imubayes.results.folder_files import CAPTIONS, FIGURES, MODEL, PAGE, POSTERIOR, damaged, pictures_compared
 from imubayes.results.history_tree import campaign_of
 from imubayes.results.stored_tables import draws_of, read_summary_and_residuals
 from imubayes.results.summary import Summary
+from imubayes.results.temperature_range import ThermalModel, thermal_model
 
 if TYPE_CHECKING:
     from imubayes.results.result import Result

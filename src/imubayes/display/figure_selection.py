@@ -14,8 +14,8 @@ from imubayes.display.fit_cautions import worst_first
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import Covariate
 from imubayes.foundations.quantity_names import MOUNTING_ANGLE, SCALE_FACTOR, QuantityName, family_of, name_of
-from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.results.summary import Quantity, Summary
+from imubayes.results.temperature_range import ThermalModel
 
 MOST_RUNS, MOST_CORNER = 6, 6
 # Pairs correlated less have joint regions that their intervals already tell; those correlated more are one quantity

@@ -8,30 +8,33 @@ escaped.
 import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from html import escape
 from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from rich import box
 from rich.console import Console, ConsoleOptions
 from rich.table import Table
 from rich.text import Text
 
-_ENVIRONMENT = Environment(
-    loader=PackageLoader("imubayes.display"),
-    autoescape=True,
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-)
+_KERNEL = "imubayes.display"
 
 
-def render(name: str, **context: object) -> str:
-    """Return the HTML of `templates/NAME.html.j2`.
+@cache
+def _environment(package: str) -> Environment:
+    places = [PackageLoader(name) for name in dict.fromkeys((package, _KERNEL))]
+    return Environment(
+        loader=ChoiceLoader(places), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+
+
+def render(name: str, package: str = _KERNEL, **context: object) -> str:
+    """Return the HTML of `templates/NAME.html.j2` of a package.
 
     A table is drawn by the macro `sheet_table(sheet, folded=false, alarm=true)` of `sheet.html.j2`.
     """
-    return _ENVIRONMENT.get_template(f"{name}.html.j2").render(context)
+    return _environment(package).get_template(f"{name}.html.j2").render(context)
 
 
 _LEAST_NAME = 16

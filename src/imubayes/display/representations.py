@@ -7,24 +7,20 @@ much.
 from functools import partial
 
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.display import own_equation as equations
 from imubayes.display.fit_report import summary_html, summary_report
-from imubayes.display.layout import Report, report_html, report_text
 from imubayes.display.loop.change_report import change_report, injection_report
 from imubayes.display.loop.diagnosis_report import diagnosis_report
 from imubayes.display.loop.history import history_report
 from imubayes.display.loop.prediction_report import prediction_report, repeatability_report
 from imubayes.display.numbers_and_labels import significant
-from imubayes.foundations.records import headline_of, html_of, text_of
+from imubayes.display.shown_records import shown_as
+from imubayes.foundations.records import html_of
 from imubayes.loop.injection_recovery import Trials
 from imubayes.loop.model_history import Tree
-from imubayes.qualification.law_of_propagation import GumBudget
-from imubayes.qualification.propagation import Propagated
-from imubayes.qualification.repeatability import Repeatability
-from imubayes.qualification.value_conformity import ConformityStatement
 from imubayes.results.change_records import ModelChange
 from imubayes.results.history_tree import shown_place
 from imubayes.results.prediction import RunPrediction
+from imubayes.results.repeatability import Repeatability
 from imubayes.results.result import Result
 
 
@@ -89,12 +85,7 @@ _SHOWN = {
     Trials: (trials_headline, injection_report),
     RunPrediction: (prediction_headline, partial(prediction_report, verbose=True)),
     Repeatability: (repeatability_headline, partial(repeatability_report, verbose=True)),
-    Propagated: (equations.propagated_headline, equations.propagated_report),
-    GumBudget: (equations.budget_headline, lambda found: Report((), [equations.budget_sheet(found)])),
-    ConformityStatement: (equations.conformity_headline, equations.conformity_report),
 }
 for _record, (_headline, _report) in _SHOWN.items():
-    headline_of.register(_record, _headline)
-    text_of.register(_record, lambda record, report=_report: report_text(report(record)))
-    html_of.register(_record, lambda record, report=_report: report_html(report(record)))
+    shown_as(_record, _headline, _report)
 html_of.register(Result, lambda result: summary_html(result.summary))

@@ -21,8 +21,8 @@ from imubayes.display.numbers_and_labels import concise, pretty, significant
 from imubayes.display.quantity_tables import is_nuisance
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.quantity_names import name_of
-from imubayes.qualification.temperature_range import ThermalModel, course_over_range, depends_on_temperature
 from imubayes.results.summary import Quantity, Summary, in_output_units
+from imubayes.results.temperature_range import ThermalModel, course_over_range, depends_on_temperature
 
 _MOST = 40
 _NAMES, _NUMBERS = 2.35, 1.3  # room for the names on the left and the numbers on the right, inches

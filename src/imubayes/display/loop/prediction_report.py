@@ -29,9 +29,9 @@ from imubayes.foundations.progress import Tell
 from imubayes.foundations.quantity_names import family_of
 from imubayes.foundations.units import DAYS_PER_YEAR
 from imubayes.loop.predicted_runs import ShiftedEstimate
-from imubayes.qualification.repeatability import MOST_INTERVALS, ComparedQuantity, Repeatability
 from imubayes.results.folder_files import RESIDUALS
 from imubayes.results.prediction import LEAST_CHANCE, RunPrediction
+from imubayes.results.repeatability import MOST_INTERVALS, ComparedQuantity, Repeatability
 from imubayes.results.summary import Summary
 
 PREDICTION, PREDICTION_PAGE = "prediction.json", "prediction.html"

@@ -1,0 +1,1 @@
+"""Every campaign of an archive fitted with one model."""

@@ -1,0 +1,475 @@
+"""The fit of one unit of a batch: its posterior in a lane or alone, checked by importance weights, as table rows.
+
+A unit is fitted alone by the path of `imubayes fit`.  An error is an outcome as well.
+
+In lanes the posterior is the curved nested Laplace approximation of `imubayes.inference.nested_laplace`, computed from
+the sums over groups instead of the whole Jacobian.  θ is drawn given each of a few hundred noise scales, several times
+each.  The normal vectors behind the draws are the same for all units: a quasi-random sequence with the mean and the
+covariance of the standard normal, so that mean and covariance of a normal posterior have no Monte Carlo error.
+
+The importance weights w of a few draws tell whether the Laplace approximation of a unit is in doubt.  The weighted
+draws tell directly how far means and standard deviations are off, unless the approximation lacks a part of the
+posterior: its draws rarely come there, and a sample without one of them overstates its effective size severalfold.
+That shows in the shape of the weights: the index k̂ of their tail (Vehtari, Simpson, Gelman, Yao & Gabry 2024) and
+their skewness.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import ndtri
+from scipy.stats import qmc, skew
+
+from imubayes.adequacy.known_noise import compare_with_known
+from imubayes.adequacy.noise_tests import judged_noise_in, projected
+from imubayes.criticism.diagnose import judge
+from imubayes.foundations.arrays import Array, Float, on_host
+from imubayes.foundations.campaign_data import Campaign, channel_of_component
+from imubayes.foundations.errors import InputError
+from imubayes.inference.conditional_precision import conditional_precision
+from imubayes.inference.ensemble_sampling import Settings
+from imubayes.inference.fitted_model import Fit, Posterior
+from imubayes.inference.identifiability import from_data
+from imubayes.inference.laplace_marginal import Curvature
+from imubayes.inference.laplace_proposal import PARETO_K, LaplaceProposal, LogDensity, weigh
+from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
+from imubayes.inference.noise_scale_modes import resampled
+from imubayes.inference.parameter_fit import Linearised, linearise
+from imubayes.inference.posterior_groups import in_units
+from imubayes.inference.posterior_mode import Mode, log_evidence
+from imubayes.inference.run_fit import joint_fit, judged_fit, posterior_of_draws
+from imubayes.inference.tabulated_directions import TabulatedDensity, from_normal, log_density
+from imubayes.model.bind import Model, bind
+from imubayes.model.effect_registry import Registry
+from imubayes.model.likelihood import whitened
+from imubayes.model.model_file import ModelSpec
+from imubayes.model.problem import Problem
+from imubayes.results.summary import is_constant
+from imubayes_archive.batch import group_moments as moments
+from imubayes_archive.batch.batch_folder import BatchSettings, UnitSource
+from imubayes_archive.batch.lanes import LANES, LaneMode, LaneStructure, Stacked, of_lane
+from imubayes_archive.batch.posterior_table import Kind, Logarithms, Outcome, Quantities, UnitIdentity, UnitPosterior
+
+# Draws weighed, and those of a block.  Effort: weighted moments are known to 0.03 standard deviations.
+_DRAWS, _BATCH = 1000, 64
+# Where the largest weight of 1000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
+# posterior, and the shape of weights that hardly differ does not matter.
+_LARGEST = 2.5
+# A proposal whose standard deviation is a fifth too small gives 5.4, one that is off by one standard deviation 4.4.
+# Of 200 units like `data/polar-tumble`, noise up to a hundred times, none is off by `_OFF`: at most 0.13 in the mean
+# of the noise and 6 % in a standard deviation; 3 of them are flagged (benchmarks/results/doubtful_posteriors.md).
+_SKEWNESS = 3.0
+# Most that means may be off, in standard deviations, and the logarithms of these: six times the error of 1000 draws.
+_OFF = 0.2
+
+
+@dataclass(frozen=True)
+class WeightShape:
+    """What importance weights say; infinite where no draw is possible.
+
+    Attributes
+    ----------
+    pareto_k, skewness, largest : tail index, skewness and largest of the weights, whose mean is 1.
+    off : largest change of a mean, in standard deviations, or of the logarithm of one of these by the weights.
+    """
+
+    pareto_k: float
+    skewness: float
+    largest: float
+    off: float
+
+    @property
+    def flagged(self) -> bool:
+        """Whether the approximation is in doubt."""
+        is_light = self.pareto_k <= PARETO_K and self.skewness <= _SKEWNESS
+        return not ((is_light or self.largest <= _LARGEST) and self.off <= _OFF)
+
+
+def weight_shape(fit: Fit, seed: int) -> WeightShape:
+    """Return what the importance weights of a Laplace approximation say.
+
+    Parameters
+    ----------
+    fit : with a posterior by the Laplace approximation.
+    seed : of the draws.
+    """
+    assert fit.posterior is not None
+    problem = fit.model.problem
+    proposal = LaplaceProposal(fit.posterior.approximation, problem)
+    weighed = weigh(LogDensity(problem, _BATCH), proposal, 1, _DRAWS, seed)
+    if weighed is None:
+        return WeightShape(np.inf, np.inf, np.inf, np.inf)
+    return shape_of(weighed.points[0], weighed.weight[0], weighed.pareto_k)
+
+
+def shape_of(points: Float[np.ndarray, "n D"], weight: Float[np.ndarray, " n"], pareto_k: float) -> WeightShape:
+    """Return what weights of mean 1 say of draws, their tail index known."""
+    return WeightShape(pareto_k, float(np.nan_to_num(skew(weight))), float(weight.max()), _off(points, weight))
+
+
+def _off(points: Float[np.ndarray, "n D"], weight: Float[np.ndarray, " n"]) -> float:
+    """Return how far weights move means and standard deviations of points."""
+    share, plain = weight / weight.sum(), points.mean(axis=0)
+    mean = share @ points
+    deviation, weighted = points.std(axis=0), np.sqrt(share @ (points - mean) ** 2)
+    varies = deviation > 0
+    moved = np.abs(mean - plain)[varies] / deviation[varies]
+    with np.errstate(divide="ignore"):  # a single draw with all the weight has no spread
+        widened = np.abs(np.log(weighted[varies] / deviation[varies]))
+    return float(max(moved.max(initial=0.0), widened.max(initial=0.0)))
+
+
+# Noise scales drawn, and draws of θ for each: powers of two for the quasi-random sequence.
+_SCALES, _EACH = 256, 8
+# Half the distance of the central differences of the gradient.
+_APART = 1e-3
+
+
+class LaneDraws(eqx.Module):
+    """Steps of θ from the mode before the bend, M for each noise scale, and the noise scales; their axes come first.
+
+    `log_weight`, up to a constant, is the Laplace marginal of the scales over the density that they were drawn from.
+    """
+
+    delta: Float[Array, "*S M P"]
+    h: Float[Array, "*S H"]
+    log_weight: Float[Array, "*S"]
+
+
+def hyper_curvature(
+    problem: Problem, index: moments.GroupIndex, model: moments.GroupedModel, h: Float[Array, " H"]
+) -> Curvature:
+    """Return value, gradient and negative Hessian of the Laplace marginal of h."""
+
+    def slope(point: Array) -> Array:
+        return moments.marginal_slope(problem, index, model, point)[1]
+
+    value, gradient = moments.marginal_slope(problem, index, model, h)
+
+    def row(axis: Array) -> Array:
+        return (slope(h - _APART * axis) - slope(h + _APART * axis)) / (2 * _APART)
+
+    rows = jax.lax.map(row, jnp.eye(h.shape[0]))
+    return Curvature(value, gradient, 0.5 * (rows + rows.T))
+
+
+def marginals(
+    problem: Problem, index: moments.GroupIndex, model: moments.GroupedModel, points: Float[Array, "n H"]
+) -> Float[Array, " n"]:
+    """Return the Laplace marginal at several h."""
+    return jax.lax.map(lambda h: moments.log_marginal_of(problem, index, model, h), points)
+
+
+def draws(
+    problem: Problem,
+    index: moments.GroupIndex,
+    model: moments.GroupedModel,
+    h: Float[Array, " H"],
+    axes: Float[Array, "H H"],
+    along: TabulatedDensity,
+    normal: tuple[Float[Array, "S H"], Float[Array, "S M P"]],
+) -> LaneDraws:
+    """Return draws of the approximation before they are bent, for standard normal vectors."""
+
+    def at(vectors: tuple[Array, Array]) -> LaneDraws:
+        step = from_normal(along, vectors[0])
+        here = h + axes @ step
+        known = moments.normal_equations(problem, index, model, here)
+        factor = jnp.linalg.cholesky(known.precision)
+        mean = jax.scipy.linalg.cho_solve((factor, True), known.gradient)
+        spread = jax.scipy.linalg.solve_triangular(factor.T, vectors[1].T, lower=False).T
+        weight = moments.log_marginal_of(problem, index, model, here) - jnp.sum(log_density(along, step))
+        return LaneDraws(mean[None, :] + spread, here, weight)
+
+    return jax.lax.map(at, normal)
+
+
+@cache
+def normal_vectors(size: int, hyper: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return standard normal vectors for noise scales, (S, H), and for θ, (S, M, P), together with covariance 1.
+
+    The M vectors of a draw of the noise scales are successive points of a Sobol sequence, which fill the whole space.
+    The draws are in random order: by their numbers, points of two such sequences depend on each other.
+    """
+    scales = _standardised(_sobol(_SCALES, hyper, 0)[np.random.default_rng(2).permutation(_SCALES)])
+    parameters = _sobol(_SCALES * _EACH, size, 1)
+    together = _standardised(np.concatenate([np.repeat(scales, _EACH, axis=0), parameters], axis=1))
+    return scales, together[:, hyper:].reshape(_SCALES, _EACH, size)
+
+
+def joint_normal_vectors(size: int, hyper: int) -> np.ndarray:
+    """Return the standard normal vectors (S M, P + H) behind the draws of a unit, those of its noise scales last."""
+    scales, parameters = normal_vectors(size, hyper)
+    return np.concatenate([parameters.reshape(-1, size), np.repeat(scales, _EACH, axis=0)], axis=1)
+
+
+def _sobol(count: int, dimensions: int, seed: int) -> np.ndarray:
+    points = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed)).random(count)
+    return ndtri(np.clip(points, 1e-12, 1 - 1e-12))
+
+
+def _standardised(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors with mean 0 and covariance 1; as they are where there are too few for the dimensions."""
+    centred = vectors - vectors.mean(axis=0)
+    if len(vectors) <= 2 * vectors.shape[1]:
+        return centred / centred.std(axis=0)
+    return np.linalg.solve(np.linalg.cholesky(centred.T @ centred / len(vectors)), centred.T).T
+
+
+def posteriors(structure: LaneStructure, varying: Stacked, mode: LaneMode, models: list[Model]) -> list[Fit | None]:
+    """Return the fits of the units in lanes; None for one whose noise scales have another mode, or no curvature."""
+    at: Curvature = structure.run(hyper_curvature, varying, mode.model, mode.h)
+    probes = [_probes(mode, at, lane) for lane in range(len(models))]
+    usable = next((each for each in probes if each is not None), None)
+    if usable is None:
+        return [None] * len(models)
+    chosen = [each or usable for each in probes] + [usable] * (LANES - len(models))
+    values = structure.run(marginals, varying, mode.model, jnp.asarray(np.stack([each.points for each in chosen])))
+    relative = np.asarray(values) - np.asarray(at.value)[:, None]
+    tables = [each.tabulated(row) for each, row in zip(chosen, relative, strict=True)]
+    single = [not each.other_maxima(row) for each, row in zip(chosen, relative, strict=True)]
+    along = jax.tree.map(lambda *leaves: jnp.stack(leaves), *tables)
+    axes = jnp.asarray(np.stack([each.axes for each in chosen]))
+    vectors = tuple(jnp.broadcast_to(each, (LANES, *each.shape)) for each in normal_vectors(*structure.problem.size))
+    found = structure.run(draws, varying, mode.model, mode.h, axes, along, vectors)
+    return [
+        None
+        if probes[lane] is None or not single[lane]
+        else _fit(model, of_lane(mode, lane), of_lane(at, lane), axes[lane], tables[lane], of_lane(found, lane))
+        for lane, model in enumerate(models)
+    ]
+
+
+def _probes(mode: LaneMode, at: Curvature, lane: int) -> HyperProbes | None:
+    information = np.asarray(at.information)[lane]
+    if not (bool(mode.converged[lane]) and np.all(np.isfinite(information))):
+        return None
+    return hyper_probes(np.asarray(mode.h)[lane], information)
+
+
+def _fit(model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: LaneDraws) -> Fit:
+    """Return the fit of one unit, without posterior where its estimates cannot be those of a working unit."""
+    problem, z, h = model.problem, np.asarray(found.model.z), np.asarray(found.h)
+    about = linearise(problem, z)
+    mode = Mode(z, h, float(found.decrement), about, on_host(at), 0, True, True)
+    fit = judged_fit(model, mode)
+    if not fit.converged:
+        return fit
+    weak, _, bend = curved_directions(problem, mode)
+    given = conditional_precision(problem, mode)
+    approximation = NestedLaplace(z, h, np.asarray(axes), on_host(along), given, weak, bend)
+    delta = np.asarray(drawn.delta).reshape(-1, len(z))
+    bent = delta + _bent(delta, np.asarray(weak), np.asarray(bend))
+    points = np.concatenate([np.asarray(z) + bent, np.repeat(np.asarray(drawn.h), _EACH, axis=0)], axis=1)
+    points = resampled(points, np.repeat(np.asarray(drawn.log_weight), _EACH))
+    return replace(fit, posterior=posterior_of_draws(fit, points, approximation, None))
+
+
+def _bent(delta: np.ndarray, weak: np.ndarray, bend: np.ndarray) -> np.ndarray:
+    """Return the bend of steps (S, P)."""
+    along = delta @ weak
+    pairs = (along[:, :, None] * along[:, None, :]).reshape(len(delta), -1)
+    return 0.5 * pairs @ bend.reshape(-1, delta.shape[1])
+
+
+QUANTILES = (2.5, 25.0, 50.0, 75.0, 97.5)
+# Knots of the quadrature that gives the mean of a prior.
+_KNOTS = 64
+
+
+def bound_to(spec: ModelSpec, campaign: Campaign) -> Model:
+    """Return a model bound to a campaign; files with the user's effects are read once a process."""
+    return bind(replace(spec, files=()), campaign, _registry(spec.files))
+
+
+@cache
+def _registry(files: tuple[str, ...]) -> Registry:
+    return Registry().with_files(files)
+
+
+def failure(error: Exception, source: UnitSource) -> Outcome:
+    """Return what went wrong with a unit: an input that cannot be used, or an error nobody foresaw."""
+    if isinstance(error, InputError):
+        return Outcome("refused", "; ".join(issue.what for issue in error.issues), error.issues[0].where)
+    return Outcome("failed", f"{type(error).__name__}: {error}", source.path)
+
+
+def fit_alone(model: Model, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
+    """Return the posterior of a unit by the path of `imubayes fit`, its Laplace draws those of a unit in lanes."""
+    if settings.sample == "all":
+        return posterior_of(_sampled(model, settings), settings, identity)
+    fit = joint_fit(model, None, laplace_draws=joint_normal_vectors(*model.problem.size))
+    return sampled_where_in_doubt(fit, settings, identity)
+
+
+def _sampled(model: Model, settings: BatchSettings) -> Fit:
+    return joint_fit(model, Settings(seed=settings.seed))
+
+
+def sampled_where_in_doubt(
+    fit: Fit, settings: BatchSettings, identity: UnitIdentity, recorded: Model | None = None
+) -> UnitPosterior:
+    """Return the tables' view of a Laplace approximation, sampled where it is in doubt and that was asked for."""
+    if settings.sample != "flagged" or fit.posterior is None or not fit.converged:
+        return posterior_of(fit, settings, identity, recorded)
+    shape = weight_shape(fit, settings.seed)
+    found = posterior_of(_sampled(fit.model, settings) if shape.flagged else fit, settings, identity, recorded)
+    outcome = replace(
+        found.outcome, flagged=shape.flagged, pareto_k=shape.pareto_k, weight_skewness=shape.skewness
+    )  # fmt: skip
+    return replace(found, outcome=outcome)
+
+
+def _without_padding(fit: Fit, recorded: Model) -> Fit:
+    """Return a fit of the readings as they were recorded: further ones, of zero weight, are at their end."""
+    assert fit.mode is not None
+    about, count = fit.mode.about, len(recorded.problem.observations.value)
+    trimmed = Linearised(about.z, about.misfit[:count], about.jacobian[:count])
+    return replace(fit, model=recorded, mode=eqx.tree_at(lambda mode: mode.about, fit.mode, trimmed))
+
+
+def posterior_of(
+    fit: Fit, settings: BatchSettings, identity: UnitIdentity, recorded: Model | None = None
+) -> UnitPosterior:
+    """Return the tables' view of a fit made in this process; `recorded` is its model without padded readings."""
+    problem, posterior = fit.model.problem, fit.posterior
+    readings = int(np.sum(np.asarray(problem.observations.weight)))
+    if posterior is None or fit.mode is None:
+        return UnitPosterior(identity, Outcome("not_converged", fit.message, identity.file, readings=readings))
+    outcome = Outcome(
+        status="fitted" if fit.converged else "not_converged",
+        reason=fit.message,
+        where="" if fit.converged else identity.file,
+        verdict=judge(fit).verdict if settings.diagnose else "",
+        method="laplace" if posterior.chains is None else "emcee",
+        pareto_k=None if posterior.chains is None else posterior.chains.diagnosis.pareto_k,
+        draws=_effective_draws(posterior),
+        readings=readings,
+        chi2=float(np.sum(whitened(problem, fit.mode.h, fit.mode.about.misfit) ** 2)),
+        log_evidence=float(log_evidence(fit.mode)),
+    )
+    if fit.converged:
+        at = projected(_without_padding(fit, recorded or fit.model))
+        outcome = replace(
+            outcome,
+            noise_violations=tuple(dict.fromkeys(each.kind for each in judged_noise_in(at).violations)),
+            noise_contradicted=tuple(dict.fromkeys(each.parameter for each in compare_with_known(at).contradicted)),
+        )
+    values = in_units(fit.model, posterior.points)
+    return UnitPosterior(identity, outcome, quantities_of(fit, values), np.atleast_2d(np.cov(values.T, ddof=0)))
+
+
+def _effective_draws(posterior: Posterior) -> float:
+    """Return how many independent draws the estimates are worth, those of the worst component."""
+    if posterior.chains is None:
+        return float(len(posterior.points))
+    return float(np.min(posterior.chains.diagnosis.ess_bulk))
+
+
+def quantities_of(fit: Fit, values: np.ndarray) -> tuple[Quantities, ...]:
+    """Return the estimates of parameters, noise scales and derived quantities.
+
+    Parameters
+    ----------
+    values : shape (S, P + H), draws in units of measure.
+    """
+    posterior, model = fit.posterior, fit.model
+    assert posterior is not None
+    declared = model.layout.parameters + model.hyper_layout.parameters
+    share = from_data(posterior.points.var(axis=0), 1.0)
+    prior_mean, prior_sd = _prior_moments(model)
+    quantiles = quantiles_of(values)
+    size = len(model.layout)
+
+    noise = slice(size, None)
+    logarithms = Logarithms(
+        _log_moments(model, values)[:, noise], *(each[noise] for each in _log_likelihoods(model, posterior.points))
+    )
+
+    def of_kind(kind: Kind, chosen: slice) -> Quantities:
+        return Quantities(
+            kind, tuple(p.name for p in declared[chosen]), tuple(p.unit for p in declared[chosen]),
+            values[:, chosen].mean(axis=0), values[:, chosen].std(axis=0), quantiles[:, chosen],
+            prior_mean[chosen], prior_sd[chosen], share[chosen], logarithms if kind == "noise" else None,
+        )  # fmt: skip
+
+    found = (of_kind("parameter", slice(0, size)), of_kind("noise", slice(size, None)))
+    return tuple(part for part in (*found, *_derived(fit)) if part.names)
+
+
+def quantiles_of(draws: np.ndarray) -> np.ndarray:
+    """Return the `QUANTILES` of draws (S, D), interpolated linearly, shape (5, D); all from one sort."""
+    ordered = np.sort(np.ascontiguousarray(draws.T))
+    place = np.array(QUANTILES) / 100 * (len(draws) - 1)
+    below = np.floor(place).astype(int)
+    above = np.minimum(below + 1, len(draws) - 1)
+    return (ordered[:, below] + (place - below) * (ordered[:, above] - ordered[:, below])).T
+
+
+def _derived(fit: Fit) -> tuple[Quantities, ...]:
+    posterior = fit.posterior
+    assert posterior is not None
+    # Components of input axes are left out: they tell nothing beyond the misalignments.
+    places = [place for place, each in enumerate(fit.derived.names) if channel_of_component(each.name) is None]
+    if not places:
+        return ()
+    names = [fit.derived.names[place] for place in places]
+    draws, prior = posterior.derived[:, places], posterior.prior_derived[:, places]
+    fixed = np.array([is_constant(column) for column in prior.T])
+    share = np.where(fixed, np.nan, from_data(draws.var(axis=0), np.where(fixed, 1.0, prior.var(axis=0))))
+    return (
+        Quantities(
+            "derived", tuple(each.name for each in names), tuple(each.unit for each in names),
+            draws.mean(axis=0), draws.std(axis=0), quantiles_of(draws),
+            prior.mean(axis=0), prior.std(axis=0), share,
+        ),
+    )  # fmt: skip
+
+
+def _log_moments(model: Model, values: np.ndarray) -> np.ndarray:
+    """Return mean and sd of the logarithms of draws (S, D), and those of the prior, (4, D); NaN where not positive."""
+    knots, weights = np.polynomial.hermite_e.hermegauss(_KNOTS)
+    share = weights / weights.sum()
+    grid = in_units(model, np.repeat(knots[:, None], values.shape[1], axis=1))
+    result = np.full((4, values.shape[1]), np.nan)
+    positive = np.all(values > 0, axis=0) & np.all(grid > 0, axis=0)
+    draws, prior = np.log(values[:, positive]), np.log(grid[:, positive])
+    mean = share @ prior
+    result[:, positive] = draws.mean(axis=0), draws.std(axis=0), mean, np.sqrt(share @ (prior - mean) ** 2)
+    return result
+
+
+# Points of a likelihood and how far they reach, in posterior standard deviations; width of the kernels in these.
+_GRID, _REACH, _KERNEL = 25, 2.5, 0.3
+
+
+def _log_likelihoods(model: Model, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return logarithms of values and of their likelihood, (D, G) each, of the components of z from draws (S, D).
+
+    The posterior density is that of normal kernels at the draws, these drawn together so that the variance remains; the
+    prior is standard normal in z.
+    """
+    mean, deviation = points.mean(axis=0), points.std(axis=0)
+    steps = np.linspace(-_REACH, _REACH, _GRID)
+    grid = mean + deviation * steps[:, None]
+    centres = (points - mean) / (np.where(deviation > 0, deviation, 1.0) * np.sqrt(1 + _KERNEL**2))
+    width = _KERNEL / np.sqrt(1 + _KERNEL**2)
+    kernels = np.exp(-0.5 * ((steps[:, None, None] - centres) / width) ** 2).mean(axis=1)
+    values = in_units(model, grid)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.log(values).T, (np.log(kernels) + 0.5 * grid**2).T
+
+
+def _prior_moments(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard deviation of the prior of each component of z in its unit, NaN where it has none."""
+    declared = model.layout.parameters + model.hyper_layout.parameters
+    deviation = np.array([parameter.prior_sd for parameter in declared], dtype=float)
+    knots, weights = np.polynomial.hermite_e.hermegauss(_KNOTS)
+    grid = np.repeat(knots[:, None], len(declared), axis=1)
+    mean = weights @ in_units(model, grid) / weights.sum()
+    known = np.isfinite(deviation)
+    return np.where(known, mean, np.nan), np.where(known, deviation, np.nan)

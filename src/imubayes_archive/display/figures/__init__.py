@@ -1,0 +1,1 @@
+"""Figures of a batch and of a population."""

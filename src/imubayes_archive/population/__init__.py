@@ -1,0 +1,1 @@
+"""Populations of units: mean and spread, groups, steps and trends, and priors made of them."""

@@ -1,0 +1,5 @@
+from .start import explore
+
+__all__ = [
+    "explore",
+]

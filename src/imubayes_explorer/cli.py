@@ -1,0 +1,55 @@
+"""Command `imubayes explore`: the loop on a page of this machine, in the browser."""
+
+from contextlib import suppress
+from pathlib import Path
+
+from imubayes.cli.registration import Command
+from imubayes.cli.session import Flag, Trust, progress, start_jax, trusting
+
+
+def explore(
+    place: Path | None = None,
+    *,
+    model: Path | None = None,
+    out: Path | None = None,
+    port: int = 0,
+    no_browser: Flag = False,
+    trust: Trust = False,
+) -> None:
+    """Run the loop in the browser: brush residuals, see ranked causes, preview them, add one.
+
+    Everything accepted is an ordinary result folder; the page shows the command of every click. The server listens on
+    this machine alone. Stop it with Ctrl-C; accepted results are kept.
+
+    Example: imubayes explore results/first
+
+    Parameters
+    ----------
+    place
+        Result folder, or the folder of a campaign with --model; without it the example hidden-gyro.
+    model
+        Model file, or the name of a shipped model; fitted first.
+    out
+        Result folder of that fit; by default results/CAMPAIGN-MODEL, which is opened if it exists.
+    port
+        Port of the server; 0 for any free one.
+    no_browser
+        Print the address only, and open no browser.
+    trust
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+    """
+    with progress():
+        trusting(model or place, trust)
+        start_jax("explore")
+        from imubayes_explorer.start import explore as begin
+
+        begun = begin(place, model, out, port=port, browser=not no_browser)
+    print(f"{begun.address}\nStop with Ctrl-C. Accepted results are kept.", flush=True)
+    try:
+        with suppress(KeyboardInterrupt):
+            begun.wait()
+    finally:
+        begun.stop()
+
+
+COMMANDS = (Command(explore, "The loop", 9),)

@@ -1,0 +1,272 @@
+"""Questions to a diagnosed fit that linear algebra answers: what explains some rows, and what causes would do.
+
+Both rest on what the diagnosis has made already.  A cause of some rows is judged by how well it predicts them from all
+others, against that nothing is missing: p(some | others, cause) / p(some | others), the factor by which these rows
+change its odds in the one evidence, times its prior odds.  With all rows chosen this is the log odds of the ranking.
+The noise is held.  Where the model correlates rows in time, a row counts by what it adds to those before it.
+
+A preview is the least squares at the noise known beforehand that predicts Δχ² in the diagnosis; it moves estimates.
+"""
+
+import math
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint
+from imubayes.criticism.diagnose import ExplainedFit
+from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
+from imubayes.criticism.evidence.free_forms import AMPLITUDES
+from imubayes.criticism.evidence.hypothesis_evidence import Solved
+from imubayes.criticism.evidence.linear_problem import UNEXPECTED
+from imubayes.criticism.evidence.model_search import FormScan, states_noise
+from imubayes.criticism.evidence.proposals import Screen, conditional
+from imubayes.criticism.formula_search import ResidualFormula, find_formula, terms_beside, terms_of
+from imubayes.foundations.errors import closest_first, input_error
+from imubayes.foundations.progress import Tell
+from imubayes.inference.laplace_marginal import whitened_columns
+from imubayes.model.bind import Model
+from imubayes.model.derived_quantities import derived_jacobian
+from imubayes.parameters.declarations import prior_slopes
+from imubayes.responses.candidate_effects import CatalogueModel
+from imubayes.results.summary import ParameterSummary, Summary, in_output_units
+from imubayes_explorer.drawn_shape import DrawnCurve, drawn_shape, likest
+from imubayes_explorer.messages import MovedEstimate, RankedCause, RowsRanking
+from imubayes_explorer.refit_ahead import Ahead, refitted, told_values
+
+_MOST_RANKED = 12
+_MOST_MOVED, _STAYED = 60, 0.05
+
+
+class LinearView:
+    """A diagnosed result, and what it answers without a refit.
+
+    Attributes
+    ----------
+    explained : the diagnosed fit.
+    entries : shape (E,) bool, which count.
+    """
+
+    def __init__(self, explained: ExplainedFit, diagnosis: Diagnosis, summary: Summary):
+        self.explained, self.fit = explained, explained.fit
+        self._diagnosis, self._shown = diagnosis, in_output_units(summary)
+        self._acting: tuple[tuple[str, ...], Ahead | None] = (), None
+        observations, entries = self.fit.model.problem.observations, self.fit.model.entries
+        self.entries = (np.asarray(observations.weight) > 0) & ~np.asarray(entries.closing)
+        self._white: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._evidence = threading.Lock()  # it keeps the columns used last, which two threads must not do at once
+
+    def prepare(self, tell: Tell) -> None:
+        """Make ready what every question needs, so that the first one is answered as fast as the others."""
+        tell("preparing previews")
+        for effect in self.variants:
+            self._columns(effect)
+        _ = self._slopes, self._catalogue
+
+    # ---- what explains selected rows ----
+
+    @cached_property
+    def _nothing(self) -> Solved:
+        of = self.explained.of
+        return of.solved(self.explained.posterior.search.best(states_noise))
+
+    @cached_property
+    def _screen(self) -> Screen:
+        return Screen(self.explained.of)
+
+    @cached_property
+    def _of_all(self) -> dict[int, float]:
+        """The log odds of each variant alone by all rows."""
+        return {n: gain for gain, n in self._screen.singles(conditional(self.explained.of, self._nothing))}
+
+    def _others(self, chosen: np.ndarray) -> Solved:
+        """Return that nothing is missing by the rows that are not chosen: chosen ones have no weight.
+
+        Channels without chosen rows stay as they are, with the Gram matrices that are there.
+        """
+        of, at = self.explained.of, self._nothing.at
+        weight = {
+            k: at.weight.get(k, np.ones(len(of.problem.rows[k].entry))) * ~chosen[of.problem.rows[k].entry]
+            for k in of.unit_of
+            if chosen[of.problem.rows[k].entry].any()
+        }
+        return of.solved(replace(at, weight={**at.weight, **weight}), self._nothing.scale)
+
+    def rank(self, chosen: np.ndarray, without: Sequence[str] = ()) -> RowsRanking:
+        """Return how probable single causes of chosen entries, (E,) bool, are; some effects left out."""
+        with self._evidence:
+            return self._ranked(chosen, without)
+
+    def _ranked(self, chosen: np.ndarray, without: Sequence[str]) -> RowsRanking:
+        of, others = self.explained.of, self._others(chosen)
+        by_rest = {n: gain for gain, n in self._screen.singles(conditional(of, others))}
+        terms: dict[str, list[tuple[float, float, float]]] = {}
+        for n, gain in self._of_all.items():
+            variant = of.variants[n]
+            if variant.effect not in without:
+                terms.setdefault(variant.effect, []).append((variant.log_odds, gain, by_rest[n]))
+        odds: dict[str, float] = {}
+        for effect, each in terms.items():
+            prior, by_all, by_others = np.logaddexp.reduce(np.array(each), axis=0).tolist()
+            odds[effect] = prior + by_all - by_others
+        form = self._form_odds(others)
+        offset = None if chosen[self.entries].all() else self._offset_odds(chosen)
+        whole = float(
+            np.logaddexp.reduce([0.0, *odds.values(), *(each for each in (form, offset) if each is not None)])
+        )
+        ranked = sorted(odds.items(), key=lambda pair: -pair[1])[:_MOST_RANKED]
+        causes = tuple(RankedCause(effect=e, probability=math.exp(o - whole), log_odds=o) for e, o in ranked)
+        of_form, of_offset = (None if each is None else math.exp(each - whole) for each in (form, offset))
+        return RowsRanking(causes=causes, nothing=math.exp(-whole), form=of_form, offset=of_offset)
+
+    @cached_property
+    def _scan(self) -> FormScan:
+        """What forms gain beside that nothing is missing, by all rows."""
+        return FormScan(self.explained.of, self._nothing)
+
+    def _offset_odds(self, chosen: np.ndarray) -> float:
+        """Return the log odds that the chosen rows of each channel are off by something of their own.
+
+        With the prior probability and the amplitudes of the free forms of the evidence.
+        """
+        of, found = self.explained.of, math.log(UNEXPECTED / 2)
+        for k in of.unit_of:
+            rows = of.problem.rows[k]
+            mask = chosen[rows.entry]
+            if mask.any():
+                gains = self._scan.grams([(rows.root * mask)[:, None]], k).gains(AMPLITUDES)
+                found += float(np.logaddexp.reduce(gains[0])) - math.log(len(AMPLITUDES))
+        return found
+
+    def _form_odds(self, others: Solved) -> float | None:
+        """Return the log odds of the form, or wrong record, of the leading explanation; None without one."""
+        form = self.explained.posterior.top.hypothesis.form
+        if form is None:
+            return None
+        return form.log_prior + self._scan.exact(form) - FormScan(self.explained.of, others).exact(form)
+
+    def formula(self, channel: str, drawing: DrawnCurve | None = None) -> ResidualFormula | None:
+        """Return the simplest formula for what the model leaves of a channel, or the one that is like a drawing.
+
+        None where no term is worth its odds; a drawing is its own term where no other is like it.
+        """
+        names = [each.name for each in self.explained.of.problem.of_channels]
+        if channel not in names:
+            raise input_error(
+                f"no channel '{channel}'", "formula", closest_first(channel, names), "choose one of these"
+            )
+        fitted, known, place = self.explained.posterior.fitted, self.explained.known, names.index(channel)
+        with self._evidence:
+            of, at = self.explained.of, self._nothing.at
+            if drawing is None:
+                return find_formula(of, at, at.scale, fitted, known, place)
+            drawn = drawn_shape(drawing, known, fitted.model.campaign.site.gravity)
+            own = terms_of(fitted, [each for each in known if each.name == drawing.over], place)
+            return likest(terms_beside(of, at, at.scale, fitted, [*own, drawn.term], place), drawn)
+
+    def columns_of(self, found: ResidualFormula, drawing: DrawnCurve | None = None) -> np.ndarray:
+        """Return the responses (E, T) to the terms of a formula."""
+        campaign, known = self.fit.model.campaign, self.explained.known
+        channel = [each.name for each in campaign.channels].index(found.channel)
+        drawn = () if drawing is None else (drawn_shape(drawing, known, campaign.site.gravity).term,)
+        terms = {each.expression: each.values for each in (*terms_of(self.fit, known, channel), *drawn)}
+        here = self.entries & (self.fit.model.entries.channel == channel)
+        return np.stack([np.where(here, terms[each.expression], 0.0) for each in found.terms], axis=1)
+
+    # ---- what causes would do ----
+
+    @property
+    def point(self) -> KnownNoisePoint:
+        """The fit at the noise known beforehand."""
+        return self.explained.at_known_noise
+
+    @cached_property
+    def variants(self) -> dict[str, int]:
+        """The variant that stands for each effect: of the leading explanation, or the best one alone."""
+        of, found = self.explained.of, dict[str, int]()
+        for slot in self.explained.posterior.slots:
+            for member in slot.members:
+                found.setdefault(member.effect, member.variant)
+        for n in self._of_all:
+            found.setdefault(of.variants[n].effect, n)
+        return found
+
+    def _columns(self, effect: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the responses (E, C) to the coefficients of an effect, plain and whitened."""
+        if effect not in self._white:
+            if effect not in self.variants:
+                allowed = closest_first(effect, self.variants)
+                raise input_error(f"'{effect}' is not a cause here", "preview", allowed, "choose one of the list")
+            posterior = self.explained.posterior
+            columns = posterior.columns_of(self.variants[effect], self.explained.responses)[1]
+            self._white[effect] = columns, whitened_columns(self.fit.model.problem, self.point.h, columns)
+        return self._white[effect]
+
+    def acting_linearly(self, effects: Sequence[str]) -> KnownNoisePoint:
+        """Return the fit at the noise known beforehand with causes beside, each along its response."""
+        if not effects:
+            return self.point
+        plain, white = zip(*map(self._columns, effects), strict=True)
+        return self.point.with_columns(np.concatenate(plain, axis=1), np.concatenate(white, axis=1))
+
+    def with_causes(self, effects: Sequence[str]) -> KnownNoisePoint:
+        """Return the fit at the noise known beforehand with causes beside; raises InputError for an unknown one.
+
+        A cause of one sign, such as a dead zone or a saturation, is no line: it acts as it is found, and the
+        parameters of the model are fitted beside it.
+        """
+        of, linear, asked = self.explained.of, self.acting_linearly(effects), tuple(effects)
+        bent = [each for each in effects if of.problem.sign[list(of.variants[self.variants[each]].places)].any()]
+        if not bent:
+            return linear
+        known, found = self._acting
+        if known != asked:  # the points of a preview are asked for after its words
+            told = told_values([each for each in map(self._diagnosis.estimate, bent) if each is not None])
+            plain = [self._columns(each)[0] for each in effects if each not in bent]
+            beside = np.concatenate(plain, axis=1) if plain else None
+            found = refitted(self._catalogue.at(told), self.point, self.fit.model, columns=beside)
+            self._acting = asked, found
+        return linear if found is None else found.point
+
+    @cached_property
+    def _catalogue(self) -> CatalogueModel:
+        return CatalogueModel(self.fit)
+
+    def ahead(
+        self, changed: Model, estimates: Sequence[ScreenedEffect] = (), columns: np.ndarray | None = None
+    ) -> Ahead | None:
+        """Return the fit of a changed model before it is made (see `refit_ahead.refitted`); None where it must be."""
+        return refitted(self._catalogue, self.point, changed, estimates, columns)
+
+    def whitened(self, point: KnownNoisePoint | None = None) -> np.ndarray:
+        """Return the residual of every entry in units of the noise known beforehand, (E,)."""
+        return (point or self.point).left[: len(self.entries)]
+
+    @cached_property
+    def _slopes(self) -> np.ndarray:
+        """The derivatives of parameters and derived quantities, in their units, by z, (P + D, P)."""
+        model, z = self.fit.model, self.fit.z
+        own = np.asarray(prior_slopes(model.problem.priors, jnp.asarray(z))) / model.layout.factors()
+        return np.concatenate([np.diag(own), derived_jacobian(self.fit.derived.derivation, model.problem, z)])
+
+    def moved(self, point: KnownNoisePoint) -> tuple[MovedEstimate, ...]:
+        """Return the estimates that a previewed fit moves, those that it moves most first; none of another model's."""
+        if point is self.point or point.model is not self.fit.model:
+            return ()
+        names = (*self.fit.model.layout.names, *(each.name for each in self.fit.derived.names))
+        steps = dict(zip(names, (self._slopes @ (point.z - self.point.z)).tolist(), strict=True))
+        found = [
+            MovedEstimate(
+                name=each.name, unit=each.unit, before=each.mean, after=each.mean + steps[each.name], sd=each.sd,
+                in_sd=steps[each.name] / each.sd,
+            )
+            for each in (*self._shown.derived, *self._shown.parameters)
+            if each.name in steps and each.mean is not None and each.sd and not each.repeats_misalignments
+            if not (isinstance(each, ParameterSummary) and each.nuisance)
+        ]  # fmt: skip
+        told = [each for each in found if math.isfinite(each.in_sd) and abs(each.in_sd) >= _STAYED]
+        return tuple(sorted(told, key=lambda each: -abs(each.in_sd))[:_MOST_MOVED])

@@ -1,0 +1,465 @@
+"""A session: the tree of models that grows from one result, those that are open, and the changes that are asked for.
+
+All that is done to results goes through the functions behind the commands; the session keeps which command does the
+same.  What windows are told is one record, which counts its changes.
+"""
+
+import hashlib
+import shlex
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from operator import methodcaller
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from imubayes.api import add, export, fit, refit, remove
+from imubayes.display.loop.change_report import change_lines
+from imubayes.display.loop.diagnosis_report import add_command, formula_source
+from imubayes.display.loop.history import gain_text
+from imubayes.foundations.errors import InputError, input_error, kept_if_possible
+from imubayes.foundations.files import write_text
+from imubayes.foundations.progress import Tell
+from imubayes.foundations.records import Record
+from imubayes.loop.model_changes import reduce
+from imubayes.loop.model_history import ChiSquareDrop, Tree, rms_by_unit
+from imubayes.results.change_records import ModelChange
+from imubayes.results.folder_files import MANIFEST, MODEL
+from imubayes.results.history_tree import campaign_of, read_tree, select, shown_place
+from imubayes.results.result import Result, read_result
+from imubayes.results.result_folder import write_model
+from imubayes_explorer.edited_model import EditedModel, edited_model
+from imubayes_explorer.kept_session import KeptSession, ModelNote
+from imubayes_explorer.messages import ChangeWanted, LockWanted, NoteWanted, PointsWanted, PreviewFacts, PreviewWanted
+from imubayes_explorer.open_model import OpenModel, Stamp, opened, quoted, stamp_of
+from imubayes_explorer.point_table import PointTable
+from imubayes_explorer.refit_ahead import Ahead
+from imubayes_explorer.selection_text import fitted_text
+from imubayes_explorer.worker import TaskOutcome, TaskProgress, Worker
+
+_MOST_OPEN = 4
+
+
+class TreeLine(Record):
+    """A model of the tree: its place in it, what it brought, and the user's words.
+
+    Attributes
+    ----------
+    parent : id of the model that it was made from; empty without one.
+    gain : outcome of the cross-validation, in words.
+    rms : residual rms over the channels of each unit.
+    """
+
+    id: str
+    parent: str
+    depth: int
+    title: str
+    folder: str
+    name: str = ""
+    note: str = ""
+    chi2: float | None
+    dof: float | None
+    delta_chi2: ChiSquareDrop
+    gain: str
+    rms: dict[str, float]
+    selected: bool
+    taken: bool
+
+
+class SessionState(Record):
+    """What every window of a session shows alike."""
+
+    version: int
+    tree: tuple[TreeLine, ...]
+    tasks: tuple[TaskProgress, ...]
+    commands: tuple[str, ...]
+    locks: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of a model.
+
+    Attributes
+    ----------
+    what, command : of it, in words, and what does the same.
+    make, predict : what does it, and what shows it before the fit is made.
+    adding : effects that are added, of which there is a linear prediction as well.
+    write, file : what writes the file that it needs; the file goes where the change is not made.
+    """
+
+    what: str
+    command: str
+    make: Callable[[Tell], ModelChange]
+    predict: Callable[[], Ahead | None]
+    adding: tuple[str, ...] = ()
+    write: Callable[[], object] = lambda: None
+    file: Path | None = None
+
+    @cached_property
+    def ahead(self) -> Ahead | None:
+        """What it does to the residuals; None where that takes the fit, and where the fit will say what is wrong."""
+        try:
+            return self.predict()
+        except InputError:
+            return None
+
+    def written(self, tell: Tell) -> ModelChange:
+        """Make the change."""
+        self.write()
+        try:
+            return self.make(tell)
+        except BaseException:
+            if self.file is not None:
+                self.file.unlink(missing_ok=True)
+            raise
+
+
+class Session:
+    """One tree of models, from its first result on.
+
+    Parameters
+    ----------
+    root : folder of the first result.
+    """
+
+    def __init__(self, root: Path):
+        self.root, self._version = root, 0
+        self._lock, self._listeners = threading.RLock(), list[Callable[[], None]]()
+        self._open, self._kept = dict[str, OpenModel](), KeptSession.read(root)
+        self._read: tuple[Tree | None, Stamp] = None, frozenset()
+        self._refits = threading.Lock()
+        self._change: tuple[int, Change | None] = 0, None
+        self.worker = Worker(self.changed)
+
+    # ---- what windows are told ----
+
+    def changed(self) -> None:
+        """Count a change, and tell every window."""
+        with self._lock:
+            self._version += 1
+            listeners = list(self._listeners)
+        for listener in listeners:
+            listener()
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call a function at every change; return what ends that."""
+        with self._lock:
+            self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    def state(self) -> SessionState:
+        """Return what every window shows alike."""
+        return SessionState(
+            version=self._version, tree=tuple(self._lines()), tasks=self.worker.tasks, commands=self._kept.commands,
+            locks=dict(self._kept.locks),
+        )  # fmt: skip
+
+    def tree(self) -> Tree | None:
+        """Return the tree of models; None before there is a first one.
+
+        It is read again where a manifest beside one of its models has changed.
+        """
+        kept, marks = self._read
+        now = _marks(self.root, kept)
+        if now != marks or kept is None:
+            # The marks are those from before: what comes while it is read is read the next time.
+            kept = read_tree([self.root]) if (self.root / MANIFEST).is_file() else None
+            self._read = kept, now
+        return kept
+
+    def _lines(self) -> Iterator[TreeLine]:
+        tree = self.tree()
+        for depth, place in tree.in_order() if tree is not None else ():
+            assert tree is not None
+            node, parent = tree.nodes[place], tree.parents[place]
+            kept = self._kept.notes.get(Path(place).name, ModelNote())
+            yield TreeLine(
+                id=id_of(place), parent=id_of(parent) if parent else "", depth=depth, title=node.title,
+                folder=shown_place(place), name=kept.name, note=kept.note, chi2=node.chi2, dof=node.dof,
+                delta_chi2=node.delta_chi2, gain=gain_text(node), rms=rms_by_unit(node.rms), selected=node.selected,
+                taken=node.taken,
+            )  # fmt: skip
+
+    # ---- models ----
+
+    def place_of(self, model: str) -> Path:
+        """Return the folder of a model of the tree; raises InputError where it has none of this id."""
+        tree = self.tree()
+        for place in tree.nodes if tree is not None else ():
+            if id_of(place) == model:
+                return Path(place)
+        raise input_error("there is no such model in this session", f"model {model[:40]!r}", "a model of the tree",
+                          "choose one of the tree")  # fmt: skip
+
+    def get(self, model: str) -> OpenModel | None:
+        """Return a model that is open; None of one that is not: it is opened then."""
+        with self._lock:
+            if model in self._open:
+                self._open[model] = self._open.pop(model)
+                return self._open[model]
+            if not any(each.kind == "open" and each.of == model and each.at_work for each in self.worker.tasks):
+                folder = self.place_of(model)
+                self.worker.submit(
+                    "open", f"open {folder.name}", model, lambda tell: self._opened(read_result(folder), tell)
+                )
+            return None
+
+    @property
+    def open_models(self) -> tuple[OpenModel, ...]:
+        """The models that are open."""
+        with self._lock:
+            return tuple(self._open.values())
+
+    def require(self, model: str) -> OpenModel:
+        """Return a model that is open; raises InputError of one that is not yet."""
+        found = self.get(model)
+        if found is None:
+            raise input_error("this model is still being opened", f"model {model[:40]!r}", "a model that is open",
+                              "wait until it is open")  # fmt: skip
+        return found
+
+    def _opened(self, result: Result, tell: Tell, lines: tuple[str, ...] = ()) -> TaskOutcome:
+        """Diagnose a result and hold it in memory; the one that was used least goes."""
+        assert result.folder is not None
+        name = id_of(str(result.folder.resolve()))
+        found = opened(name, result, tell)
+        with self._lock:
+            self._open[name] = found
+            while len(self._open) > _MOST_OPEN:
+                del self._open[next(iter(self._open))]
+        self.keep(f"imubayes diagnose {found.place}")
+        return TaskOutcome(name, lines)
+
+    def begin(self, result: Result | None = None) -> None:
+        """Open the selected model of the tree, or a result that is in memory."""
+        if result is not None:
+            name = id_of(str(self.root))
+            self.worker.submit("open", f"open {self.root.name}", name, lambda tell: self._opened(result, tell))
+            return
+        tree = self.tree()
+        if tree is not None:
+            self.get(id_of((tree.selected or tree.roots)[0]))
+
+    def fit(self, campaign: Path, model: Path) -> None:
+        """Fit a campaign as the first model."""
+        places = shlex.join(["imubayes", "fit", str(campaign), "--model", str(model), "--out", str(self.root)])
+
+        def work(tell: Tell) -> TaskOutcome:
+            result = fit(campaign, model, self.root, sample=False, progress=tell)
+            self.keep(f"{places} --no-sample")
+            self.worker.say((fitted_text(shown_place(str(self.root.resolve()))),))
+            return self._opened(result, tell)
+
+        self.worker.submit("fit", f"fit {campaign.name}", "", work)
+
+    def previewed(self, wanted: PreviewWanted) -> PreviewFacts:
+        """Return what causes would do together, with the command that adds them, or what a change does."""
+        found, (ahead, what) = self.require(wanted.model), self._ahead_of(wanted)
+        out = self.folder_for(found, wanted.effects[0]) if wanted.effects else found.folder
+        told = found.preview(wanted.effects, quoted(out), ahead, what, self._table_of(found, ahead))
+        return told.model_copy(update={"task": wanted.task})
+
+    def frame(self, wanted: PointsWanted) -> bytes:
+        """Return the points of a view as bytes (see `PointTable.frame`)."""
+        found, (ahead, _) = self.require(wanted.model), self._ahead_of(wanted)
+        return self._table_of(found, ahead).frame(wanted, ahead)
+
+    def _table_of(self, model: OpenModel, ahead: Ahead | None) -> PointTable:
+        """Return the table with the readings of a change: those of another model where some are taken back."""
+        others = (each.table for each in self.open_models if ahead and each.view.fit.model is ahead.point.model)
+        return next(others, model.table)
+
+    def _ahead_of(self, wanted: PreviewWanted | PointsWanted) -> tuple[Ahead | None, str]:
+        """Return the refit of a change that is at work, and its name; made once, by whoever asks first."""
+        number, change = self._change
+        if not wanted.task or number != wanted.task or change is None:
+            return None, ""
+        with self._refits:
+            return change.ahead, change.what
+
+    # ---- changes ----
+
+    def keep(self, command: str, *, again: bool = False) -> None:
+        """Keep the command of what was done; see `KeptSession.with_command`."""
+        self._keep(lambda kept: kept.with_command(command, again=again))
+
+    def _keep(self, changed: Callable[[KeptSession], KeptSession]) -> None:
+        """Keep a change; it stays with the session where there is no right to write, or no room."""
+        with self._lock, kept_if_possible(self.root.parent):
+            self._kept = changed(self._kept)
+            self._kept.write(self.root)
+        self.changed()
+
+    def folder_for(self, model: OpenModel, word: str) -> Path:
+        """Return a free folder beside a model for the one that follows it."""
+        number, first = 1, model.folder.with_name(f"{model.folder.name}-{word}")
+        folder = first
+        while folder.exists():
+            number += 1
+            folder = first.with_name(f"{first.name}-{number}")
+        return folder
+
+    def change(self, wanted: ChangeWanted) -> int:
+        """Add or remove effects, and fit again; return the number of the task.
+
+        Raises
+        ------
+        InputError
+            where a change is at work already, the campaign is no longer what was fitted, or nothing is named.
+        """
+        model = self.require(wanted.model)
+        self._refuse_changed_campaign(model)
+        change = self._made(model, wanted)
+
+        def work(tell: Tell) -> TaskOutcome:
+            tell("new residuals")
+            with self._refits:
+                _ = change.ahead  # shown while the fit is made
+            return self._after(change.written(tell), change.command, tell)
+
+        with self._lock:  # two windows may ask at once
+            if any(each.kind == "change" and each.at_work for each in self.worker.tasks):
+                raise input_error("a change is at work already", "this session", "one change at a time",
+                                  "wait for it, or cancel it")  # fmt: skip
+            number = self.worker.submit("change", change.what, model.id, work, change.adding)
+            self._change = number, change
+            return number
+
+    def _made(self, model: OpenModel, wanted: ChangeWanted) -> Change:
+        """Return a change as it was asked for."""
+        if wanted.formula_of:
+            return self._adding_formula(model, wanted)
+        if wanted.add:
+            return self._adding(model, self._with_locked(wanted.add, model), wanted.channels)
+        if wanted.remove:
+            return self._removing(model, wanted.remove)
+        return self._refitting(model, edited_model(model, wanted))
+
+    def _with_locked(self, effects: tuple[str, ...], model: OpenModel) -> tuple[str, ...]:
+        """Return effects with those that are always added."""
+        locked = [name for name, lock in self._kept.locks.items() if lock == "in" and name in model.view.variants]
+        return tuple(dict.fromkeys((*effects, *locked)))
+
+    def _adding(self, model: OpenModel, effects: tuple[str, ...], channels: tuple[str, ...] | None) -> Change:
+        folder, channels = self.folder_for(model, effects[0]), channels or model.channels_for(effects)
+        return Change(
+            what=f"add {', '.join(effects)}",
+            command=add_command(effects, channels, model.place, quoted(folder)),
+            make=lambda tell: add(model.result, effects, folder, channels, diagnosis=model.diagnosis, progress=tell),
+            predict=lambda: model.ahead_of_adding(effects, channels),
+            adding=effects,
+        )
+
+    def _adding_formula(self, model: OpenModel, wanted: ChangeWanted) -> Change:
+        """Return the change of writing an effect for the formula of a residual, and adding it on its channel."""
+        channel, found = wanted.formula_of, model.view.formula(wanted.formula_of, wanted.drawn)
+        if found is None:
+            raise input_error(f"the residual of {channel} has no formula", "formula", "a channel with one",
+                              "choose another channel")  # fmt: skip
+        folder = self.folder_for(model, "found_shape")
+        file = folder.with_name(f"{folder.name}.py")
+        view = model.view
+        return Change(
+            what=f"add the formula of {channel}",
+            command=add_command([quoted(file)], [channel], model.place, quoted(folder)),
+            make=lambda tell: add(
+                model.result, [str(file)], folder, [channel], diagnosis=model.diagnosis, progress=tell
+            ),
+            predict=lambda: view.ahead(view.fit.model, columns=view.columns_of(found, wanted.drawn)),
+            write=lambda: write_text(file, formula_source(found)),
+            file=file,
+        )
+
+    def _removing(self, model: OpenModel, effects: tuple[str, ...]) -> Change:
+        folder = self.folder_for(model, f"without-{effects[0]}")
+        return Change(
+            what=f"remove {', '.join(effects)}",
+            command=f"imubayes remove {shlex.join(effects)} --from {model.place} --out {quoted(folder)}",
+            make=lambda tell: remove(model.result, effects, folder, progress=tell),
+            predict=lambda: model.view.ahead(reduce(model.view.fit, effects).model),
+        )
+
+    def _refitting(self, model: OpenModel, edited: EditedModel) -> Change:
+        """Return the change to an edited model; its file stays beside the results, as the command names it."""
+        folder = self.folder_for(model, edited.word)
+        file = folder.with_name(f"{folder.name}.toml")
+        ahead_of = methodcaller("ahead_of", edited.spec)
+        return Change(
+            what=edited.what,
+            command=f"imubayes refit {model.place} --model {quoted(file)} --out {quoted(folder)}",
+            make=lambda tell: refit(model.result, file, folder, progress=tell),
+            predict=lambda: next(filter(None, map(ahead_of, (model, *self.open_models))), None),
+            write=lambda: write_model(edited.spec, file),
+            file=file,
+        )  # fmt: skip
+
+    def _after(self, change: ModelChange, command: str, tell: Tell) -> TaskOutcome:
+        self.keep(command)
+        lines = tuple(change_lines(change))
+        self.worker.say(lines)  # its diagnosis may take longer than the refit
+        return self._opened(change.result, tell, lines) if change.taken else TaskOutcome("", lines)
+
+    def _refuse_changed_campaign(self, model: OpenModel) -> None:
+        if model.campaign_changed() and campaign_of(model.folder) is None:
+            raise input_error(
+                "the campaign is no longer the one that was fitted", model.view.fit.model.campaign.folder or "campaign",
+                "the files as they were: the fit belongs to their every byte",
+                f"restore them, or fit the campaign as it is now: imubayes explore CAMPAIGN --model "
+                f"{model.folder / 'model.toml'}",
+            )  # fmt: skip
+
+    def select(self, model: str) -> None:
+        """Make a model the selected one: the one that is exported."""
+        folder = self.place_of(model)
+        select(folder)
+        self.keep(f"imubayes history --select {quoted(folder)}", again=True)
+
+    def note(self, wanted: NoteWanted) -> None:
+        """Keep a name and a note of a model."""
+        folder, note = self.place_of(wanted.model).name, ModelNote(name=wanted.name, note=wanted.note)
+        self._keep(lambda kept: kept.with_note(folder, note))
+
+    def lock(self, wanted: LockWanted) -> None:
+        """Lock an effect in or out, or free it."""
+        self._keep(lambda kept: kept.with_lock(wanted.effect, wanted.lock))
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Effects that are locked out."""
+        return tuple(name for name, lock in self._kept.locks.items() if lock == "out")
+
+    def script(self) -> str:
+        """Return a shell script that does what was clicked."""
+        return self._kept.script()
+
+    def exported(self) -> str:
+        """Return the text of the selected model.
+
+        Raises
+        ------
+        InputError
+            where it needs effect files, which a single file cannot hold.
+        """
+        with TemporaryDirectory() as scratch:
+            file = Path(scratch) / MODEL
+            export(self.root, file)
+            others = sorted(each.name for each in Path(scratch).iterdir() if each != file)
+            if others:
+                raise input_error(
+                    f"the selected model needs {', '.join(others)} beside it", "export", "a model in one file",
+                    f"run: imubayes history {quoted(self.root)} --export model.toml",
+                )  # fmt: skip
+            return file.read_text(encoding="utf-8")
+
+
+def id_of(place: str) -> str:
+    """Return the name of a model on the page, from its folder."""
+    return hashlib.sha256(str(Path(place).resolve()).encode()).hexdigest()[:12]
+
+
+def _marks(root: Path, tree: Tree | None) -> Stamp:
+    """Return the manifests of a tree, and those beside: a model that is added is written there."""
+    folders = {root.resolve().parent, *(Path(place).parent for place in (tree.nodes if tree is not None else ()))}
+    return stamp_of(file for folder in folders for file in folder.glob(f"*/{MANIFEST}"))

@@ -1,0 +1,401 @@
+"""The certificate block: what ISO/IEC 17025 asks of a calibration certificate and no measurement tells.
+
+It stands as ``[certificate]`` in the specification, or in a file of its own::
+
+    format = 1
+
+    [certificate]
+    number = "2026-0117"
+    date = 2026-11-20
+    method = "WI-12, issue 3: joint evaluation of rate table, dividing head and thermal runs"
+    location = "laboratory 2, Example Town"
+    accreditation = "D-K-00000-01-00, accredited calibration laboratory"
+
+    [certificate.laboratory]
+    name = "Example Laboratory"
+    address = "Street 1, 12345 Example Town, DE"
+
+    [[certificate.standard]]
+    name = "rate table"
+    equipment = ["rate"]         # what it is or traces in the campaign: see below
+    certificate = "NMI 2026-0815"
+    valid_until = 2027-03-01
+
+    [[certificate.cmc]]          # no U of these quantities is stated smaller (ILAC-P14)
+    quantity = "accel_bias.bias"
+    expanded = 2
+    unit = "ug"
+
+Nothing of it is required of the file.  What ISO/IEC 17025:2017, 7.8.2 and 7.8.4, require of a certificate and the block
+lacks is listed as missing on its last page.  What contradicts the campaign, and what other documents ask, is listed
+beside it: standards of equipment that no run used or that had expired, dates in the wrong order, capabilities.
+
+Equipment is what the runs used: tables by name; ``reference_gyro`` and ``current_injection``, procedures with a
+standard of their own; ``gravity``, of accelerometers; and the instruments of what was read beside the outputs and
+enters the results, ``temperature``, ``converter_temperature``, ``time`` and ``vibration``.  A claim is held against
+what was used: no standard of gravity was, if the campaign has the formula of normal gravity.
+"""
+
+import datetime
+import unicodedata
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from imubayes.campaign import file_schemas
+from imubayes.campaign.toml_documents import Ledger, read_document
+from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.covariates import instruments
+from imubayes.foundations.records import Record
+from imubayes.procedures.ambient import instant, starts_of
+from imubayes_qualification.certificate.countries import COUNTRIES
+
+
+def _visible(text: str) -> str:
+    if all(unicodedata.category(letter) in ("Cf", "Zs") for letter in text):
+        raise ValueError("it is blank")
+    return text
+
+
+def _in_order(span: tuple[float, float]) -> tuple[float, float]:
+    if span[0] > span[1]:
+        raise ValueError("the lowest comes first")
+    return span
+
+
+def _no_number(value: object) -> object:
+    """Refuse the numbers that stand for seconds since 1970."""
+    if isinstance(value, int | float):
+        raise ValueError(f"{value!r} is not a date, as 2026-11-20")
+    return value
+
+
+def _assigned(country: str) -> str:
+    if country not in COUNTRIES:
+        raise ValueError(f"{country!r} is not a country of ISO 3166-1, such as GB of the United Kingdom")
+    return country
+
+
+Text = Annotated[file_schemas.Text, Field(min_length=1, max_length=2000), AfterValidator(_visible)]
+Date = Annotated[datetime.date, BeforeValidator(_no_number)]
+Celsius = Annotated[float, Field(strict=True, ge=-273.15)]
+Percent = Annotated[float, Field(strict=True, ge=0, le=100)]
+Pressure = Annotated[float, Field(strict=True, ge=0)]
+
+
+class _CertificatePart(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+class Party(_CertificatePart):
+    """Laboratory or customer."""
+
+    name: Text | None = Field(default=None, description="of the organisation")
+    address: Text | None = Field(default=None, description="as on a letter, one line")
+    country: Annotated[str, Field(pattern=file_schemas.COUNTRY), AfterValidator(_assigned)] | None = Field(
+        default=None, description="ISO 3166-1"
+    )
+    email: Text | None = Field(default=None, description="for questions")
+
+
+class CertifiedItem(_CertificatePart):
+    """What was calibrated; its serial number is that of the campaign."""
+
+    description: Text | None = Field(default=None, description="what it is")
+    manufacturer: Text | None = Field(default=None, description="who made it")
+    model: Text | None = Field(default=None, description="type designation")
+    condition: Text | None = Field(default=None, description="in which it was received")
+    received: Date | None = Field(default=None, description="date of receipt")
+
+
+class MeasurementStandard(_CertificatePart):
+    """A standard that was used, and what its traceability rests on."""
+
+    name: Text = Field(description="what it is: rate table, dividing head, gravity, thermometer")
+    equipment: tuple[Text, ...] = Field(
+        default=(),
+        description="that it is or traces: tables by name, reference_gyro, current_injection, gravity, temperature, "
+        "converter_temperature, time, vibration",
+    )
+    serial: Text | None = Field(default=None, description="its serial number")
+    certificate: Text | None = Field(default=None, description="number of its calibration certificate")
+    issued_by: Text | None = Field(default=None, description="who issued that")
+    valid_until: Date | None = Field(default=None, description="when it is due again")
+
+
+class Environment(_CertificatePart):
+    """Conditions during the calibration that influence it: lowest and highest."""
+
+    temperature_degC: Annotated[tuple[Celsius, Celsius], AfterValidator(_in_order)] | None = Field(
+        default=None, description="of the air"
+    )
+    humidity_percent: Annotated[tuple[Percent, Percent], AfterValidator(_in_order)] | None = Field(
+        default=None, description="relative humidity of the air"
+    )
+    pressure_hPa: Annotated[tuple[Pressure, Pressure], AfterValidator(_in_order)] | None = Field(
+        default=None, description="of the air"
+    )
+    text: Text | None = Field(default=None, description="anything else, such as vibration")
+
+
+class CapabilityEntry(_CertificatePart):
+    """A calibration and measurement capability of the laboratory (CMC)."""
+
+    quantity: Text = Field(
+        description="name in the summary of a fit; without the labels in brackets, all of the family"
+    )
+    expanded: Annotated[float, Field(gt=0, lt=1e15, strict=True)] = Field(
+        description="smallest expanded uncertainty that may be stated"
+    )
+    unit: Text = Field(description="of that")
+
+
+class Amendment(_CertificatePart):
+    """What an amended or reissued certificate changes (ISO/IEC 17025:2017, 7.8.8)."""
+
+    of: Text = Field(description="number of the certificate that is amended or replaced")
+    changes: Text = Field(description="information that is changed")
+    reason: Text | None = Field(default=None, description="of the change")
+    replaces: bool = Field(
+        default=True, description="whether this is a complete new certificate in its place, and no amendment to it"
+    )
+
+
+class ExternalResult(_CertificatePart):
+    """Results that an external provider obtained."""
+
+    provider: Text = Field(description="who obtained them")
+    results: Text = Field(description="which they are, such as runs of the campaign")
+
+
+class Signatory(_CertificatePart):
+    """A person who authorises the certificate."""
+
+    name: Text = Field(description="as it signs")
+    function: Text | None = Field(default=None, description="in the laboratory")
+
+
+class Certificate(_CertificatePart):
+    """The certificate block (ISO/IEC 17025:2017, 7.8.2 and 7.8.4)."""
+
+    number: Text | None = Field(default=None, description="unique identification of the certificate")
+    date: Date | None = Field(default=None, description="of issue")
+    title: Text = Field(default="Calibration certificate", description="of the document")
+    laboratory: Party = Field(default=Party(), description="who calibrated")
+    customer: Party = Field(default=Party(), description="for whom")
+    order: Text | None = Field(default=None, description="of the customer")
+    item: CertifiedItem = Field(default=CertifiedItem(), description="what was calibrated")
+    location: Text | None = Field(default=None, description="where the calibration was made")
+    method: Text | None = Field(default=None, description="identification of the method")
+    standard: tuple[MeasurementStandard, ...] = Field(default=(), description="standards that were used")
+    cmc: tuple[CapabilityEntry, ...] = Field(default=(), description="capabilities: no U is stated smaller")
+    environment: Environment = Field(default=Environment(), description="conditions during the calibration")
+    adjustment: Text | None = Field(default=None, description="results before and after, where it was adjusted")
+    deviations: Text | None = Field(default=None, description="from the method")
+    amendment: Amendment | None = Field(default=None, description="where it amends or replaces an issued certificate")
+    external: tuple[ExternalResult, ...] = Field(default=(), description="results of external providers")
+    customer_data: Text | None = Field(
+        default=None, description="information that the customer provided, such as limits"
+    )
+    sampling: Text | None = Field(default=None, description="plan and method by which the item was sampled")
+    remarks: Text | None = Field(default=None, description="of the laboratory")
+    accreditation: Text | None = Field(default=None, description="text of the accreditation mark")
+    signatory: tuple[Signatory, ...] = Field(default=(), description="who authorises the certificate")
+
+    @model_validator(mode="after")
+    def _has_a_number_of_its_own(self) -> "Certificate":
+        if self.amendment is not None and self.amendment.of == self.number:
+            raise ValueError(f"a certificate that amends or replaces {self.number!r} has a number of its own")
+        return self
+
+
+class CertificateFile(_CertificatePart):
+    """A certificate block in a file of its own."""
+
+    format: Literal[1] = Field(description="of this file")
+    certificate: Certificate = Field(description="the block")
+
+
+MissingItem = Literal[
+    "number", "date", "laboratory_name", "laboratory_address", "location", "customer_name", "customer_address",
+    "method", "item_description", "serial", "received", "performed", "environment", "standards",
+    "standard_certificate", "standard_validity", "expired", "untraced", "unused", "normal_gravity",
+    "repeated_standard", "shared_certificate", "received_late", "issued_early",
+    "omitted", "validity", "cmc", "signatories",
+]  # fmt: skip
+"""What a certificate lacks, or what in it contradicts the campaign.
+
+`expired` is a standard whose validity ended before the last run that used it, `untraced` equipment of the runs that no
+standard names, `unused` what a standard names and no run used, `normal_gravity` a measured gravity in place of its
+formula, `repeated_standard` one that is listed twice, `shared_certificate` a number that several issuers gave,
+`omitted` what U is known to lack, `validity` that of the model or the fit, `cmc` the capabilities of a laboratory that
+states an accreditation.
+"""
+
+
+REQUIRED: frozenset[MissingItem] = frozenset({
+    "number", "date", "laboratory_name", "laboratory_address", "location", "customer_name", "customer_address",
+    "method", "item_description", "serial", "received", "performed", "environment", "standards", "untraced",
+    "normal_gravity", "signatories",
+})  # fmt: skip
+"""What ISO/IEC 17025:2017 requires of a certificate, 7.8.2.1 and 7.8.4.1."""
+
+
+class Missing(Record):
+    """One thing that is missing, and of which standard where it is one's."""
+
+    item: MissingItem
+    of: str = ""
+
+    @property
+    def required(self) -> bool:
+        """Whether ISO/IEC 17025 requires it of a certificate; else it is a contradiction, or other documents ask it."""
+        return self.item in REQUIRED
+
+
+class CapabilityFloor(Record):
+    """A quantity whose U is the CMC: in its unit, the CMC and U by the budget."""
+
+    name: str
+    unit: str
+    expanded: float
+    own: float
+
+
+def read_certificate(file: str | Path) -> tuple[Certificate, Ledger]:
+    """Return the certificate block of a file of its own, and the ledger that knows the line of every key.
+
+    Raises
+    ------
+    InputError
+        with everything that is wrong with the file.
+    """
+    document = read_document(Path(file), CertificateFile)
+    document.ledger.stop_if_any()
+    assert document.entry is not None, "an invalid document has issues"
+    return document.entry.certificate, document.ledger
+
+
+GRAVITY = "gravity"
+# Procedures whose stimulus comes from a standard that is no table.
+_WITH_STANDARD = ("reference_gyro", "current_injection")
+
+
+@dataclass(frozen=True)
+class EquipmentUsed:
+    """What runs used that a standard may trace, each with the start of the last run that did.
+
+    Attributes
+    ----------
+    needed : what enters the results: tables, procedures with a standard, gravity, instruments of covariates.
+    recorded : what is known and enters no result: instruments of covariates that no effect of the model reads, gravity
+        of a unit without accelerometers.
+    normal_gravity : whether gravity is that of the formula, which no standard gave.
+    """
+
+    needed: Mapping[str, str | None]
+    recorded: Mapping[str, str | None]
+    normal_gravity: bool
+
+
+def equipment_used(campaign: Campaign, covariates: Collection[str] = ()) -> EquipmentUsed:
+    """Return what the runs of a campaign used as standards.
+
+    Parameters
+    ----------
+    covariates : that the effects of the model read.
+    """
+    accelerometers = any(channel.kind == "accelerometer" for channel in campaign.channels)
+    read, normal = instruments(covariates), campaign.site.has_normal_gravity
+    gravity = () if normal else (GRAVITY,)
+    needed, recorded = dict[str, str | None](), dict[str, str | None]()
+    for run in campaign.runs:
+        own = instruments(run.covariates)
+        procedure = run.procedure if run.procedure in _WITH_STANDARD else None
+        enters = [run.table, procedure, *(name for name in own if name in read)]
+        beside = [name for name in own if name not in read]
+        (enters if accelerometers else beside).extend(gravity)
+        for listed, names in ((needed, enters), (recorded, beside)):
+            for name in filter(None, names):
+                listed[name] = max(filter(None, (listed.get(name), run.start)), key=instant, default=None)
+    return EquipmentUsed(needed, recorded, accelerometers and normal)
+
+
+def missing_items(found: Certificate, campaign: Campaign, covariates: Collection[str] = ()) -> tuple[Missing, ...]:
+    """Return what ISO/IEC 17025 requires and a certificate lacks, what in it contradicts the campaign, and a CMC.
+
+    Parameters
+    ----------
+    covariates : that the effects of the model read.
+    """
+    item, laboratory, customer = found.item, found.laboratory, found.customer
+    starts = starts_of(campaign.runs)
+    required: dict[MissingItem, object] = {
+        "number": found.number, "date": found.date, "laboratory_name": laboratory.name,
+        "laboratory_address": laboratory.address, "location": found.location, "customer_name": customer.name,
+        "customer_address": customer.address, "method": found.method,
+        "item_description": item.description or item.model, "serial": campaign.serial, "received": item.received,
+        "performed": starts, "environment": any(found.environment.model_dump().values()), "standards": found.standard,
+        "received_late": not (item.received and starts and item.received > _day(starts[0])),
+        "issued_early": not (found.date and starts and found.date < _day(starts[-1])),
+        "signatories": found.signatory, "cmc": found.cmc or not found.accreditation,
+    }  # fmt: skip
+    absent = [Missing(item=name) for name, given in required.items() if not given]
+    used = equipment_used(campaign, covariates)
+    return (*absent, *(_of_standards(found.standard, used, starts) if found.standard else ()))
+
+
+def _of_standards(
+    standards: Sequence[MeasurementStandard], equipment: EquipmentUsed, starts: Sequence[str]
+) -> Iterator[Missing]:
+    used, traced = {**equipment.recorded, **equipment.needed}, set[str]()
+    if equipment.normal_gravity:
+        yield Missing(item="normal_gravity")
+    yield from _repeated(standards)
+    for standard in standards:
+        own = {standard.name, *standard.equipment}
+        traced |= own
+        claimed = (*standard.equipment, *({standard.name} & {GRAVITY}))
+        for name in dict.fromkeys(name for name in claimed if name not in used):
+            yield Missing(item="unused", of=f"{standard.name}: {name}")
+        if standard.certificate is None:
+            yield Missing(item="standard_certificate", of=standard.name)
+        ends = filter(None, (used[name] for name in own if name in used))
+        last = max(ends, key=instant, default=starts[-1] if starts else None)
+        if standard.valid_until is None:
+            yield Missing(item="standard_validity", of=standard.name)
+        elif last is not None and _day(last) > standard.valid_until:
+            yield Missing(item="expired", of=standard.name)
+    for name in equipment.needed:
+        if name not in traced:
+            yield Missing(item="untraced", of=name)
+
+
+def _repeated(standards: Sequence[MeasurementStandard]) -> Iterator[Missing]:
+    """Yield the standards that are listed more than once, and the certificates that have several issuers."""
+    entries = Counter(tuple(map(_plain, (each.name, each.serial, each.certificate))) for each in standards)
+    for each in {_plain(each.name): each for each in reversed(standards)}.values():
+        if any(times > 1 and name == _plain(each.name) for (name, _, _), times in entries.items()):
+            yield Missing(item="repeated_standard", of=each.name)
+    issuers: dict[str, dict[str, MeasurementStandard]] = {}
+    for each in standards:
+        if each.certificate and each.issued_by:
+            issuers.setdefault(_plain(each.certificate), {}).setdefault(_plain(each.issued_by), each)
+    for by in issuers.values():
+        if len(by) > 1:
+            first = next(iter(by.values()))
+            names = ", ".join((each.issued_by or "").strip() for each in by.values())
+            yield Missing(item="shared_certificate", of=f"{(first.certificate or '').strip()}: {names}")
+
+
+def _plain(text: str | None) -> str:
+    """Return a text as it is compared: case and blanks are no difference between two certificates."""
+    return " ".join((text or "").split()).casefold()
+
+
+def _day(start: str) -> datetime.date:
+    return datetime.date.fromisoformat(start[:10])

@@ -1,0 +1,155 @@
+"""What is stated of a quantity: estimate y, standard uncertainty u, coverage interval, expanded uncertainty U = k u.
+
+The draws of a posterior give its quantiles with a Monte Carlo error, which U should not have where the posterior is
+known.  Where both ends of the interval of the draws agree, within their errors, with those of a normal posterior, or of
+Student's t with the degrees of freedom ν of the scatter that its budget knows, the interval is y ± k u.
+
+No degrees of freedom belong to u.  In the GUM, s is an estimate from few readings, and t_p(ν) in U = t_p(ν) s accounts
+for that (G.3).  The standard deviation of a posterior accounts for it already: that of Student's t with ν degrees of
+freedom and the scale s is u = s √(ν/(ν − 2)), so that the same U is k u with k = t_p(ν) √((ν − 2)/ν) (JCGM 101, 6.4.9).
+A program that multiplies u by t_p(ν) counts it twice: with ν = 11 it makes U ten per cent larger.  Such programs are
+given the ν′ for which t_p(ν′) = k.
+
+The length of a vector, as the angle between true and nominal axis, is not normal near zero: the mean of its draws is
+about u where the vector is zero.  Its estimate is the length of the mean vector, its interval the shortest (JCGM 101,
+5.3.4), and its components are stated beside it.  Where the mean vector is shorter than all of that interval, it is from
+zero to the length that is not exceeded with the probability.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import special
+
+from imubayes.inference.marginal import Marginal, MonteCarloErrors
+
+IntervalShape = Literal["symmetric", "equal-tailed", "shortest"]
+COVERAGE_PROBABILITY = 0.95
+_ONE_SIDED = (1 + COVERAGE_PROBABILITY) / 2
+NORMAL_FACTOR = float(special.ndtri(_ONE_SIDED))
+"""k of 95 % for a normal posterior, 1.96."""
+# Relative difference of two coverage factors that are one.
+_SAME = 1e-9
+# Monte Carlo errors by which an end of the interval may differ from that of the distribution with a known k; degrees of
+# freedom below which the standard deviation of t is no measure of its width.
+_AGREES, _LEAST_DEGREES = 3.0, 4.0
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What is stated of a quantity.
+
+    Attributes
+    ----------
+    estimate, standard : y and u.
+    low, high : ends of the 95 % coverage interval.
+    shape : kind of interval.
+    errors : Monte Carlo errors of these numbers.
+    known : k where the interval is y ± k u with a k that is known; None for the ends of draws.
+    """
+
+    estimate: float
+    standard: float
+    low: float
+    high: float
+    shape: IntervalShape
+    errors: MonteCarloErrors
+    known: float | None = None
+
+    @property
+    def expanded(self) -> float:
+        """U: half the length of the interval."""
+        return (self.high - self.low) / 2 if self.known is None else self.known * self.standard
+
+    @property
+    def factor(self) -> float:
+        """K = U/u; 0 for a quantity that does not vary."""
+        if self.known is not None:
+            return self.known
+        return self.expanded / self.standard if self.standard > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class KnownUncertainty:
+    """A standard uncertainty that is known better than from draws: u, its Monte Carlo error, and k.
+
+    `factor` is that of the interval where the draws have its shape; None where they have another one.  `mean_error` is
+    the Monte Carlo error of the estimate where that is not u over the root of the draws.
+    """
+
+    standard: float
+    error: float
+    factor: float | None = NORMAL_FACTOR
+    mean_error: float | None = None
+
+
+def coverage_factor(degrees: float) -> float | None:
+    """Return k of 95 % for a posterior of Student's t with ν degrees of freedom and known standard deviation.
+
+    None where there are so few that the standard deviation is no measure of the width.
+    """
+    if math.isinf(degrees):
+        return NORMAL_FACTOR
+    if degrees <= _LEAST_DEGREES:
+        return None
+    return float(special.stdtrit(degrees, _ONE_SIDED)) * math.sqrt((degrees - 2) / degrees)
+
+
+def equivalent_degrees(factor: float) -> float:
+    """Return ν′ for which Student's t has the factor k of 95 %, t_p(ν′) = k; infinite for that of a normal posterior.
+
+    It is for programs that form U = t_p(ν′) u, and says nothing of how well u is known.
+    """
+    return math.inf if factor <= NORMAL_FACTOR * (1 + _SAME) else float(special.stdtridf(_ONE_SIDED, factor))
+
+
+def effective_degrees(contributions: np.ndarray, degrees: np.ndarray, variance: float | None = None) -> float:
+    """Return ν of a sum of variances by Welch–Satterthwaite (GUM G.4.1); infinite where all are.
+
+    `variance` is that of the sum where some of the parts, with infinite ν, are correlated.
+    """
+    whole = float(np.sum(contributions)) if variance is None else variance
+    sum_of_squares = float(np.sum(contributions**2 / degrees))
+    return whole**2 / sum_of_squares if sum_of_squares > 0 else math.inf
+
+
+def coverage_of(marginal: Marginal, known: KnownUncertainty | None = None) -> Coverage:
+    """Return what is stated of a quantity with these draws.
+
+    Parameters
+    ----------
+    marginal : of the quantity.
+    known : its uncertainty where a budget gives it; that of the draws where None.
+    """
+    errors, (low, high) = marginal.errors, marginal.interval
+    known = known or KnownUncertainty(marginal.sd, errors.sd)
+    if known.factor is not None and marginal.sd > 0:
+        mean, k = marginal.mean, known.factor
+        # The shape is that of the draws alone: their standard deviation has an error of its own.
+        of_draws = abs(mean - k * marginal.sd - low), abs(mean + k * marginal.sd - high)
+        if of_draws[0] <= _AGREES * errors.low and of_draws[1] <= _AGREES * errors.high:
+            of_mean = errors.mean if known.mean_error is None else known.mean_error
+            half, of_end = k * known.standard, math.hypot(of_mean, k * known.error)
+            own = MonteCarloErrors(of_mean, known.error, of_end, of_end)
+            return Coverage(mean, known.standard, mean - half, mean + half, "symmetric", own, k)
+    return Coverage(marginal.mean, known.standard, low, high, "equal-tailed", errors)
+
+
+def coverage_of_length(marginal: Marginal, length: float, known: KnownUncertainty | None = None) -> Coverage:
+    """Return what is stated of the length of a vector, whose mean has this length."""
+    ordered = np.sort(marginal.draws)
+    low, high = shortest_interval(ordered)
+    if length < low:  # the vector may be zero, and its draws never are: what is known is how long it is at most
+        low, high = 0.0, float(np.quantile(ordered, COVERAGE_PROBABILITY))
+    standard = marginal.sd if known is None else known.standard
+    return Coverage(length, standard, low, high, "shortest", marginal.errors)
+
+
+def shortest_interval(ordered: np.ndarray, probability: float = COVERAGE_PROBABILITY) -> tuple[float, float]:
+    """Return the shortest interval that holds a share of draws in increasing order, (S,) (JCGM 101, 7.7.4)."""
+    inside = min(max(round(probability * len(ordered)), 1), len(ordered) - 1)
+    widths = ordered[inside:] - ordered[:-inside]
+    first = int(np.argmin(widths))
+    return float(ordered[first]), float(ordered[first + inside])

@@ -1,0 +1,68 @@
+"""`imubayes capture`: a recording that is taken step by step, with what the poses determine so far."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from imubayes.cli.session import Names, split
+from imubayes_recordings.cli.convert import NO_OPTIONS, Options, option_name, stated
+from imubayes_recordings.display.capture_lines import now_line, rest_line
+from imubayes_recordings.guided_capture import UNTIL, Guidance, Wanted
+
+
+def capture(
+    folder: Path,
+    *,
+    source: Annotated[Path, Parameter(name="--from", allow_leading_hyphen=True)],
+    until: Names = None,
+    patience: float = 60.0,
+    column: Annotated[list[str] | None, Parameter(negative="")] = None,
+    options: Annotated[Options, Parameter(name="*", negative="", name_transform=option_name)] = NO_OPTIONS,
+) -> int:
+    """Record a unit turned by hand, with instructions until the rests determine the requested quantities.
+
+    The exit status is 1 if the recording ended before. Ctrl-C ends it: the campaign is written with the rests so far.
+
+    Parameters
+    ----------
+    folder
+        Campaign folder to write.
+    source
+        A text file that grows, or - for lines of standard input; these are kept in FOLDER.log until the campaign is
+        written.
+    until
+        EFFECT=UNCERTAINTY, the largest standard uncertainties: accel_bias=0.3mg accel_scale_factor=300ppm
+        accel_misalignment=2arcmin gyro_bias=20deg/h gyro_scale_factor=0.1% gyro_misalignment=4arcmin by default.
+    patience
+        Seconds without a line after which a file has ended.
+    column
+        COLUMN=SOURCE, once for each column whose name is another, as of convert.
+    """
+    from imubayes_recordings.api.capture import capture as guided
+
+    screen = _Screen()
+    given = stated(options, column)
+    made = guided(folder, str(source), split(until) or UNTIL, patience=patience, show=screen.show, **given)
+    done = made.last.state == "done"
+    print(f"campaign in {made.folder}; next: imubayes new {made.folder}")
+    return 0 if done else 1
+
+
+class _Screen:
+    """A line that changes on a terminal; a line for each rest everywhere."""
+
+    def __init__(self) -> None:
+        self._moving, self._said = sys.stdout.isatty(), ""
+
+    def show(self, step: Guidance, wanted: Sequence[Wanted]) -> None:
+        """Show a step."""
+        if step.state in ("enough", "done", "ended"):
+            line = rest_line(step, wanted)
+            if line != self._said:
+                print(f"\r\x1b[2K{line}" if self._moving else line, flush=True)
+            self._said = line
+        elif self._moving:
+            print(f"\r\x1b[2K{now_line(step)}", end="", flush=True)

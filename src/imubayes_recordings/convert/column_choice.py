@@ -1,0 +1,454 @@
+"""Which topics and columns of the recordings are the channels: as stated, by name, or by what unnamed numbers say."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NoReturn
+
+import numpy as np
+
+from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
+from imubayes_recordings.convert.column_names import (
+    ACCEL_UNITS,
+    ACCELEROMETERS,
+    CLOCK,
+    DATE,
+    GYRO_UNITS,
+    GYROS,
+    SIX,
+    TEMPERATURE,
+    TIME,
+    TIME_UNITS,
+    UNKNOWN_AXES,
+    WITHOUT_GRAVITY,
+    ColumnRole,
+    body_rates,
+    quantity_of,
+    role_of,
+    separate_gravity,
+    words_of,
+)
+from imubayes_recordings.convert.options import ConvertOptions
+from imubayes_recordings.convert.recording import SourceRecording, Topic, described, read_columns
+from imubayes_recordings.convert.unnamed_columns import infer_layout
+
+TRIPLES = {"a": ACCELEROMETERS, "g": GYROS}
+_HOLDS = {"ag": "accelerometers and gyros", "a": "accelerometers", "g": "gyros"}
+
+
+@dataclass(frozen=True)
+class ChosenColumn:
+    """A column that is read: its position from 0, its sign, and the unit that name or recording state.
+
+    `added` is the position of a column that is added to it.
+    """
+
+    position: int
+    unit: str = ""
+    sign: float = 1.0
+    added: int | None = None
+
+
+@dataclass(frozen=True)
+class ChosenTable:
+    """A topic and the columns that are read of it.
+
+    Attributes
+    ----------
+    columns : target → column; two for a date and a time of day.
+    evidence : why columns without names were taken so; empty where names or options say it.
+    left : columns that could have been read as well, and why they are not.
+    faults : why the topic cannot serve.
+    """
+
+    recording: SourceRecording
+    topic: Topic
+    columns: dict[str, ChosenColumn]
+    evidence: str = ""
+    left: tuple[str, ...] = ()
+    faults: tuple[Issue, ...] = field(default=(), repr=False)
+
+    @property
+    def usable(self) -> bool:
+        """Whether it has channels, and nothing speaks against it."""
+        return bool(self.kinds) and not self.faults
+
+    @property
+    def kinds(self) -> str:
+        """Which kinds of channels it has: `a`, `g` or `ag`."""
+        return "".join(kind for kind, names in TRIPLES.items() if any(name in self.columns for name in names))
+
+
+def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions) -> tuple[ChosenTable, ...]:
+    """Return the tables that hold the channels: one with all, one for accelerometers and one for gyros, or one a file.
+
+    Raises
+    ------
+    InputError
+        where no column is a channel, more than one choice is possible, or a stated column is missing; with what the
+        recordings hold.
+    """
+    found = _topics(recordings, options)
+    alone = len(found) == 1
+    tables = [_table(recording, topic, options, alone) for recording, topic in found]
+    stated = [table for table in tables if set(options.columns) & set(table.columns)]
+    if options.columns and not stated:
+        raise InputError(tables[0].faults or _nothing(tables))
+    usable = [table for table in (stated or tables) if table.usable] or _refuse(tables, alone)
+    chosen = _one_way(usable, len(options.topic) > 1)
+    read = {id(table.recording) for table in chosen}
+    if idle := [table for table in tables if id(table.recording) not in read]:
+        _refuse(idle, alone=True)  # a file of which nothing is read was not given for nothing
+    return chosen
+
+
+def _topics(recordings: Sequence[SourceRecording], options: ConvertOptions) -> list[tuple[SourceRecording, Topic]]:
+    """Return the topics of all recordings, or those that are stated."""
+    found = [(recording, topic) for recording in recordings for topic in recording.topics()]
+    if not options.topic:
+        return found
+    names = [topic.name for _, topic in found]
+    if lost := sorted(set(options.topic) - set(names)):
+        what = f"there is no topic '{lost[0]}'"
+        raise input_error(what, "option topic", closest_first(lost[0], names), "name a topic that is there")
+    return [(recording, topic) for recording, topic in found if topic.name in options.topic]
+
+
+def _refuse(tables: Sequence[ChosenTable], alone: bool) -> NoReturn:
+    faults = [fault for table in tables for fault in table.faults]
+    raise InputError(faults[:3] if faults and alone else _nothing(tables, faults))
+
+
+def _one_way(usable: Sequence[ChosenTable], session: bool) -> tuple[ChosenTable, ...]:
+    """Return the tables of the only choice among those that have channels.
+
+    Parameters
+    ----------
+    session : whether several topics are stated: those with both kinds each are the runs of a session.
+    """
+    by_kind = {kinds: [table for table in usable if table.kinds == kinds] for kinds in _HOLDS}
+    whole, apart = by_kind["ag"], [by_kind["a"], by_kind["g"]]
+    candidates = whole or [*apart[0], *apart[1]]
+    if not (session and len(whole) == len(usable)) and _is_open(*by_kind.values()):
+        listed = {table.topic.name or table.recording.file.name: _HOLDS[table.kinds] for table in candidates}
+        first, *others = listed
+        several = (
+            f"; runs of one unit are stated together: --topic {first} --topic {others[0]}" if whole and others else ""
+        )
+        issue = Issue(
+            f"{len(candidates)} topics hold channels",
+            ", ".join(dict.fromkeys(str(table.recording.file) for table in candidates)),
+            ", ".join(f"{name} ({kinds})" for name, kinds in listed.items()),
+            f"choose one, such as --topic {first}{several}",
+        )
+        raise InputError(issue)
+    return tuple(candidates)
+
+
+def _is_open(*by_kind: Sequence[ChosenTable]) -> bool:
+    """Tell whether tables with both kinds, with accelerometers and with gyros are more than one record each or runs.
+
+    One topic of accelerometers and one of gyros in each of several files are the parts of a record, or its runs.
+    """
+    whole, *apart = [[id(table.recording) for table in part] for part in by_kind]
+    if any(len(own) > len(set(own)) for own in (whole, *apart)):
+        return True
+    return not whole and min(map(len, apart)) > 1 and set(apart[0]) != set(apart[1])
+
+
+def _nothing(tables: Sequence[ChosenTable], faults: Sequence[Issue] = ()) -> Issue:
+    """Return the issue that lists what the recordings hold."""
+    listed = []
+    for table in tables[:12]:
+        names = [name or str(place) for place, name in enumerate(table.topic.names, 1)]
+        listed.append(f"{described(table.topic)}: {', '.join(names[:16])}{', …' if len(names) > 16 else ''}")
+    why = f"; {faults[0].what}" if faults else ""
+    return Issue(
+        f"no columns are named as those of accelerometers or gyros{why}",
+        ", ".join(dict.fromkeys(str(table.recording.file) for table in tables)),
+        "; ".join(listed),
+        "state the columns: --topic TOPIC --column ax=NAME --column ay=NAME … (time_s, ax ay az, gx gy gz)",
+    )
+
+
+def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, alone: bool) -> ChosenTable:
+    """Return what a topic has, with what speaks against it."""
+    table, faults = ChosenTable(recording, topic, {}), []
+    stated: dict[str, ChosenColumn] = {}
+    roles = [role_of(column.name, column.unit) for column in topic.columns]
+    for target, source in options.columns.items():
+        try:
+            stated[target] = _stated(topic, target, source, roles)
+        except InputError as error:
+            faults += error.issues
+    if faults and (alone or stated):
+        return replace(table, columns=stated, faults=tuple(faults))
+    if not topic.named:
+        return _without_names(table, stated, options, alone)
+    roles = [_resolved(role, topic, recording) for role in roles]
+    if not any(role is not None and role.target in GYROS for role in roles):
+        rates = body_rates(topic.names)
+        roles = [rates.get(place, role) for place, role in enumerate(roles)]
+    try:
+        columns = _with_gravity(topic, stated | _by_name(topic, roles, stated))
+    except InputError as error:
+        return replace(table, columns=stated, faults=error.issues)
+    return _checked(replace(table, columns=columns), roles, options)
+
+
+def _with_gravity(topic: Topic, columns: dict[str, ChosenColumn]) -> dict[str, ChosenColumn]:
+    """Return columns with accelerometers as sums of gravity and the rest, if there are no others."""
+    if any(name in columns for name in ACCELEROMETERS):
+        return columns
+    return columns | {
+        name: ChosenColumn(parts.motion, parts.unit, added=parts.gravity)
+        for name, parts in separate_gravity(topic.names).items()
+    }
+
+
+def _checked(table: ChosenTable, roles: Sequence[ColumnRole | None], options: ConvertOptions) -> ChosenTable:
+    """Return a table with what stands beside its channels, and what speaks against its columns."""
+    topic = table.topic
+    columns, left = _beside(topic, roles, table.columns)
+    unknown = {target: role.unknown for target, column in columns.items() if (role := roles[column.position])}
+    if unknown.get(TEMPERATURE):
+        left += (f"the unit '{unknown[TEMPERATURE]}' of the temperature is not known: it is not read",)
+        columns = {target: column for target, column in columns.items() if target != TEMPERATURE}
+    text = [target for target, own in columns.items() if topic.columns[own.position].unit == "text"]
+    for target in (name for name in text if name[:2] not in SIX and name not in (TIME, *options.columns)):
+        left += (f"'{topic.names[columns[target].position]}' holds text: {target} is not read",)
+        columns = {name: own for name, own in columns.items() if name != target}
+    faults = [*_unknown_units(topic, columns, unknown, options), *_read_twice(topic, columns)]
+    return replace(table, columns=columns, left=left, faults=tuple(faults))
+
+
+def _unknown_units(
+    topic: Topic, columns: Mapping[str, ChosenColumn], unknown: Mapping[str, str], options: ConvertOptions
+) -> list[Issue]:
+    """Return one issue for each kind of column whose unit is stated in a way that is not known, and by no option."""
+    by_option = (
+        ("accel-unit", ACCELEROMETERS, options.accel_unit, ACCEL_UNITS),
+        ("gyro-unit", GYROS, options.gyro_unit, GYRO_UNITS),
+        ("time-unit", (TIME,), options.time_unit or str(options.sample_rate_hz or ""), TIME_UNITS),
+    )
+    return [
+        Issue(
+            f"the unit '{unknown[found[0]]}' of {found[0]} is not known", topic.where, ", ".join(allowed),
+            f"correct it in the recording, or state the unit with --{option}"
+            + (", or the rate with --sample-rate-hz" if option == "time-unit" else ""),
+        )
+        for option, targets, stated, allowed in by_option
+        if not stated and (found := [target for target in targets if target in columns and unknown.get(target)])
+    ]  # fmt: skip
+
+
+def _read_twice(topic: Topic, columns: Mapping[str, ChosenColumn]) -> list[Issue]:
+    """Return an issue where one column would be two channels."""
+    by_place: dict[int, list[str]] = {}
+    for target, column in columns.items():
+        by_place.setdefault(column.position, []).append(target)
+    return [
+        Issue(
+            f"column {place + 1} '{topic.names[place]}' would be {' and '.join(targets)}", topic.where,
+            "one column for each channel", f"state the column of {targets[-1]} as well: --column {targets[-1]}=NAME",
+        )
+        for place, targets in by_place.items()
+        if len(targets) > 1
+    ][:1]  # fmt: skip
+
+
+def _stated(topic: Topic, target: str, source: str | int, roles: Sequence[ColumnRole | None]) -> ChosenColumn:
+    word, sign = str(source), 1.0
+    if word.startswith("-") and word not in topic.names:
+        word, sign = word[1:], -1.0
+    position = topic.position(word, target)
+    role = roles[position]
+    return ChosenColumn(position, role.unit if role else "", sign)
+
+
+def _resolved(role: ColumnRole | None, topic: Topic, recording: SourceRecording) -> ColumnRole | None:
+    """Return the role of an axis with the quantity that the names of topic and file say."""
+    if role is None or not role.target.startswith("?"):
+        return role
+    kind = hinted_kind(topic, recording)
+    return replace(role, target=kind + role.target[1:]) if kind else role
+
+
+def hinted_kind(topic: Topic, recording: SourceRecording) -> str:
+    """Return ``a`` or ``g`` where the name of the topic, or of the file, says what it holds."""
+    for name in (topic.name, recording.file.name.partition(".")[0]):
+        if kind := quantity_of(set(words_of(name)) - {"a", "g", "f", "w"}, ""):
+            return kind
+    return topic.name if topic.name in TRIPLES else ""
+
+
+def _without_names(
+    table: ChosenTable, stated: Mapping[str, ChosenColumn], options: ConvertOptions, alone: bool
+) -> ChosenTable:
+    topic, recording = table.topic, table.recording
+    if any(name in stated for name in SIX):
+        return replace(table, columns=dict(stated))
+    width = len(topic.columns)
+    names = topic.note if topic.misfit else f"the table has {width} columns and no names"
+    state = "state the column of each channel, such as --column ax=NUMBER"
+    if topic.misfit:
+        return replace(table, faults=(Issue(names, topic.where, "as many names as data fields", state),))
+    asked_for = alone or not topic.name or topic.name in options.topic
+    if not asked_for and not hinted_kind(topic, recording):
+        return table
+    try:
+        read = _numeric(topic, names, state)
+        values, numbers = read_columns(recording, topic, read), [place + 1 for place in read]
+        layout = infer_layout(values, hinted_kind(topic, recording), topic.where, names, numbers)
+    except InputError as error:
+        return replace(table, faults=error.issues)
+    units = {"a": "m/s", "g": "rad"} if layout.increments else {}
+    columns = {
+        target: ChosenColumn(read[place], units.get(target[0], "")) for target, place in layout.columns.items()
+    } | dict(stated)
+    if options.sample_rate_hz is not None and TIME not in stated:
+        columns.pop(TIME, None)
+    return replace(table, columns=columns, evidence=layout.evidence, left=_labels(topic))
+
+
+def _labels(topic: Topic) -> tuple[str, ...]:
+    places = [str(place + 1) for place, column in enumerate(topic.columns) if column.is_label]
+    return (f"column {' and '.join(places)} holds the same word in every line: a label",) if places else ()
+
+
+def _numeric(topic: Topic, names: str, state: str) -> list[int]:
+    """Return the columns without text, which must stand first, labels apart: they are told by their number."""
+    read = [place for place, column in enumerate(topic.columns) if column.unit != "text"]
+    counted = [place for place, column in enumerate(topic.columns) if not column.is_label]
+    if read != counted[: len(read)]:
+        text = f"{names}, and there is text before or between its numbers"
+        raise input_error(text, topic.where, "columns of numbers, text behind them", state)
+    return read
+
+
+def _by_name(
+    topic: Topic, roles: Sequence[ColumnRole | None], stated: Mapping[str, ChosenColumn]
+) -> dict[str, ChosenColumn]:
+    """Return the channels that names say, and their scatter: of each kind all three axes, of one sensor."""
+    chosen: dict[str, ChosenColumn] = {}
+    for names in TRIPLES.values():
+        wanted = [name for name in names if name not in stated]
+        sensors: dict[tuple[str, ...], _Sensor] = {}
+        for place, role in enumerate(roles):
+            if role is not None and role.target in wanted:
+                sensors.setdefault(role.group, {}).setdefault(role.target, []).append(place)
+        others = {group: own for group, own in sensors.items() if not set(group) & WITHOUT_GRAVITY}
+        sensors = others or sensors  # accelerations that the device makes of the readings are none
+        if sensors:
+            own = _one_sensor(topic, list(sensors.values()), wanted)
+            chosen |= {name: _column(own[name], roles) for name in wanted}
+    return chosen | _scatter(roles, chosen)
+
+
+_Sensor = dict[str, list[int]]
+
+
+def _scatter(roles: Sequence[ColumnRole | None], chosen: Mapping[str, ChosenColumn]) -> dict[str, ChosenColumn]:
+    """Return the columns of standard deviations that belong to chosen channels."""
+    kinds = {name[0] for name in chosen}
+    found = {}
+    for place, role in enumerate(roles):
+        if role is not None and role.target.endswith("_sd"):
+            unknown = role.target.startswith("?") and len(kinds) == 1
+            target = f"{next(iter(kinds))}{role.target[1:]}" if unknown else role.target
+            if target[:2] in chosen:
+                found[target] = _column(place, roles)
+    return found
+
+
+def _column(place: int, roles: Sequence[ColumnRole | None]) -> ChosenColumn:
+    role = roles[place]
+    return ChosenColumn(place, role.unit if role else "")
+
+
+def _one_sensor(topic: Topic, sensors: Sequence[_Sensor], wanted: Sequence[str]) -> dict[str, int]:
+    """Return the columns of the only sensor that has all axes."""
+    names = topic.names
+    whole = [own for own in sensors if len(own) == len(wanted)]
+    candidates = [own for own in whole if any(names[places[0]] in SIX for places in own.values())] or whole
+    if not candidates:
+        raise _incomplete(topic, max(sensors, key=len), wanted)
+    if len(candidates) > 1:
+        raise _rivals(topic, candidates, wanted)
+    for target, places in candidates[0].items():
+        if len(places) > 1:
+            raise _twice(topic, target, places)
+    return {name: places[0] for name, places in candidates[0].items()}
+
+
+def _incomplete(topic: Topic, found: _Sensor, wanted: Sequence[str]) -> InputError:
+    named = closest_first("", [name for name in topic.names if name], most=12)
+    missing = ", ".join(name for name in wanted if name not in found)
+    return input_error(
+        f"the columns are named {named}: there is no {missing}",
+        topic.where,
+        f"columns named {' '.join(SIX)} or alike, as many names as data fields",
+        "state the column of each channel, such as --column ax=NAME or --column ax=NUMBER"
+        f"; or the only ones of the unit: {' '.join(f'--column {n}={topic.names[found[n][0]]!r}' for n in found)}",
+    )
+
+
+def _rivals(topic: Topic, candidates: Sequence[_Sensor], wanted: Sequence[str]) -> InputError:
+    listed = [", ".join(topic.names[places[0]] for places in own.values()) for own in candidates]
+    options = " ".join(f"--column {name}={topic.names[candidates[0][name][0]]!r}" for name in wanted)
+    what = f"{len(candidates)} sets of columns may be {' '.join(wanted)}"
+    return input_error(what, topic.where, "; ".join(listed), f"state which, such as {options}")
+
+
+def _twice(topic: Topic, target: str, places: Sequence[int]) -> InputError:
+    alike = {topic.names[place] for place in places}
+    what = f"are named '{alike.pop()}'" if len(alike) == 1 else f"may be {target}"
+    allowed = ", ".join(f"{place + 1} '{topic.names[place]}'" for place in places)
+    return input_error(f"{len(places)} columns {what}", topic.where, allowed, f"state which: --column {target}=NUMBER")
+
+
+def _beside(
+    topic: Topic, roles: Sequence[ColumnRole | None], columns: dict[str, ChosenColumn]
+) -> tuple[dict[str, ChosenColumn], tuple[str, ...]]:
+    """Return the columns with time, temperature and what else a campaign knows, and notes on rivals of these."""
+    left: list[str] = []
+    for target, places in _others(roles, columns).items():
+        best = _best(topic, roles, target, places)
+        others = ", ".join(f"'{topic.names[place]}'" for place in places if place != best[0])
+        if target == TEMPERATURE and len(best) > 1:
+            left.append(f"{len(best)} columns may be {target}, none is read: state one with --column {target}=NAME")
+            continue
+        if others and target in (TIME, TEMPERATURE):
+            left.append(f"{others} may be {target} as well: '{topic.names[best[0]]}' is taken")
+        columns = columns | {target: _column(best[0], roles)}
+    return columns, tuple(left)
+
+
+def _others(roles: Sequence[ColumnRole | None], columns: Mapping[str, ChosenColumn]) -> dict[str, list[int]]:
+    """Return target → columns of what is no channel; a date and a time of day only where there is no other time."""
+    found: dict[str, list[int]] = {}
+    for place, role in enumerate(roles):
+        if role is not None and role.target not in columns and role.target[:2] not in (*SIX, *UNKNOWN_AXES):
+            found.setdefault(role.target, []).append(place)
+    if TIME in columns or TIME in found:
+        return {target: places for target, places in found.items() if target not in (DATE, CLOCK)}
+    return found
+
+
+def _best(topic: Topic, roles: Sequence[ColumnRole | None], target: str, places: Sequence[int]) -> Sequence[int]:
+    """Return the columns of the very name; else those whose name says nothing more; else all."""
+    exact = [place for place in places if topic.names[place] == target]
+    plain = [place for place in places if (role := roles[place]) is not None and not role.group]
+    return exact or plain or places
+
+
+def values_of(table: ChosenTable) -> dict[str, np.ndarray]:
+    """Return target → column of a table, in the units of the recording; shape (N,) each, kept on the disk."""
+    used = (place for one in table.columns.values() for place in (one.position, one.added))
+    places = list(dict.fromkeys(place for place in used if place is not None))
+    read = dict(zip(places, read_columns(table.recording, table.topic, places).T, strict=True))
+
+    def values(one: ChosenColumn) -> np.ndarray:
+        plain = read[one.position] if one.added is None else read[one.position] + read[one.added]
+        return plain if one.sign > 0 else -plain
+
+    return {name: values(one) for name, one in table.columns.items()}

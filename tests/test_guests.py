@@ -1,0 +1,111 @@
+"""The kernel alone: without the packages beside it the loop runs, and what they add is refused or not there."""
+
+import ast
+import shutil
+import subprocess
+import sys
+import sysconfig
+
+import pytest
+
+from imubayes.foundations.errors import InputError
+from imubayes.foundations.extensions import answer_to, extensions
+from test_layering import GUESTS, SOURCE, SOURCES, name_of, package
+
+ROOT = SOURCE.parent
+# What a package beside the kernel may use, as a user's own tool may.
+PUBLIC = (
+    "imubayes.api", "imubayes.campaign.campaign_reader", "imubayes.campaign.campaign_writer",
+    "imubayes.cli.registration",
+    "imubayes.cli.session", "imubayes.display.figure_style", "imubayes.display.layout",
+    "imubayes.display.numbers_and_labels", "imubayes.display.progress", "imubayes.display.shown_records",
+    "imubayes.effects.base", "imubayes.foundations", "imubayes.model.bind", "imubayes.model.model_file",
+    "imubayes.noise.components", "imubayes.parameters", "imubayes.procedures", "imubayes.results",
+)  # fmt: skip
+# Names that each takes from elsewhere in the kernel: they may become fewer.
+FROM_WITHIN = {"imubayes_archive": 55, "imubayes_explorer": 57, "imubayes_qualification": 90, "imubayes_recordings": 41}
+ALONE = """
+import sys
+sys.path[:0] = sys.argv[1:3]
+from imubayes.cli.main import app, run
+import imubayes
+campaign, model = "data/accel-channel", "accel-channel"
+steps = (
+    ["check", campaign, "--model", model],
+    ["fit", campaign, "--model", model, "--out", "fitted", "--no-sample"],
+    ["compare", "fitted"],
+    ["diagnose", "fitted"],
+    ["history", "fitted"],
+)
+done = [run(step) for step in steps]
+refused = run(["fit", campaign, "--model", model, "--out", "given", "--no-sample", "--population", "units"])
+print(*done, file=sys.stderr)
+print(refused, file=sys.stderr)
+print(hasattr(imubayes, "fit"), hasattr(imubayes, "report"), "report" in imubayes.__all__, file=sys.stderr)
+print(*sorted(name for name in app if not name.startswith("-")), file=sys.stderr)
+print(*sorted({name.partition(".")[0] for name in sys.modules if name.startswith("imubayes")}), file=sys.stderr)
+"""
+
+
+@pytest.mark.compiled  # a process
+def test_the_loop_runs_without_the_packages_beside_the_kernel(tmp_path):
+    shutil.copytree(SOURCE / "imubayes", tmp_path / "src" / "imubayes")
+    for folder in ("data", "models"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    # Without `site` the installed packages are found, and those of the source tree are not.
+    command = [sys.executable, "-SE", "-c", ALONE, str(tmp_path / "src"), sysconfig.get_path("purelib")]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    *_, steps, option, names, commands, loaded = ended.stderr.splitlines()
+    assert steps == "0 0 0 0 0", ended.stderr
+    assert option == "2"
+    assert "is answered by a package that is not installed" in ended.stderr
+    assert names == "True False False"
+    assert {"fit", "diagnose", "add"} <= set(commands.split())
+    assert not {"report", "batch", "new", "explore", "noise"} & set(commands.split())
+    assert loaded == "imubayes"
+
+
+def test_every_guest_adds_a_command_and_a_function():
+    for group in ("commands", "functions"):
+        assert {entry.module.partition(".")[0] for entry in extensions(group).values()} == set(GUESTS)
+
+
+@pytest.mark.parametrize("group", ["commands", "functions", "options", "results", "schemas"])
+def test_what_is_registered_is_there(group):
+    assert extensions(group)
+    assert all(entry.load() is not None for entry in extensions(group).values())
+
+
+def test_an_option_that_nothing_answers_is_refused():
+    with pytest.raises(InputError, match="not installed"):
+        answer_to("fit.nothing")
+
+
+def taken_from_within(sources: dict[str, str]) -> dict[str, set[str]]:
+    """Return the names of the kernel that each guest imports from modules that are not public."""
+    found: dict[str, set[str]] = {guest: set() for guest in GUESTS}
+    modules = {name_of(file) for file in SOURCES}
+    for module, text in sources.items():
+        if package(module) not in GUESTS:
+            continue
+        for node in ast.walk(ast.parse(text)):
+            source = str(node.module) if isinstance(node, ast.ImportFrom) else ""
+            if package(source) == "imubayes" and not is_public(source):
+                names = {f"{source}.{alias.name}" for alias in node.names}
+                found[package(module)] |= {name for name in names if name not in modules or not is_public(name)}
+    return found
+
+
+def is_public(module: str) -> bool:
+    return module == "imubayes" or module.startswith(tuple(f"{name}." for name in PUBLIC)) or module in PUBLIC
+
+
+def test_guests_take_no_more_from_within_the_kernel():
+    found = taken_from_within({name_of(file): file.read_text(encoding="utf-8") for file in SOURCES})
+    assert {guest: len(names) for guest, names in found.items()} == FROM_WITHIN
+
+
+def test_a_name_from_within_is_seen():
+    text = "from imubayes.inference.run_fit import joint_fit\nfrom imubayes.foundations.units import to_si"
+    found = taken_from_within({"imubayes_archive.batch.new": text})
+    assert found["imubayes_archive"] == {"imubayes.inference.run_fit.joint_fit"}
