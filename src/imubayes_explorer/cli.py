@@ -16,10 +16,10 @@ def explore(
     no_browser: Flag = False,
     trust: Trust = False,
 ) -> None:
-    """Go through the loop in the browser: brush residuals, see ranked causes, preview them, add one.
+    """Run the loop in the browser: brush residuals, see ranked causes, preview them, add one.
 
     Everything accepted is an ordinary result folder; the page shows the command of every click. The server listens on
-    this machine alone. Stop it with Ctrl-C; what was accepted is kept.
+    this machine alone. Stop it with Ctrl-C; accepted results are kept.
 
     Example: imubayes explore results/first
 
@@ -30,13 +30,13 @@ def explore(
     model
         Model file, or the name of a shipped model; fitted first.
     out
-        Result folder of that fit; by default results/CAMPAIGN-MODEL, which is opened where it is there already.
+        Result folder of that fit; by default results/CAMPAIGN-MODEL, which is opened if it exists.
     port
-        Port of the server; any free one where 0.
+        Port of the server; 0 for any free one.
     no_browser
         Print the address only, and open no browser.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     with progress():
         trusting(model or place, trust)
@@ -44,7 +44,7 @@ def explore(
         from imubayes_explorer.start import explore as begin
 
         begun = begin(place, model, out, port=port, browser=not no_browser)
-    print(f"{begun.address}\nStop with Ctrl-C; what was accepted is kept.", flush=True)
+    print(f"{begun.address}\nStop with Ctrl-C. Accepted results are kept.", flush=True)
     try:
         with suppress(KeyboardInterrupt):
             begun.wait()

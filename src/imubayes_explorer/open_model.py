@@ -228,7 +228,7 @@ def opened(name: str, result: Result, tell: Tell) -> OpenModel:
     if explained is None:
         raise input_error(
             fit.message or "the fit did not converge", str(folder), "a fit that converged",
-            "mend what kept it from converging, and fit again",
+            "remove the cause, and fit again until it converges",
         )  # fmt: skip
     found = explained.diagnosis()
     with kept_if_possible(folder):

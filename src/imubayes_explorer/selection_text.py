@@ -31,10 +31,10 @@ def selection_text(
     if nothing >= _EXPLAINS:
         return f"{said} Noise alone explains them with probability {probability(nothing)}."
     if offset is not None and offset >= max(_EXPLAINS, best[1] if best is not None else 0.0):
-        return f"{said} They are off by something of their own, with probability {probability(offset)}."
+        return f"{said} They deviate by a cause of their own, with probability {probability(offset)}."
     if best is not None and best[1] >= _EXPLAINS:
         return f"{said} {best[0]} explains them with probability {probability(best[1])}."
-    return f"{said} No single cause stands out."
+    return f"{said} No single cause is dominant."
 
 
 def refitted_text(what: str, predicted: float | None, observed: float, largest: tuple[str, float] | None) -> str:
@@ -63,7 +63,7 @@ def preview_text(effects: Sequence[str], predicted: float, largest: tuple[str, f
 def formula_text(found: ResidualFormula | None, channel: str) -> str:
     """Return the formula of what a model leaves of a channel, and how sure its first term is."""
     if found is None:
-        return f"No term is worth its odds for the residual of {channel}."
+        return f"No term improves the formula enough for the residual of {channel}."
     near = f" Almost as well fit: {listed(found.near, 3)}." if found.near else ""
     return (
         f"The residual of {channel} is {found.shape}; its first term leads in {percent(found.inclusion)} of resampled "

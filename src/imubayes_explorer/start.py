@@ -5,7 +5,9 @@ import threading
 import time
 import webbrowser
 from html import escape
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.compiled.jax_settings import prepare_jax
@@ -16,18 +18,13 @@ from imubayes.results.folder_files import MANIFEST, checked
 from imubayes.results.result import Result
 from imubayes_explorer.session import Session
 
-try:
+# Without the extra the name of the function is still public: `explore` refuses when it is called.
+_MISSING = next((name for name in ("starlette", "uvicorn") if find_spec(name) is None), "")
+if TYPE_CHECKING or not _MISSING:
     import uvicorn
 
     from imubayes_explorer.guard import HOST, new_token
     from imubayes_explorer.server import application
-except ModuleNotFoundError as error:
-    if (error.name or "").partition(".")[0] not in ("starlette", "uvicorn"):
-        raise
-    raise input_error(
-        f"{error.name} is not installed", "imubayes explore", "the packages of imubayes[explore]",
-        "install them: pip install 'imubayes[explore]'",
-    ) from error  # fmt: skip
 
 _PATIENCE = 10.0
 SHIPPED = "hidden-gyro"
@@ -48,7 +45,8 @@ class Exploration:
         try:
             bound = socket.create_server((HOST, port))
         except (OSError, OverflowError) as error:
-            raise input_error(f"the port cannot be had: {getattr(error, 'strerror', None) or error}", f"--port {port}",
+            raise input_error(f"the port cannot be opened: "
+                              f"{getattr(error, 'strerror', None) or error}", f"--port {port}",
                               "a free port, or 0 for any", "choose another one") from error  # fmt: skip
         token, self.session = new_token(), session
         self.address = f"http://{HOST}:{bound.getsockname()[1]}/{token}/"
@@ -105,7 +103,8 @@ def explore(
     Raises
     ------
     InputError
-        for a place that is neither, a result without a folder, and a port that is taken.
+        if `imubayes[explore]` is not installed, for a place that is neither, a result without a folder, and a port that
+        is taken.
 
     Examples
     --------
@@ -115,6 +114,11 @@ def explore(
     True
     >>> page.stop()
     """
+    if _MISSING:
+        raise input_error(
+            f"{_MISSING} is not installed", "imubayes explore", "the packages of imubayes[explore]",
+            "install them: pip install 'imubayes[explore]'",
+        )  # fmt: skip
     prepare_jax("explore")
     if place is None and model is None:
         chosen = example(SHIPPED)

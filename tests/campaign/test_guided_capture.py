@@ -1,4 +1,5 @@
-"""`imubayes capture`: lines that come one after the other, guided until the rests determine what was asked for."""
+"""`imubayes capture`: lines that come one after the other, guided until the rests determine the requested "
+"quantities."""
 
 import io
 import sys

@@ -57,6 +57,6 @@ def test_what_needs_a_fact_is_left_and_named(tmp_path, capsys):
     assert (tmp_path / "copy" / "campaign.toml").read_text() == text
     assert run(["check", str(folder), "--fix", str(tmp_path / "other")]) == 2
     said = capsys.readouterr().err
-    assert "nothing could be mended without a fact" in said
+    assert "nothing can be corrected without a further fact" in said
     assert "breadth_deg" in said
     assert run(["check", str(folder), "--fix", str(tmp_path / "other")]) == 2  # never over what is there

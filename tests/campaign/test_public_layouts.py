@@ -129,6 +129,6 @@ def test_a_magnetometer_before_the_accelerometers_is_no_gyro(tmp_path: Path, tur
     rows = np.column_stack([field, force, rate, np.full(len(force), 25.3), np.full(len(force), 101.3)])
     lines = ["$VNIMU," + ",".join(f"{value:+010.5f}" for value in row) for row in rows]
     (tmp_path / "sentences.txt").write_text("\n".join(lines) + "\n")
-    with pytest.raises(InputError, match="the numbers do not say which are which") as caught:
+    with pytest.raises(InputError, match="the numbers do not show which are which") as caught:
         read_recordings([tmp_path / "sentences.txt"], latitude_deg=48, sample_rate_hz=HZ)
     assert "--column ax=5 --column ay=6" in caught.value.issues[0].remedy

@@ -168,7 +168,7 @@ def test_rows_of_two_units_in_one_file_are_refused(tmp_path: Path, label: str, n
     lines = [f"{0.005 * k},{words[k]}," + ",".join(f"{value:.5f}" for value in row) for k, row in enumerate(rows)]
     file = tmp_path / "two.csv"
     file.write_text("\n".join([f"time_s,{label},{','.join(NAMES)}", *lines]) + "\n")
-    with pytest.raises(InputError, match="the rows of several units stand in one file") as refused:
+    with pytest.raises(InputError, match="one file held the rows of several units") as refused:
         read_recordings([file], gyro_unit="rad/s")
     assert f"column 2 {label}" in refused.value.issues[0].remedy
     one = tmp_path / "one.csv"

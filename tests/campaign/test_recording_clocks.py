@@ -102,7 +102,7 @@ def test_repeated_and_late_rows_are_left_out_and_a_reset_is_refused(tmp_path: Pa
     reset = np.where(np.arange(len(EVEN)) < 800, EVEN, EVEN - 7.9)
     with pytest.raises(InputError, match=r"the time goes back 1 times, at sample 801 by 7\.89 s") as refused:
         read(tmp_path, reset)
-    assert "--sample-rate-hz 100 takes the samples as even" in refused.value.issues[0].remedy
+    assert "--sample-rate-hz 100 treats the samples as evenly spaced" in refused.value.issues[0].remedy
     table, _ = read(tmp_path, reset, sample_rate_hz=100.0)
     np.testing.assert_allclose(table["time_s"], EVEN, atol=1e-9)
 

@@ -160,7 +160,7 @@ def test_temperature_that_is_none_in_celsius(usual: float, tmp_path: Path) -> No
     (file := tmp_path / "log.csv").write_text(text(warm, f"{HEAD},temp"))
     read = read_recordings([file])
     assert "temperature_degC" not in read.campaign.tables["runs/recording.csv"]
-    assert "is no degC" in notes(read)
+    assert "is not in degC" in notes(read)
 
 
 def test_temperature_in_rows_of_its_own(tmp_path: Path) -> None:
@@ -241,5 +241,5 @@ def test_one_tag_in_every_line_is_the_sensor(tmp_path: Path) -> None:
     np.testing.assert_array_equal(next(iter(labelled.campaign.tables.values()))["ax"], columns["ax"])
     mixed = [line.replace("acc", "row" if place % 3 else "line") for place, line in enumerate(lines)]
     (tmp_path / "mixed.txt").write_text("\n".join(mixed) + "\n")
-    with pytest.raises(InputError, match=r"no columns are named|text stands before or between its numbers"):
+    with pytest.raises(InputError, match=r"no columns are named|there is text before or between its numbers"):
         read_recordings([tmp_path / "mixed.txt"], gravity_m_s2=9.81, latitude_deg=50)

@@ -81,7 +81,7 @@ def test_accelerometers_keep_what_is_not_a_stated_turn(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "turns", "said"),
     [
-        ({}, FULL, "no accelerometers to tell how far"),
+        ({}, FULL, "without accelerometers the angle is unknown"),
         ({"turn_deg": 90.0}, [(0, 40.0)], "no turn is one through 90 deg: 40.38 deg about gx"),
         ({"turn_deg": 360.0}, [], "the unit never turns"),
         ({"turn_deg": -360.0}, FULL, "turn_deg = -360.0 is not positive"),

@@ -131,7 +131,7 @@ def test_a_campaign_with_a_mistake_is_written_to_be_corrected(tmp_path: Path, ca
     said = capsys.readouterr().err
     assert f"written to be corrected: {folder}" in said
     text = (folder / "campaign.toml").read_text()
-    assert text.startswith("# This campaign is not accepted as it is.")
+    assert text.startswith("# This campaign is not accepted yet.")
     with pytest.raises(InputError) as caught:
         imubayes.load_campaign(folder)
     # The places at its head are those of the file with its head.

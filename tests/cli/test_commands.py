@@ -192,7 +192,7 @@ def test_effects_explains(capsys):
 def test_effects_says_what_a_campaign_could_show(capsys):
     status, out, _ = said(capsys, "effects", "--for", "data/accel-channel")
     assert status == 0
-    shown, lacking = out.split("What the other effects need")
+    shown, lacking = out.split("Needed for the other effects")
     assert "converter_leakage" in shown
     assert "accel_warm_up" in lacking
     assert "power_on_s" in lacking

@@ -246,7 +246,7 @@ def irregular() -> np.ndarray:
         ({"time_s": time_of(200), "g": white(200)}, "200 samples are too few"),
         ({"time_s": irregular(), "g": white()}, "no constant sampling interval"),
         ({"time_s": time_of(), "g": np.full(SAMPLES, 0.25)}, "no channel varies"),
-        ({"time_s": time_of(), "g": cells(np.where(np.arange(SAMPLES) % 5, np.nan, white()))}, "stand alone"),
+        ({"time_s": time_of(), "g": cells(np.where(np.arange(SAMPLES) % 5, np.nan, white()))}, "are isolated"),
         ({"time_s": time_of()[::-1], "g": white()}, "the time decreases"),
     ],
 )

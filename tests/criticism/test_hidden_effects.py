@@ -102,7 +102,7 @@ def test_a_fit_that_stopped_is_explained_about_where_it_stopped() -> None:
     document = diagnosis_json(judge(stopped, effect="accel_cubic"))
     assert document["verdict"] == "not_converged"
     assert document["sentence"].startswith(
-        "It did not settle. At the point where it stopped accel_cubic is missing with"
+        "It did not settle. At the point at which the fit stopped, accel_cubic is missing with"
     )
     # Without a mode there is nothing to be linear about.
     nowhere = replace(converter(), z=np.full(len(converter().z), np.nan), optimised=False, message="It diverged.")

@@ -530,15 +530,15 @@ def test_an_empty_column_is_left_out():
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [
-        ("2026-11-20", "0.0", "is no date"),  # seconds since 1970 to pydantic
-        ("2026-11-20", "20261120", "is no date"),
+        ("2026-11-20", "0.0", "is not a date"),  # seconds since 1970 to pydantic
+        ("2026-11-20", "20261120", "is not a date"),
         ("[22.6, 23.4]", '["22.6", "23.4"]', "number"),
         ("[22.6, 23.4]", "[-300, 23.4]", "-273.15"),
         ("temperature_degC = [22.6, 23.4]", "humidity_percent = [40, 400]", "100"),
         ('"WI-12"', '"WI\\u0007"', "WI"),  # neither XML nor PDF has control characters
         ('"WI-12"', '"\\u200b\\u200b"', "blank"),
         ('name = "Customer"', 'name = "Customer"\ncountry = "de"', "'de' is not allowed here"),
-        ('name = "Customer"', 'name = "Customer"\ncountry = "UK"', "no country of ISO 3166-1"),
+        ('name = "Customer"', 'name = "Customer"\ncountry = "UK"', "not a country of ISO 3166-1"),
     ],
 )
 def test_hostile_values_are_refused_with_their_place(tmp_path, old, new, what):

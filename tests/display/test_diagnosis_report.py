@@ -77,7 +77,8 @@ def test_the_answer_comes_first(capsys):
         (
             "adequate",
             0.62,
-            "The model probably explains the data (probability 0.62): that nothing is missing",
+            "The model probably explains the data (probability 0.62): the most probable explanation is that nothing "
+            "is missing",
             "plant --result R",
         ),
         ("missing_effect", 0.62, "gyro_scale_asymmetry is probably missing on gx (probability 0.62).", "add"),
@@ -193,11 +194,11 @@ def test_what_is_said_of_a_fit_that_did_not_converge():
     weighed = diagnosis("not_converged").model_copy(update={"explanations": evidence({"nothing": 0.95})})
     first, *_, last = shown.diagnosis_lines(weighed)
     assert first.startswith(
-        "It did not settle. At the point where it stopped nothing is missing, with probability 0.95."
+        "It did not settle. At the point at which the fit stopped, nothing is missing with probability 0.95."
     )
-    assert last == "What is said here refers to the point where the fit stopped, and is provisional."
+    assert last == "All statements refer to the point at which the fit stopped, and are provisional."
     unsampled = diagnosis().model_copy(update={"message": "Too few draws."})
-    assert shown.diagnosis_lines(unsampled)[-1].endswith("what is said here refers to its mode.")
+    assert shown.diagnosis_lines(unsampled)[-1].endswith("All statements refer to its mode.")
 
 
 def formula(shape: str = "|Ω_i|", expression: str = "jnp.abs(sample.rate[0])") -> ResidualFormula:
@@ -333,7 +334,7 @@ def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_expl
     noisy = diagnosis("noise_model", noise=TAILS).model_copy(update={"contradicted": told, "recorded_noise": told})
     said = sentence(noisy)
     assert said.startswith(
-        "white_noise.sigma[ax], 424 pulse/s, is 53.0 ± 2.7 times what the raw samples of the same rows"
+        "white_noise.sigma[ax], 424 pulse/s, is 53.0 ± 2.7 times that of the raw samples of the same rows"
     )
     assert "an effect or noise slower than a row; white_noise.sigma[ay] likewise. The noise is not as modelled" in said
     assert "times the known noise" not in said
@@ -346,7 +347,7 @@ def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_expl
     sisters = replace(scatter, source="sisters", ratio=38.0, p=1e-6, sisters=("gy", "gz"))
     assert contradiction_text((sisters, scatter)) == (
         "run_scatter.tau[gx], 7.70 LSB, is 38 times that of gy and gz by the means of their runs and 2.6 times the "
-        "scale of its prior: scatter between runs stands in for something that the model lacks"
+        "scale of its prior: scatter between runs makes up for something that the model lacks"
     )
     assert contradiction_text((replace(scatter, p=1e-6),)).endswith("or the prior is too narrow for this unit")
 

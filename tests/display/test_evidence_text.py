@@ -30,9 +30,9 @@ def test_a_wrong_record_names_run_and_row_and_noise_its_channels() -> None:
         "a wrong record or prior 0.990 (offset of table_angle on ax in run A1, row 10, beside heavy tails on az)"
         in said
     )
-    assert "noise not as stated 0.01;" in said
+    assert "other noise 0.01;" in said
     said = evidence_text(evidence({"input": 0.01, "noise": 0.99}, (), form, noise))
-    assert "noise not as stated 0.990 (heavy tails on az)" in said
+    assert "other noise 0.990 (heavy tails on az)" in said
     assert "a wrong record or prior 0.01 (offset of table_angle on ax in run A1, row 10)" in said
 
 

@@ -102,7 +102,9 @@ def test_several_effects_that_were_not_taken_are_followed_by_the_first_alone(add
     both = (EffectChoice(effect="gyro_dead_zone", channels=("gx",)), EffectChoice(effect="encoder_zero", channels=None))
     refused = addition.model_copy(update={"added": both, "taken": False, "message": "The refit did not converge."})
     lines = change_lines(refused)
-    assert "The posterior with the first of them alone leaves out what the others may explain." in lines
+    assert (
+        "The posterior with the first of them alone ignores that the others may explain the residual instead." in lines
+    )
     assert next_command(refused) == (
         "imubayes add gyro_dead_zone --to results/hidden --out results/second-alone --channels gx"
     )

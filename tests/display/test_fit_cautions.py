@@ -59,7 +59,7 @@ def test_what_the_intervals_take_as_exact_is_said_where_it_matters(plain):
 
     assert said((), 0.2) == ""
     told = said((gravity,), 0.2)
-    assert "No uncertainty above contains gravity anomaly (u = 50 µg, assumed for normal gravity)" in told
+    assert "No uncertainty above includes gravity anomaly (u = 50 µg, assumed for normal gravity)" in told
     assert "scale_factor[ax] has 10 ppm here, and 51 ppm with it" in told
     assert said((gravity,), 20.0) == ""  # 1000 ppm: nothing that 50 ppm would change
     stated = said((gravity, rate), 20.0)
@@ -75,7 +75,8 @@ def test_noise_that_contradicts_what_is_known_precedes_everything(plain):
     flawed = plain.model_copy(update={"noise_contradicted": (told,), "known_noise": known})
     text = " ".join(report_text(summary_report(flawed), width=400).split())
     assert text.startswith(
-        "DO NOT TRUST THE INTERVALS: white_noise.sigma[ax], 212 LSB, is 53.00 ± 0.90 times what the raw samples of the"
+        "DO NOT TRUST THE INTERVALS: white_noise.sigma[ax], 212 LSB, is 53.00 ± 0.90 times that of the raw samples "
+        "of the"
     )
     assert "degrees of freedom at the noise as fitted, 810000.0 for 288 at the noise known beforehand; fit" in text
     assert next_command(flawed, "data/unit", "results/unit") == "imubayes diagnose results/unit"

@@ -328,7 +328,7 @@ def test_a_million_readings_are_drawn_within_half_a_second():
         ("points", {"model": "MODEL", "channel": "<b>gz</b>", "x": "reading"}, "no channel '<b>gz</b>'"),
         ("points", {"model": "MODEL", "channel": "gz", "x": "../x"}, "no abscissa"),
         ("points", {"model": "MODEL", "channel": "gz", "x": "reading", "y": "none"}, "known"),
-        ("preview", {"model": "MODEL", "effects": ["__import__"]}, "is no cause here"),
+        ("preview", {"model": "MODEL", "effects": ["__import__"]}, "is not a cause here"),
         ("change", {"model": "MODEL"}, "no change is named"),
         ("selection", {"model": "MODEL", "brushes": [{}] * 201}, "at most 200"),
     ],
@@ -536,8 +536,8 @@ def test_a_session_that_is_begun_again_has_what_was_done(client, explored):
         (0.8, 0.1, ("a_cause", 0.1), "Noise alone explains them with probability 0.80"),
         (0.1, 0.7, ("a_cause", 0.2), "off by something of their own, with probability 0.70"),
         (0.1, 0.0, ("a_cause", 0.9), "a_cause explains them with probability 0.90"),
-        (0.4, 0.1, ("a_cause", 0.3), "No single cause stands out"),
-        (0.4, None, None, "No single cause stands out"),
+        (0.4, 0.1, ("a_cause", 0.3), "No single cause is dominant"),
+        (0.4, None, None, "No single cause is dominant"),
     ],
 )
 def test_a_selection_is_told_by_what_explains_it(nothing, offset, best, said):

@@ -90,7 +90,7 @@ def test_the_noise_of_a_sample_is_a_density_at_its_rate():
 
 
 def test_a_file_that_is_no_noise_record_is_refused_in_four_parts(tmp_path):
-    for text, fault in ((None, "no such file"), ("{}", "no noise record")):
+    for text, fault in ((None, "no such file"), ("{}", "not a noise record")):
         file = tmp_path / "noise.json"
         if text is not None:
             file.write_text(text)

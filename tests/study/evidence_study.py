@@ -3,7 +3,7 @@
     python tests/study/evidence_study.py OUT.jsonl --minutes 50 --parts abcd     goes on where it stopped
     python tests/study/evidence_study.py OUT.jsonl --minutes 0                   the tables of what is there
 
-Parts: a, one hidden effect at three sizes; b, pairs and triples; c, nothing missing, and noise not as stated; d, causes
+Parts: a, one hidden effect at three sizes; b, pairs and triples; c, nothing missing, and other noise; d, causes
 outside the catalogue.  Each procedure comes with and without scatter between runs in the model, whole and cut to 4 … 9
 runs; what is compiled for one setting serves all its campaigns.  Judging is done afterwards, on the lines.
 """

@@ -327,7 +327,7 @@ def _named(
         return effects, channels if channels is not None else found
     proposed = diagnosis.proposed if diagnosis is not None else None
     if proposed is None:
-        allowed = "what a diagnosis of the result proposes, or an effect that `imubayes effects` lists"
+        allowed = "an effect that a diagnosis of the result proposes, or that `imubayes effects` lists"
         if diagnosis is not None:
             raise input_error("no effect is named, and the diagnosis proposes none", "add", allowed, "name one")
         fault, remedy = "the result was not diagnosed", "run `imubayes diagnose RESULT`, or name an effect"

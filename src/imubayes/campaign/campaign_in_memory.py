@@ -107,7 +107,7 @@ def _table(run: str, columns: Any) -> pa.Table:
     if isinstance(columns, Mapping):
         return pa.table({str(name): _array(values, f"{where}['{name}']") for name, values in _alike(columns, where)})
     if not (isinstance(columns, pa.Table) or hasattr(columns, "__arrow_c_stream__")):
-        remedy = "hand over a data frame or a mapping"
+        remedy = "pass a data frame or a mapping"
         raise input_error(f"the columns are of type {type(columns).__name__}", where, _COLUMNS, remedy)
     table = pa.table(columns)
     return pa.table([_array(table[name].to_numpy(), f"{where}['{name}']") for name in table.column_names],
@@ -128,8 +128,8 @@ def _array(values: Any, where: str) -> pa.Array:
     try:
         array = pa.array(np.asarray(values), from_pandas=True)
     except (pa.ArrowException, ValueError, TypeError) as error:
-        remedy = "give numbers; NaN where a value is missing"
-        raise input_error(f"values that are no column: {error}", where, _COLUMNS, remedy) from None
+        remedy = "give numbers, with NaN for a missing value"
+        raise input_error(f"values that are not columns: {error}", where, _COLUMNS, remedy) from None
     return array.cast(pa.float64()) if pa.types.is_floating(array.type) else array
 
 

@@ -378,7 +378,7 @@ def _check_accepted(entry: CampaignFile | None, ledger: Ledger) -> None:
     for index, name in enumerate(entry.accepted if entry is not None else ()):
         if name not in SETUP_FINDINGS:
             ledger.add(
-                f"'{name}' is no finding about the set-up", ("accepted", index),
+                f"'{name}' is not a finding about the set-up", ("accepted", index),
                 closest_first(name, SETUP_FINDINGS), "correct or remove the name",
             )  # fmt: skip
 

@@ -60,7 +60,7 @@ def write_campaign(
         raise InputError(issues, written=str(out))
 
 
-_MARK = "# This campaign is not accepted as it is.  Correct what is named here, then run `imubayes check`:"
+_MARK = "# This campaign is not accepted yet.  Correct the points below, then run `imubayes check`:"
 
 
 def _marked(file: Path, issues: Sequence[Issue]) -> list[Issue]:

@@ -68,7 +68,7 @@ class _Entry(BaseModel):
     def _measurable(cls, value: Any) -> Any:
         numbers = [each for each in _numbers_in(value) if each and not 1 / ABSURD <= abs(each) <= ABSURD]
         if numbers:
-            raise PydanticCustomError("absurd", "{number} is no size that anything has", {"number": f"{numbers[0]:g}"})
+            raise PydanticCustomError("absurd", "{number} is not a physical size", {"number": f"{numbers[0]:g}"})
         return value
 
 

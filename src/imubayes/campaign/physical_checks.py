@@ -128,7 +128,7 @@ def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list
         what = f"channel '{channel.name}' responds with {abs(slope):.4g} times its nominal scale factor: {meaning}?"
         remedy = "correct 'scale' or 'per' of the channel, or convert the column"
         if rate_column := _rate_unit(slope) if channel.kind == "gyro" else "":
-            remedy += f"; where 'table_rate_deg_s' is in {rate_column}, convert it to deg/s"
+            remedy += f"; if 'table_rate_deg_s' is in {rate_column}, convert it to deg/s"
         return [Finding(name, "error", run, what, place, expected, remedy)]
     if slope < 0:
         what = f"channel '{channel.name}' responds to its nominal input with reversed sign (slope {slope:.3g})"

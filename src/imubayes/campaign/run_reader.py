@@ -384,7 +384,12 @@ def _check_counts(numbers: dict[str, np.ndarray], source: TableSource, entry: Ru
     wrong = [
         ("samples", ~(count >= 1), "are below 1", "1 or more"),
         ("samples", count > _MOST_SAMPLES, f"are above {_MOST_SAMPLES:g}", "how many raw samples the row is a mean of"),
-        ("samples", (count >= 1) & (count != np.floor(count)), "are no whole number", "a whole number of raw samples"),
+        (
+            "samples",
+            (count >= 1) & (count != np.floor(count)),
+            "are not whole numbers",
+            "a whole number of raw samples",
+        ),
     ]
     spreads = [name for name in numbers if name.endswith("_sd")]
     wrong += [(name, numbers[name] < 0, "are negative", "0 or more") for name in spreads]

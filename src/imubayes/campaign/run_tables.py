@@ -177,7 +177,7 @@ def csv_faults(file: Path, layout: ColumnLayout) -> list[Issue]:
             Issue(
                 f"{more} more cells or lines cannot be read",
                 str(file),
-                "numbers with a decimal point, empty where missing",
+                "numbers with a decimal point; an empty cell for a missing value",
                 "correct the ones above first",
             )
         )
@@ -188,7 +188,7 @@ def _oversized(where: str) -> Issue:
     return Issue(
         f"a cell has more than {csv.field_size_limit()} characters",
         where,
-        "a number with a decimal point, or an empty cell where the value is missing",
+        "a number with a decimal point, or an empty cell for a missing value",
         "correct the cell; a quotation mark that is not closed makes one cell of many lines",
     )
 
@@ -209,7 +209,7 @@ def _line_faults(cells: list[str], wanted: list[tuple[int, str]], layout: Column
         Issue(
             f"'{_shown(cells[index])}' is not a number",
             f"{where}, column '{name}'",
-            "a number with a decimal point, or an empty cell where the value is missing",
+            "a number with a decimal point, or an empty cell for a missing value",
             "correct the cell",
         )
         for index, name in wanted

@@ -241,5 +241,5 @@ def _overlapping(first: Timed, second: Timed) -> Finding:
         "runs_overlap", wrong, second.run.name,
         f"the runs {names} overlap by {_said(overlap)}: {when[0]}, and {when[1]}",
         f"{second.file}, column 'time_s'", "runs of a unit one after the other",
-        f"correct 'start' or the times of {names}, or leave 'start' out where it is not known",
+        f"correct 'start' or the times of {names}, or leave 'start' out if it is unknown",
     )  # fmt: skip

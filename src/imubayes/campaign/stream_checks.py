@@ -313,7 +313,7 @@ class Monitor:
         found = []
         for name, tally in self._not_finite.items():
             what = f"{_count(tally, 'cell')} of '{name}' NaN, infinite or beyond {ABSURD:g}"
-            allowed = "a number that the instrument can read, or an empty cell where the value is missing"
+            allowed = "a number that the instrument can read, or an empty cell for a missing value"
             found += self._at("nan_values", tally, name, what, allowed, "empty or correct the cell")
         for name, tally in self._empty.items():
             what = f"{_count(tally, 'cell')} of '{name}' empty"
@@ -333,7 +333,7 @@ class Monitor:
         for name, tally in self._fahrenheit.items():
             what = f"{_count(tally, 'value')} of '{name}' above {FAHRENHEIT_ABOVE:g}, as in degrees Fahrenheit"
             what += " or tenths of a degree"
-            remedy = "where they are degrees Fahrenheit, replace T by (T - 32) / 1.8 in the column; divide tenths by 10"
+            remedy = "if they are degrees Fahrenheit, replace T by (T - 32) / 1.8 in the column; divide tenths by 10"
             found += self._at("temperature_unit", tally, name, what, "degrees Celsius", remedy, "warning")
         return found
 
@@ -374,7 +374,7 @@ class Monitor:
         return Finding(
             finding, severity, self.run, what, f"{self.source.file}, column '{channel}'",
             "samples that vary with the input and with noise",
-            "check the cable, the range and the converter; leave the column empty where it cannot be used",
+            "check the cable, the range and the converter; leave the column empty if it cannot be used",
         )  # fmt: skip
 
     def _at(

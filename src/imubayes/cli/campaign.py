@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def check(
     campaign: Path, *, model: Path | None = None, fix: Path | None = None, as_json: Json = False, verbose: Flag = False
 ) -> None:
-    """Read everything, say what is there and what is wrong.
+    """Read a campaign and list its contents and faults.
 
     The outputs are compared with the stated set-up: zero, sense, azimuth and elevation of tables, mountings, units,
     channels, files, latitude, thermometers. The zero of a table: table x is horizontal, 90 deg clockwise from
@@ -59,7 +59,7 @@ def check(
     if fix is not None:
         from imubayes.campaign.mends import mend_campaign
 
-        for mend in mend_campaign(campaign, fix) or ("nothing could be mended without a fact",):
+        for mend in mend_campaign(campaign, fix) or ("nothing can be corrected without a further fact",):
             print(f"mended: {mend}" if "→" in mend or "order" in mend else mend, file=sys.stderr)
         campaign = fix
     if model is None:
@@ -98,7 +98,7 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
         if len(declared.layout) > len(declared.entries):
             from imubayes.inference.linear_information import untold_effects
 
-            tell("what the runs determine")
+            tell("determining the effects that the runs show")
             untold = untold_effects(declared)
     return inspection, CheckedModel(
         name=declared.spec.name,
@@ -111,7 +111,7 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
 
 
 def effects(name: str | None = None, *, campaign: Annotated[Path | None, Parameter(name="--for")] = None) -> None:
-    """List the catalogue of effects, explain one, or say which a campaign could show.
+    """List the catalogue of effects, explain one, or list those that a campaign could show.
 
     Example: imubayes effects gyro_g_sensitivity
 
@@ -120,7 +120,7 @@ def effects(name: str | None = None, *, campaign: Annotated[Path | None, Paramet
     name
         The effect to explain.
     campaign
-        Folder with campaign.toml: which effects its runs could show, and what is missing for the others.
+        Folder with campaign.toml: list the effects that its runs could show, and the inputs missing for the others.
     """
     with progress():
         start_jax()
@@ -190,7 +190,7 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = F
     seed
         Random seed; by default that of the plan.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     with progress() as tell:
         start_jax()

@@ -11,21 +11,24 @@ from imubayes.foundations.shipped_examples import copy_examples, examples
 from imubayes.foundations.shipped_examples import example as named
 
 _FOLDER = Path("imubayes-demo")
+_SHOWN, _COMPLETE = "hidden-gyro", "trihedral-imu"  # where an effect is missing, and where none is
 
 
 def demo(
-    name: str = "trihedral-imu", *, out: Path = _FOLDER, sample: bool = True, replace: Flag = False
+    name: str = _SHOWN, *, out: Path = _FOLDER, sample: bool = True, replace: Flag = False
 ) -> int:  # fmt: skip
     """Copy an example to a folder, fit it, compare it with its measurements, and diagnose it.
+
+    The default example lacks an effect, which the diagnosis names.
 
     Example: imubayes demo --out imubayes-demo
 
     Parameters
     ----------
     name
-        A campaign that `imubayes example` lists.
+        A campaign listed by `imubayes example`.
     out
-        Folder to write: the example, and the result in its folder results.
+        Folder to write: the example, and the result in its subfolder results.
     sample
         Sample the posterior; with --no-sample the Laplace approximation is used.
     replace
@@ -44,11 +47,11 @@ def demo(
     compare(result)
     _announce("diagnose", result)
     status = diagnose(result)
-    other = "trihedral-imu" if name == "hidden-gyro" else "hidden-gyro"
+    other = _COMPLETE if name == _SHOWN else _SHOWN
     print(
         f"\nopen this page: {(result / 'compare.html').resolve()}\n"
-        "go on with\n"
-        f"  {_command('explore', result)}    the loop in the browser (pip install 'imubayes[explore]')\n"
+        "next:\n"
+        f"  {_command('explore', result)}    the loop in the browser (extra: pip install 'imubayes[explore]')\n"
         f"  {_command('report', result, '--out', out / 'report.html')}    the uncertainty report\n"
         f"  imubayes demo {other}    {examples()[other].summary}\n"
         "  imubayes new FOLDER RECORDING    a recording of your own"
@@ -59,8 +62,8 @@ def demo(
 def example(*names: str, out: Path | None = None) -> None:
     """Copy shipped examples: campaigns with their models and test plans. Without a name, list them.
 
-    The copies stand in FOLDER/data and FOLDER/models, as in the commands of the documentation, which run in FOLDER. A
-    shipped model can also be named alone, without a copy: `--model trihedral-imu`.
+    The copies are in FOLDER/data and FOLDER/models, so that the commands of the documentation run in FOLDER. A shipped
+    model can also be named without a copy: `--model trihedral-imu`.
 
     Example: imubayes example hidden-gyro --out tour
 
@@ -75,7 +78,7 @@ def example(*names: str, out: Path | None = None) -> None:
         _list()
         return
     if out is None:
-        raise input_error("no folder is named", "command line", "--out FOLDER", "add it; --out . is this folder")
+        raise input_error("no folder is given", "command line", "--out FOLDER", "add it; --out . is this folder")
     chosen = [named(name) for name in names]
     for place in copy_examples(chosen, out):
         print(f"written: {place}")
@@ -88,7 +91,7 @@ def _list() -> None:
     from imubayes.display.layout import Report, Sheet, cells, print_report
 
     rows = [cells(each.name, each.model.stem, each.summary) for each in examples().values()]
-    closing = ["imubayes example NAME --out FOLDER copies one; its model is also known by its name alone"]
+    closing = ["imubayes example NAME --out FOLDER copies one. Its model can also be named without a copy."]
     print_report(Report((), [Sheet("", ["example", "model", "what it is"], rows, left=(0, 1, 2))], closing))
 
 

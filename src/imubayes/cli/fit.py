@@ -41,7 +41,7 @@ def classical(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     with progress() as tell:
         trusting(result, trust)
@@ -98,7 +98,7 @@ def compare(
     result
         Result folder of a fit.
     other
-        Result folder of a later calibration of the same unit: whether the two agree, what moved, and both as one.
+        Result folder of a later calibration of the same unit: agreement, quantities that moved, pooled estimates.
     parameters
         Names for a corner plot; with --every the mounting angles and scale factors that are determined least.
     runs
@@ -116,7 +116,7 @@ def compare(
     verbose
         Of two calibrations: print every quantity.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     of_one, of_two = parameters or runs or every, changed or any_unit or limits or as_json or verbose
     if of_one if other is not None else of_two:
@@ -159,7 +159,7 @@ def predict(
     verbose: Flag = False,
     trust: Trust = False,
 ) -> int:
-    """Hold a fitted model against runs that it has not seen: whether it predicts them within its uncertainty.
+    """Test whether a fitted model predicts runs that it has not seen within its uncertainty.
 
     Example: imubayes predict results/spring campaigns/autumn --out results/autumn-predicted
 
@@ -170,7 +170,7 @@ def predict(
     campaign
         Folder with campaign.toml, of the same unit; runs that were fitted are left out.
     out
-        Folder to write: pictures as of compare, their page, residuals, and what was found as JSON.
+        Folder to write: pictures as of compare, their page, residuals, and the result as JSON.
     changed
         Tables and mountings that bear the name of one of the fit and are another one, such as a seat on which the unit
         was mounted anew.
@@ -181,7 +181,7 @@ def predict(
     verbose
         Print a line for each run and channel, and every estimate.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     with progress() as tell:
         start_jax("predict")
@@ -241,7 +241,7 @@ def fit(
     verbose
         Print every table: all parameters with intervals, runs, combinations, contributions of procedures.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     with ExitStack() as held:
         recorded = _read(campaign, held, out, resume, replace)

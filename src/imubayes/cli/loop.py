@@ -37,7 +37,7 @@ class _HowRefitted:
     verbose
         List the residual rms of every channel and run, also where it did not change.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
 
     sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False
@@ -57,7 +57,7 @@ def add(
     channels: Names = None,
     how: _HowRefitted = _LAPLACE,
 ) -> int:
-    """Add effects to the model of a result, fit again from there, and show what that brought.
+    """Add effects to the model of a result, fit again from there, and show the improvement.
 
     Example: imubayes add gyro_g_sensitivity --to results/first --out results/second
 
@@ -65,7 +65,7 @@ def add(
     ----------
     effects
         Names of effects or noise members; `imubayes effects` lists them. A Python file, as `imubayes diagnose --python`
-        prints one, stands for the effects that it defines. Without any, the simplest explanation of the diagnosis.
+        prints one, means the effects that it defines. Without any, the simplest explanation of the diagnosis.
     to
         Result folder of the model to go on from; it stays as it is.
     out
@@ -102,7 +102,7 @@ def diagnose(
     verbose: Flag = False,
     trust: Trust = False,
 ) -> int:
-    """Say which effect the model lacks, from one pass and without a refit.
+    """Name the effects that the model lacks, in one pass and without a refit.
 
     Example: imubayes diagnose results/first
 
@@ -111,7 +111,7 @@ def diagnose(
     result
         Result folder of a fit.
     effect
-        Ask about this effect alone: there, absent, or not to be seen by these runs.
+        Ask about this effect alone: present, absent, or undetectable in these runs.
     as_json
         Print one JSON object on standard output.
     python
@@ -120,7 +120,7 @@ def diagnose(
     verbose
         Print every table: all effects, noise, outliers, formulas and undetectable effects.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     with progress() as tell:
         start_jax("diagnose")
@@ -265,7 +265,7 @@ def plant(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     with progress() as tell:
         start_jax()
@@ -287,7 +287,7 @@ def remove(
     out: Path,
     how: _HowRefitted = _LAPLACE,
 ) -> int:
-    """Remove effects from the model of a result, fit again from there, and show what that costs.
+    """Remove effects from the model of a result, fit again from there, and show the loss.
 
     Example: imubayes remove gyro_g_sensitivity --from results/second --out results/without
 

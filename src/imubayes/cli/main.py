@@ -168,15 +168,15 @@ def _issue_of(error: Exception) -> Issue:
 def _full(file: str | None) -> Issue:
     return Issue(
         "the disk is full",
-        str(file or "where this command writes, its temporary folder, or standard output"),
-        "a disk with room for what is written",
-        "make room, or choose another place with --out or TMPDIR; an earlier result is as it was",
+        str(file or "the folder of the output, the temporary folder, or standard output"),
+        "a disk with enough free space",
+        "make room, or choose another place with --out or TMPDIR; an earlier result is unchanged",
     )
 
 
 def _out_of_memory() -> Issue:
     return Issue(
-        "there is not enough memory", "this command", "memory for all that is fitted jointly",
+        "there is not enough memory", "this command", "memory for all runs that are fitted jointly",
         "fit fewer runs or rows at once, or use a machine with more memory",
     )  # fmt: skip
 

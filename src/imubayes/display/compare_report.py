@@ -236,7 +236,7 @@ def _for_corner(
             raise input_error(
                 "there are no posterior draws", str(folder),
                 "a result with posterior.nc, which every fit that converged writes",
-                "correct what kept the fit from converging, fit again, then compare",
+                "correct the cause, fit again until it converges, then compare",
             )  # fmt: skip
         return names, _draws(posterior, names, asked=True)
     if not posterior.is_file():
@@ -305,7 +305,7 @@ def _checked(summary: Summary, folder: Path, parameters: Sequence[str]) -> list[
         members += own
         if not own:
             where = f"{folder / 'summary.json'}, option --parameters"
-            remedy = "take a name from the tables of the result; a name without its brackets stands for all its members"
+            remedy = "take a name from the tables of the result; a name without its brackets means all its members"
             issues.append(Issue(f"'{name}' is not in the result", where, closest_first(name, known), remedy))
     refuse(issues)
     return members

@@ -43,7 +43,7 @@ def print_observable(campaign: Campaign) -> None:
     console.print(grid)
     if len(shown) == len(found):
         return
-    print("\nWhat the other effects need:\n")
+    print("\nNeeded for the other effects:\n")
     lacking = Grid(Column("effects", no_wrap=True), "need", box=None)
     by_need: dict[str, list[str]] = {}
     for effect in found:
@@ -53,7 +53,7 @@ def print_observable(campaign: Campaign) -> None:
     for needed, names in by_need.items():
         lacking.add_row("\n".join(names), needed)
     console.print(lacking)
-    print("\nA fit tells whether the runs determine the effects that they could show.")
+    print("\nOnly a fit shows whether the runs determine the effects that they could show.")
 
 
 def print_effect(effect: str) -> None:

@@ -55,7 +55,7 @@ def contradiction_text(contradicted: Sequence[NoiseComparison]) -> str:
     own = [each for each in contradicted if each.parameter == worst]
     factors = " and ".join(_factor(each) for each in own if each.excessive or each.ratio > 1)
     where = "between runs" if own[0].between_runs else "from row to row"
-    meaning = f"scatter {where} stands in for something that the model lacks"
+    meaning = f"scatter {where} makes up for something that the model lacks"
     if own[0].source == "samples":
         meaning += ", an effect or noise slower than a row"
     elif not any(each.excessive and each.source == "sisters" for each in own):
@@ -66,7 +66,7 @@ def contradiction_text(contradicted: Sequence[NoiseComparison]) -> str:
 
 def _factor(each: NoiseComparison) -> str:
     if each.source == "samples":
-        return f"{noise_ratio(each)} times what the raw samples of the same rows say"
+        return f"{noise_ratio(each)} times that of the raw samples of the same rows"
     if each.source == "sisters":
         # Not the scales are compared: that of a sister may be zero.
         by = "means of their runs" if each.between_runs else "scatter of their rows"
@@ -101,9 +101,9 @@ def next_command(summary: Summary, campaign: str, folder: str) -> str:
 
 
 _SAMPLING_REMEDY = (
-    "`imubayes diagnose` and `add` need no draws: they work about the mode. Where weights or ensembles disagree, give "
-    "what is weakly determined a tighter prior, leave its effect out of the model, or take the run that determines it; "
-    "where sizes are small, go on with `fit --resume`."
+    "`imubayes diagnose` and `add` need no draws: they use the mode. If weights or ensembles disagree, give "
+    "what is weakly determined a tighter prior, leave its effect out of the model, or take the run that determines it. "
+    "If only the effective sample sizes are too small, continue with `fit --resume`."
 )
 _FAILED_REMEDY = (
     "The usual cause is a mistake in the set-up: run `imubayes check`, and compare mountings, table angles, units, "
@@ -155,7 +155,7 @@ def _of_population(summary: Summary) -> tuple[str, ...]:
     if not source:
         return ()
     unlike = [f"{each.name} lies {each.distance:.1f} sd apart" for each in summary.prior_conflicts]
-    conflict = (f"The unit is unlike the units that its priors are from: {listed(unlike, 3)}.",) if unlike else ()
+    conflict = (f"The unit differs from the units that its priors come from: {listed(unlike, 3)}.",) if unlike else ()
     return (*conflict, f"Priors are from {source}.")
 
 
@@ -170,7 +170,7 @@ def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:
     """Return what a campaign of one run cannot tell of its channels, a line for each effect."""
     return tuple(
         f"{each.effect} is left out, with one run of {listed(each.channels, 4)}: uncertainties hold within that run "
-        "and do not include repeatability from run to run, which more runs, or a prior of it in the model, would tell."
+        "and do not include repeatability from run to run, which needs more runs or a prior in the model."
         for each in found
     )
 
@@ -192,7 +192,7 @@ def exact_lines(summary: Summary) -> tuple[str, ...]:
     if not known:
         return ()
     return (
-        f"No uncertainty above contains {exact_text(known)}, taken as exact by the model; those of `imubayes report`, "
+        f"No uncertainty above includes {exact_text(known)}, taken as exact by the model; those of `imubayes report`, "
         f"`export` and `apply` do.{effect}",
     )
 
@@ -210,7 +210,7 @@ def _gravity_text(summary: Summary) -> str:
     if not scales or whole <= _MATTERS * own:
         return ""
     own, whole = (significant(each, 2) for each in (own, whole))
-    return f" {name} has {own} ppm here, and {whole} ppm with it where it was found from gravity."
+    return f" {name} has {own} ppm here, and {whole} ppm with it if determined from gravity."
 
 
 def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
@@ -223,8 +223,12 @@ def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
     said = f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known before the fit"
     causes = [agreement_text(each) for each in doubted[0].causes[:_MOST_NAMED]]
     if causes:
-        return (f"{said}. It would agree with {'; or with '.join(causes)}: `{command}` weighs that beside effects.",)
-    return (f"{said} (p {relation(doubted[0].p)}): `{command}` says what in the record would make it agree.",)
+        return (
+            f"{said}. It would agree with {'; or with '.join(causes)}: `{command}` compares this with missing effects.",
+        )
+    return (
+        f"{said} (p {relation(doubted[0].p)}): `{command}` names the entry of the record that would make it agree.",
+    )
 
 
 def agreement_text(each: AgreeingInput, row: int | None = None) -> str:
@@ -233,7 +237,7 @@ def agreement_text(each: AgreeingInput, row: int | None = None) -> str:
     pairs = [value_and_sd(value, sd) for value, sd in zip(each.agreeing, each.sd, strict=True)]
     sizes = ", ".join(f"{value} ± {sd}" for value, sd in pairs)
     if each.form == "unit":
-        return "errors of its own in all channels: it is of another unit, or its file is"
+        return "errors of its own in all channels: the run, or its file, is from another unit"
     if each.form == "exchange":
         return f"{each.quantity} exchanged with that of run {each.other}"
     if each.form == "seat":
@@ -251,7 +255,9 @@ def agreement_text(each: AgreeingInput, row: int | None = None) -> str:
     return f"{each.quantity} about {sizes}{unit} on average (recorded: {recorded})"
 
 
-_SUSPECTED = "Suspected: {}. This may be chance; if it is not, the intervals are too narrow. Longer runs would tell."
+_SUSPECTED = (
+    "Suspected: {}. This may be chance; if it is not, the intervals are too narrow. Longer runs would show which."
+)
 
 
 def _rests_on_prior(found: PriorScatter) -> str:
@@ -260,7 +266,7 @@ def _rests_on_prior(found: PriorScatter) -> str:
     return (
         f"{found.scale} is known mostly from its prior ({percent(found.from_data)} from the data), and the "
         f"intervals of {names}{more} depend on it: the sd is {significant(found.factor)} times larger at the upper end "
-        "of that prior than at the lower. More runs, or a prior from experience, would settle it."
+        "of that prior than at the lower. More runs, or a prior from earlier units, would determine it."
     )
 
 

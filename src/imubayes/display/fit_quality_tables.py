@@ -183,7 +183,7 @@ def more(count: int) -> str:
 
 
 _NOTE = (
-    "The data determine these sums much better than their leading members; each member counts in its own unit. Symbols "
+    "The data determine these sums much better than their leading members. Each member is in its own unit. Symbols "
     "are those of the standard of the test. "
 )
 

@@ -139,7 +139,7 @@ class AccelThermalLag(Accelerometer, formulas.ThermalLag):
 
 class AccelThermalHysteresis(Accelerometer, formulas.ThermalHysteresis):
     name = "accel_thermal_hysteresis"
-    confused_with = "accel_thermal_lag, at one ramp rate; accel_bias_temperature, where all ramps are monotonic"
+    confused_with = "accel_thermal_lag, at one ramp rate; accel_bias_temperature if all ramps are monotonic"
     reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; IEEE Std 1293, thermal hysteresis"
     half_width: Scalar = parameter(
         "ug", "normal(0, 500 ug)", (1, 5000), "half the height of the loop", coarse=(2000, 5000)
@@ -168,7 +168,7 @@ class AccelVibrationRectification(Accelerometer, SignalEffect):
     name = "accel_vibration_rectification"
     order = Order.BIAS
     needs = ("vibration",)
-    confused_with = "the bias, where vibration is the same in all runs"
+    confused_with = "the bias if vibration is the same in all runs"
     reference = "IEEE Std 1293, vibration rectification coefficient; 1 … 100 µg/g²"
     rectification: Scalar = parameter(
         "ug/g^2", "normal(0, 50 ug/g^2)", (1, 500), "the bias per mean-square vibration", coarse=(200, 500)
@@ -219,7 +219,7 @@ class AccelScaleTemperatureQuadratic(Accelerometer, formulas.QuadraticThermalSca
 
 class AccelDeadZone(Accelerometer, formulas.DeadZone):
     name = "accel_dead_zone"
-    confused_with = "the bias, where the input axis points up in all runs"
+    confused_with = "the bias if the input axis points up in all runs"
     reference = "IEEE Std 1293, dead band and threshold"
     half_width: Scalar = parameter(
         "ug", "halfnormal(20 ug)", (0.1, 100), "half the width of the zone", coarse=(200, 1000)

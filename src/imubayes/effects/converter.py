@@ -61,7 +61,7 @@ class ConverterGainTemperatureRate(Gain, formulas.ThermalRateScale):
     """Gain linear in the rate of converter temperature: signal · (1 + γ·dT_c/dt)."""
 
     name = "converter_gain_temperature_rate"
-    confused_with = "converter_gain_lag, where changes are slow against τ; converter_offset_temperature_rate, one input"
+    confused_with = "converter_gain_lag if changes are slow against τ; converter_offset_temperature_rate, one input"
     reference = "first-order lag of slow changes, gain drift times time constant: 100 ppm/degC and 10 min"
     slope: Scalar = parameter(
         "ppm/(degC/min)", "normal(0, 1000 ppm/(degC/min))", (1, 3000), "the gain change per temperature rate"
@@ -76,7 +76,7 @@ class ConverterGainLag(Gain, formulas.ThermalLagScale):
     """
 
     name = "converter_gain_lag"
-    confused_with = "converter_gain_temperature_rate, where changes are slow against τ; converter_offset_lag, one input"
+    confused_with = "converter_gain_temperature_rate if changes are slow against τ; converter_offset_lag, one input"
     reference = "first-order thermal network between temperature sensor and converter; size of the gain drift"
     coefficient: Scalar = parameter(
         "ppm/degC", "normal(0, 100 ppm/degC)", (1, 100), "the gain change per degree of lag"
@@ -91,7 +91,7 @@ class ConverterGainHysteresis(Gain, formulas.ThermalHysteresisScale):
     """
 
     name = "converter_gain_hysteresis"
-    confused_with = "converter_gain_lag, at one ramp rate; converter_gain_drift, where all ramps are monotonic"
+    confused_with = "converter_gain_lag, at one ramp rate; converter_gain_drift if all ramps are monotonic"
     reference = (
         "thermal hysteresis of voltage references, 10 to 200 ppm in data sheets; play operator, Visintin, ch. III"
     )
@@ -141,7 +141,7 @@ class ConverterOffsetTemperatureRate(Offset, formulas.ThermalRateBias):
     """Offset linear in the rate of converter temperature: signal + o·dT_c/dt."""
 
     name = "converter_offset_temperature_rate"
-    confused_with = "converter_offset_lag, where changes are slow against τ; bias_drift, in a single monotonic ramp"
+    confused_with = "converter_offset_lag if changes are slow against τ; bias_drift, in a single monotonic ramp"
     reference = "thermoelectric voltages across gradients; offset drift times time constant: 1e-4 scale/degC and 10 min"
     slope: Scalar = parameter(
         "output/(degC/min)", "normal(0, 1e-3 scale/(degC/min))", (1e-5, 1e-2), "the offset per temperature rate"
@@ -156,7 +156,7 @@ class ConverterOffsetLag(Offset, formulas.ThermalLag):
     """
 
     name = "converter_offset_lag"
-    confused_with = "converter_offset_temperature_rate, where changes are slow against τ; converter_gain_lag, one input"
+    confused_with = "converter_offset_temperature_rate if changes are slow against τ; converter_gain_lag, one input"
     reference = "first-order thermal network between temperature sensor and converter; size of the offset drift"
     coefficient: Scalar = parameter(
         "output/degC", "normal(0, 1e-4 scale/degC)", (1e-6, 1e-3), "the offset per degree of lag"
@@ -171,7 +171,7 @@ class ConverterOffsetHysteresis(Offset, formulas.ThermalHysteresis):
     """
 
     name = "converter_offset_hysteresis"
-    confused_with = "converter_offset_lag, at one ramp rate; converter_offset_drift, where all ramps are monotonic"
+    confused_with = "converter_offset_lag, at one ramp rate; converter_offset_drift if all ramps are monotonic"
     reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; offset drift over a few degrees"
     half_width: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-6, 1e-2), "half the height of the loop")
     play: Scalar = thermal_play()

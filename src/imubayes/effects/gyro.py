@@ -16,7 +16,7 @@ from imubayes.parameters.declarations import option, parameter, thermal_play, ti
 
 class GyroBias(Gyro, formulas.ConstantBias):
     name = "gyro_bias"
-    confused_with = "run offsets, where every run has its own"
+    confused_with = "run offsets if every run has its own"
     reference = "IEEE Std 952, bias (D_F)"
     bias: Scalar = parameter(
         "deg/h", "normal(0, 3600 deg/h)", (0.01, 1800), "the constant rate offset", coarse=(3600, 36000)
@@ -72,7 +72,7 @@ class GyroThermalLag(Gyro, formulas.ThermalLag):
 
 class GyroThermalHysteresis(Gyro, formulas.ThermalHysteresis):
     name = "gyro_thermal_hysteresis"
-    confused_with = "gyro_thermal_lag, at one ramp rate; gyro_bias_temperature, where all ramps are monotonic"
+    confused_with = "gyro_thermal_lag, at one ramp rate; gyro_bias_temperature if all ramps are monotonic"
     reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; IEEE Std 952, thermal hysteresis"
     half_width: Scalar = parameter(
         "deg/h", "normal(0, 10 deg/h)", (0.01, 50), "half the height of the loop", coarse=(100, 500)
@@ -138,7 +138,7 @@ class GyroScaleTemperatureQuadratic(Gyro, formulas.QuadraticThermalScale):
 
 class GyroDeadZone(Gyro, formulas.DeadZone):
     name = "gyro_dead_zone"
-    confused_with = "gyro_scale_asymmetry and the bias, where all runs rotate in one direction"
+    confused_with = "gyro_scale_asymmetry and the bias if all runs rotate in one direction"
     reference = "IEEE Std 952, dead zone"
     half_width: Scalar = parameter(
         "deg/h", "halfnormal(5 deg/h)", (0.01, 50), "half the width of the zone", coarse=(50, 300)
@@ -212,7 +212,7 @@ class GyroG2Sensitivity(Gyro, SignalEffect):
 
 class GyroScaleAsymmetry(Gyro, formulas.ScaleAsymmetry):
     name = "gyro_scale_asymmetry"
-    confused_with = "gyro_scale_quadratic, where few rates are tested; a bias, at one rate"
+    confused_with = "gyro_scale_quadratic if few rates are tested; a bias, at one rate"
     reference = "IEEE Std 952, asymmetry error; 10 … 300 ppm"
     asymmetry: Scalar = parameter(
         "ppm", "normal(0, 100 ppm)", (10, 300), "half the scale factor difference", coarse=(1000, 3000)
@@ -226,7 +226,7 @@ class GyroScaleQuadratic(Gyro, formulas.SecondOrderNonlinearity):
     """
 
     name = "gyro_scale_quadratic"
-    confused_with = "gyro_scale_asymmetry, where few rates are tested; g-sensitivity to centripetal acceleration"
+    confused_with = "gyro_scale_asymmetry if few rates are tested; g-sensitivity to centripetal acceleration"
     reference = "IEEE Std 952, scale factor nonlinearity; 25 … 50 ppm at 200 … 400 °/s"
     quadratic: Scalar = parameter(
         "ppm/(deg/s)", "normal(0, 1 ppm/(deg/s))", (0.01, 1), "the coefficient K2", coarse=(5, 20)
@@ -252,7 +252,7 @@ class GyroScaleGDependence(Gyro, SignalEffect):
 
     name = "gyro_scale_g_dependence"
     order = Order.SENSITIVITY
-    confused_with = "the scale factor, where the angle between input axis and gravity is constant"
+    confused_with = "the scale factor if the angle between input axis and gravity is constant"
     reference = "IEEE Std 952, scale factor acceleration sensitivity; 1 … 100 ppm/g"
     dependence: Scalar = parameter(
         "ppm/g", "normal(0, 50 ppm/g)", (1, 100), "the relative change of scale per g", coarse=(200, 1000)
@@ -295,7 +295,7 @@ class GyroBandwidth(Gyro, SignalEffect):
 
     name = "gyro_bandwidth"
     order = Order.SENSITIVITY
-    confused_with = "time_skew, where all channels lag alike"
+    confused_with = "time_skew if all channels lag alike"
     reference = "IEEE Std 952, frequency response: a first-order lag, 0.1 … 20 ms for 1.6 kHz … 8 Hz"
     tau: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 50), "the time constant of the lag")
 

@@ -96,7 +96,7 @@ class StationHeading(MotionEffect):
     stage = Stage.STAND
     per = ()
     needs = ("directions",)
-    confused_with = "gyro_misalignment, where the axis always points east with the same axis up"
+    confused_with = "gyro_misalignment if the axis always points east with the same axis up"
     reference = "IEEE Std 517, alignment of the test station to north; 5 arcsec … 5 arcmin"
     heading: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (1, 600), "the rotation about the vertical")
 
@@ -115,7 +115,7 @@ class StationLevel(MotionEffect):
     stage = Stage.STAND
     per = ()
     needs = ("directions",)
-    confused_with = "station_heading, where the axis is never vertical; gyro_misalignment, in few positions"
+    confused_with = "station_heading if the axis is never vertical; gyro_misalignment, in few positions"
     reference = "IEEE Std 517, levelling of the test station; 1 arcsec … 5 arcmin"
     east: Scalar = parameter("arcsec", "normal(0, 1 arcmin)", (1, 300), "the rotation about east")
     north: Scalar = parameter("arcsec", "normal(0, 1 arcmin)", (1, 300), "the rotation about north")
@@ -134,7 +134,7 @@ class MountingError(BodyRotation):
 
     name = "mounting_error"
     per = ("mounting",)
-    confused_with = "scale factor and table rate error, where only one mounting is tested"
+    confused_with = "scale factor and table rate error if only one mounting is tested"
     reference = "first-order attitude error, body axes; IEEE Std 952, mounting misalignment"
     x: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (1, 600), "the rotation about body x", "seat")
     y: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (1, 600), "the rotation about body y", "seat")
@@ -204,7 +204,7 @@ class RotationCentre(PlaceEffect):
     per = ("run",)
     kinds = ("accelerometer",)
     needs = ("hand",)
-    confused_with = "lever_arm, where the unit sits in one way alone"
+    confused_with = "lever_arm if the unit sits in one way alone"
     reference = "IEEE Std 1293, centrifuge geometry; Groves § 6.3.1.3"
     x: Scalar = parameter("mm", "normal(0, 100 mm)", (1, 300), "the unit's position along body x")
     y: Scalar = parameter("mm", "normal(0, 100 mm)", (1, 300), "the unit's position along body y")

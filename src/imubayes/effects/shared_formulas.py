@@ -156,7 +156,7 @@ class WarmUp(SignalEffect):
 
     order = Order.BIAS
     needs = ("power_on",)
-    confused_with = "bias_temperature, with self-heating of the unit; run offsets, where runs are short against τ"
+    confused_with = "bias_temperature, with self-heating of the unit; run offsets if runs are short against τ"
     amplitude: Parameter
     tau: Parameter
 
@@ -237,7 +237,7 @@ class ThermalLag(TemperatureLag):
     """
 
     order = Order.BIAS
-    confused_with = "bias_temperature_rate, where changes are slow against τ; bias_drift, in a single monotonic ramp"
+    confused_with = "bias_temperature_rate if changes are slow against τ; bias_drift, in a single monotonic ramp"
 
     def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
         return signal - self.coefficient * memory

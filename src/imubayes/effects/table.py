@@ -92,7 +92,7 @@ class MiddleAxisZero(AxisAngleZero):
     name = "middle_axis_zero"
     place = _MIDDLE
     needs = ("middle_angle",)
-    confused_with = "mounting error, where the inner axis is never turned; table_axis_tilt, where the outer is not"
+    confused_with = "mounting error if the inner axis is never turned; table_axis_tilt if the outer is not"
     zero: Scalar = _zero_of("middle")
 
 
@@ -124,7 +124,7 @@ class OuterAxisSquareness(AxisSquareness):
     """The angle between the outer and the next axis is the nominal one + ε, by a turn about their common normal."""
 
     name = "outer_axis_squareness"
-    confused_with = "table_axis_tilt, where the outer axis is not turned"
+    confused_with = "table_axis_tilt if the outer axis is not turned"
 
 
 class MiddleAxisSquareness(AxisSquareness):
@@ -133,7 +133,7 @@ class MiddleAxisSquareness(AxisSquareness):
     name = "middle_axis_squareness"
     place = _MIDDLE
     needs = ("middle_angle",)
-    confused_with = "mounting error, where the inner axis is not turned; outer_axis_squareness, where the middle is not"
+    confused_with = "mounting error if the inner axis is not turned; outer_axis_squareness if the middle is not"
 
 
 class OuterAxisIntersection(OuterAxisEffect):
@@ -143,7 +143,7 @@ class OuterAxisIntersection(OuterAxisEffect):
     """
 
     name = "outer_axis_intersection"
-    confused_with = "lever_arm, where the next axis is not turned"
+    confused_with = "lever_arm if the next axis is not turned"
     reference = "IEEE Std 1293, intersection of the axes of multi-axis tables; 10 … 500 µm"
     distance: Scalar = parameter(
         "um", "normal(0, 100 um)", (10, 1000), "the distance of the axes along z × n", "intersection"
@@ -162,7 +162,7 @@ class MiddleAxisIntersection(OuterAxisIntersection):
     name = "middle_axis_intersection"
     place = _MIDDLE
     needs = ("middle_angle",)
-    confused_with = "lever_arm, where the inner axis is not turned"
+    confused_with = "lever_arm if the inner axis is not turned"
     along: Scalar = parameter(
         "um", "normal(0, 100 um)", (10, 1000), "the distance of inner and outer axis along the middle one",
         "intersection",
@@ -181,7 +181,7 @@ class PlatformTilt(OuterAxisEffect):
     """
 
     name = "platform_tilt"
-    confused_with = "mounting error, where the platform is not turned"
+    confused_with = "mounting error if the platform is not turned"
     reference = "IEEE Std 836, alignment of the counter-rotating platform; 1 … 60 arcsec"
     x: Scalar = parameter("arcsec", "normal(0, 20 arcsec)", (1, 60), "the tilt about platform x", "squareness")
     y: Scalar = parameter("arcsec", "normal(0, 20 arcsec)", (1, 60), "the tilt about platform y", "squareness")
@@ -200,8 +200,8 @@ class ArmError(OuterAxisEffect):
 
     name = "arm_error"
     confused_with = (
-        "the radius: exactly with the scale factor of accelerometers where the centrifuge is their only input; the "
-        "stretch: with K_oq, and with K2 where the input axis points one way only"
+        "the radius: exactly with the scale factor of accelerometers if the centrifuge is their only input; the "
+        "stretch: with K_oq, and with K2 if the input axis points one way only"
     )
     reference = "IEEE Std 836, radius and stretch of the arm; 1 … 500 µm, 0.1 … 20 µm/g"
     radius: Scalar = parameter("um", "normal(0, 100 um)", (1, 500), "the error of the radius at rest", "arm")
@@ -226,7 +226,7 @@ class TableAxisTilt(MotionEffect):
     name = "table_axis_tilt"
     stage = Stage.STAND
     per = ("table",)
-    confused_with = "g-sensitivity of gyros; accelerometer misalignment where few mountings are tested"
+    confused_with = "g-sensitivity of gyros; accelerometer misalignment if few mountings are tested"
     reference = "IEEE Std 1293, axis of rotation levelling error"
     x: Scalar = parameter("arcsec", "normal(0, 60 arcsec)", (1, 120), "the tilt about table x", "axis_x")
     y: Scalar = parameter("arcsec", "normal(0, 60 arcsec)", (1, 120), "the tilt about table y", "axis_y")
@@ -245,7 +245,7 @@ class GravityAnomaly(MotionEffect):
     name = "gravity_anomaly"
     stage = Stage.STAND
     per = ()
-    confused_with = "a scale factor common to all accelerometers: exactly, where gravity is the only input"
+    confused_with = "a scale factor common to all accelerometers: exactly if gravity is the only input"
     reference = "Hofmann-Wellenhof and Moritz, Physical Geodesy, gravity anomalies; 1 … 300 µg"
     anomaly: Scalar = parameter(
         "ug", "normal(0, 50 ug)", (1, 300), "the excess of true over stated gravity", "gravity", domain=GRAVITY_ERROR
@@ -264,7 +264,7 @@ class TimeSkew(TableEffect):
 
     name = "time_skew"
     order = Order.TIME
-    confused_with = "an error of the table's angle, where all runs rotate at one rate in one direction"
+    confused_with = "an error of the table's angle if all runs rotate at one rate in one direction"
     reference = "first-order clock offset between table and unit; 0.01 … 50 ms"
     skew: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 100), "the delay of the unit's samples")
 
@@ -342,7 +342,7 @@ class TableWobble(TableEffect):
     name = "table_wobble"
     order = Order.AXIS
     needs = ("table_angle",)
-    confused_with = "mounting error, where it rotates with the table; table_axis_tilt, where few angles are used"
+    confused_with = "mounting error if it rotates with the table; table_axis_tilt if few angles are used"
     reference = "IEEE Std 1293, axis wobble of rotary tables; 0.1 … 10 arcsec"
     x_cos_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about x with cos φ")
     x_sin_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about x with sin φ")

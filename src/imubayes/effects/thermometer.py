@@ -39,7 +39,7 @@ class ThermometerError(TemperatureOffset):
     name = "thermometer_error"
     needs = ("temperature",)
     covariate = "temperature"
-    confused_with = "gyro_run_bias and accel_run_bias, where one coefficient alone depends on temperature"
+    confused_with = "gyro_run_bias and accel_run_bias if one coefficient alone depends on temperature"
     offset: Scalar = parameter(
         "degC", "normal(0, 1 degC)", (0.1, 20), "the excess of true over stated temperature", "temperature"
     )
@@ -54,7 +54,7 @@ class ConverterThermometerError(TemperatureOffset):
     name = "converter_thermometer_error"
     needs = ("converter_temperature",)
     covariate = "converter_temperature"
-    confused_with = "thermometer_error, where gain or offset of one channel alone depends on temperature"
+    confused_with = "thermometer_error if gain or offset of one channel alone depends on temperature"
     offset: Scalar = parameter(
         "degC", "normal(0, 1 degC)", (0.1, 20), "the excess of true over stated temperature of the converter",
         "converter_temperature",

@@ -119,7 +119,7 @@ _ENTRIES = (
     Covariate("time", "time_s", "s", "s", "time since the start of the run", symbol="t", instrument=_CLOCK),
     Covariate(
         "campaign_time", "campaign_time_h", "h", "s", "time since the first run", "derived", shown=False,
-        source="time_s, and 'start' of the run where other runs have it", instrument=_CLOCK,
+        source="time_s, and 'start' of the run if other runs have it", instrument=_CLOCK,
     ),
     Covariate(
         "power_on", "power_on_s", "s", "s", "time since power-on", symbol="t_on", absent="long since on",
@@ -214,7 +214,7 @@ CONDITIONS: dict[str, str] = {
     "larger input": "a larger input",
     "response": "a run that responds to it",
     "second run": "a second run of the channel",
-    "reference": "a reference gyro that rides along",
+    "reference": "a reference gyro on the same table",
     "injection": "a run of procedure current_injection",
     "temperature uncertainty": "a run that states temperature_uncertainty_degC",
     "converter_temperature uncertainty": "a run that states converter_temperature_uncertainty_degC",

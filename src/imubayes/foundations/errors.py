@@ -85,7 +85,9 @@ class NotKept(UserWarning):
 
     def __init__(self, folder: Path, reason: str):
         self.folder = folder
-        remedy = "to keep it, run the command where there is room and a right to write, such as on a copy of the folder"
+        remedy = (
+            "to keep it, run the command in a place with free space and write permission, such as a copy of the folder"
+        )
         super().__init__(f"nothing of this is kept in {folder} ({reason}); {remedy}")
 
 

@@ -67,7 +67,7 @@ class Checkpoint:
                 f"the checkpoint cannot be read ({error})",
                 str(self.path),
                 "a checkpoint written by this command",
-                "remove the file and begin anew",
+                "remove the file and start again",
             ) from None
         changed = [key for key, value in self.fingerprints.items() if found[key] != value]
         if changed:
@@ -75,7 +75,7 @@ class Checkpoint:
                 "the checkpoint is of another fit: " + "; ".join(_WORDS.get(key, key) for key in changed),
                 str(self.path),
                 "the same data, model, parameter order, seed and ensemble size",
-                "restore them, or choose another --out and begin anew",
+                "restore them, or choose another --out and start again",
             )
 
     @contextmanager

@@ -122,8 +122,8 @@ _FAR_DRAWS = 1e5
 _MOST_JUDGED = 1000
 LOG_DENSITY = "the log density"
 BLIND = (
-    "The verdict is about the places where the ensembles were: it does not see a mode that no walker came near, nor a "
-    "place so narrow that no step led there."
+    "The verdict covers only the regions that the ensembles visited: it does not see a mode that no walker came near, "
+    "nor a region so narrow that no step led there."
 )
 """What a verdict of convergence cannot see."""
 # A standard deviation that asks for more draws than this is of a parameter of which the interval tells more.
@@ -236,7 +236,7 @@ def _strays(log_density: np.ndarray) -> list[str]:
     strays = int(far.any(axis=1).sum())
     if not strays or entered.any():
         return []
-    return [f"{strays} walkers began far below the log density of the others, where none came later"]
+    return [f"{strays} walkers began far below the log density of the others, and none came there later"]
 
 
 def _by_walker(chain: np.ndarray) -> np.ndarray:

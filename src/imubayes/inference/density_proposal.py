@@ -82,7 +82,7 @@ class ProposalSearch:
         for scout in range(_SCOUTS):
             if not self._affords(_SCOUTED * len(points)):
                 return None
-            self.tell(f"sampling: holding it against a chain from the start, step {(scout + 1) * _SCOUTED}")
+            self.tell(f"sampling: comparing it with a chain from the start, step {(scout + 1) * _SCOUTED}")
             chain, height = short_chain(self.density, points, _SCOUTED, [self.settings.seed, 11, scout])
             points = chain[-1]
             if agrees(found, points, height[-1]):
@@ -93,7 +93,7 @@ class ProposalSearch:
         for lay in range(_LAYS):
             if not self._affords(_LAID_OUT * sum(map(len, self.starts)) + 2 * _TRIAL):
                 return None
-            self.tell(f"sampling: laying out the density from the start, step {(lay + 1) * _LAID_OUT}")
+            self.tell(f"sampling: tabulating the density from the start, step {(lay + 1) * _LAID_OUT}")
             chains = [
                 short_chain(self.density, start, _LAID_OUT, [self.settings.seed, 12, lay, ensemble])
                 for ensemble, start in enumerate(self.starts)

@@ -420,5 +420,5 @@ def _attributes(fit: Fit) -> dict[str, str | int]:
         "data_sha256": campaign_hash(fit.model),
         "model_sha256": model_hash(fit.model),
         "converged": int(fit.converged),
-        "interval": "95 % equal-tailed where an interval is given",
+        "interval": "95 % equal-tailed if an interval is given",
     }

@@ -39,7 +39,7 @@ _TRIAL = 4000
 # of the error itself.
 PRIOR_DRAWS, LAPLACE_DRAWS = 2000, 16_000
 
-FAILED = "The fit failed: it ended where no working unit on the stated equipment can be."
+FAILED = "The fit failed: it ended at values that no working unit on the stated equipment has."
 
 Progress = Callable[[str], None]
 

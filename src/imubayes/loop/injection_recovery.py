@@ -51,7 +51,9 @@ class Size:
     def __post_init__(self):
         for name, value in (("delta_chi2", self.delta_chi2), ("size", self.typical)):
             if value is not None and not (np.isfinite(value) and value > 0):
-                raise input_error(f"{name} = {value:g} is no size", "plant", "a number more than 0", f"correct {name}")
+                raise input_error(
+                    f"{name} = {value:g} is not a size", "plant", "a number more than 0", f"correct {name}"
+                )
 
 
 @dataclass(frozen=True)

@@ -163,7 +163,7 @@ def _refuse_other_unit(known: Campaign, campaign: Campaign, any_unit: bool) -> N
         f"the campaign is of unit '{campaign.serial}', the fit of '{known.serial}'",
         campaign.folder or campaign.name,
         f"runs of the unit '{known.serial}'",
-        "name a campaign of that unit; to hold one unit against another: --any-unit",
+        "name a campaign of that unit; to compare two units: --any-unit",
     )
 
 
@@ -171,7 +171,7 @@ def _refuse_unknown_names(campaign: Campaign, changed: Sequence[str]) -> None:
     equipment = [*campaign.tables, *campaign.mountings]
     refuse(
         Issue(
-            f"'{name}' is no table and no mounting of the campaign",
+            f"'{name}' is neither a table nor a mounting of the campaign",
             "--changed",
             closest_first(name, equipment),
             "name tables and mountings of the new runs",

@@ -201,7 +201,9 @@ def _of_removal(issue: Issue, effects: Sequence[str]) -> Issue:
     """Return what is wrong with a model, as the consequence of a removal."""
     without = ", ".join(f"'{name}'" for name in effects)
     return replace(
-        issue, what=f"{without} cannot be removed: {issue.what}", remedy="keep it, or remove what needs it as well"
+        issue,
+        what=f"{without} cannot be removed: {issue.what}",
+        remedy="keep it, or also remove the effects that need it",
     )
 
 

@@ -175,7 +175,7 @@ def predict_runs(
     model, shared, new = joined.model, joined.shared_with(fit), joined.entries
     h = model.hyper_layout.carried(fit.model.hyper_layout, scales)
     z = np.where(shared, model.layout.carried(fit.model.layout, fit.z), 0.0)
-    tell("fitting what is new")
+    tell("fitting the new runs")
     fitted = _with_own_unknowns(model.problem, z, h, ~shared, new)
     about, (residual, jacobian, widths) = fitted.about, fitted.white
     z, residual, jacobian = np.asarray(about.z), residual[new], jacobian[new]

@@ -72,10 +72,10 @@ def require_fit(before: Fit) -> None:
     """Raise InputError for a fit that cannot be started from."""
     if not np.isfinite(before.z).all():
         raise input_error(
-            f"there is no fit to go on from: {before.message}",
+            f"there is no fit to continue from: {before.message}",
             before.model.spec.where,
             "a fit that converged",
-            "mend what kept the fit from converging, fit again, then change the model",
+            "remove the cause, fit again until it converges, then change the model",
         )
 
 

@@ -84,7 +84,7 @@ class NoChannelError(NotObservableError):
 
 
 class SingleRunError(NotObservableError):
-    """The effect is what differs from run to run, and each of its channels has one run.
+    """The effect differs from run to run, and each of its channels has one run.
 
     Attributes
     ----------
@@ -210,9 +210,9 @@ def _without_single_runs(
     if found and found == channels:
         raise SingleRunError(
             Issue(
-                f"'{spec.name}' is what differs from run to run, and {' and '.join(found)} had one run",
+                f"'{spec.name}' differs from run to run, and {' and '.join(found)} had one run",
                 spec.where,
-                "channels of two runs and more, or a prior from experience",
+                "channels of two runs and more, or a prior from earlier units",
                 "leave the effect out, add a run, or state its prior",
             ),
             found,

@@ -48,7 +48,7 @@ def dry_run(problem: Problem, effects: Sequence[BoundEffect], spec: ModelSpec) -
             line or f"{', '.join(files) or 'class'}: {names}",
             "methods as their base class describes them, written with jax.numpy, for one sample, returning what "
             "they are given, changed",
-            "mend the class; a choice that depends on a value is jnp.where, not if",
+            "correct the class; a choice that depends on a value is jnp.where, not if",
         ) from error
 
 

@@ -83,7 +83,8 @@ class Registry:
             where = f"class {member.__name__}"
             if not _is_effect(member):
                 raise input_error(
-                    f"the class {member.__name__} is no effect with a name, a stage and parameters", where, _CLASSES,
+                    f"the class {member.__name__} is not an effect with a name, a stage and "
+                    f"parameters", where, _CLASSES,
                     "derive it from one of these",
                 )  # fmt: skip
             if registry.effects.get(member.name) is not member:
@@ -128,7 +129,7 @@ def _members_of(file: Path) -> list[EffectClass]:
             what,
             str(file),
             f"a Python file with {_CLASSES}",
-            "mend the file, or take it out of the model's 'files'",
+            "correct the file, or take it out of the model's 'files'",
         )
 
     if not file.is_file():

@@ -164,7 +164,7 @@ def refuse_untrusted(files: Iterable[str | Path]) -> None:
             f"'{Path(file).name}' is Python code that came along, and it is not trusted",
             str(file),
             "effect files of a model that is named on the command line, and those that were trusted as they are",
-            "read the file; where you trust it add --trust, in Python call imubayes.trust, which remembers it",
+            "read the file; if you trust it, add --trust, or in Python call imubayes.trust, which remembers it",
         )
         for file in files
         if Path(file).is_file() and _digest(Path(file)) not in known

@@ -91,7 +91,7 @@ def _faults(block: PriorCorrelation, layout: Layout, taken: set[str]) -> list[Is
     plain = np.allclose(matrix, matrix.T) and np.allclose(np.diag(matrix), 1.0)
     if not plain or np.linalg.eigvalsh(matrix)[0] < _LEAST_EIGENVALUE:
         allowed = "a symmetric, positive definite matrix with ones on the diagonal"
-        faults.append(Issue("the matrix is no correlation matrix", block.where, allowed, "correct the matrix"))
+        faults.append(Issue("the matrix is not a correlation matrix", block.where, allowed, "correct the matrix"))
     return faults
 
 

@@ -235,7 +235,7 @@ class RateProportionalNoise(EntryNoise):
 
     name = "rate_proportional_noise"
     kinds = ("gyro",)
-    confused_with = "white_noise, where all rows have the same rate; a nonlinearity missing from the model"
+    confused_with = "white_noise if all rows have the same rate; a nonlinearity missing from the model"
     reference = "IEEE Std 952, scale factor repeatability; rate table stability of 1 … 100 ppm"
 
     k: Scalar = parameter("ppm", "lognormal(10 ppm, 1.5)", (0.1, 300), "the standard deviation per rate")
@@ -280,7 +280,7 @@ class EncoderNoise(EntryNoise):
     kinds = ("gyro",)
     per = ()
     needs = ("turning",)
-    confused_with = "white_noise, where no row is at a constant rate"
+    confused_with = "white_noise if no row is at a constant rate"
     reference = "Fuller, Measurement Error Models (1987); encoders of 0.05 … 5 arcsec"
 
     sigma: Scalar = parameter(
@@ -300,7 +300,7 @@ class Quantisation(EntryNoise):
     """
 
     name = "quantisation"
-    confused_with = "white_noise, where all rows have equally many samples"
+    confused_with = "white_noise if all rows have equally many samples"
     reference = "IEEE Std 952, quantization noise; GUM § F.2.2.1"
 
     q: Scalar = parameter("output", "lognormal(0.3 noise, 1.0)", (1e-9, 0.1), "the step of a row's value")
@@ -317,7 +317,7 @@ class CorrelatedNoise(SeriesNoise):
     """
 
     name = "correlated_noise"
-    confused_with = "run_scatter, where runs are short; a drift or a lag missing from the model"
+    confused_with = "run_scatter if runs are short; a drift or a lag missing from the model"
     reference = "IEEE Std 952, exponentially correlated (Markov) noise; Box and Jenkins, AR(1)"
 
     correlation: Scalar = parameter("1", "uniform(0, 0.99)", (0.05, 0.95), "the correlation of neighbouring rows")
@@ -383,7 +383,7 @@ class FlickerNoise(SlowNoise):
     name = "flicker_noise"
     kinds = ("gyro", "accelerometer")
     excludes = ("correlated_noise", "outliers")
-    confused_with = "random_walk_noise, where all runs are short; run_scatter, where runs have few rows"
+    confused_with = "random_walk_noise if all runs are short; run_scatter if runs have few rows"
     reference = "IEEE Std 952, annex C, bias instability; Keshner, 1/f noise, Proc. IEEE 70 (1982), 212"
 
     b: Scalar = parameter(
@@ -404,7 +404,7 @@ class RandomWalkNoise(SlowNoise):
     name = "random_walk_noise"
     kinds = ("gyro", "accelerometer")
     excludes = ("correlated_noise", "outliers")
-    confused_with = "flicker_noise, where all runs are short; a drift in time"
+    confused_with = "flicker_noise if all runs are short; a drift in time"
     reference = "IEEE Std 952, annex C, rate random walk"
 
     k: Scalar = parameter(
@@ -428,7 +428,7 @@ class GaussMarkovNoise(SlowNoise):
     name = "gauss_markov_noise"
     kinds = ("gyro", "accelerometer")
     excludes = ("correlated_noise", "outliers")
-    confused_with = "flicker_noise and random_walk_noise, where T is not well within the length of a run"
+    confused_with = "flicker_noise and random_walk_noise if T is not well within the length of a run"
     reference = "IEEE Std 952, annex C, exponentially correlated (Markov) noise"
 
     sigma: Scalar = parameter("output", "lognormal(0.1 noise, 2.0)", (1e-9, 0.1), "the standard deviation σ")
@@ -448,7 +448,7 @@ class PulseQuantisation(SlowNoise):
     name = "pulse_quantisation"
     kinds = ("gyro", "accelerometer")
     excludes = ("correlated_noise", "outliers", "quantisation")
-    confused_with = "white_noise, where all rows are equally long and apart"
+    confused_with = "white_noise if all rows are equally long and apart"
     reference = "IEEE Std 952, annex C, quantization noise"
 
     q: Scalar = parameter(

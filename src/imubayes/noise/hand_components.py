@@ -61,7 +61,7 @@ class HandAcceleration(EntryNoise):
     per = ()
     needs = ("hand",)
     kinds = ("accelerometer",)
-    confused_with = "white_noise, where no other run determines it"
+    confused_with = "white_noise if no other run determines it"
     reference = "definition; specific force is that of gravity and of the motion"
 
     sigma: Scalar = parameter(
@@ -86,7 +86,7 @@ class HandVelocity(SlowNoise):
     needs = ("hand",)
     kinds = ("accelerometer",)
     excludes = ("correlated_noise", "outliers")
-    confused_with = "hand_acceleration, where velocities last longer than a row"
+    confused_with = "hand_acceleration if velocities last longer than a row"
     reference = "kinematics: the mean of a derivative; spectrum of IEEE Std 952, annex C, quantization noise"
 
     v: Scalar = parameter(

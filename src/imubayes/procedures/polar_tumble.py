@@ -230,7 +230,7 @@ class Scatter:
                 repeated += len(values) - 1
         if not repeated:
             return cls(within, None, 0, text)
-        text += f", or the scatter between repeated sweeps, {repeated}, where it is larger"
+        text += f", or the scatter between repeated sweeps, {repeated}, if it is larger"
         return cls(within, total / repeated, repeated, text)
 
     def covariance(self, sweeps: Sequence[Sweep]) -> np.ndarray:

@@ -71,7 +71,10 @@ def _biases(campaign: Campaign, run: Run, attitude: np.ndarray) -> Iterator[Text
     }
     for kind, (name, vector, factor, unit) in fixed.items():
         if kind == "gyro" and not campaign.north_is_stated(run):
-            sentence = "gyro biases: nobody stated where north is; gyrocompassing tells what the runs can tell of them"
+            sentence = (
+                "gyro biases: the azimuth is not stated, and gyrocompassing determines them only as far as the runs "
+                "allow"
+            )
             yield Undetermined(run.name, sentence)
             continue
         for channel, output in measured(run, campaign, kind):

@@ -276,8 +276,8 @@ def _refuse_unfit(first: Fit, second: Fit, together: JoinedCampaign) -> None:
         raise input_error(
             f"both calibrations have the run{'s' if len(together.fitted) > 1 else ''} {', '.join(together.fitted)}",
             " and ".join(fit.model.campaign.folder or fit.model.campaign.name for fit in (first, second)),
-            "two calibrations of runs of their own: what they share makes them agree",
-            "fit the runs apart; what other models say of the same runs is `imubayes history`",
+            "two calibrations from different runs: shared runs make them agree",
+            "fit the runs separately; to compare models of the same runs, use `imubayes history`",
         )
 
 

@@ -139,7 +139,7 @@ def fit_archive(
     """
     settings = BatchSettings(sample, diagnose, seed)
     with progress_of(progress) as tell, executor_of(workers, scheduler) as execute:
-        tell("listing the campaigns, and compiling for the first units")
+        tell("listing the campaigns")
         place = archive if isinstance(archive, str | Path) else pack_campaigns(archive, Path(out) / _CAMPAIGNS).folder
         file = _written(model, Path(out) / _MODEL) if isinstance(model, ModelSpec) else model
         state = run_batch(

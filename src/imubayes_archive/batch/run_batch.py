@@ -94,7 +94,7 @@ def run_batch(
     executor : fits the chunks.
     retry : whether campaigns without estimates are tried again; without, only those whose files have changed.
     chunk : units of a chunk.
-    progress : called after each chunk.
+    progress : called before the first chunk, and after each.
 
     Raises
     ------
@@ -112,6 +112,8 @@ def run_batch(
         missing = batch_folder.still_to_do(parts, sources, retry)
         clock, before, done, failed = time.perf_counter(), len(sources) - len(missing), 0, 0
         state = BatchProgress(parts.key, len(sources), before, 0, 0, 0.0)
+        if progress is not None:
+            progress(state)
         tasks = (ChunkTask(spec, settings, group) for group in chunks_of(missing, chunk))
         for fitted in executor(tasks):
             parts.write(fitted)

@@ -144,7 +144,7 @@ def scheduler_lost(what: str) -> InputError:
         f"the Dask scheduler has gone: {what}",
         "the cluster of the batch",
         "a scheduler that runs as long as the batch",
-        "start it, and run the same command again: the batch goes on with what is missing",
+        "start it, and run the same command again: the batch continues with the missing units",
     )
 
 
@@ -172,7 +172,7 @@ def executor_of(workers: int | None, scheduler: str | None) -> Iterator[Executor
             f"the package '{error.name}' is not installed",
             "--workers, --scheduler",
             "",
-            "pip install imubayes[cluster], or leave the option out: all units are fitted in this process then",
+            "pip install 'imubayes[cluster]', or leave the option out: all units are then fitted in this process",
         ) from error
     given = local_workers(workers or 1, fit_chunk) if scheduler is None else cluster_workers(scheduler, fit_chunk)
     with given as execute:

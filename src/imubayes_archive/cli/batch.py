@@ -41,7 +41,7 @@ def fit_all(
 ) -> int:
     """Fit every campaign of an archive, or of a folder of campaigns, that has no result yet.
 
-    An interrupted batch goes on when it is run again; what is done is kept.  A campaign that cannot be fitted is listed
+    An interrupted batch continues when it is run again.  A campaign that cannot be fitted is listed
     with its reason and stops nothing.
 
     Example: imubayes batch archive --model models/trihedral-imu.toml --out results/archive
@@ -64,7 +64,7 @@ def fit_all(
     retry
         Try campaigns without estimates again, not only those whose files have changed.
     workers
-        Fit in so many local processes; in this one where neither this nor a scheduler is given.
+        Fit in so many local processes; in this process if neither this nor a scheduler is given.
     scheduler
         Fit on the workers of this Dask scheduler, such as tcp://node:8786.
     as_json
@@ -121,7 +121,7 @@ def population(
     as_json: Json = False,
     trust: Trust = False,
 ) -> None:
-    """Show what parts the units, mean and spread of every parameter, and the units that are unlike the others.
+    """Show groups of units, mean and spread of every parameter, and the units that differ from the others.
 
     Each unit is fitted again with the population of the others as its prior; that is kept in the results folder.
 
@@ -140,11 +140,11 @@ def population(
     picture
         PNG file to write: the units of each parameter.
     model_hash
-        Model, where the folder holds results of several.
+        Model, if the folder holds results of several.
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     from imubayes_archive.display.population_report import population_report
 
@@ -199,11 +199,11 @@ def prior(
     name
         Name of the new model.
     model_hash
-        Model, where the folder holds results of several.
+        Model, if the folder holds results of several.
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     from dataclasses import asdict
 
@@ -245,11 +245,11 @@ def diagnose(
     picture
         PNG file to write: the evidence of every unit.
     model_hash
-        Model, where the folder holds results of several.
+        Model, if the folder holds results of several.
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     start_jax()
     from imubayes_archive.batch.pooled_discovery import pooled_discovery
@@ -275,7 +275,7 @@ def diagnose(
 def compare(
     old: Path, new: Path, *, out: Path | None = None, picture: Path | None = None, as_json: Json = False
 ) -> None:
-    """Show what changed with the model: per parameter and unit, with significance.
+    """Show changes with the model: per parameter and unit, with significance.
 
     Example: imubayes batch compare results/old results/new --out changes.parquet
 
@@ -326,7 +326,7 @@ def trends(
     picture
         PNG file to write: estimates over dates of the parameters with the clearest trends and drifts.
     model_hash
-        Model, where the folder holds results of several.
+        Model, if the folder holds results of several.
     as_json
         Print one JSON object on standard output.
     """
@@ -354,7 +354,7 @@ archive = cyclopts.App(
 
 @archive.command
 def pack(*folders: Path, out: Path, as_json: Json = False) -> int:
-    """Add campaign folders to an archive; what it holds already is passed over, and nothing is rewritten.
+    """Add campaign folders to an archive. Existing campaigns are skipped, and nothing is rewritten.
 
     Example: imubayes archive pack campaigns --out archive
 
@@ -363,7 +363,7 @@ def pack(*folders: Path, out: Path, as_json: Json = False) -> int:
     folders
         Campaign folders, or folders that contain such folders.
     out
-        Archive to add to; made where there is none.
+        Archive to add to; created if there is none.
     as_json
         Print one JSON object on standard output.
     """

@@ -184,7 +184,7 @@ def _head(file: Path, read: Any, metadata: Any) -> Any:
     except (OSError, pa.ArrowException) as error:
         raise _damaged(file, f"it cannot be read: {str(error).splitlines()[0]}") from error
     if text is None:
-        raise _damaged(file, "it is no campaign of an archive")
+        raise _damaged(file, "it is not a campaign of an archive")
     try:
         head = json.loads(text)
     except ValueError as error:

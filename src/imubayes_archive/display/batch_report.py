@@ -73,7 +73,7 @@ def trends_report(found: Trends) -> Report:
     ]
     few = replace(of_columns(drifts, (0, 1, 2, 5)), note="")
     told.append(
-        "`imubayes batch population` weighs a trend against steps, groups of units and what the campaigns state."
+        "`imubayes batch population` compares a trend with steps, groups of units and the entries of the campaigns."
     )
     return Report(told, [trends.with_few(0, 1, 2, 3, 5), replace(drifts, narrow=few)])
 
@@ -113,6 +113,8 @@ _SHOWN = 20
 
 def progress_text(state: BatchProgress) -> str:
     """Return how far a batch is, in one line."""
+    if not state.done and state.before < state.units:
+        return "compiling for the first units"
     left = state.seconds_left
     parts = [f"{state.before + state.done} of {state.units} units"]
     if state.done:
@@ -173,7 +175,7 @@ def _to_look_at(doubts: Sequence[UnitInDoubt]) -> Sheet:
 def _reason(each: UnitInDoubt) -> str:
     if each.doubt == "population":
         return f"{each.about[0]} lies {each.distance:+.1f} sd from the population"
-    named = [NOISE_WORDS.get(one, f"{one} exceeds what is known of it") for one in each.about]
+    named = [NOISE_WORDS.get(one, f"{one} exceeds its known value") for one in each.about]
     return f"intervals must not be trusted: {listed(named, 3)}"
 
 

@@ -84,12 +84,14 @@ def _frame(readings: Any) -> pl.DataFrame:
     if not (isinstance(readings, Mapping) or hasattr(readings, "__arrow_c_stream__")):
         allowed = "a data frame, a mapping of names to arrays, or a CSV or Parquet file"
         what = f"the readings are of type {type(readings).__name__}"
-        raise input_error(what, "readings", allowed, "hand over one of these")
+        raise input_error(what, "readings", allowed, "pass one of these")
     try:
         return readings if isinstance(readings, pl.DataFrame) else pl.DataFrame(readings)
     except (pl.exceptions.PolarsError, TypeError, ValueError) as error:
         allowed = "columns of numbers of equal length"
-        raise input_error(f"the readings are no table: {error}", "readings", allowed, "correct the columns") from None
+        raise input_error(
+            f"the readings are not a table: {error}", "readings", allowed, "correct the columns"
+        ) from None
 
 
 def correct(

@@ -70,13 +70,13 @@ def _in_order(span: tuple[float, float]) -> tuple[float, float]:
 def _no_number(value: object) -> object:
     """Refuse the numbers that stand for seconds since 1970."""
     if isinstance(value, int | float):
-        raise ValueError(f"{value!r} is no date, as 2026-11-20")
+        raise ValueError(f"{value!r} is not a date, as 2026-11-20")
     return value
 
 
 def _assigned(country: str) -> str:
     if country not in COUNTRIES:
-        raise ValueError(f"{country!r} is no country of ISO 3166-1, such as GB of the United Kingdom")
+        raise ValueError(f"{country!r} is not a country of ISO 3166-1, such as GB of the United Kingdom")
     return country
 
 

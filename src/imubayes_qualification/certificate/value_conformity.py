@@ -95,7 +95,7 @@ def conformity(
     Raises
     ------
     InputError
-        for what is no measured value, crossed limits or none, an unknown rule, and what a rule does not use or lacks.
+        for a value that is not measured, crossed or missing limits, an unknown rule, and wrong arguments of a rule.
 
     Examples
     --------
@@ -143,7 +143,7 @@ def _rule(
 def _production(stated: tuple[float, float]) -> rules.Production:
     if len(stated) != 2:
         allowed = "(mean, standard deviation) of the units tested"
-        raise input_error(f"{len(stated)} numbers are no production", "production", allowed, "correct it")
+        raise input_error(f"{len(stated)} numbers are not a production", "production", allowed, "correct it")
     entry = _entry(ProductionEntry, mean=stated[0], sd=stated[1])
     return rules.Production(entry.mean, entry.sd)
 
@@ -233,7 +233,7 @@ def _check_measured(measured: object) -> None:
             "what propagate found; an estimate of a report; (estimate, standard uncertainty); or "
             f"{rules.LEAST_EFFECTIVE:.0f} draws or more"
         )
-        raise input_error(f"{what} is no measured value", "measured", allowed, "give one of these")
+        raise input_error(f"{what} is not a measured value", "measured", allowed, "give one of these")
 
 
 def _draws(found: Propagated, output: str) -> np.ndarray:

@@ -45,19 +45,19 @@ def apply(
         Result folder of a fit of the unit.
     recording
         Table (CSV or Parquet) with a column per channel in output units, and `converter_temperature_degC` and
-        `temperature_degC` where the model depends on them; or a campaign folder.
+        `temperature_degC` if the model depends on them; or a campaign folder.
     out
         The table to write: CSV, or Parquet by the ending .parquet.
     run
-        Run of the campaign, where it has several.
+        Run of the campaign, if it has several.
     temperature
-        Temperature of the sensors in °C, where no column gives it.
+        Temperature of the sensors in °C, if no column gives it.
     converter_temperature
-        Temperature of the converters in °C, where no column gives it.
+        Temperature of the converters in °C, if no column gives it.
     along_axes
         Treat every channel alone: there was no input across its axis.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     trusting(result, trust)
     stated = {"temperature": temperature, "converter_temperature": converter_temperature}
@@ -155,7 +155,7 @@ def export(
 
     Matrix, biases and gains over temperature with the joint covariance of all of them (json), as a C header with the
     function that applies them, as kalibr's imu.yaml, as PX4 or ArduPilot parameters, or as covariances of a ROS Imu
-    message. A format that cannot hold what is larger than its uncertainty is refused.
+    message. A format is refused if it cannot hold an error that is larger than its uncertainty.
 
     Example: imubayes export results/desk-imu --format c --out results/constants.h
 
@@ -176,9 +176,9 @@ def export(
     topic
         ROS topic, for kalibr.
     accept_loss
-        Leave out what the format cannot hold; the file says what and how large.
+        Leave out the terms that the format cannot hold; the file lists them with their size.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     start_jax()
     trusting(result, trust)
@@ -210,7 +210,7 @@ def mission(
     as_json: Json = False,
     trust: Trust = False,
 ) -> None:
-    """Say what the calibration leaves in navigation; start and alignment are exact, body axes forward, right, down.
+    """Compute the navigation errors that a calibration leaves; exact alignment, body axes forward, right, down.
 
     Example: imubayes mission results/desk-imu --duration-min 10 --speed-m-s 20
 
@@ -240,7 +240,7 @@ def mission(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     with progress("propagating"):
         start_jax()
@@ -279,7 +279,7 @@ def report(
 
     Example: imubayes report results/full --spec models/qualification-spec.toml --out report.html report.pdf
 
-    The exit status is 1 where the unit does not pass the specification, or where the fit did not converge.
+    The exit status is 1 if the unit does not pass the specification, or if the fit did not converge.
 
     Parameters
     ----------
@@ -292,12 +292,12 @@ def report(
         Specification: limits and decision rules. Without one nothing is decided.
     certificate
         Certificate block: laboratory, customer, method, standards, signatories (`imubayes schema certificate`); that of
-        the specification where it has one.
+        the specification if it has one.
     annex
         Annexes of page and PDF: results, budgets, evidence, all or none. Without it a page has all of them, and a PDF
         file the results. The JSON record has everything.
     trust
-        Trust the effect files that come along: they are code, and run, now and later, only where they are trusted.
+        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
     """
     with progress() as tell:
         start_jax()

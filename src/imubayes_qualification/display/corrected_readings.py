@@ -32,7 +32,7 @@ _UNITS = {"gyro": "rad/s", "accelerometer": "m/s²"}
 _INPUTS = {"gyro": "rate", "accelerometer": "specific force"}
 _CAUSES = {
     "memory": "it depends on earlier rows", "limit": "it acts at a limit of the input",
-    "covariate": "it depends on what the recording does not tell", "nonlinear": "it is not linear",
+    "covariate": "it depends on a quantity that the recording lacks", "nonlinear": "it is not linear",
 }  # fmt: skip
 
 
@@ -111,7 +111,7 @@ def rotating_run(campaign: Campaign, name: str) -> Run:
     found = next((run for run in turning if run.name == name), None)
     if found is not None and np.isfinite(found.covariates["table_angle"]).all():
         return found
-    fault = "is no run with a rotating table" if found is None else "has no table angle in some of its rows"
+    fault = "is not a run with a rotating table" if found is None else "has no table angle in some of its rows"
     known = [run.name for run in turning if np.isfinite(run.covariates["table_angle"]).all()]
     allowed = closest_first(name, known) or "a run with table_rate_deg_s and table_angle_deg in every row"
     remedy = "name a run of procedure rotation_modulation"

@@ -176,7 +176,11 @@ def read_readings(file: Path) -> pl.DataFrame:
         refuse_too_large(file, scanned.select(pl.len()).collect().item() * len(scanned.collect_schema()))
         return scanned.collect()
     except (OSError, pl.exceptions.PolarsError) as error:
-        fault = "there is no such file" if not file.is_file() else f"the file is no table: {str(error).splitlines()[0]}"
+        fault = (
+            "there is no such file"
+            if not file.is_file()
+            else (f"the file is not a table: {str(error).splitlines()[0]}")
+        )
         allowed = "a CSV or Parquet table with a header"
         raise input_error(fault, str(file), allowed, "give the path of the readings") from error
 

@@ -39,7 +39,7 @@ def read_noise(file: Path) -> StaticNoise:
     try:
         return StaticNoise.model_validate_json(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        fault = "there is no such file" if not file.is_file() else "the file is no noise record"
+        fault = "there is no such file" if not file.is_file() else "the file is not a noise record"
         allowed = "noise.json, as `imubayes noise CAMPAIGN --out FOLDER` writes it"
         raise input_error(fault, str(file), allowed, "give its path") from error
 

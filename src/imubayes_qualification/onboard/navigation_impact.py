@@ -176,7 +176,7 @@ def read_mission(file: Path) -> Mission:
         allowed = (
             "at least three rows of finite numbers, times that increase over at most six hours, latitudes within 89 deg"
         )
-        raise input_error("this is no trajectory", str(file), allowed, "correct the rows")
+        raise input_error("this is not a trajectory", str(file), allowed, "correct the rows")
     time = rows[:, 0] - rows[0, 0]
     even = np.linspace(0.0, time[-1], max(3, math.ceil(time[-1] / _STEP) + 1))
     angles = np.unwrap(np.radians(rows[:, [1, 2, 4, 5, 6]]), axis=0)

@@ -86,7 +86,7 @@ def capture(
         except KeyboardInterrupt:  # what was shown as enough is in the file
             pass
         if last is None:
-            what = "the source ended before its columns were told"
+            what = "the source ended before its columns were named"
             raise input_error(what, str(file), "some seconds of a recording", "start the recording first")
         read_recordings([file], folder.name, **({"procedure": "free_tumble"} | options)).write(folder)
     return Captured(folder, last, guide.wanted)

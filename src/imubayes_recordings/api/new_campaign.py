@@ -98,9 +98,9 @@ def new(
         refuse_existing(model)
         tell("reading the campaign")
         campaign = load_campaign(folder)
-        tell("what the runs determine")
+        tell("determining the effects that the runs show")
         proposal, said = propose_effects(campaign), ()
-        tell("which grade the errors show")
+        tell("determining the grade of the unit")
         shown = shown_grade(campaign, proposal)
         if shown is not None:
             campaign, said = replace(campaign, grade=shown.grade), _graded(folder, shown, written=bool(recordings))

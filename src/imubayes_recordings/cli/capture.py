@@ -22,9 +22,9 @@ def capture(
     column: Annotated[list[str] | None, Parameter(negative="")] = None,
     options: Annotated[Options, Parameter(name="*", negative="", name_transform=option_name)] = NO_OPTIONS,
 ) -> int:
-    """Record a unit turned by hand: what to do is said, until the rests determine what was asked for.
+    """Record a unit turned by hand, with instructions until the rests determine the requested quantities.
 
-    The exit status is 1 where the recording ended before. Ctrl-C ends it: the campaign is written with what there is.
+    The exit status is 1 if the recording ended before. Ctrl-C ends it: the campaign is written with the rests so far.
 
     Parameters
     ----------

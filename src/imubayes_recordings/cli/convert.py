@@ -47,7 +47,7 @@ def convert(
     files
         The recording: one file, accelerometers and gyros apart, the parts of a record, or one file for each face.
     out
-        Campaign folder to write. Without it, only what was understood is shown.
+        Campaign folder to write. Without it, the interpretation is only shown.
     mapping
         mapping.toml of an earlier conversion, for a recording of the same kind.
     column
@@ -79,13 +79,13 @@ def new(
 ) -> None:
     """Begin: a commented campaign of a recording, and a model with the effects that these runs can determine.
 
-    On a terminal what neither the recording nor an option states of the site is asked for.
+    On a terminal the command asks for facts of the site that neither the recording nor an option states.
 
     Parameters
     ----------
     folder
         Campaign folder to write. Without files: one that has a campaign and lacks model.toml, or, with --procedure, a
-        campaign to fill in: what no option states is "?" there.
+        campaign to fill in, with "?" for facts that no option states.
     files
         The recording, as of convert.
     mapping

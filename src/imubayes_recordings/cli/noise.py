@@ -34,7 +34,7 @@ def noise(
         Folder to write: noise.json, the Allan deviation of every run as a figure, imu.yaml for kalibr, and
         noise-priors.toml, the terms as priors for models of other campaigns of the unit (key `noise_priors`).
     shortest_tau
-        Shortest averaging time in s that the terms have to describe; above 0 where a filter shapes the noise of
+        Shortest averaging time in s that the terms have to describe; above 0 if a filter shapes the noise of
         single samples.
     sample_rate
         Sampling rate in Hz of the raw data of those campaigns, for the priors; by default that of the record.

@@ -201,7 +201,7 @@ def _procedure(run: RecordedRun, rates: np.ndarray, options: ConvertOptions, whe
     seconds = still_seconds(run)
     if not seconds and options.turn_deg is None and not any(name in run.columns for name in ACCELEROMETERS):
         raise input_error(
-            "the unit turns, and there are no accelerometers to tell how far", where,
+            "the unit turns, and without accelerometers the angle is unknown", where,
             "turns through an angle that is known, from rest to rest: --turn-deg 360; or the rate of the table: "
             f"--column {TABLE_RATE}=NAME",
             "state the angle or the column, add the accelerometers, or give a record at rest",

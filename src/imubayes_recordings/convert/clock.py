@@ -259,7 +259,7 @@ def _goes_back(table: ChosenTable, time: np.ndarray, late: int) -> Exception:
         f"recordings in one; {late} samples are earlier than one before them",
         f"{table.topic.where}, column of the time",
         "times that increase",
-        f"--sample-rate-hz {1 / usual:.4g} takes the samples as even; or split the file at the resets",
+        f"--sample-rate-hz {1 / usual:.4g} treats the samples as evenly spaced; or split the file at the resets",
     )
 
 

@@ -320,7 +320,7 @@ def _numeric(topic: Topic, names: str, state: str) -> list[int]:
     read = [place for place, column in enumerate(topic.columns) if column.unit != "text"]
     counted = [place for place, column in enumerate(topic.columns) if not column.is_label]
     if read != counted[: len(read)]:
-        text = f"{names}, and text stands before or between its numbers"
+        text = f"{names}, and there is text before or between its numbers"
         raise input_error(text, topic.where, "columns of numbers, text behind them", state)
     return read
 

@@ -44,7 +44,7 @@ def procedure_in_motion(columns: Mapping[str, np.ndarray], rates: np.ndarray) ->
         axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
         named = ", ".join(f"{part:.2f}" for part in axis + 0.0)
         return "free_rotation", f"{seconds:.3g} s without rest, about one axis of the body, ({named})"
-    return "slow_motion", f"{seconds:.3g} s without rest, about all axes: no poses to hold it still in"
+    return "slow_motion", f"{seconds:.3g} s without rest, about all axes: without poses at rest"
 
 
 def _poses(force: np.ndarray, interval: float) -> tuple[int, float]:

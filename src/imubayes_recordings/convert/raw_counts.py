@@ -70,7 +70,7 @@ def signed_counts(columns: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarr
         name: np.where(column >= width / 2, column - width, column) for name, column in columns.items() if name in SIX
     }
     return {**columns, **signed}, (
-        f"negative counts were written as unsigned: those of {width / 2:.0f} and more are lessened by {width:.0f}",
+        f"negative counts were written as unsigned: those of {width / 2:.0f} and more are reduced by {width:.0f}",
     )
 
 

@@ -149,7 +149,7 @@ def _beside(others: Columns, keep: np.ndarray, units: dict[str, str]) -> tuple[C
         usual = float(np.median(others[name][there])) if len(there) else 0.0
         if not units.get(name) and not _WARM[0] < usual < _WARM[1]:
             del kept[name]
-            notes.append(f"{name} reads {usual:.5g}, which is no degC: not read; its header may state K or degF")
+            notes.append(f"{name} reads {usual:.5g}, which is not in degC: not read; its header may state K or degF")
     return kept, notes
 
 
@@ -233,7 +233,7 @@ def _mixed_units(table: ChosenTable, values: Columns) -> tuple[str, ...]:
     size = np.array([np.median(np.abs(channels[lag:] - channels[:-lag]), axis=0) for lag in range(1, _MOST_UNITS + 1)])
     if np.mean(size[1:].min(axis=0) < _ALTERNATING * size[0]) < 0.5:
         return ()
-    what = "the readings alternate from row to row, as where the rows of several units stand in one file"
+    what = "the readings alternate from row to row, as if one file held the rows of several units"
     if not (saying := _identities(table)):
         return (what,)
     named = " or ".join(f"{place + 1} {table.topic.columns[place].name}".strip() for place in saying)
@@ -380,7 +380,7 @@ def _told_rows(part: RecordedRun, options: ConvertOptions, tables: Sequence[Chos
     raise input_error(
         f"{described(table.topic)} has no time, and no sampling rate was given",
         table.topic.where,
-        "--sample-rate-hz 100, a column of times (--column time_s=NAME), or --rows means where each row is one pose",
+        "--sample-rate-hz 100, a column of times (--column time_s=NAME), or --rows means if each row is one pose",
         "give the sampling rate",
     )
 

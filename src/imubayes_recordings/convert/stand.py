@@ -25,7 +25,7 @@ _NOMINAL = (0.8, 1.25)  # of the table rate, what gyros of sound scale and unit 
 _DESIGN = np.cos(np.radians(3.0))  # of the angle to a direction that is taken for the design of a seat
 _SAME = np.cos(np.radians(0.1))  # of the angle between two recordings in one seat; anew in it, a unit sits otherwise
 _UPRIGHT = 0.5  # share of g along the table axis from which on it is taken for vertical
-_NOBODY = "nobody stated where north is, nor how level the {} is: any heading, and {:g} deg, are assumed"
+_NOBODY = "the azimuth and the level of the {} are not stated: any azimuth, and a tilt of {:g} deg, are assumed"
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,9 @@ def find_stated_turns(
         seen.append(f"{np.degrees(turned[axis]):.4g} deg about {names[axis]} at {time[first]:.4g} s")
         others = np.linalg.norm(np.delete(turned, axis))
         if first == 0 or last == len(rate) or not count or abs(turned[axis] / angle - count) > _OFF_ANGLE:
-            notes.append(f"turn left out: {seen[-1]} is no multiple of {np.degrees(angle):.4g} deg from rest to rest")
+            notes.append(
+                f"turn left out: {seen[-1]} is not a multiple of {np.degrees(angle):.4g} deg from rest to rest"
+            )
         elif others > _OFF_AXIS * abs(turned[axis]):
             notes.append(f"turn left out: {seen[-1]}, and {np.degrees(others):.3g} deg about the other axes")
         else:

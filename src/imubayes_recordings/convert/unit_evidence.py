@@ -141,7 +141,10 @@ def _refuse_no_gravity(unit: str, force: np.ndarray, where: str) -> None:
 
 
 _NO_GRAVITY = 0.05  # of g at rest
-_REMOVED = "if gravity was subtracted (linear or user acceleration), record what the accelerometers read, or both parts"
+_REMOVED = (
+    "if gravity was subtracted (linear or user acceleration), record the full reading of the accelerometers, "
+    "or both parts"
+)
 
 
 def _of_accelerometers(force: np.ndarray, where: str) -> tuple[str, str]:
@@ -193,12 +196,19 @@ def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, where: str) -> tupl
     if accel == "m/s^2" and not turned:
         if size < _LARGEST_BIAS["rad/s"]:
             return "rad/s", (
-                f"{size:.3g} at rest, and the accelerometers are in m/s^2: rad/s goes with it; no turns tell, if it is "
-                "deg/s state --gyro-unit deg/s"
+                f"{size:.3g} at rest, and the accelerometers are in m/s^2: rad/s is usual then; without "
+                "turns it is not tested; if it is deg/s, state --gyro-unit deg/s"
             )
         if size < _LARGEST_BIAS["deg/s"]:
-            return "deg/s", f"{size:.3g} at rest is no bias in rad/s; no turns tell, if it is another state --gyro-unit"
-    told = "the accelerometers do not tell" if accel else "there are no accelerometers and no turns to tell it by"
+            return "deg/s", (
+                f"{size:.3g} at rest is too large for a bias in rad/s; without turns the unit is not "
+                f"tested; if it is another one, state --gyro-unit"
+            )
+    told = (
+        "the accelerometers do not determine it"
+        if accel
+        else ("there are no accelerometers and no turns to determine it")
+    )
     raise input_error(
         f"the unit of the gyros is not known{turned}: {told}", where, ", ".join(GYRO_UNITS),
         "state it, such as --gyro-unit deg/s" + _other_rate(columns.get(TIME), per_radian),

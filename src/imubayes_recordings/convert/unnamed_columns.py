@@ -155,7 +155,7 @@ def _usual_order(values: np.ndarray, channels: list[int], heavy: Sequence[_Tripl
     if len(channels) != 6 or any(each.unit for each in heavy) or not np.isfinite(values[0]).all():
         return None
     columns = _three(ACCELEROMETERS, channels[:3]) | _three(GYROS, channels[3:])
-    return GuessedColumns(columns, "in the usual order, forces before rates: nothing in the numbers speaks for it")
+    return GuessedColumns(columns, "in the usual order, forces before rates: the numbers do not confirm it")
 
 
 def _increments(
@@ -203,7 +203,7 @@ def _refusal(
     example = " ".join(f"--column {name}={place}" for place, name in enumerate((*ACCELEROMETERS, *GYROS), first))
     time = "" if clock is None else f" --column time_s={numbers[clock]}"
     issue = Issue(
-        f"{names}, and the numbers do not say which are which",
+        f"{names}, and the numbers do not show which are which",
         where,
         "by their numbers, columns " + "; ".join(looks),
         f"state the column of each channel, such as{time} {example}",

@@ -23,8 +23,9 @@ _COLUMNS = 3
 _FEW_DECADES = 300.0  # ratio of the ends of the axis up to which 2 and 5 are labelled too
 _CAPTION = (
     "Points: overlapping Allan deviation with 95 % chi-square intervals; those at long averaging times are correlated "
-    "and rest on few differences. Lines: noise terms fitted to the record, not to the points; dashed where the record "
-    "does not determine the term, at its likeliest value. N: white noise; B: bias instability (flicker noise); "
+    "and come from few differences. Lines: noise terms fitted to the record, not to the points; dashed where the "
+    "record "
+    "does not determine the term, at its most probable value. N: white noise; B: bias instability (flicker noise); "
     "K: random walk; Q: quantisation; R: ramp."
 )
 

@@ -31,7 +31,9 @@ def rest_line(step: Guidance, wanted: Sequence[Wanted]) -> str:
 
 def _reached(largest: Mapping[str, float], open_ones: Sequence[Wanted], done: bool) -> str:
     if not open_ones:
-        return "; all that was asked for is reached" + ("" if done else ", with too few poses to tell a disturbed one")
+        return "; all that was asked for is reached" + (
+            "" if done else ", with too few poses to recognise a disturbed one"
+        )
     size = {each: largest[each.effect] / each.value for each in open_ones}
     close = {each: ratio for each, ratio in size.items() if ratio < _NEAR}
     near = [f"{each.effect} {each.number * ratio:.2g} of {each.text}" for each, ratio in close.items()]

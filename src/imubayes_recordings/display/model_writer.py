@@ -18,7 +18,7 @@ from imubayes_recordings.convert.proposed_effects import FURTHER, SENSORS, Effec
 
 _OF_CAMPAIGN = {
     "site": {
-        "latitude_deg": "for the Earth rate, and for gravity where it is not stated",
+        "latitude_deg": "for the Earth rate, and for gravity if it is not stated",
         "height_m": "above the ellipsoid",
         "gravity_m_s2": "measured or assumed; every scale factor of an accelerometer refers to it",
     },
@@ -99,8 +99,8 @@ def commented_model(name: str, proposal: EffectProposal, runs: int) -> str:
     lines = [
         f"# Written by `imubayes new`: the effects that {counted(runs, 'run')} can determine."
         if runs
-        else "# Written by `imubayes new`, before there were runs: what they do not show is left out.",
-        "# `imubayes effects NAME` explains one; `imubayes diagnose` says after the fit what is missing.",
+        else "# Written by `imubayes new`, before there were runs; it omits effects that the runs cannot show.",
+        "# `imubayes effects NAME` explains one; `imubayes diagnose` names missing effects after the fit.",
         "# Priors are those of the catalogue for the grade of the unit, unless stated here.",
         "format = 1",
         f"name = {tomlkit.item(name).as_string()}",
@@ -156,7 +156,7 @@ def _left_out(proposal: EffectProposal) -> Iterator[str]:
             yield f"#   {name}: they tell {percent(share)} of its best known coefficient at most"
     if proposal.missing:
         yield ""
-        yield "# What no run shows, and what it needs:"
+        yield "# Effects that no run shows, and the input that each needs:"
         for name, missing in proposal.missing.items():
             yield f"#   {name}: {'; '.join(dict.fromkeys(map(remedy, missing)))}"
 

@@ -163,11 +163,12 @@ def withheld_because(noise: ChannelNoise, cause: Cause) -> str:
 _CAUSES = {
     Cause.CONVERGENCE: "the estimate did not converge. Give a part of the record without disturbances.",
     Cause.UNDESCRIBED: "the noise terms do not describe the spectrum. Give a part of the record without disturbances.",
-    Cause.FILTER: "a filter shapes the frequencies that would tell. Give a log without it, or a longer record.",
+    Cause.FILTER: "a filter shapes the frequencies that would determine it. Give a log without it, or a longer record.",
     Cause.DRIFT: "low frequencies are not those of noise. Give a settled part of the record, or a temperature_degC.",
     Cause.CHANGE: "low frequencies hold the change. Give a settled part of the record.",
     Cause.DISTURBANCE: "the tails of the disturbance reach over the spectrum. Give a part of the record without it.",
-    Cause.REPETITION: "the log is too coarse to tell repeated values from equal ones. Give the sensor's own log.",
+    Cause.REPETITION: "the log is too coarse to distinguish repeated values from equal ones. Give the sensor's own "
+    "log.",
     Cause.ROUNDING: (
         "the noise is below half a step of the log and not rounded at random, so that its spectrum is not that of the "
         "sensor. Give a log of finer steps."
@@ -278,7 +279,7 @@ def noise_report(noise: StaticNoise) -> Report:
     closing = (
         f"Intervals are {percent} profile-likelihood intervals, of a ramp posterior intervals; upper limits are "
         f"one-sided {percent} limits, of a ramp the farther end of its interval. A term is "
-        "determined where the record needs it beside all other terms; of records without a term, 1 to 2 % show as much "
+        "determined if the record needs it in addition to all others; of records without a term, 1 to 2 % show as much "
         "evidence for it. As in IEEE Std 952 and 1293, N is white noise of the output, B flicker noise (the floor "
         "of its Allan deviation is 0.664 B) and K a random walk; Gauss–Markov noise of a correlation time beyond "
         "the record looks the same.",
@@ -325,7 +326,7 @@ def _warnings(noise: ChannelNoise) -> Iterator[str]:
         yield f"{named} determined: {withheld_because(noise, cause)}"
     if noise.undecided:
         names = " or ".join(_name(term, noise.kind) for term in noise.undecided)
-        yield f"the record needs {names}, but does not tell which. A longer record does."
+        yield f"the record needs {names}, but does not show which. A longer record would."
     for term, other in noise.alternatives:
         one, instead = _name(other, noise.kind), _name(term, noise.kind)
         yield f"{one} in place of {instead} would describe the record as well."

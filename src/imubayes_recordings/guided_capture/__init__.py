@@ -83,7 +83,9 @@ def read_wanted(words: Sequence[str], gravity: float) -> Iterator[Wanted]:
         effect, _, text = word.partition("=")
         if effect not in COEFFICIENTS:
             allowed = closest_first(effect, COEFFICIENTS, most=len(COEFFICIENTS))
-            raise input_error(f"'{effect}' is not asked for by rests and turns", "option until", allowed, "correct it")
+            raise input_error(
+                f"'{effect}' cannot be requested from rests and turns", "option until", allowed, "correct it"
+            )
         match, usual = NUMBER_AND_UNIT.match(text), COEFFICIENTS[effect].unit
         size, unit = (float(match["number"]), match["unit"] or "") if match else (0.0, "")
         if not size > 0 or not unit or not same_dimension(unit, usual, "option until"):
@@ -181,7 +183,7 @@ class GuidedCapture:
         if isinstance(recording, TextRecording):
             return recording
         what = "the recording is not text"
-        raise input_error(what, str(self.file), "lines of numbers", "record it whole, and convert it")
+        raise input_error(what, str(self.file), "lines of numbers", "record it completely, and convert it")
 
     def _nominal(
         self, document: Mapping[str, Any], table: ChosenTable, gravity: float

@@ -197,7 +197,7 @@ def _chosen(campaign: Campaign, names: Sequence[str]) -> list[Run]:
     records = {run.name: run for run in campaign.runs if run.procedure == PROCEDURE}
     unknown = [name for name in names if name not in records]
     if unknown or not records:
-        what = f"'{unknown[0]}' is no static record" if unknown else "there is no static record"
+        what = f"'{unknown[0]}' is not a static record" if unknown else "there is no static record"
         allowed = closest_first(unknown[0], list(records)) if unknown and records else f"a run of {PROCEDURE}"
         raise input_error(what, f"campaign '{campaign.name}'", allowed, "name a run of this procedure, or add one")
     return [records[name] for name in names] if names else list(records.values())
@@ -280,7 +280,7 @@ def _refuse_short(record: RunningSum, shortest_tau: float, where: str) -> None:
         )  # fmt: skip
     if record.holes is not None and record.present < _LEAST_CONSECUTIVE * len(record.holes.start):
         raise input_error(
-            "most samples stand alone between empty cells", where, "consecutive samples",
+            "most samples are isolated between empty cells", where, "consecutive samples",
             "give a channel of a lower rate in a run of its own, without the empty rows",
         )  # fmt: skip
     if len(NoiseLikelihood(cosine_statistics(record), shortest_tau).octaves()) < described.LEAST_OCTAVES:

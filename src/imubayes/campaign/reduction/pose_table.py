@@ -102,7 +102,7 @@ def reduce_means(
 
 def _calibration_notes(fit: MagnitudeFit, rows: np.ndarray, force: np.ndarray) -> list[str]:
     """Return notes on the calibration by |f| = g of poses, the rows (n,) of a table, and on those that it excludes."""
-    notes = [f"{len(rows)} poses are too few to tell a disturbed one by |f| = g, {LEAST_TO_JUDGE} are needed"]
+    notes = [f"{len(rows)} poses are too few to recognise a disturbed one by |f| = g: {LEAST_TO_JUDGE} are needed"]
     if fit.judges:
         notes = [f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²"]
     return [
@@ -124,7 +124,7 @@ def _refuse_turning(rate: np.ndarray, file: str) -> None:
     if about > _AT_REST or size > _LARGEST_BIAS:
         what = f"differ by up to {np.degrees(about):.3g}" if about > _AT_REST else f"are about {np.degrees(size):.3g}"
         raise input_error(
-            f"the rates of the rows {what} deg/s: these are no static poses",
+            f"the rates of the rows {what} deg/s: these are not static poses",
             file,
             f"means of poses at rest, or the raw log of a free tumble; rates within {np.degrees(_AT_REST):.3g} deg/s",
             "correct the procedure of the run, or give the raw log: the poses are found in it",

@@ -114,12 +114,12 @@ def setup_findings(campaign: Campaign, places: Places, accepted: tuple[str, ...]
 
 def _of_row(campaign: Campaign, found: WrongRow, places: Places) -> Finding:
     said = [_record_of_row(campaign, each) for each in (found, *found.rivals)]
-    what = "the data cannot tell whether " + ", or ".join(said) if found.rivals else said[0]
+    what = "the data cannot determine whether " + ", or ".join(said) if found.rivals else said[0]
     what += f": {found.distance:.2g} standard deviations of the other rows"
     column = _column_of_row(campaign, found)
     where = f"{places.table(found.run)}, row {found.row + 1}, column '{column}'"
     remedy = "correct the value from the record of the test, or take the row out"
-    return Finding("row_disagrees", "warning", found.run, what, where, "what was recorded in that row", remedy)
+    return Finding("row_disagrees", "warning", found.run, what, where, "the entries of that row", remedy)
 
 
 def _column_of_row(campaign: Campaign, found: WrongRow) -> str:
@@ -158,10 +158,10 @@ def _explained(
     what = ", or ".join([words.what, *(each.what for each in others)])
     evidence = f"the outputs fit {'each' if others else 'that'} far better (Δχ² {first.gain:.3g})"
     if first.rivalled:
-        evidence += f", but cannot tell it from {_rival(first)}"
+        evidence += f", but cannot distinguish it from {_rival(first)}"
     remedy = words.remedy
     if others:
-        what = f"the data cannot tell whether {what}"
+        what = f"the data cannot determine whether {what}"
         remedy += " (or: " + "; or: ".join(each.remedy for each in others) + ")"
     # Weaker evidence is said and stops nothing.
     sure = _stops(equal) and not {kind for kind, _ in found} & {*accepted}
@@ -195,7 +195,8 @@ def _rival(found: Explanation) -> str:
 
 def _unexplained(run: str, misfit: float, where: str) -> Finding:
     what = (
-        f"the outputs differ from what the set-up says by about {math.sqrt(misfit):.2g} times as much as errors of "
+        f"the outputs differ from those that the set-up predicts by about {math.sqrt(misfit):.2g} times as much as "
+        f"errors of "
         "unit and equipment allow; no single mistake in the set-up explains it"
     )
     remedy = "check mounting, table, units and files of the run"

@@ -305,7 +305,7 @@ def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Issu
     large, digits = 1 / (1 + found.size), max(2, min(5, 1 - math.floor(math.log10(found.uncertainty or 1e-3))))
     sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
     return Issue(
-        f"'table_rate_deg_s' of run '{run}' is {large:.{digits}f}{sd} times what the outputs say, "
+        f"'table_rate_deg_s' of run '{run}' is {large:.{digits}f}{sd} times that of the outputs, "
         "relative to the other runs",
         places.column(found.mistake, "table_rate_deg_s"),
         "the rate that the table had in the run",

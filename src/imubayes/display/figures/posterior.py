@@ -28,7 +28,7 @@ _LEVELS = (0.95, 0.5)
 _FILLS = ("#cfe2f0", "#7fb2d6")
 _MOST, _DRAWS = 8, 50_000
 _CAPTION = (
-    "Diagonal: marginal posterior with its 95 % equal-tailed interval shaded; dashed: width of the prior, where it is "
+    "Diagonal: marginal posterior with its 95 % equal-tailed interval shaded; dashed: width of the prior, if it is "
     "comparable. Below: highest-density regions of pairs that hold 50 % and 95 % of the draws, and the correlation. "
     "Axes: deviation from the posterior mean given above. Round regions: quantities that the runs determine "
     "separately; a narrow inclined region: only a combination is determined."

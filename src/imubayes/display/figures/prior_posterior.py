@@ -154,7 +154,8 @@ _LEAST_SPAN = 1.0  # °C
 _CURVE_CAPTION = (
     "Line: posterior mean over the temperatures at which the unit was recorded; band: 95 % interval (equal-tailed), "
     "often narrower than the line. Marks at the lower edge: mean temperatures of the runs. The band of a good campaign "
-    "is narrow beside the change over temperature; where it opens, a run at that temperature would tell most."
+    "is narrow beside the change over temperature; where it opens, a run at that temperature would be the most "
+    "informative."
 )
 
 

@@ -23,8 +23,8 @@ _LEGEND, _LINE = 2.05, 0.24
 _NO_MOUNTING = "no mounting"
 _CAPTION = (
     "Bars: runs by procedure, from start to end, in the hue of their mounting. Lower panel: lowest to highest reading "
-    "of the thermometer that varied most. A good campaign interleaves mountings and temperatures: where all runs of "
-    "one mounting are at one end, ageing and mounting cannot be told apart."
+    "of the thermometer that varied most. A good campaign interleaves mountings and temperatures: if all runs of one "
+    "mounting are at one end, ageing and mounting cannot be distinguished."
 )
 
 
@@ -100,7 +100,7 @@ _ALONG, _MOST_SKEW = np.cos(np.radians(5.0)), 8
 _SKETCH_CAPTION = (
     "Set-up as the campaign states it, at angle 0 of all axes, seen from the south and above. Disc: the table, with "
     "its zero, its axis and the sense in which angle and rate are positive. Box: the unit, with the axes of its body "
-    "and the channels along them. Where the bench looks otherwise, a mounting or a table is entered wrongly."
+    "and the channels along them. If the real bench looks different, a mounting or a table is entered wrongly."
 )
 
 Pair = tuple[str, str]

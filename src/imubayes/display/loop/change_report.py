@@ -203,7 +203,7 @@ def _what_was_changed(change: ModelChange) -> Iterator[str]:
     if change.message:
         yield change.message
     if not change.taken and change.added[1:]:
-        yield "The posterior with the first of them alone leaves out what the others may explain."
+        yield "The posterior with the first of them alone ignores that the others may explain the residual instead."
 
 
 def _what_it_brought(change: ModelChange) -> Iterator[str]:
@@ -221,7 +221,7 @@ def _what_it_brought(change: ModelChange) -> Iterator[str]:
             yield offsets_moved_text(change.offsets_moved)
     if change.log_odds is not None:
         side, size = "for" if change.log_odds > 0 else "against", numbers.significant(abs(change.log_odds))
-        yield f"Log odds {side} what was removed, by the diagnosis before it was added: {size}."
+        yield f"Log odds {side} the removed effects, from the diagnosis before they were added: {size}."
     if change.added or change.removed:
         yield from held_out_lines(change.held_out, "addition" if change.added else "removal")
     yield from (_undistinguished_line(each, change.folder or "RESULT") for each in change.undistinguished)

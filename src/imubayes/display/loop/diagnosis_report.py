@@ -89,9 +89,9 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
     if rows:
         note = (
             "Undetectable is not absent: no statement is made about these effects. The last column is the bias of the "
-            "most affected parameter where an effect is present at its largest typical size."
+            "most affected parameter if the effect is present at its largest typical size."
         )
-    note += f" The runs do not all supply what these need: {', '.join(without)}." if without else ""
+    note += f" These need inputs that not all runs supply: {', '.join(without)}." if without else ""
     head = ("effect", "absorbed by", "smallest detectable", "would bias")
     return Sheet("Undetectable in these runs", head, rows, (0, 1, 3), "", note.strip())
 
@@ -119,14 +119,14 @@ def formula_sheet(found: Diagnosis) -> Sheet:
     angle = any("φ" in each.shape for each in found.formulas)
     note = "φ is counted from the zero of the table, not from that of its scale." if angle else ""
     head = ("channel", "term", "coefficient", "Δχ²", "log odds")
-    return Sheet("Simplest formula of what no effect explains", head, rows, (0, 1, 2), "", note)
+    return Sheet("Simplest formula of the residual that no effect explains", head, rows, (0, 1, 2), "", note)
 
 
 def noise_sheet(found: Diagnosis) -> Sheet:
     """Return the noise of the likeliest explanation where it is not as the model says."""
     noise = found.explanations.noise if found.explanations is not None else ()
     rows = [cells(sentences.noise_text([each]), numbers.significant(each.scale)) for each in noise]
-    return Sheet("Noise that is not as modelled", ("noise", "scale / known"), rows, (0,))
+    return Sheet("Noise that differs from the model", ("noise", "scale / known"), rows, (0,))
 
 
 def recorded_noise_sheet(found: Diagnosis) -> Sheet:
@@ -270,9 +270,9 @@ def diagnosis_lines(found: Diagnosis) -> list[str]:
         lines.append(_prediction(found))
         lines += _discriminating(found)
     if found.verdict == "not_converged" and found.explanations is not None:
-        lines.append("What is said here refers to the point where the fit stopped, and is provisional.")
+        lines.append("All statements refer to the point at which the fit stopped, and are provisional.")
     elif found.message and found.verdict != "not_converged":
-        lines.append("The sampling of this fit did not converge; what is said here refers to its mode.")
+        lines.append("The sampling of this fit did not converge. All statements refer to its mode.")
     return lines
 
 
@@ -321,7 +321,7 @@ def effect_source(found: Diagnosis) -> str:
     if found.formulas:
         return formula_source(found.formulas[0])
     what, allowed = "there is no effect class to print", "a cause outside the catalogue, with a formula"
-    remedy = f"do what the diagnosis says next: {next_command(found) or 'nothing'}"
+    remedy = f"follow the next step of the diagnosis: {next_command(found) or 'nothing'}"
     raise input_error(what, f"diagnosis: {found.verdict}", allowed, remedy)
 
 

@@ -31,7 +31,7 @@ _NOISE = {
     "runs": "scatter between runs",
 }  # fmt: skip
 _KINDS: dict[Explanation, str] = {
-    "nothing": "nothing missing", "noise": "noise not as stated", "effects": "an effect missing",
+    "nothing": "nothing missing", "noise": "other noise", "effects": "an effect missing",
     "input": "a wrong record or prior", "outside": "a cause outside the catalogue",
 }  # fmt: skip
 
@@ -149,7 +149,7 @@ def _prior_sentence(best: AgreeingInput, chance: str, adverb: str) -> str:
     return (
         f"A prior{adverb} contradicts the data{chance}: as fitted, {best.quantity} is "
         f"{significant(abs(best.agreeing[0]), 2)} of its standard deviations off. State a wider prior for it in the "
-        "model, and fit again: what is missing beside it is told then."
+        "model, and fit again: the next diagnosis shows whether anything else is missing."
     )
 
 
@@ -238,19 +238,19 @@ def _beside_form(found: diagnosis.Diagnosis) -> str:
     if not found.groups:
         return ""
     each = [f"{' or '.join(group.effects[:2])} on {listed(group.channels)}" for group in found.groups]
-    return f" Beside it {' and '.join(each)} fit what it leaves: missing as well, or a part of that cause."
+    return f" Beside it {' and '.join(each)} fit the rest: missing as well, or a part of that cause."
 
 
 def _adequate_sentence(found: diagnosis.Diagnosis) -> str:
     assert found.explanations is not None
     nothing = found.explanations.leading.probability
     if found.verdict == "not_converged":
-        said = f"At the point where it stopped nothing is missing, with probability {probability(nothing)}."
+        said = f"At the point at which the fit stopped, nothing is missing with probability {probability(nothing)}."
     elif nothing >= NAMED:
         said = "The model explains the data: no effect of the catalogue is missing as far as these runs can show."
     else:
         adverb, chance = likely(nothing)
-        said = f"The model{adverb} explains the data{chance}: that nothing is missing is the likeliest explanation."
+        said = f"The model{adverb} explains the data{chance}: the most probable explanation is that nothing is missing."
     return said + _undetectable_sentence(found)
 
 
@@ -292,7 +292,7 @@ def _size_sentence(group: diagnosis.EffectGroup) -> str:
     worst = max(group.beyond_typical, key=lambda each: abs(each.value) / each.largest)
     return (
         f" {worst.name} would be {significant(worst.value)} {pretty(worst.unit)}, beyond the typical range (up to "
-        f"{significant(worst.largest)}): several effects at once may imitate it."
+        f"{significant(worst.largest)}): several effects together may imitate it."
     )
 
 
@@ -339,7 +339,10 @@ def _asked_sentence(found: diagnosis.Diagnosis) -> str:
     missing = found.probability(asked.effect)
     if found.verdict == "not_converged":
         chance = probability(missing)
-        return f"{found.message} At the point where it stopped {asked.effect} is missing with probability {chance}."
+        return (
+            f"{found.message} At the point at which the fit stopped, {asked.effect} is missing with probability "
+            f"{chance}."
+        )
     if found.verdict == "missing_effect":
         adverb, _ = likely(missing)
         return (

@@ -86,7 +86,7 @@ def _predicted_lines(prediction: RunPrediction) -> Iterator[str]:
     )
     if found.directions:
         yield (
-            f"Of the estimates, the new runs test {counted(found.directions, 'combination')} better than the fit knows "
+            f"The new runs test {counted(found.directions, 'combination')} better than the fit knows "
             f"{'it' if found.directions == 1 else 'them'}: χ² {significant(found.calibration_chi2)} for "
             f"{found.directions} (p {relation(found.calibration_p or 0.0)})."
         )
@@ -95,12 +95,14 @@ def _predicted_lines(prediction: RunPrediction) -> Iterator[str]:
     if found.fitted:
         yield f"Left out, as they were fitted: {listed(found.fitted)}."
     if found.changed:
-        yield f"Not the equipment of the fit, although named alike: {listed(found.changed)}."
+        yield f"Different equipment under the same name: {listed(found.changed)}."
     if found.elsewhere:
-        yield "The site is another one: its gravity, level and heading have their priors."
+        yield "The site is different: its gravity, level and heading have their priors."
     own = list(dict.fromkeys(family_of(name) for name in found.unknowns))
     if own:
-        yield f"Fitted of the new runs alone, by their priors: {listed(own)} ({counted(len(found.unknowns), 'value')})."
+        yield (
+            f"Fitted to the new runs alone, with their priors: {listed(own)} ({counted(len(found.unknowns), 'value')})."
+        )
 
 
 def _failures(prediction: RunPrediction) -> Iterator[str]:
@@ -109,9 +111,9 @@ def _failures(prediction: RunPrediction) -> Iterator[str]:
     if worst is not None and ((found.worst_shift_p or 0.0) < least or abs(worst.pull) > _FAR):
         shift, sd = value_and_sd(worst.shift, abs(worst.shift / worst.pull))
         yield (
-            f"They would move {worst.name} by {shift} {pretty(worst.unit)}, where ±{sd} is to be expected: "
-            f"{significant(abs(worst.pull), 2)} standard deviations. Either it has changed, or the model lacks what "
-            "the new runs show of it."
+            f"They would move {worst.name} by {shift} {pretty(worst.unit)}; ±{sd} is expected: "
+            f"{significant(abs(worst.pull), 2)} standard deviations. Either it has changed, or the model lacks an "
+            "effect that the new runs show."
         )
     elif found.worst_run_p is not None and found.worst_run_p < least:
         yield "No estimate explains it: look at the residuals of the runs and channels in red."
@@ -121,9 +123,12 @@ def shift_sheet(prediction: RunPrediction, verbose: bool = False) -> Sheet:
     """Return what the new runs would make of the estimates, largest pull first."""
     shifts = prediction.summary.shifts
     rows = [_shift_row(shift) for shift in shifts]
-    note = "pull: shift over its standard deviation where the model describes the new runs; p: of so large a one."
+    note = (
+        "pull: shift divided by its standard deviation, if the model describes the new runs; p: probability of a "
+        "larger one by chance."
+    )
     head = ("estimate", "fit", "shift", "unit", "pull", "p")
-    sheet = Sheet("What the new runs would make of the estimates", head, rows, (0, 3), note=note)
+    sheet = Sheet("Estimates with the new runs included", head, rows, (0, 3), note=note)
     return sheet if verbose else sheet.few(_MOST_SHIFTS)
 
 
@@ -184,21 +189,21 @@ def _compared_lines(found: Repeatability) -> Iterator[str]:
     for each in [each for each in found.quantities if each.moved][:3]:
         yield _moved(each, found.days)
     if found.verdict == "differ" and not any(each.moved for each in found.quantities):
-        yield "No quantity moved beyond chance by itself; together they did."
+        yield "No single quantity moved by more than chance explains; together they did."
     yield from _common(found.quantities)
     yield _pooling(found)
     yield from _due(found)
     if found.other_priors:
         yield (
-            f"Other priors in the two models: {listed(found.other_priors)}. They are compared as if they had nothing "
-            "in common; a prior that was made of the first calibration makes the second agree."
+            f"The priors of the two models differ: {listed(found.other_priors)}. They are compared as if they had "
+            "nothing in common; a prior made from the first calibration pulls the second towards it."
         )
     if found.changed:
-        yield f"Not the same equipment, although named alike: {listed(found.changed)}."
+        yield f"Different equipment under the same name: {listed(found.changed)}."
     if found.elsewhere:
-        yield "The sites are two: gravity, level and heading have errors of their own."
+        yield "The sites are different: gravity, level and heading have separate errors."
     if found.not_determined:
-        yield f"Not compared, as one of the two leaves it to its prior: {listed(found.not_determined)}."
+        yield f"Not compared, because one of the two does not determine it: {listed(found.not_determined)}."
 
 
 def _moved(each: ComparedQuantity, days: float | None) -> str:
@@ -206,7 +211,7 @@ def _moved(each: ComparedQuantity, days: float | None) -> str:
     text = f"{each.name} moved by {apart} ± {sd} {pretty(each.unit)} (E_n {significant(each.e_n, 2)})"
     if days:
         rate = significant(each.difference * DAYS_PER_YEAR / abs(days), 2)
-        text += f", {rate} {pretty(each.unit)} per year if it drifts evenly"
+        text += f", {rate} {pretty(each.unit)} per year if the drift is linear"
     return f"{text}."
 
 
@@ -238,16 +243,18 @@ def _due(found: Repeatability) -> Iterator[str]:
         else:
             yield f"{drift} and may reach a limit (k = 2) {significant(each.days, 3)} days after the second one."
     yield (
-        "Two calibrations cannot test whether a drift is even: the interval has no check of its model; `imubayes batch "
-        "trends` has one of several."
+        "This assumes a linear drift, which two calibrations cannot test. `imubayes batch trends` tests it with "
+        "several."
     )
 
 
 def _pooling(found: Repeatability) -> str:
     if found.pooled:
-        return "They may be pooled: the last column is by both as one, priors and common equipment counted once."
+        return (
+            "They may be pooled: the last column is from both together, with priors and common equipment counted once."
+        )
     if found.verdict == "differ":
-        return "They may not be pooled: fit the later one alone, or find what changed."
+        return "They may not be pooled: fit the later one alone, or find the change."
     return "They are not pooled: their priors differ." if found.other_priors else "They are not pooled."
 
 
@@ -258,7 +265,10 @@ def difference_sheet(found: Repeatability, verbose: bool = False) -> Sheet:
     """
     rows = [_row(each, found.pooled) for each in found.quantities]
     head = ["quantity", *_heads(found), "difference", "U", "E_n", *(["pooled"] if found.pooled else []), "unit"]
-    note = "U: expanded uncertainty of the difference, k = 2, without what is common to both; E_n: difference over U."
+    note = (
+        "U: expanded uncertainty of the difference, k = 2, without the part common to both; E_n: difference "
+        "divided by U."
+    )
     sheet = Sheet("Differences of both calibrations", head, rows, (0, len(head) - 1), note=note)
     return (sheet if verbose else sheet.few(_MOST_ROWS)).with_few(0, 3, 4, 5, len(head) - 1)
 

@@ -20,14 +20,14 @@ _TREND = (
     "drift the points scatter about a level line."
 )
 _EVIDENCE = (
-    "Natural logarithm of the evidence of each campaign: above zero it speaks for the effect, below against it; a unit "
-    "with several calibrations has a bar for each, with its date. Where the effect has one size in all units the bars "
-    "are of that common coefficient; otherwise they are of each campaign's own. In vermilion: it has the effect with a "
-    "probability above 0.9."
+    "Natural logarithm of the evidence of each campaign: positive values favour the effect, negative ones oppose "
+    "it. A unit with several calibrations has a bar for each, with its date. If the effect has the same size in all "
+    "units, the bars refer to that common coefficient, otherwise to the coefficient of each campaign. Vermilion: units "
+    "that have the effect with a probability above 0.9."
 )
 _CHANGE = (
     "Old against new estimate of each campaign in standard deviations of the change that the new model allows; "
-    "vermilion: significant at a false discovery rate of 5 %. Where the old model was complete, the points "
+    "vermilion: significant at a false discovery rate of 5 %. If the old model was complete, the points "
     "scatter about zero."
 )
 
@@ -133,9 +133,7 @@ def change_picture(changes: pl.DataFrame) -> style.Picture:
     changes : schema `population.changes.CHANGES`.
     """
     ranked = changes.group_by("parameter").agg(pl.col("p").min()).sort("p")["parameter"].to_list()[:_MOST_ROWS]
-    figure = style.picture(
-        11.0, 0.32 * max(len(ranked), 2) + 0.7, "Before and after: what changed with the model", _CHANGE
-    )
+    figure = style.picture(11.0, 0.32 * max(len(ranked), 2) + 0.7, "Before and after: changes with the model", _CHANGE)
     axes = style.panels(figure, 1, 1, (2.6, 0.5, 0.3, 0.1))[0, 0]
     axes.axvspan(-2, 2, color=style.BAND_WIDE, zorder=0)
     axes.axvline(0, color=style.FAINT, zorder=1)

@@ -212,7 +212,7 @@ def _ros_covariances(constants: OnboardConstants) -> list[str]:
     """Return the covariances of a corrected sample as YAML, row-major about x, y, z."""
     lines = [
         "# Of samples that were corrected with the constants (`imubayes export --format json` or c), in body axes.",
-        "# *_covariance: noise of one sample, independent from sample to sample: what filters take it for.",
+        "# *_covariance: noise of one sample, independent from sample to sample, as filters assume.",
         "# *_systematic_covariance: calibration at zero input and run-to-run offset; the same for all samples of a",
         "# recording. It does not average, and is not part of the message: a filter estimates it as a bias.",
     ]

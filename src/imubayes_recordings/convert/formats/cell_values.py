@@ -52,7 +52,7 @@ def seconds_of_date(cell: str) -> float:
     """Return the seconds from 1970 to midnight of a date: year first, or day and month before the year."""
     found = _DATE.fullmatch(cell.strip())
     if not found:
-        raise ValueError(f"'{cell}' is no date")
+        raise ValueError(f"'{cell}' is not a date")
     year, month, day, first, separator, second, last = found.groups()
     if year is None:
         month, day = (first, second) if separator == "/" and int(first) <= 12 else (second, first)
@@ -64,7 +64,7 @@ def seconds_of_clock(cell: str) -> float:
     """Return the seconds of a time of day, h:m:s or m:s, with days before it or AM or PM behind it."""
     found = _CLOCK.fullmatch(cell.strip())
     if not found:
-        raise ValueError(f"'{cell}' is no time of day")
+        raise ValueError(f"'{cell}' is not a time of day")
     days, hours, half = int(found[1] or 0), int(found[2] or 0), (found[5] or "").lower()
     hours = hours % 12 + 12 * (half == "p") if half else hours
     return 86400.0 * days + 3600.0 * hours + 60.0 * int(found[3]) + float(found[4].replace(",", "."))

@@ -89,7 +89,7 @@ class TextRecording(SourceRecording):
             if kinds[place] is CellKind.TEXT:
                 name = topic.columns[place].name or str(place + 1)
                 raise input_error(
-                    f"column '{name}' holds text that is no number, date or time of day",
+                    f"column '{name}' holds text that is not a number, date or time of day",
                     f"{self.file}:{self.layout.first}",
                     "numbers, h:m:s, or a date and time in ISO 8601",
                     "write it so; or leave the column out: a time may be replaced by --sample-rate-hz",

@@ -172,7 +172,7 @@ def _first_lines(file: Path) -> tuple[str, list[tuple[int, str]]]:
             raise input_error("the file is empty", str(file), "a table of numbers", "export the recording again")
         if not any("\0" in line for _, line in lines):
             return encoding, [(number, line) for number, line in lines if line.strip()]
-    raise input_error("the file is no text", str(file), "text in UTF-8, UTF-16 or Windows-1252", "export it as text")
+    raise input_error("the file is not text", str(file), "text in UTF-8, UTF-16 or Windows-1252", "export it as text")
 
 
 def split_cells(line: str, separator: str | None) -> list[str]:
