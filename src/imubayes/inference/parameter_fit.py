@@ -13,7 +13,7 @@ from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, cho_solve, cholesky, on_host
 from imubayes.model.likelihood import least_squares_form
 from imubayes.model.noise_covariance import whiten
-from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
+from imubayes.model.problem import Problem, is_small, predict_with_jacobian, prior_widths
 
 _STEPS = 30
 # Steps end where one changes each parameter, and the cost, by no more than this share and this much.
@@ -41,7 +41,7 @@ def linearised(problem: Problem, z: Float[Array, " P"]) -> Linearised:
     return Linearised(z, problem.observations.value - predicted, jacobian)
 
 
-_linearised = kept(linearised)
+_linearised = kept(linearised, briefly=is_small)
 
 
 def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
