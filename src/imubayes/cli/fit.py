@@ -260,8 +260,9 @@ def _shown(result: "Result", campaign: Path, out: Path, as_json: bool, verbose: 
     """Print a fit, and return the exit status."""
     from imubayes.display.fit_cautions import next_command
     from imubayes.display.fit_report import summary_report
+    from imubayes_qualification.budgets.report_budgets import stated_summary
 
-    show(lambda: result.summary, lambda: summary_report(result.summary, verbose=verbose), as_json)
+    show(lambda: result.summary, lambda: summary_report(stated_summary(result), verbose=verbose), as_json)
     if not as_json:
         print(f"\nresult in {out}; next: {next_command(result.summary, str(campaign), str(out))}")
     return 0 if result.converged else 1
