@@ -18,7 +18,7 @@ from matplotlib.dates import num2date
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-from  import imubayes_explorer as explorer
+import imubayes_explorer as explorer
 from imubayes.adequacy.adequacy_record import KnownNoiseFit, RunChi2
 from imubayes.campaign import load_campaign
 from imubayes.display.figure_style import FewTicks, Picture, covariates_of, picture
@@ -39,8 +39,8 @@ from imubayes.display.figures.measurement import driver
 from imubayes.display.figures.panels import neighbour_means, set_abscissa
 from imubayes.display.figures.residual import HEAT
 from imubayes.display.numbers_and_labels import covariate, ratio_text
-from imubayes.results.temperature_range import ThermalModel
 from imubayes.results.summary import Summary
+from imubayes.results.temperature_range import ThermalModel
 
 DATA = Path(__file__).parents[2] / "data"
 
