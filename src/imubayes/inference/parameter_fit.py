@@ -1,30 +1,31 @@
-"""The parameters θ at given noise scales, and the model linearised about them.
+"""The parameters θ at given noise scales, and the model linearised about them: one compiled program of a model.
 
-The linearisation is the one compiled program of a model that differentiates it.  Levenberg–Marquardt is NumPy around
-it: compiled with the model, a program would be twice as large, and its steps no faster.
+Levenberg–Marquardt evaluates the model with its Jacobian once for each step, and returns the linearisation of the last
+one.  A first step that ends it gives the linearisation about the start, so that no other program differentiates the
+model.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, cho_solve, cholesky, on_host
+from imubayes.foundations.arrays import Array, Float, on_host
+from imubayes.inference.least_squares import GramCholesky, LeastSquares, minimise
 from imubayes.model.likelihood import least_squares_form
 from imubayes.model.noise_covariance import whiten
-from imubayes.model.problem import Problem, is_small, predict_with_jacobian, prior_widths
+from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
 
 _STEPS = 30
-# Steps end where one changes each parameter, and the cost, by no more than this share and this much.
 _TOLERANCE = 1e-3
-# The prior damps already: the first step is Gauss–Newton's.  A step that fails raises the damping.
-_FIRST_DAMPING = 1e-6
-_COST_UNIT = 1e6
-# The damping falls after a step that achieves nearly what was predicted, and rises where it achieves nearly nothing.
-_GOOD, _BAD, _FALL, _RISE = 0.99, 0.01, 1 / 3.5, 4.0
-# Relative change of the cost that is rounding: residuals are small differences of large observations.
-_ROUNDING = 1e-11
+# A tolerance that every first step is within.
+_ANY = 1e100
+# Levenberg–Marquardt begins with a damping of 1 on the scale of the squared residual.  The prior damps already, so the
+# residual is scaled up until the first step is Gauss–Newton's; a step that fails raises the damping as usual.
+_UNDAMPED = 1e3
 
 
 class Linearised(eqx.Module):
@@ -41,77 +42,52 @@ def linearised(problem: Problem, z: Float[Array, " P"]) -> Linearised:
     return Linearised(z, problem.observations.value - predicted, jacobian)
 
 
-_linearised = kept(linearised, briefly=is_small)
+def linear_residual(problem: Problem, h: Float[Array, " H"]) -> Callable:
+    """Return the residual as a function of z, with the model linearised there as its second value.
 
-
-def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
-    """Return the model linearised about z, as arrays of NumPy."""
-    return on_host(_linearised(problem, np.asarray(z)))
-
-
-@dataclass(frozen=True)
-class FittedParameters:
-    """Outcome of a fit of θ at given noise scales.
-
-    Attributes
-    ----------
-    about : the model linearised about the end point.
-    steps : number of steps.
-    successful : whether the end point is a minimum.
+    To whoever takes its derivative the residual is the linear function about the point, whose Jacobian uses the
+    sparsity of the problem: one forward derivative per colour instead of one per parameter.
     """
+    widths = prior_widths(problem, h)
 
-    about: Linearised
-    steps: int
-    successful: bool
+    def residual(z):
+        here = jax.lax.stop_gradient(z)
+        about = linearised(problem, here)
+        by, straight = least_squares_form(problem, h, about.misfit)
+        value = jnp.concatenate([whiten(problem, by, straight), here / widths])
+        slope = jnp.concatenate([-whiten(problem, by, about.jacobian), jnp.diag(1 / widths)])
+        return value + slope @ (z - here), about
+
+    return residual
 
 
-@np.errstate(all="ignore")
-def fitted_parameters(
-    problem: Problem, start: Linearised, h: Float[Array, " H"], tolerance: float = _TOLERANCE
-) -> FittedParameters:
-    """Return θ at given h by Levenberg–Marquardt (Marquardt 1963) from a start.
+def fit_parameters(
+    problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"], tolerance: Float[Array, ""] | float = _TOLERANCE
+) -> LeastSquares:
+    """Return θ at given h, as a `LeastSquares` outcome with the model linearised there: Levenberg–Marquardt from z."""
+    residual = linear_residual(problem, h)
 
-    Convergence is tested after accepted steps only, so a step that changes the cost by rounding alone is accepted: at
-    the minimum steps would be rejected for that, and the search would go on with ever shorter ones.
-    """
-    at, damping = _LeastSquares(problem, start, np.asarray(h)), _FIRST_DAMPING
-    for step in range(1, _STEPS + 1):
-        delta = at.step(damping)
-        trial = _LeastSquares(problem, linearise(problem, at.about.z + delta), at.h)
-        change, predicted = trial.cost - at.cost, at.predicted(delta)
-        accepted = change <= _BAD * predicted
-        damping *= _FALL if change <= _GOOD * predicted else 1.0 if accepted else _RISE
-        if accepted or abs(change) <= _ROUNDING * at.cost:
-            settled = abs(change) < tolerance * (1 / _COST_UNIT + at.cost)
-            at = trial
-            if settled and np.all(np.abs(delta) < tolerance * (1 + np.abs(at.about.z))):
-                return FittedParameters(at.about, step, True)
-    return FittedParameters(at.about, _STEPS, False)
+    def undamped(z, _):
+        value, about = residual(z)
+        return _UNDAMPED * value, about
+
+    return minimise(undamped, z, tolerance=tolerance, most_steps=_STEPS, linear_solver=GramCholesky(), has_aux=True)
+
+
+_fit_parameters = kept(fit_parameters)
+
+
+def fitted_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> LeastSquares:
+    """Return θ at given h, started from z: `fit_parameters` compiled, with arrays of NumPy."""
+    return on_host(_fit_parameters(problem, *map(np.asarray, (z, h, _TOLERANCE))))
 
 
 def fit_at(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> np.ndarray:
     """Return θ at given h, (P,), started from z."""
-    return np.asarray(fitted_parameters(problem, linearise(problem, z), h).about.z)
+    return fitted_parameters(problem, z, h).value
 
 
-class _LeastSquares:
-    """Half the squared residual, whitened, with that of the prior, and its quadratic model about a point."""
-
-    def __init__(self, problem: Problem, about: Linearised, h: np.ndarray):
-        self.about, self.h = about, h
-        by, straight = least_squares_form(problem, h, about.misfit)
-        residual, slope = whiten(problem, by, straight), whiten(problem, by, about.jacobian)
-        precision = prior_widths(problem, h) ** -2
-        self.cost = 0.5 * float(residual @ residual + precision @ about.z**2)
-        self._hessian = slope.T @ slope + np.diag(precision)
-        self._descent = slope.T @ residual - precision * about.z
-
-    def step(self, damping: float) -> np.ndarray:
-        """Return the damped step, (P,); its columns are scaled to unit length, which keeps the digits."""
-        damped = self._hessian + damping * np.eye(len(self._descent))
-        unit = 1 / np.sqrt(np.diag(damped))
-        return unit * cho_solve(cholesky(unit[:, None] * damped * unit), unit * self._descent)
-
-    def predicted(self, step: np.ndarray) -> float:
-        """Return the change of the cost by the quadratic model."""
-        return float(0.5 * step @ self._hessian @ step - step @ self._descent)
+def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
+    """Return the model linearised about z, as arrays of NumPy."""
+    found = _fit_parameters(problem, *map(np.asarray, (z, np.zeros(problem.size[1]), _ANY)))
+    return on_host(found.aux)

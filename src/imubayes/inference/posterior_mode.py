@@ -87,19 +87,20 @@ def heights(problem: Problem, z: Sequence[np.ndarray] | np.ndarray, h: Float[Arr
 
 def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Mode:
     """Return the joint fit, started from z (P,) and h (H,)."""
-    steps, settled, at, h = 0, False, None, np.asarray(h)
+    steps, settled, about, at, h = 0, False, None, None, np.asarray(h)
     if has_heavy_tails(problem):
         # Far from the fit every sample would pass for an outlier and have no influence.
         z = fit_at(with_normal_noise(problem), z, h)
-    about = linearise(problem, z)
     for _ in range(_ROUNDS):
-        fitted = fitted_parameters(problem, about, h)
-        steps, about = steps + fitted.steps, fitted.about
+        fitted = fitted_parameters(problem, z, h)
+        steps += int(fitted.steps)
+        z, about = fitted.value, fitted.aux
         before = h
         h, at = climb(problem, about, h, at.information if at is not None else None)
         settled = h.size == 0 or float(np.max(np.abs(h - before))) < _SETTLED
         if settled or not np.all(np.isfinite(h)):
             break
+    assert about is not None
     assert at is not None
     about, decrement, more = _polished(problem, about, h)
     return _mode(about, h, at, decrement, steps + more, settled)
