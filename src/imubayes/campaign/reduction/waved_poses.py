@@ -120,7 +120,9 @@ def _windows(
             f"{LEAST_SAMPLES} samples or more while the force turns by {np.degrees(WINDOW_ANGLE):.2g} deg",
             "turn the unit more slowly, or record faster",
         )
-    clipped = np.any([np.isin(recording.readings[:, i], limits.get(c.name, ())) for i, c in enumerate(channels)], axis=0)
+    clipped = np.any(
+        [np.isin(recording.readings[:, i], limits.get(c.name, ())) for i, c in enumerate(channels)], axis=0
+    )
     first = np.concatenate([np.arange(start, stop + 2 - samples, samples) for start, stop in parts])
     whole = np.array([not clipped[start : start + samples].any() for start in first], dtype=bool)
     if int(whole.sum()) < LEAST_TO_JUDGE:
