@@ -38,17 +38,11 @@ def log_of(seed: int, seconds: float = 60.0, reach: float = 0.01, **more) -> dic
 
 
 def campaign_of(columns: dict[str, np.ndarray], procedure: str = "slow_motion") -> Campaign:
-    channels = [
-        {
-            "name": name,
-            "kind": "accelerometer",
-            "input_axis": axis,
-            "output_unit": "m/s^2",
-            "per": "m/s^2",
-            "scale": 1.0,
-        }
-        for name, axis in AXES.items()
-    ]
+    known = {"output_unit": "m/s^2", "per": "m/s^2", "scale": 1.0}
+    channels = [{"name": name, "kind": "accelerometer", "input_axis": axis} | known for name, axis in AXES.items()]
+    if "gz" in columns:
+        known = {"output_unit": "rad/s", "per": "rad/s", "scale": 1.0}
+        channels.append({"name": "gz", "kind": "gyro", "input_axis": [0, 0, 1]} | known)
     content = {
         "format": 1, "name": "waved", "site": {"latitude_deg": 48.0, "height_m": 0.0, "gravity_m_s2": GRAVITY},
         "unit": {"serial": "1", "grade": "consumer"}, "channel": channels,
