@@ -26,7 +26,7 @@ class EditedModel:
 
 def edited_model(model: OpenModel, wanted: ChangeWanted) -> EditedModel:
     """Return a model edited as it was asked for; raises InputError for nothing, without a reason, or what is wrong."""
-    fitted = model.view.fit.model
+    fitted = model.readings.fit.model
     if wanted.prior_of:
         return EditedModel(f"prior of {wanted.prior_of}", "prior", with_prior(fitted, wanted.prior_of, wanted.prior))
     if wanted.take_back:
@@ -77,7 +77,7 @@ def _owner(model: Model, name: str) -> tuple[BoundEffect, str]:
 
 def with_aside(model: OpenModel, chosen: np.ndarray, reason: str) -> ModelSpec:
     """Return a model with chosen entries, (E,) bool, set aside: whole runs, channels of runs, or rows of these."""
-    fitted, found = model.view.fit.model, list[SetAside]()
+    fitted, found = model.readings.fit.model, list[SetAside]()
     entries, names = fitted.entries, [channel.name for channel in fitted.campaign.channels]
     for place, run in enumerate(fitted.campaign.runs):
         own = (entries.run == place) & ~np.asarray(entries.closing)

@@ -26,6 +26,7 @@ from imubayes.criticism.evidence.linear_problem import UNEXPECTED
 from imubayes.criticism.evidence.model_search import FormScan, states_noise
 from imubayes.criticism.evidence.proposals import Screen, conditional
 from imubayes.criticism.formula_search import ResidualFormula, find_formula, terms_beside, terms_of
+from imubayes.display.numbers_and_labels import pretty, rounded
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.progress import Tell
 from imubayes.inference.laplace_marginal import whitened_columns
@@ -35,6 +36,7 @@ from imubayes.parameters.declarations import prior_slopes
 from imubayes.responses.candidate_effects import CatalogueModel
 from imubayes.results.summary import ParameterSummary, Summary, in_output_units
 from imubayes_explorer.drawn_shape import DrawnCurve, drawn_shape, likest
+from imubayes_explorer.known_noise_view import KnownNoiseView
 from imubayes_explorer.messages import MovedEstimate, RankedCause, RowsRanking
 from imubayes_explorer.refit_ahead import Ahead, refitted, told_values
 
@@ -42,21 +44,19 @@ _MOST_RANKED = 12
 _MOST_MOVED, _STAYED = 60, 0.05
 
 
-class LinearView:
+class LinearView(KnownNoiseView):
     """A diagnosed result, and what it answers without a refit.
 
     Attributes
     ----------
     explained : the diagnosed fit.
-    entries : shape (E,) bool, which count.
     """
 
     def __init__(self, explained: ExplainedFit, diagnosis: Diagnosis, summary: Summary):
-        self.explained, self.fit = explained, explained.fit
+        super().__init__(explained.fit, explained.known, explained.at_known_noise)
+        self.explained = explained
         self._diagnosis, self._shown = diagnosis, in_output_units(summary)
         self._acting: tuple[tuple[str, ...], Ahead | None] = (), None
-        observations, entries = self.fit.model.problem.observations, self.fit.model.entries
-        self.entries = (np.asarray(observations.weight) > 0) & ~np.asarray(entries.closing)
         self._white: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._evidence = threading.Lock()  # it keeps the columns used last, which two threads must not do at once
 
@@ -159,7 +159,7 @@ class LinearView:
             raise input_error(
                 f"no channel '{channel}'", "formula", closest_first(channel, names), "choose one of these"
             )
-        fitted, known, place = self.explained.posterior.fitted, self.explained.known, names.index(channel)
+        fitted, known, place = self.explained.posterior.fitted, self.known, names.index(channel)
         with self._evidence:
             of, at = self.explained.of, self._nothing.at
             if drawing is None:
@@ -170,7 +170,7 @@ class LinearView:
 
     def columns_of(self, found: ResidualFormula, drawing: DrawnCurve | None = None) -> np.ndarray:
         """Return the responses (E, T) to the terms of a formula."""
-        campaign, known = self.fit.model.campaign, self.explained.known
+        campaign, known = self.fit.model.campaign, self.known
         channel = [each.name for each in campaign.channels].index(found.channel)
         drawn = () if drawing is None else (drawn_shape(drawing, known, campaign.site.gravity).term,)
         terms = {each.expression: each.values for each in (*terms_of(self.fit, known, channel), *drawn)}
@@ -178,11 +178,6 @@ class LinearView:
         return np.stack([np.where(here, terms[each.expression], 0.0) for each in found.terms], axis=1)
 
     # ---- what causes would do ----
-
-    @property
-    def point(self) -> KnownNoisePoint:
-        """The fit at the noise known beforehand."""
-        return self.explained.at_known_noise
 
     @cached_property
     def variants(self) -> dict[str, int]:
@@ -242,10 +237,6 @@ class LinearView:
         """Return the fit of a changed model before it is made (see `refit_ahead.refitted`); None where it must be."""
         return refitted(self._catalogue, self.point, changed, estimates, columns)
 
-    def whitened(self, point: KnownNoisePoint | None = None) -> np.ndarray:
-        """Return the residual of every entry in units of the noise known beforehand, (E,)."""
-        return (point or self.point).left[: len(self.entries)]
-
     @cached_property
     def _slopes(self) -> np.ndarray:
         """The derivatives of parameters and derived quantities, in their units, by z, (P + D, P)."""
@@ -261,7 +252,7 @@ class LinearView:
         steps = dict(zip(names, (self._slopes @ (point.z - self.point.z)).tolist(), strict=True))
         found = [
             MovedEstimate(
-                name=each.name, unit=each.unit, before=each.mean, after=each.mean + steps[each.name], sd=each.sd,
+                name=each.name, unit=pretty(each.unit), after=rounded((each.mean + steps[each.name],), each.sd)[0],
                 in_sd=steps[each.name] / each.sd,
             )
             for each in (*self._shown.derived, *self._shown.parameters)

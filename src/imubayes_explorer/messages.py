@@ -18,6 +18,8 @@ from imubayes_explorer.kept_session import Lock, ModelNote
 Ordinate = Literal["known", "input", "fitted"]
 """Residual over the noise known beforehand, in input units, or over the noise as fitted."""
 Grouping = Literal["run", "mounting", "temperature", "table"]
+Stage = Literal["read", "told", "ready"]
+"""How far a model is open: its readings, what the diagnosis says, and previews and selections by its linear model."""
 
 
 class ShownTable(Record):
@@ -50,11 +52,13 @@ class Brush(Record):
     Attributes
     ----------
     channels, runs : names; empty for all.
+    rows : of these runs, counted from 1; empty for all.
     x : column of the covariate; empty where any abscissa will do.
     """
 
     channels: tuple[str, ...] = ()
     runs: tuple[str, ...] = ()
+    rows: tuple[int, ...] = Field((), max_length=200)
     x: str = ""
     x_low: float = 0.0
     x_high: float = 0.0
@@ -148,6 +152,12 @@ class NoteWanted(ModelNote, ModelWanted):
     """A name and a note of a model."""
 
 
+class PointWanted(ModelWanted):
+    """A reading of a model by its place."""
+
+    entry: int
+
+
 class QuantityWanted(ModelWanted):
     """A quantity of a model by its name."""
 
@@ -202,37 +212,57 @@ class CauseLine(RankedCause):
     group: int | None = None
 
 
+class GroupLabels(Record):
+    """What tells runs apart, and the group of each run, in the order of the runs."""
+
+    by: Grouping
+    labels: tuple[str, ...]
+
+
 class ModelFacts(Record):
-    """What the page shows of a model that is open.
+    """What the page shows of a model that is open; of one that is only read, no verdict and no causes.
 
     Attributes
     ----------
+    stage, identity : how far it is open, and of which result.
     sentence, evidence : the verdict, and the probability of each explanation, in words.
-    command : the next command of the loop.
+    command, named : the next command of the loop, and the effects that it adds.
     separating : of each group the run that would tell its effects apart, in words.
     effects, set_aside : of the model, and the readings that it leaves out, in words.
     """
 
     id: str
+    stage: Stage
+    identity: str
     folder: str
     name: str
     campaign: str
-    verdict: Verdict
-    sentence: str
-    evidence: str
-    explanations: tuple[ProbableExplanation, ...]
+    verdict: Verdict | None = None
+    sentence: str = ""
+    evidence: str = ""
+    explanations: tuple[ProbableExplanation, ...] = ()
     chi2: float
     dof: float
-    causes: tuple[CauseLine, ...]
-    separating: tuple[str, ...]
+    causes: tuple[CauseLine, ...] = ()
+    separating: tuple[str, ...] = ()
     cells: tuple[MapCell, ...]
     channels: tuple[str, ...]
     runs: tuple[str, ...]
     abscissae: tuple[CovariateLabel, ...]
-    groupings: tuple[Grouping, ...]
+    labels: tuple[GroupLabels, ...]
     effects: tuple[str, ...]
     set_aside: tuple[str, ...]
-    command: str
+    command: str = ""
+    named: tuple[str, ...] = ()
+
+
+class OpenState(Record):
+    """Which model is open, how far, of which result, and whether its folder holds another one by now."""
+
+    id: str
+    stage: Stage
+    identity: str
+    replaced: bool
 
 
 class RowsRanking(Record):
@@ -240,15 +270,19 @@ class RowsRanking(Record):
 
     Attributes
     ----------
-    nothing : of noise alone.
+    nothing : of noise alone; None before the explanations are weighed.
     form : of the form outside the catalogue, or the wrong record, of the leading explanation; None without one.
     offset : of an offset of these rows alone; None where all rows are chosen, of which an offset is a bias.
     """
 
     causes: tuple[RankedCause, ...]
-    nothing: float
+    nothing: float | None
     form: float | None
     offset: float | None
+
+
+NOT_RANKED = RowsRanking(causes=(), nothing=None, form=None, offset=None)
+"""What is known of the causes of chosen rows before the explanations are weighed."""
 
 
 class SelectionFacts(RowsRanking):
@@ -270,13 +304,11 @@ class SelectionFacts(RowsRanking):
 
 
 class MovedEstimate(Record):
-    """What a previewed cause would do to an estimate; `in_sd`: in its standard uncertainty."""
+    """What a previewed cause would do to an estimate: where it would be, and the shift in its standard uncertainty."""
 
     name: str
     unit: str
-    before: float
-    after: float
-    sd: float
+    after: str
     in_sd: float
 
 

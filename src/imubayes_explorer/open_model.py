@@ -16,17 +16,19 @@ from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.loop import diagnosis_report as report
 from imubayes.display.loop.diagnosis_sentences import evidence_text, form_text, sentence
-from imubayes.foundations.errors import input_error, kept_if_possible
+from imubayes.foundations.errors import InputError, input_error, kept_if_possible
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.tail_probabilities import chi2_survival
 from imubayes.loop.warm_start import extended
 from imubayes.model.bind import bind
 from imubayes.model.model_file import ModelSpec
-from imubayes.results.change_records import write_diagnosis
+from imubayes.results.change_records import read_diagnosis, write_diagnosis
+from imubayes.results.folder_files import same_fit
 from imubayes.results.history_tree import shown_place
 from imubayes.results.result import Result
 from imubayes_explorer import messages
 from imubayes_explorer.drawn_shape import DrawnCurve, DrawnFormula
+from imubayes_explorer.known_noise_view import KnownNoiseView, nowhere, view_of
 from imubayes_explorer.linear_view import LinearView
 from imubayes_explorer.point_table import PointTable
 from imubayes_explorer.refit_ahead import Ahead
@@ -38,21 +40,53 @@ Stamp = frozenset[tuple[str, int, int, int]]
 
 @dataclass(frozen=True)
 class OpenModel:
-    """A diagnosed result.
+    """A result that is open: its readings at once, what is said of them once its explanations are weighed.
 
     Attributes
     ----------
     id : its name on the page.
-    result, diagnosis, view, table : the result, what the diagnosis says, its linear model, and its readings.
+    result, readings, table : the result, its fit at the known noise, and its readings.
     stamp : of the files of the campaign when it was opened.
+    told : what the diagnosis says: made now, or found in the folder; None before there is one.
+    linear : the linear model with every candidate; None before the explanations are weighed.
     """
 
     id: str
     result: Result
-    diagnosis: Diagnosis
-    view: LinearView
+    readings: KnownNoiseView
     table: PointTable
     stamp: Stamp
+    told: Diagnosis | None = None
+    linear: LinearView | None = None
+
+    @property
+    def stage(self) -> messages.Stage:
+        """How far it is open."""
+        return "read" if self.told is None else "told" if self.linear is None else "ready"
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What the diagnosis says; raises InputError before there is one."""
+        return self._there(self.told)
+
+    @property
+    def view(self) -> LinearView:
+        """The linear model with every candidate; raises InputError before the explanations are weighed."""
+        return self._there(self.linear)
+
+    def _there[T](self, found: T | None) -> T:
+        if found is None:
+            raise input_error("the explanations of this model are still being weighed", str(self.folder),
+                              "a model whose explanations are weighed", "wait until they are")  # fmt: skip
+        return found
+
+    def replaced(self) -> bool:
+        """Tell whether its folder no longer holds the result that was opened."""
+        try:
+            same_fit(self.folder, self.result.identity)
+        except (InputError, OSError):
+            return True
+        return False
 
     @property
     def folder(self) -> Path:
@@ -71,44 +105,52 @@ class OpenModel:
 
     def facts(self) -> messages.ModelFacts:
         """Return what the page shows of the model."""
-        found, model, table = self.diagnosis, self.view.fit.model, self.table
-        record = self.view.point.record()
-        said = found.model_copy(update={"result": self.place})
-        return messages.ModelFacts(
+        model, table = self.readings.fit.model, self.table
+        record = self.readings.point.record()
+        facts = messages.ModelFacts(
             id=self.id,
+            stage=self.stage,
+            identity=self.result.identity,
             folder=shown_place(str(self.folder.resolve())),
             name=model.spec.name,
             campaign=model.campaign.name,
-            verdict=found.verdict,
-            sentence=sentence(found),
-            evidence=evidence_text(found.explanations) if found.explanations is not None else "",
-            explanations=found.explanations.explanations if found.explanations is not None else (),
             chi2=record.chi2,
             dof=record.dof,
-            causes=tuple(self._causes()),
-            separating=tuple(
-                run_design_text(group.discriminating_run) if group.discriminating_run is not None else ""
-                for group in found.groups
-            ),
             cells=table.cells(),
             channels=table.channels,
             runs=table.run_names,
             abscissae=table.abscissae,
-            groupings=table.groupings(),
+            labels=table.labels(),
             effects=tuple(effect.name for effect in model.spec.effects),
             set_aside=tuple(map(set_aside_text, model.spec.set_aside)),
-            command=report.next_command(said),
         )
+        if self.told is None:
+            return facts
+        found = self.told
+        evidence = found.explanations
+        return facts.model_copy(update={
+            "verdict": found.verdict,
+            "sentence": sentence(found),
+            "evidence": evidence_text(evidence) if evidence is not None else "",
+            "explanations": evidence.explanations if evidence is not None else (),
+            "causes": tuple(self._causes(found)),
+            "separating": tuple(
+                run_design_text(group.discriminating_run) if group.discriminating_run is not None else ""
+                for group in found.groups
+            ),
+            "named": found.proposed.effects if found.proposed is not None else (),
+            "command": report.next_command(found.model_copy(update={"result": self.place})),
+        })  # fmt: skip
 
-    def _causes(self) -> list[messages.CauseLine]:
-        registry, found = self.view.fit.model.registry, []
+    def _causes(self, told: Diagnosis) -> list[messages.CauseLine]:
+        registry, found = self.readings.fit.model.registry, []
         groups = {
             member.effect: place
-            for place, group in reversed(list(enumerate(self.diagnosis.groups, 1)))
+            for place, group in reversed(list(enumerate(told.groups, 1)))
             for member in group.candidates
         }
-        for line in self.diagnosis.ranking:
-            shown = self.diagnosis.estimate(line.effect) or line
+        for line in told.ranking:
+            shown = told.estimate(line.effect) or line
             found.append(messages.CauseLine(
                 effect=line.effect, probability=line.probability, log_odds=line.log_odds, delta_chi2=shown.delta_chi2,
                 coefficient=report.coefficient_text(shown), group=groups.get(line.effect),
@@ -117,19 +159,22 @@ class OpenModel:
         return found
 
     def select(self, brushes: Sequence[messages.Brush], without: Sequence[str]) -> messages.SelectionFacts:
-        """Return what selected rows say; some effects are not considered."""
-        chosen, view = self.table.chosen(brushes), self.view
-        n, chi2 = int(chosen.sum()), float(np.sum(view.whitened()[chosen] ** 2))
+        """Return what selected rows say; some effects are not considered.
+
+        Before the explanations are weighed that is their χ² alone.
+        """
+        chosen = self.table.chosen(brushes)
+        n, chi2 = int(chosen.sum()), float(np.sum(self.readings.whitened()[chosen] ** 2))
         p = float(chi2_survival(chi2, float(n))) if n else None
         rms = self.table.rms(chosen) if n else (None, "")
-        found = view.rank(chosen, without)
+        found = self.linear.rank(chosen, without) if self.linear is not None else messages.NOT_RANKED
         best = (found.causes[0].effect, found.causes[0].probability) if found.causes else None
-        told = self.diagnosis.explanations.form if self.diagnosis.explanations is not None else None
+        told = self.told.explanations.form if self.told is not None and self.told.explanations is not None else None
         words = form_text(told) if told is not None and found.form is not None else ""
         if found.form is not None and found.form > (best[1] if best is not None else 0.0):
             best = words, found.form
         return messages.SelectionFacts(
-            **dict(found), n=n, of=int(view.entries.sum()), chi2=chi2, form_words=words,
+            **dict(found), n=n, of=int(self.readings.entries.sum()), chi2=chi2, form_words=words,
             sentence=selection_text(n, chi2, p, rms, best, found.nothing, found.offset),
             runs=tuple(map(str, np.unique(self.table.runs[self.table.run[chosen]]))),
         )  # fmt: skip
@@ -159,8 +204,8 @@ class OpenModel:
         out : folder of the command that adds them.
         ahead, what, by : the change, its name, and the table of the readings that it is of; this model's where None.
         """
-        predicted = self.view.with_causes(effects)
-        shown = Ahead(predicted, ~self.view.entries) if ahead is None else ahead
+        shown = self.with_causes(effects) if ahead is None else ahead
+        predicted = shown.point if ahead is None else self.view.with_causes(effects)
         drop, moved = self._drop(shown.point), self.view.moved(shown.point)
         largest = (moved[0].name, moved[0].in_sd) if moved else None
         command = report.add_command(effects, self.channels_for(effects), self.place, out) if effects else ""
@@ -170,6 +215,10 @@ class OpenModel:
             sentence=preview_text(effects, self._drop(predicted), largest) if ahead is None
             else refitted_text(what, self._drop(predicted) if effects else None, drop, largest),
         )  # fmt: skip
+
+    def with_causes(self, effects: Sequence[str]) -> Ahead:
+        """Return the fit with causes beside, linear where they are."""
+        return Ahead(self.view.with_causes(effects), ~self.view.entries)
 
     def _drop(self, point: KnownNoisePoint) -> float:
         """Return the drop of χ² at the noise known beforehand."""
@@ -189,7 +238,7 @@ class OpenModel:
 
     def channels_for(self, effects: Sequence[str]) -> tuple[str, ...] | None:
         """Return the channels on which a single effect was found; None where the command needs none named."""
-        return self.diagnosis.channels_for(effects[0]) if len(effects) == 1 else None
+        return self.told.channels_for(effects[0]) if self.told is not None and len(effects) == 1 else None
 
 
 def quoted(folder: Path) -> str:
@@ -214,29 +263,53 @@ def campaign_stamp(result: Result) -> Stamp:
 
 
 def opened(name: str, result: Result, tell: Tell) -> OpenModel:
-    """Return a result diagnosed; the diagnosis is kept in its folder where it can be, as `imubayes diagnose` does.
+    """Return a result with its readings at the noise known beforehand, and the diagnosis that its folder holds, if any.
 
     Raises
     ------
     InputError
-        where its campaign is gone or has changed, or there is no fit to diagnose.
+        where its campaign is gone or has changed, or the fit stands nowhere finite.
     """
     tell("reading the fit")
     fit, folder = result.fit, result.folder
     assert folder is not None
-    explained = explained_fit(fit, str(folder), tell)
-    if explained is None:
-        raise input_error(
-            fit.message or "the fit did not converge", str(folder), "a fit that converged",
-            "remove the cause, and fit again until it converges",
-        )  # fmt: skip
-    found = explained.diagnosis()
-    with kept_if_possible(folder):
-        write_diagnosis(folder, found, result.identity)
     tell("laying out the readings")
+    readings = view_of(fit, str(folder))
+    return OpenModel(name, result, readings, PointTable(result, readings), campaign_stamp(result), _kept(result))
+
+
+def _kept(result: Result) -> Diagnosis | None:
+    """Return the diagnosis that the folder of a result holds of it; None where there is none, or it is not whole."""
+    assert result.folder is not None
+    try:
+        same_fit(result.folder, result.identity)
+        return read_diagnosis(result.folder)
+    except (InputError, OSError):
+        return None
+
+
+def weighed(model: OpenModel, tell: Tell) -> OpenModel:
+    """Return an open model with its explanations weighed.
+
+    The diagnosis is kept in its folder where it can be, as `imubayes diagnose` does; one that the folder holds stands.
+
+    Raises
+    ------
+    InputError
+        where there is no fit to diagnose.
+    """
+    result, folder = model.result, model.folder
+    explained = explained_fit(result.fit, str(folder), tell)
+    if explained is None:
+        raise nowhere(result.fit, str(folder))
+    found = model.told
+    if found is None:
+        found = explained.diagnosis()
+        with kept_if_possible(folder):
+            write_diagnosis(folder, found, result.identity)
     view = LinearView(explained, found, result.summary)
-    model = OpenModel(name, result, found, view, PointTable(result, view), campaign_stamp(result))
     view.prepare(tell)
+    ready = replace(model, told=found, linear=view)
     effects = found.proposed.effects if found.proposed is not None else tuple(view.variants)[:1]
-    model.ahead_of_adding(effects, model.channels_for(effects))  # so that the first is as fast as the others
-    return model
+    ready.ahead_of_adding(effects, ready.channels_for(effects))  # so that the first is as fast as the others
+    return ready

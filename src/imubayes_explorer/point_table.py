@@ -4,32 +4,43 @@ What is too much for a screen is never sent: of each place on the abscissa the l
 all, selected points and others apart.  Numbers are sent as Float32 behind a header; sums are made before, in float64.
 """
 
+import math
 import struct
 from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 
-from imubayes.adequacy.known_noise_fit import KnownNoisePoint
+from imubayes.adequacy.known_noise_fit import KnownNoisePoint, noise_sd
 from imubayes.criticism.diagnosis_record import CovariateLabel
 from imubayes.display.figure_style import NORMAL, band, numbers, temperature_levels, varies
 from imubayes.display.numbers_and_labels import covariates, pretty, readable
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.results.result import Result, to_input_units
-from imubayes_explorer.linear_view import LinearView
-from imubayes_explorer.messages import Brush, ExpectedCell, Grouping, MapCell, Ordinate, PointsHead, PointsWanted
+from imubayes_explorer.known_noise_view import KnownNoiseView
+from imubayes_explorer.messages import (
+    Brush,
+    ExpectedCell,
+    Grouping,
+    GroupLabels,
+    MapCell,
+    Ordinate,
+    PointsHead,
+    PointsWanted,
+)
 from imubayes_explorer.refit_ahead import Ahead
 
-_ARRAYS = ("x", "observed", "predicted", "band", "y", "sd", "group", "marked", "curve", "after")
+_ARRAYS = ("x", "observed", "predicted", "band", "y", "sd", "group", "marked", "curve", "after", "entry")
 
 
 class PointTable:
     """The entries of a fit, (E,) each, with every covariate and residual."""
 
-    def __init__(self, result: Result, view: LinearView):
+    def __init__(self, result: Result, view: KnownNoiseView):
         table, model = result.residuals.table, view.fit.model
         self.table, self.view, self.summary = table, view, result.summary
         self.runs, self.run = np.unique(table["run"].to_numpy(), return_inverse=True)
+        self.row = 1 + numbers(table, "row")
         order = {name: place for place, name in enumerate(table["run"].unique(maintain_order=True))}
         self.run_names = tuple(sorted(map(str, self.runs), key=lambda name: order[name]))
         self.channel = table["channel"].to_numpy().astype(str)
@@ -37,8 +48,8 @@ class PointTable:
         self.to_input, self.units = to_input_units(model), table["input_unit"].to_numpy().astype(str)
         self._channels, self._orders = dict[str, np.ndarray](), dict[str, np.ndarray]()
         known = {each.column: numbers(table, each.column) for each in covariates() if each.column != "row"}
-        known |= {each.name: each.values for each in view.explained.known if each.name not in known}
-        own = {each.name: (each.unit, each.phrase) for each in view.explained.known}
+        known |= {each.name: each.values for each in view.known if each.name not in known}
+        own = {each.name: (each.unit, each.phrase) for each in view.known}
         own |= {each.column: (each.unit, each.phrase) for each in covariates()}
         self.columns = {"reading": np.arange(len(table), dtype=float)} | {k: v for k, v in known.items() if varies(v)}
         self.abscissae = tuple(
@@ -50,6 +61,22 @@ class PointTable:
     @cached_property
     def _declared(self) -> frozenset[str]:
         return frozenset(channel.name for channel in self.view.fit.model.campaign.channels)
+
+    @cached_property
+    def _known_noise(self) -> np.ndarray:
+        return noise_sd(self.view.fit.model.problem, self.view.point.h)
+
+    def noise(self, entry: int) -> float:
+        """Return the standard deviation of the noise known beforehand of an entry, in the unit of its output."""
+        return self._as_shown(entry, self._known_noise)
+
+    def misfit(self, entry: int) -> float:
+        """Return the residual of an entry at the noise known beforehand, in the unit of its output."""
+        return self._as_shown(entry, self.view.point.misfit)
+
+    def _as_shown(self, entry: int, values: np.ndarray) -> float:
+        """Return one of the outputs; the closing rotation of a run is shown in degrees."""
+        return float(values[entry]) * (math.degrees(1) if self.view.fit.model.entries.closing[entry] else 1.0)
 
     @cached_property
     def shown(self) -> dict[str, np.ndarray]:
@@ -103,6 +130,8 @@ class PointTable:
         here = np.ones(len(self.table), dtype=bool)
         if brush.channels:
             here &= np.logical_or.reduce([self._of(name) for name in brush.channels])
+        if brush.rows:
+            here &= np.isin(self.row, brush.rows)
         if brush.runs:
             here &= np.isin(self.runs, brush.runs)[self.run]
         if brush.x:
@@ -161,6 +190,12 @@ class PointTable:
         every: tuple[Grouping, ...] = ("mounting", "temperature", "table")
         return ("run", *(each for each in every if len(self.groups(each)[0]) > 1))
 
+    def labels(self) -> tuple[GroupLabels, ...]:
+        """Return the group of each run by everything that tells runs apart."""
+        return tuple(
+            GroupLabels(by=by, labels=tuple(self.label(run, by) for run in self.run_names)) for by in self.groupings()
+        )
+
     def groups(self, by: Grouping) -> tuple[tuple[str, ...], np.ndarray]:
         """Return the names of the groups, and the group of each entry, (E,)."""
         names = np.array([self.label(str(run), by) for run in self.runs])
@@ -188,17 +223,18 @@ class PointTable:
         declared = self.view.fit.model.campaign.channels
         return pretty(next(each.output_unit for each in declared if each.name == channel))
 
-    def frame(self, wanted: PointsWanted, ahead: Ahead | None = None) -> bytes:
+    def frame(self, wanted: PointsWanted, ahead: Ahead | None = None, refitted: bool = False) -> bytes:
         """Return the points of a view: the length of a header, the header as JSON, and the columns as Float32.
 
         Parameters
         ----------
-        ahead : the change that is shown; the linear prediction of causes where None.
+        ahead : the fit with causes, or with a change, that is shown beside; None for none.
+        refitted : whether it is the refit of a change, whose readings alone are drawn.
 
         Raises
         ------
         InputError
-            for an unknown channel, abscissa or cause.
+            for an unknown channel or abscissa.
         """
         if wanted.channel not in self.channels:
             allowed = closest_first(wanted.channel, self.channels)
@@ -213,9 +249,9 @@ class PointTable:
             here &= (x >= wanted.between[0]) & (x <= wanted.between[1])
         order = self._order(wanted.x)
         places = order[here[order]]
-        previewed = view.with_causes(wanted.effects) if ahead is None else ahead.point
+        previewed = view.point if ahead is None else ahead.point
         factor, label = self._scale_of(wanted, places)
-        label += " of the model before" if ahead is not None and wanted.y == "fitted" else ""
+        label += " of the model before" if refitted and wanted.y == "fitted" else ""
         y, after = (factor * self.ordinate(wanted.y, point)[places] for point in (None, previewed))
         marked = self.chosen(wanted.brushes)[places]
         kept = decimated(x[places], y, marked, wanted.most)
@@ -225,11 +261,23 @@ class PointTable:
         head = PointsHead(
             count=len(places), of=int(here.sum()), arrays=_ARRAYS, groups=names, x_label=self._label_of(wanted.x),
             y_label=label, y_factor=factor, output_label=f"{wanted.channel} / {self.output_unit(wanted.channel)}",
-            refitted=ahead is not None,
+            refitted=refitted,
         )  # fmt: skip
         drawn = (*self.shown.values(), self.curve(previewed))
         observed, predicted, wide, curve = (each[places] for each in drawn)
-        columns = (x[places], observed, predicted, wide, y, factor * NORMAL * sd, group[places], marked, curve, after)
+        columns = (
+            x[places],
+            observed,
+            predicted,
+            wide,
+            y,
+            factor * NORMAL * sd,
+            group[places],
+            marked,
+            curve,
+            after,
+            places,
+        )
         return framed(head, columns)
 
     def _scale_of(self, wanted: PointsWanted, places: np.ndarray) -> tuple[float, str]:

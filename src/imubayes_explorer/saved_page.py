@@ -14,14 +14,15 @@ import numpy as np
 
 from imubayes.display.figure_style import numbers
 from imubayes.foundations.records import Record
+from imubayes_explorer.calibration import CalibrationFacts
 from imubayes_explorer.knowledge import KnownTables, known_tables
 from imubayes_explorer.messages import ModelFacts, Ordinate, PreviewFacts
 from imubayes_explorer.open_model import OpenModel
-from imubayes_explorer.session import SessionState
+from imubayes_explorer.session_state import SessionState
 
 _MODULES = (
-    "dom", "offline", "net", "state", "chart", "verdict", "map", "causes", "geometry", "knowledge", "below", "tasks",
-    "formula", "keys", "tour", "picture", "panels", "main",
+    "dom", "offline", "net", "state", "chart", "verdict", "map", "causes", "geometry", "knowledge", "estimates",
+    "below", "tasks", "formula", "keys", "tour", "picture", "points", "legend", "panels", "main",
 )  # fmt: skip
 _PREVIEWED, _MOST_NUMBERS = 6, 700_000
 """Causes of each model that are previewed, and numbers of each model that a file has room for."""
@@ -42,16 +43,15 @@ class SavedModel(Record):
     Attributes
     ----------
     of : readings of the model, of which `count` evenly spaced ones were kept.
-    labels : grouping → the name of the group of each run.
     units : output unit of each channel.
     """
 
     facts: ModelFacts
     known: KnownTables
+    calibration: CalibrationFacts
     of: int
     count: int
     columns: dict[str, str]
-    labels: dict[str, tuple[str, ...]]
     units: tuple[str, ...]
     previews: tuple[SavedPreview, ...]
 
@@ -63,11 +63,11 @@ class SavedSession(Record):
     models: tuple[SavedModel, ...]
 
 
-def saved_model(model: OpenModel) -> SavedModel:
+def saved_model(model: OpenModel, calibration: CalibrationFacts) -> SavedModel:
     """Return what a saved page needs of a model."""
     table, view, facts = model.table, model.view, model.facts()
     likeliest = [cause.effect for cause in facts.causes[:_PREVIEWED]]
-    names = 9 + len(table.columns) + 2 * len(likeliest)
+    names = 10 + len(table.columns) + 2 * len(likeliest)
     every = np.flatnonzero(view.entries & np.isin(table.channel, table.channels))
     kept = every[:: -(-len(every) * names // _MOST_NUMBERS)]
     run_place = {name: place for place, name in enumerate(table.run_names)}
@@ -77,6 +77,7 @@ def saved_model(model: OpenModel) -> SavedModel:
         **table.shown,
         **{name: table.ordinate(name) for name in get_args(Ordinate)},
         "sd": numbers(table.table, "input_sd"),
+        "row": table.row,
         **{f"x:{name}": values for name, values in table.columns.items()},
     }
     previews = []
@@ -85,23 +86,25 @@ def saved_model(model: OpenModel) -> SavedModel:
         after, curve = _base64(view.whitened(point)[kept]), _base64(table.curve(point)[kept])
         found = model.preview([effect], f"{model.place}-{effect}")
         previews.append(SavedPreview(facts=found, after=after, curve=curve))
-    labels = {by: tuple(table.label(run, by) for run in table.run_names) for by in table.groupings()}
     return SavedModel(
-        facts=facts, known=known_tables(model.result), of=len(every), count=len(kept),
+        facts=facts, known=known_tables(model.result), calibration=calibration, of=len(every), count=len(kept),
         columns={name: _base64(np.asarray(values)[kept]) for name, values in columns.items()},
-        labels=labels, units=tuple(table.output_unit(channel) for channel in table.channels), previews=tuple(previews),
+        units=tuple(table.output_unit(channel) for channel in table.channels), previews=tuple(previews),
     )  # fmt: skip
 
 
-def saved_page(state: SessionState, models: Sequence[OpenModel], files: Mapping[str, tuple[bytes, str]]) -> str:
+def saved_page(
+    state: SessionState, models: Sequence[tuple[OpenModel, CalibrationFacts]], files: Mapping[str, tuple[bytes, str]]
+) -> str:
     """Return the page of a session that needs no server.
 
     Parameters
     ----------
+    models : each with its estimates.
     files : of the page, name → content and media type.
     """
     text = {name: content.decode() for name, (content, _) in files.items()}
-    kept = SavedSession(state=state, models=tuple(map(saved_model, models)))
+    kept = SavedSession(state=state, models=tuple(saved_model(*each) for each in models))
     data = json.dumps(kept.model_dump(mode="json"), ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
     scripts = "".join(map(_in_function, _MODULES, (text[f"{name}.js"] for name in _MODULES)))
     head = (

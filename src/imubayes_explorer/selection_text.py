@@ -12,7 +12,7 @@ _EXPLAINS = 0.5
 
 def selection_text(
     n: int, chi2: float, p: float | None, rms: tuple[float | None, str], best: tuple[str, float] | None,
-    nothing: float, offset: float | None,
+    nothing: float | None, offset: float | None,
 ) -> str:  # fmt: skip
     """Return what selected readings say.
 
@@ -21,19 +21,23 @@ def selection_text(
     n, chi2, p : of the readings, at the noise known beforehand; the probability of such a χ² by chance.
     rms : of the residual, and its unit; None of readings of several units.
     best : the likeliest cause with its probability; None where there is none.
-    nothing, offset : probability of noise alone, and of an offset of these readings alone.
+    nothing, offset : probability of noise alone, and of an offset of these readings alone; None before they are known.
     """
     if not n:
         return "No reading is selected."
     chance = "" if p is None else f" (p {relation(p)})"
     size = "" if rms[0] is None else f", {significant(rms[0])} {rms[1]} rms"
     said = f"{counted(n, 'reading')}: χ² {significant(chi2, 4)}{chance}{size}."
+    if nothing is None:
+        return f"{said} The explanations are still being weighed."
+    them = "it" if n == 1 else "them"
     if nothing >= _EXPLAINS:
-        return f"{said} Noise alone explains them with probability {probability(nothing)}."
+        return f"{said} Noise alone explains {them} with probability {probability(nothing)}."
     if offset is not None and offset >= max(_EXPLAINS, best[1] if best is not None else 0.0):
-        return f"{said} They deviate by a cause of their own, with probability {probability(offset)}."
+        deviate = "It deviates by a cause of its own" if n == 1 else "They deviate by a cause of their own"
+        return f"{said} {deviate}, with probability {probability(offset)}."
     if best is not None and best[1] >= _EXPLAINS:
-        return f"{said} {best[0]} explains them with probability {probability(best[1])}."
+        return f"{said} {best[0]} explains {them} with probability {probability(best[1])}."
     return f"{said} No single cause is dominant."
 
 

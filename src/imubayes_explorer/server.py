@@ -6,6 +6,7 @@ server-sent events.  Faults of a request are answered in the four parts of an in
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
 from importlib.resources import files
 
 from pydantic import ValidationError
@@ -20,12 +21,14 @@ from imubayes.foundations.records import Record
 from imubayes_explorer import messages
 from imubayes_explorer.guard import Application, Guard
 from imubayes_explorer.knowledge import known_tables, quantity_facts
+from imubayes_explorer.point_facts import point_facts
 from imubayes_explorer.saved_page import saved_page
 from imubayes_explorer.session import Session
 
 _TYPES = {"html": "text/html", "js": "text/javascript", "css": "text/css", "txt": "text/plain", "svg": "image/svg+xml"}
-_ALIVE = 10.0
-"""Seconds after which a stream without news says that the server is there."""
+_LOOKED, _ALIVE = 2.0, 5
+"""Seconds after which the folders are looked at again, and looks without news after which a stream says that the server
+is there."""
 _STILL_HERE = ": still here\n\n"
 
 
@@ -103,8 +106,11 @@ class _Answers:
             "preview": (messages.PreviewWanted, session.previewed),
             "formula": (messages.FormulaWanted, lambda w: require(w.model).formula(w.channel, w.drawn)),
             "known": (messages.ModelWanted, lambda w: known_tables(require(w.model).result)),
+            "estimates": (messages.ModelWanted, session.calibration),
+            "point": (messages.PointWanted, lambda w: point_facts(require(w.model).table, w.entry)),
             "quantity": (messages.QuantityWanted, lambda w: quantity_facts(require(w.model).result, w.name)),
             "change": (messages.ChangeWanted, lambda w: Begun(task=session.change(w))),
+            "reload": (messages.ModelWanted, self._done(lambda w: session.reload(w.model))),
             "select": (messages.ModelWanted, self._done(lambda w: session.select(w.model))),
             "note": (messages.NoteWanted, self._done(session.note)),
             "lock": (messages.LockWanted, self._done(session.lock)),
@@ -112,7 +118,9 @@ class _Answers:
         }
         given: dict[str, Callable[[], Said]] = {
             "state": session.state, "script.sh": session.script, "model.toml": session.exported,
-            "session.html": lambda: saved_page(session.state(), session.open_models, self.files),
+            "session.html": lambda: saved_page(
+                session.state(), [(each, session.calibration_of(each)) for each in session.ready_models], self.files
+            ),
         }  # fmt: skip
         return [
             *(Route(f"/{name}", _answered(act, kind), methods=["POST"]) for name, (kind, act) in asked.items()),
@@ -131,7 +139,7 @@ class _Answers:
 
     async def _states(self, request: Request) -> AsyncIterator[str]:
         """Yield the state of the session, and again whenever it changes; a tree that is damaged is looked at again."""
-        loop, news = asyncio.get_running_loop(), asyncio.Event()
+        loop, news, told_last, looks = asyncio.get_running_loop(), asyncio.Event(), None, 0
 
         def told() -> None:
             loop.call_soon_threadsafe(news.set)
@@ -142,14 +150,17 @@ class _Answers:
                 news.clear()
                 try:
                     state = await run_in_threadpool(self.session.state)
-                    yield f"data: {state.model_dump_json()}\n\n"
+                    if state != told_last:
+                        yield f"data: {state.model_dump_json()}\n\n"
+                        told_last, looks = state, 0
                 except InputError:
                     yield _STILL_HERE
-                try:
-                    async with asyncio.timeout(_ALIVE):
-                        await news.wait()
-                except TimeoutError:
+                looks += 1
+                if looks % _ALIVE == 0:
                     yield _STILL_HERE
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(_LOOKED):
+                        await news.wait()
         finally:
             end()
 

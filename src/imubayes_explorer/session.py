@@ -4,10 +4,10 @@ All that is done to results goes through the functions behind the commands; the 
 same.  What windows are told is one record, which counts its changes.
 """
 
-import hashlib
 import shlex
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from operator import methodcaller
@@ -17,64 +17,38 @@ from tempfile import TemporaryDirectory
 from imubayes.api import add, export, fit, refit, remove
 from imubayes.display.loop.change_report import change_lines
 from imubayes.display.loop.diagnosis_report import add_command, formula_source
-from imubayes.display.loop.history import gain_text
 from imubayes.foundations.errors import InputError, input_error, kept_if_possible
 from imubayes.foundations.files import write_text
 from imubayes.foundations.progress import Tell
-from imubayes.foundations.records import Record
 from imubayes.loop.model_changes import reduce
-from imubayes.loop.model_history import ChiSquareDrop, Tree, rms_by_unit
+from imubayes.loop.model_history import Tree
 from imubayes.results.change_records import ModelChange
 from imubayes.results.folder_files import MANIFEST, MODEL
 from imubayes.results.history_tree import campaign_of, read_tree, select, shown_place
 from imubayes.results.result import Result, read_result
 from imubayes.results.result_folder import write_model
+from imubayes.results.stored_tables import read_summary_and_residuals
+from imubayes_explorer.calibration import CalibrationFacts, calibration_facts
 from imubayes_explorer.edited_model import EditedModel, edited_model
 from imubayes_explorer.kept_session import KeptSession, ModelNote
-from imubayes_explorer.messages import ChangeWanted, LockWanted, NoteWanted, PointsWanted, PreviewFacts, PreviewWanted
-from imubayes_explorer.open_model import OpenModel, Stamp, opened, quoted, stamp_of
+from imubayes_explorer.messages import (
+    ChangeWanted,
+    LockWanted,
+    ModelWanted,
+    NoteWanted,
+    OpenState,
+    PointsWanted,
+    PreviewFacts,
+    PreviewWanted,
+)
+from imubayes_explorer.open_model import OpenModel, Stamp, opened, quoted, stamp_of, weighed
 from imubayes_explorer.point_table import PointTable
 from imubayes_explorer.refit_ahead import Ahead
 from imubayes_explorer.selection_text import fitted_text
-from imubayes_explorer.worker import TaskOutcome, TaskProgress, Worker
+from imubayes_explorer.session_state import SessionState, id_of, marks_of, tree_lines
+from imubayes_explorer.worker import TaskOutcome, Worker
 
 _MOST_OPEN = 4
-
-
-class TreeLine(Record):
-    """A model of the tree: its place in it, what it brought, and the user's words.
-
-    Attributes
-    ----------
-    parent : id of the model that it was made from; empty without one.
-    gain : outcome of the cross-validation, in words.
-    rms : residual rms over the channels of each unit.
-    """
-
-    id: str
-    parent: str
-    depth: int
-    title: str
-    folder: str
-    name: str = ""
-    note: str = ""
-    chi2: float | None
-    dof: float | None
-    delta_chi2: ChiSquareDrop
-    gain: str
-    rms: dict[str, float]
-    selected: bool
-    taken: bool
-
-
-class SessionState(Record):
-    """What every window of a session shows alike."""
-
-    version: int
-    tree: tuple[TreeLine, ...]
-    tasks: tuple[TaskProgress, ...]
-    commands: tuple[str, ...]
-    locks: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -129,6 +103,7 @@ class Session:
         self._lock, self._listeners = threading.RLock(), list[Callable[[], None]]()
         self._open, self._kept = dict[str, OpenModel](), KeptSession.read(root)
         self._read: tuple[Tree | None, Stamp] = None, frozenset()
+        self._looked = dict[str, tuple[Stamp, bool]]()
         self._refits = threading.Lock()
         self._change: tuple[int, Change | None] = 0, None
         self.worker = Worker(self.changed)
@@ -152,9 +127,18 @@ class Session:
     def state(self) -> SessionState:
         """Return what every window shows alike."""
         return SessionState(
-            version=self._version, tree=tuple(self._lines()), tasks=self.worker.tasks, commands=self._kept.commands,
-            locks=dict(self._kept.locks),
+            version=self._version, tree=tree_lines(self.tree(), self._kept.notes),
+            opened=tuple(map(self._open_state, self.open_models)),
+            tasks=self.worker.tasks, commands=self._kept.commands, locks=dict(self._kept.locks),
         )  # fmt: skip
+
+    def _open_state(self, model: OpenModel) -> OpenState:
+        """Return how far a model is open; its folder is looked into where its manifest has changed."""
+        now, (marks, replaced) = stamp_of([model.folder / MANIFEST]), self._looked.get(model.id, (None, False))
+        if now != marks:
+            replaced = model.replaced()
+            self._looked[model.id] = now, replaced
+        return OpenState(id=model.id, stage=model.stage, identity=model.result.identity, replaced=replaced)
 
     def tree(self) -> Tree | None:
         """Return the tree of models; None before there is a first one.
@@ -162,25 +146,12 @@ class Session:
         It is read again where a manifest beside one of its models has changed.
         """
         kept, marks = self._read
-        now = _marks(self.root, kept)
+        now = marks_of(self.root, kept)
         if now != marks or kept is None:
             # The marks are those from before: what comes while it is read is read the next time.
             kept = read_tree([self.root]) if (self.root / MANIFEST).is_file() else None
             self._read = kept, now
         return kept
-
-    def _lines(self) -> Iterator[TreeLine]:
-        tree = self.tree()
-        for depth, place in tree.in_order() if tree is not None else ():
-            assert tree is not None
-            node, parent = tree.nodes[place], tree.parents[place]
-            kept = self._kept.notes.get(Path(place).name, ModelNote())
-            yield TreeLine(
-                id=id_of(place), parent=id_of(parent) if parent else "", depth=depth, title=node.title,
-                folder=shown_place(place), name=kept.name, note=kept.note, chi2=node.chi2, dof=node.dof,
-                delta_chi2=node.delta_chi2, gain=gain_text(node), rms=rms_by_unit(node.rms), selected=node.selected,
-                taken=node.taken,
-            )  # fmt: skip
 
     # ---- models ----
 
@@ -212,6 +183,11 @@ class Session:
         with self._lock:
             return tuple(self._open.values())
 
+    @property
+    def ready_models(self) -> tuple[OpenModel, ...]:
+        """The models whose explanations are weighed."""
+        return tuple(each for each in self.open_models if each.stage == "ready")
+
     def require(self, model: str) -> OpenModel:
         """Return a model that is open; raises InputError of one that is not yet."""
         found = self.get(model)
@@ -220,17 +196,31 @@ class Session:
                               "wait until it is open")  # fmt: skip
         return found
 
+    def reload(self, model: str) -> None:
+        """Open a model anew, by what its folder holds now."""
+        with self._lock:
+            self._open.pop(model, None)
+        self.get(model)
+        self.changed()
+
     def _opened(self, result: Result, tell: Tell, lines: tuple[str, ...] = ()) -> TaskOutcome:
-        """Diagnose a result and hold it in memory; the one that was used least goes."""
+        """Hold a result in memory, its readings first, then diagnosed; the one that was used least goes."""
         assert result.folder is not None
         name = id_of(str(result.folder.resolve()))
         found = opened(name, result, tell)
-        with self._lock:
-            self._open[name] = found
-            while len(self._open) > _MOST_OPEN:
-                del self._open[next(iter(self._open))]
+        self._hold(found)
+        self.worker.say(lines, name)  # shown at once, while its explanations are weighed
+        self._hold(weighed(found, tell))
         self.keep(f"imubayes diagnose {found.place}")
         return TaskOutcome(name, lines)
+
+    def _hold(self, model: OpenModel) -> None:
+        with self._lock:
+            self._open[model.id] = model
+            self._looked.pop(model.id, None)
+            while len(self._open) > _MOST_OPEN:
+                del self._open[next(iter(self._open))]
+        self.changed()
 
     def begin(self, result: Result | None = None) -> None:
         """Open the selected model of the tree, or a result that is in memory."""
@@ -261,14 +251,31 @@ class Session:
         told = found.preview(wanted.effects, quoted(out), ahead, what, self._table_of(found, ahead))
         return told.model_copy(update={"task": wanted.task})
 
+    def calibration(self, wanted: ModelWanted) -> CalibrationFacts:
+        """Return the estimates of a model, beside those of the one that it was made from where that is at hand."""
+        return self.calibration_of(self.require(wanted.model))
+
+    def calibration_of(self, found: OpenModel) -> CalibrationFacts:
+        """Return the same of a model that is open."""
+        tree = self.tree()
+        place = str(found.folder.resolve())
+        parent = tree.parents.get(place) if tree is not None else None
+        before = None
+        if tree is not None and parent:
+            with suppress(InputError):
+                before = read_summary_and_residuals(Path(parent))[0]
+        return calibration_facts(found.result.summary, before, tree.nodes[parent].title if tree and parent else "")
+
     def frame(self, wanted: PointsWanted) -> bytes:
         """Return the points of a view as bytes (see `PointTable.frame`)."""
         found, (ahead, _) = self.require(wanted.model), self._ahead_of(wanted)
-        return self._table_of(found, ahead).frame(wanted, ahead)
+        if ahead is None and wanted.effects:
+            return found.table.frame(wanted, found.with_causes(wanted.effects))
+        return self._table_of(found, ahead).frame(wanted, ahead, refitted=ahead is not None)
 
     def _table_of(self, model: OpenModel, ahead: Ahead | None) -> PointTable:
         """Return the table with the readings of a change: those of another model where some are taken back."""
-        others = (each.table for each in self.open_models if ahead and each.view.fit.model is ahead.point.model)
+        others = (each.table for each in self.open_models if ahead and each.readings.fit.model is ahead.point.model)
         return next(others, model.table)
 
     def _ahead_of(self, wanted: PreviewWanted | PointsWanted) -> tuple[Ahead | None, str]:
@@ -347,7 +354,7 @@ class Session:
         return Change(
             what=f"add {', '.join(effects)}",
             command=add_command(effects, channels, model.place, quoted(folder)),
-            make=lambda tell: add(model.result, effects, folder, channels, diagnosis=model.diagnosis, progress=tell),
+            make=lambda tell: add(model.result, effects, folder, channels, diagnosis=model.told, progress=tell),
             predict=lambda: model.ahead_of_adding(effects, channels),
             adding=effects,
         )
@@ -390,7 +397,7 @@ class Session:
             what=edited.what,
             command=f"imubayes refit {model.place} --model {quoted(file)} --out {quoted(folder)}",
             make=lambda tell: refit(model.result, file, folder, progress=tell),
-            predict=lambda: next(filter(None, map(ahead_of, (model, *self.open_models))), None),
+            predict=lambda: next(filter(None, map(ahead_of, (model, *self.ready_models))), None),
             write=lambda: write_model(edited.spec, file),
             file=file,
         )  # fmt: skip
@@ -398,13 +405,14 @@ class Session:
     def _after(self, change: ModelChange, command: str, tell: Tell) -> TaskOutcome:
         self.keep(command)
         lines = tuple(change_lines(change))
-        self.worker.say(lines)  # its diagnosis may take longer than the refit
+        self.worker.say(lines)
         return self._opened(change.result, tell, lines) if change.taken else TaskOutcome("", lines)
 
     def _refuse_changed_campaign(self, model: OpenModel) -> None:
         if model.campaign_changed() and campaign_of(model.folder) is None:
             raise input_error(
-                "the campaign is no longer the one that was fitted", model.view.fit.model.campaign.folder or "campaign",
+                "the campaign is no longer the one that was fitted",
+                model.readings.fit.model.campaign.folder or "campaign",
                 "the files as they were: the fit belongs to their every byte",
                 f"restore them, or fit the campaign as it is now: imubayes explore CAMPAIGN --model "
                 f"{model.folder / 'model.toml'}",
@@ -452,14 +460,3 @@ class Session:
                     f"run: imubayes history {quoted(self.root)} --export model.toml",
                 )  # fmt: skip
             return file.read_text(encoding="utf-8")
-
-
-def id_of(place: str) -> str:
-    """Return the name of a model on the page, from its folder."""
-    return hashlib.sha256(str(Path(place).resolve()).encode()).hexdigest()[:12]
-
-
-def _marks(root: Path, tree: Tree | None) -> Stamp:
-    """Return the manifests of a tree, and those beside: a model that is added is written there."""
-    folders = {root.resolve().parent, *(Path(place).parent for place in (tree.nodes if tree is not None else ()))}
-    return stamp_of(file for folder in folders for file in folder.glob(f"*/{MANIFEST}"))

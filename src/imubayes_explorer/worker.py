@@ -100,11 +100,11 @@ class Worker:
         """Stop a task at its next step; one that has ended stays as it is."""
         self._update(number, ("waiting", "running"), state="cancelling")
 
-    def say(self, lines: tuple[str, ...]) -> None:
+    def say(self, lines: tuple[str, ...], made: str = "") -> None:
         """Tell what the task at work has brought so far: it is there, even where the task is being cancelled."""
         for each in self.tasks:
             if each.step:
-                self._update(each.number, ("running", "cancelling"), lines=lines)
+                self._update(each.number, ("running", "cancelling"), lines=lines, made=made)
 
     def _update(self, number: int, where: Sequence[TaskState] = _AT_WORK, /, **changes: object) -> None:
         """Change a task that is in one of some states."""

@@ -8,8 +8,8 @@ import pytest
 
 import imubayes
 from imubayes.foundations.errors import InputError
-from imubayes.inference.proposed_effects import propose_effects
 from imubayes_recordings.convert import convert, read_recordings
+from imubayes_recordings.convert.proposed_effects import propose_effects
 
 SCALE, BIAS, NOISE, HZ = np.array([1.01, 0.99, 1.005]), np.array([0.002, -0.001, 0.003]), 1e-3, 100
 FULL = tuple((axis, sense * 360.0) for axis in range(3) for sense in (1, -1, 2))

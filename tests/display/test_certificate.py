@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from imubayes.display.layout import Cell, Sheet
-from imubayes.foundations.campaign_data import Campaign, Run, Site
+from imubayes.foundations.campaign_data import Campaign, Channel, Run, Site
 from imubayes.foundations.earth import normal_gravity
 from imubayes.foundations.errors import InputError
 from imubayes.results.posterior_quantities import PosteriorQuantities
@@ -30,6 +30,7 @@ from imubayes_qualification.certificate.certificate import (
     Certificate,
     Missing,
     MissingItem,
+    is_placeholder,
     missing_items,
     read_certificate,
 )
@@ -125,6 +126,11 @@ def campaign_of(serial: str = "U7", runs: Sequence[str | None] = RUNS, tables: S
         for place, (start, table) in enumerate(zip(runs, (*tables, ""), strict=False))
     ]  # fmt: skip
     return Campaign("c", site, (), {}, {}, tuple(made), serial)
+
+
+def digital(unit: str = "LSB") -> tuple[Channel, ...]:
+    """Channels of which the unit itself gives the numbers, or with another unit of the outputs."""
+    return tuple(replace(each, output_unit=unit) for each in channels())
 
 
 def lacking(block: Certificate, campaign: Campaign | None = None) -> set[tuple[str, str]]:
@@ -302,7 +308,7 @@ def test_gravity_by_its_formula_is_claimed_by_no_standard(tmp_path):
     gravity = '\n[[certificate.standard]]\nname = "gravity"\nequipment = ["gravity"]\ncertificate = "G-12"\n'
     gravity += "valid_until = 2027-11-02\n"
     block, _ = read_certificate(written(tmp_path, WHOLE + gravity))
-    measured = replace(campaign_of(), channels=channels())
+    measured = replace(campaign_of(), channels=digital())
     assert lacking(block, measured) == set()
     formula = replace(measured, site=replace(measured.site, gravity=normal_gravity(0.8, 500.0)))
     assert lacking(block, formula) == {("normal_gravity", ""), ("unused", "gravity: gravity")}
@@ -310,7 +316,7 @@ def test_gravity_by_its_formula_is_claimed_by_no_standard(tmp_path):
     named, _ = read_certificate(written(tmp_path, (WHOLE + gravity).replace('equipment = ["gravity"]\n', "")))
     assert lacking(named, formula) == lacking(block, formula)
     # Gyros alone have no result that gravity enters.
-    assert lacking(read_certificate(written(tmp_path, WHOLE))[0], replace(formula, channels=channels()[:1])) == set()
+    assert lacking(read_certificate(written(tmp_path, WHOLE))[0], replace(formula, channels=digital()[:1])) == set()
 
 
 def test_what_is_read_beside_the_outputs_needs_its_standard(tmp_path):
@@ -339,7 +345,7 @@ def test_what_is_read_beside_the_outputs_needs_its_standard(tmp_path):
 
 def test_accelerometers_need_a_traced_gravity_and_an_accreditation_its_capabilities(tmp_path):
     block, _ = read_certificate(written(tmp_path, WHOLE))
-    accelerometers = replace(campaign_of(), channels=channels())
+    accelerometers = replace(campaign_of(), channels=digital())
     assert {channel.kind for channel in accelerometers.channels} == {"gyro", "accelerometer"}
     assert lacking(block, accelerometers) == {("untraced", "gravity")}
     gravity = 'equipment = ["rate", "gravity"]'
@@ -548,3 +554,75 @@ def test_hostile_values_are_refused_with_their_place(tmp_path, old, new, what):
     issue = caught.value.issues[0]
     assert what in f"{issue.what} {issue.allowed}"
     assert "certificate.toml:" in issue.where
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('number = "2026-0117"', 'number = "n/a"'), ('number = "2026-0117"', 'number = "-"'),
+        ('number = "2026-0117"', 'number = "2026-XXXX"'), ('number = "2026-0117"', 'number = "0000"'),
+        ('"NMI 2026-0815"', '"TBD"'), ('"NMI 2026-0815"', '"xxx"'), ('"NMI 2026-0815"', '"NMI tbd"'),
+        ('name = "Customer"', 'name = "To be determined"'), ('name = "A. Example"', 'name = "N.A."'),
+        ('name = "Example Laboratory"', 'name = "?"'), ('name = "rate table"', 'name = "unknown"'),
+        ('method = "WI-12"', 'method = "todo"'), ('"inertial measurement unit"', '"…"'),
+    ],
+)  # fmt: skip
+def test_a_placeholder_is_no_name_and_no_number(tmp_path, old, new):
+    assert old in WHOLE
+    with pytest.raises(InputError, match="is a placeholder") as caught:
+        read_certificate(written(tmp_path, WHOLE.replace(old, new, 1)))
+    (issue,) = caught.value.issues
+    assert "certificate.toml:" in issue.where
+
+
+@pytest.mark.parametrize(
+    "name", ["Xsens", "NA-17", "TBA-X1 GmbH", "None Such Labs", "MAXXX", "100", "K-0000-1", "Pending Systems", "X-2"]
+)
+def test_a_name_that_looks_like_a_placeholder_in_part_is_one(name):
+    """Of what is written in part, only words that stand for nothing else are refused."""
+    assert is_placeholder(name) == (name == "TBA-X1 GmbH")
+
+
+def test_a_serial_number_that_is_a_placeholder_is_missing(tmp_path):
+    block, _ = read_certificate(written(tmp_path, WHOLE))
+    for serial in ("TBD", "n/a", "xxxx", "-"):
+        assert lacking(block, campaign_of(serial=serial)) == {("serial", "")}
+
+
+def test_a_certificate_is_not_traceable_to_itself(tmp_path):
+    """Its own number for a standard, and a standard that the laboratory certified for itself."""
+
+    def of(text: str) -> set[tuple[str, str]]:
+        return lacking(read_certificate(written(tmp_path, WHOLE.replace(TABLE, text)))[0])
+
+    assert of(TABLE.replace("NMI 2026-0815", " 2026-0117")) == {("own_number", "rate table")}
+    own = TABLE.replace("valid_until", 'issued_by = "example  laboratory"\nvalid_until')
+    assert of(own) == {("own_standard", "rate table")}
+    assert of(own.replace("example  laboratory", "NMI")) == set()
+    traceable = "traceable to the SI"
+    for text, said in ((own, False), (TABLE, True)):
+        block, _ = read_certificate(written(tmp_path, WHOLE.replace(TABLE, text)))
+        report = _report(*missing_items(block, campaign_of()))
+        assert (traceable in " ".join(statements(report, block))) == said
+
+
+def test_a_standard_is_calibrated_before_it_is_used_and_until_it_is_due(tmp_path):
+    def of(dates: str, **campaign) -> set[tuple[str, str]]:
+        text = WHOLE.replace("valid_until = 2027-11-02", dates)
+        return lacking(read_certificate(written(tmp_path, text))[0], campaign_of(**campaign))
+
+    valid = "valid_until = 2027-11-02"
+    # The table was used on the first day alone.
+    assert of(f"calibrated = 2026-11-01\n{valid}") == set()
+    assert of(f"calibrated = 2026-11-02\n{valid}") == {("calibrated_late", "rate table")}
+    assert of(f"calibrated = 2026-11-02\n{valid}", runs=(None, None)) == {("performed", "")}
+    with pytest.raises(InputError, match="which is after valid_until"):
+        of(f"calibrated = 2027-12-01\n{valid}")
+
+
+@pytest.mark.parametrize(("unit", "instrument"), [("pulse/s", "time"), ("mV", "meter"), ("LSB", None), ("deg/s", None)])
+def test_what_outputs_are_counted_or_measured_by_needs_its_standard(tmp_path, unit, instrument):
+    gravity = '\n[[certificate.standard]]\nname = "gravity"\nequipment = ["gravity"]\ncertificate = "G"\n'
+    block, _ = read_certificate(written(tmp_path, WHOLE + gravity + "valid_until = 2027-11-02\n"))
+    counted = replace(campaign_of(), channels=digital(unit))
+    assert lacking(block, counted) == ({("untraced", instrument)} if instrument else set())

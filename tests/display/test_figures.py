@@ -1,5 +1,6 @@
 """Pictures: drawn, captioned, with units, nothing outside the paper, readable where the data are odd."""
 
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,8 +18,10 @@ from matplotlib.dates import num2date
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
+import imubayes_explorer as explorer
+from imubayes.adequacy.adequacy_record import KnownNoiseFit, RunChi2
 from imubayes.campaign import load_campaign
-from imubayes.display.figure_style import FewTicks, Picture, covariates_of
+from imubayes.display.figure_style import FewTicks, Picture, covariates_of, picture
 from imubayes.display.figures import (
     campaign_timeline_figure,
     corner_figure,
@@ -34,7 +37,8 @@ from imubayes.display.figures import (
 )
 from imubayes.display.figures.measurement import driver
 from imubayes.display.figures.panels import neighbour_means, set_abscissa
-from imubayes.display.numbers_and_labels import covariate
+from imubayes.display.figures.residual import HEAT
+from imubayes.display.numbers_and_labels import covariate, ratio_text
 from imubayes.results.summary import Summary
 from imubayes.results.temperature_range import ThermalModel
 
@@ -186,10 +190,47 @@ def test_chi2_map_makes_misfit_stand_out():
     planted = made.summary_of(made.trihedral_residuals(planted=True))
     figure = run_chi2_figure(planted)
     assert_readable(figure)
-    colours = np.array([patch.get_facecolor() for patch in figure.axes[0].patches])
-    assert (
-        np.count_nonzero((colours[:, 0] > 0.7) & (colours[:, 1] < 0.3)) >= 36
-    )  # three gyros in twelve runs on the rate table
+    light = np.array([patch.get_facecolor()[:3] for patch in figure.axes[0].patches]).mean(axis=1)
+    ratios = np.array([float(text.get_text()) for text in figure.axes[0].texts])
+    order = np.argsort(ratios, kind="stable")
+    assert np.all(np.diff(light[order][ratios[order] >= 1.05]) <= 0.02)  # light to dark, up to the worst
+    assert light[order[-1]] < 0.15 < 0.9 < light[ratios <= 1].min()
+    bold = [text.get_fontweight() == "bold" for text in figure.axes[0].texts]
+    assert np.count_nonzero(bold) >= 36  # three gyros in twelve runs on the rate table
+    assert not np.any(np.array(bold)[ratios < 1])
+    [legend] = figure.legends
+    assert legend.get_texts()[-1].get_text() == f"{ratio_text(ratios.max())}, the worst cell"
+
+
+def test_chi2_map_is_at_the_noise_known_beforehand():
+    """A noise that the fit raised does not hide the misfit: cells, bold letters and caption are at the known one."""
+    fitted = made.summary_of(made.trihedral_residuals())
+    runs = tuple(RunChi2(run=each.name, channel=each.channel, n=each.n, chi2=50.0 * each.n) for each in fitted.runs)
+    known = KnownNoiseFit(chi2=1.0, dof=1.0, channels=(), runs=runs)
+    figure = run_chi2_figure(fitted.model_copy(update={"known_noise": known}))
+    assert_readable(figure)
+    assert {text.get_text() for text in figure.axes[0].texts} == {"50.0"}
+    assert "known beforehand" in figure.caption
+    assert "as fitted" in run_chi2_figure(fitted).caption
+
+
+def test_the_colours_of_page_and_picture_are_the_same():
+    source = Path(explorer.__file__).with_name("page").joinpath("dom.js").read_text()
+    [light] = re.findall(r"light: (\[\[.*?\]\]),\n  dark", source)
+    assert tuple(map(tuple, json.loads(light))) == HEAT
+
+
+def test_no_warning_and_no_title_is_cut(summary):
+    words = "a statement that goes on and on, with the sizes of all that was found and the remedy for each of them; "
+    failed = summary.model_copy(update={"converged": False, "message": 12 * words + "THE END."})
+    draws = {"scale_factor[gx]": 1000 + np.linspace(-1, 1, 500)}
+    for figure in (corner_figure(draws, list(draws), failed), run_chi2_figure(failed), identifiability_figure(failed),
+                   prior_posterior_figure(failed)):  # fmt: skip
+        assert_readable(figure)
+        assert any("THE END." in text.replace("\n", " ") for text, _ in texts_of(figure))
+    long = picture(7.0, 2.0, f"{'a long name of a run ' * 6}ENDS HERE", "Caption.")
+    assert_readable(long)
+    assert any("ENDS HERE" in text.replace("\n", " ") for text, _ in texts_of(long))
 
 
 def test_corner(summary):

@@ -23,6 +23,7 @@ from imubayes_qualification.display.report.exact_tables import (
     omitted_beside,
     omitted_note,
     omitted_table,
+    sensitivity_table,
 )
 from imubayes_qualification.display.report.result_sections import (
     combination_section,
@@ -118,6 +119,23 @@ def test_what_u_omits_stands_in_its_own_row():
 def test_what_is_withheld_has_no_factor_and_nothing_omitted_is_no_table():
     assert {each.label for each in omissions(report(withheld=True))} == {"ax", SEAT}
     assert omitted_table([]) is None
+
+
+def test_what_u_omits_is_given_per_unit_of_its_error():
+    """Plausible are 5 arcsec, of which a harmonic moves the bias by 0.5: 0.1 per arcsec; of two, 0.14, or 0.2 alike."""
+    ((cause, per, symbol, channel, change, u, unit), (other, *_)) = rows(sensitivity_table(report()))
+    assert (cause, per, symbol, channel) == ("encoder harmonic", "1 arcsec", "K_0", "ax")
+    assert (change, u, unit) == ("0.100", "0.50", "µg")
+    assert other == "table wobble"
+    several = report()
+    inputs = (*several.exact.inputs, exact_input("encoder_harmonic", {BIAS: 1.0}, included=False))
+    two = several.model_copy(update={"exact": several.exact.model_copy(update={"inputs": inputs})})
+    (first, *_) = rows(sensitivity_table(two))
+    assert (first[0], *first[4:6]) == ("encoder harmonic, 2 parameters", "0.141", "0.200")
+    # What hardly moves it is left out, and what is in U is no part of this table.
+    small = two.exact.inputs[0], exact_input("table_wobble", {BIAS: 0.05}, included=False)
+    none = several.model_copy(update={"exact": several.exact.model_copy(update={"inputs": small})})
+    assert sensitivity_table(none) is None
 
 
 def test_what_is_in_every_uncertainty_is_told_apart():

@@ -5,6 +5,8 @@ import math
 import pytest
 
 from imubayes.display.numbers_and_labels import concise, percent, ratio_text, significant, value_and_sd
+from imubayes.inference.marginal import numerical_tolerance
+from imubayes_qualification.display.report.words import risk_text
 
 
 @pytest.mark.parametrize(
@@ -77,3 +79,16 @@ def test_a_number_that_nothing_changes_has_no_digits_of_rounding():
     assert value_and_sd(0.0100000000000000054, 3.5e-18) == ("0.0100000", "0")
     assert value_and_sd(0.0, 0.0)[1] == "0"
     assert value_and_sd(1.0, 1e-9) != ("1.0000", "0")
+
+
+@pytest.mark.parametrize(
+    ("value", "printed"),
+    [(0.0325, "0.032"), (0.0375, "0.038"), (0.0345, "0.034"), (0.995, "1.0"), (0.0995, "0.10"), (9.95, "10"),
+     (99.5, "100"), (0.0315, "0.032"), (12.5, "12")],
+)  # fmt: skip
+def test_one_number_has_one_rounding(value, printed):
+    """Half to even of the number as it is written (ISO 80000-1, B.3), wherever it is printed, and two digits of it."""
+    alone, beside = significant(value, 2), value_and_sd(10 * value, value)[1]
+    assert (alone, beside) == (printed, printed)
+    assert risk_text(value / 100) == f"{printed} %"
+    assert float(printed) == pytest.approx(value, abs=numerical_tolerance(value, 2) * (1 + 1e-9))

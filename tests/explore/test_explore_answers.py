@@ -27,9 +27,11 @@ from imubayes.inference.laplace_marginal import whitened_columns
 from imubayes.model.bind import Model
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import read_summary_and_residuals
+from imubayes_explorer.known_noise_view import KnownNoiseView
 from imubayes_explorer.linear_view import LinearView
 from imubayes_explorer.messages import Brush, PointsWanted
 from imubayes_explorer.point_table import PointTable, decimated
+from imubayes_explorer.refit_ahead import Ahead
 from imubayes_explorer.selection_text import selection_text
 from imubayes_explorer.session import Session
 
@@ -77,6 +79,12 @@ def test_chi2_is_that_of_the_fit_and_of_the_diagnosis(explored, facts):
     fitted = {(each.name, each.channel): each.chi2 for each in summary.runs}
     assert {(cell["run"], cell["channel"]): cell["fitted"] for cell in facts["cells"]} == fitted
     assert sum(cell["n"] for cell in facts["cells"]) == residuals.table.height
+    # The map of `compare` has the same cells as the page.
+    known = {(each.run, each.channel): (each.n, each.chi2) for each in summary.known_noise.runs}
+    for cell in facts["cells"]:
+        n, chi2 = known[cell["run"], cell["channel"]]
+        assert n == cell["n"]
+        assert chi2 == pytest.approx(cell["chi2"], rel=1e-3)
     # What the priors take is small here.
     assert sum(cell["chi2"] for cell in facts["cells"]) == pytest.approx(facts["chi2"], rel=0.05)
 
@@ -293,9 +301,8 @@ def test_a_million_readings_are_drawn_within_half_a_second():
     point, after = (KnownNoisePoint(model, none.ravel(), each, none, none, none, each, none.ravel())
                     for each in (misfit, misfit / 2))  # fmt: skip
     view = Mock(
-        spec=LinearView, fit=SimpleNamespace(model=model), explained=SimpleNamespace(known=()), point=point,
+        spec=KnownNoiseView, fit=SimpleNamespace(model=model), known=(), point=point,
         entries=np.ones(count, dtype=bool), whitened=lambda which=None: (which or point).left,
-        with_causes=lambda effects: after if effects else point,
     )  # fmt: skip
     drawn = PointTable(Mock(spec=Result, residuals=SimpleNamespace(table=table), summary=None), view)
     brush = {
@@ -311,7 +318,7 @@ def test_a_million_readings_are_drawn_within_half_a_second():
     frame, seconds = b"", []
     for _ in range(4):
         began = time.process_time()
-        frame = drawn.frame(wanted)
+        frame = drawn.frame(wanted, Ahead(after, np.zeros(count, dtype=bool)))
         seconds.append(time.process_time() - began)
     assert min(seconds) < 0.5, seconds
     assert len(frame) < 2_000_000

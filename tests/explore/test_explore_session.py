@@ -7,6 +7,7 @@ import shutil
 import threading
 from collections.abc import AsyncGenerator
 from contextlib import suppress
+from dataclasses import replace
 
 import pytest
 from explore_client import settled, wait_for
@@ -23,7 +24,7 @@ from imubayes.results.stored_tables import read_summary_and_residuals
 from imubayes_explorer.edited_model import prior_text, with_aside, with_prior
 from imubayes_explorer.kept_session import KeptSession
 from imubayes_explorer.messages import Brush, ChangeWanted, LockWanted
-from imubayes_explorer.open_model import opened
+from imubayes_explorer.open_model import weighed
 from imubayes_explorer.server import _Answers
 from imubayes_explorer.session import Session
 from imubayes_explorer.worker import TaskOutcome, Worker
@@ -50,7 +51,7 @@ def test_a_result_whose_diagnosis_cannot_be_kept_is_opened(explored, first, monk
     monkeypatch.setattr("imubayes_explorer.open_model.write_diagnosis", refused)
     monkeypatch.setattr("imubayes_explorer.open_model.explained_fit", lambda *_: model.view.explained)
     with pytest.warns(NotKept, match="Permission denied"):
-        found = opened(first, model.result, lambda _: None)
+        found = weighed(replace(model, told=None, linear=None), lambda _: None)
     assert found.diagnosis.verdict == model.diagnosis.verdict
 
 

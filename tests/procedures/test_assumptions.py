@@ -16,8 +16,9 @@ from simulate import write_simulated
 
 from imubayes.campaign import load_campaign
 from imubayes.procedures import classical
-from imubayes.procedures.rotation_modulation import carrier, left_after
+from imubayes.procedures.rotation_modulation import left_after
 from imubayes.procedures.textbook import Estimate, Undetermined
+from imubayes_qualification.onboard.carrier_motion import carrier
 
 ROOT = Path(__file__).parents[2]
 EARTH = 15.041067  # deg/h

@@ -9,10 +9,10 @@ import pytest
 
 from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.procedures import classical
-from imubayes.procedures.rotation_modulation import carrier
 from imubayes.procedures.textbook import Estimate
 from imubayes.results.result import Residuals
 from imubayes.results.summary import Summary
+from imubayes_qualification.onboard.carrier_motion import carrier
 from imubayes_qualification.onboard.corrected_outputs import corrected_run, estimate_carrier
 
 LATITUDE, GRAVITY, DEGREE = np.radians(34.25), 9.797, np.pi / 180

@@ -310,3 +310,46 @@ def test_all_errors_of_a_file_are_reported_at_once(tmp_path):
     with pytest.raises(InputError) as caught:
         outcome(tmp_path, text)
     assert len(caught.value.issues) == 2
+
+
+def test_u_over_a_range_is_that_of_the_next_run_whose_scatter_is_uncertain(tmp_path):
+    """A scatter known to a factor of two: y ± U holds 95 % of the next runs, which y ± 1.96 u does not."""
+    unit = with_memory(run_scatter__tau=("pulse/s", 1.0))
+    name, random = "run_scatter.tau[gx]", np.random.default_rng(12)
+    tau = np.exp(0.6 * random.standard_normal(SIZE))
+    unit = replace(unit, quantities=replace(unit.quantities, draws={**unit.quantities.draws, name: tau}))
+    span = 'lower = -99\nupper = 99\nunit = "deg/h"\ntemperature_degC = [-10, 55]'
+    (found,) = outcome(tmp_path, limit("gyro_bias.bias[gx]", span), unit)
+    # 1 pulse/s is 3.6 deg/h; bias and slope of the unit are normal.
+    size = 400_000
+    bias = 8.0 + math.hypot(0.5, 0.3) * random.standard_normal(size)
+    runs = bias + 3.6 * np.exp(0.6 * random.standard_normal(size)) * random.standard_normal(size)
+
+    def held(half: float) -> float:
+        return float(np.mean(np.abs(runs - found.stated.estimate) <= half))
+
+    assert held(found.stated.expanded) == pytest.approx(0.95, abs=0.003)
+    assert held(1.95996 * found.stated.standard) < 0.946
+    assert found.stated.factor > 2.0
+    assert found.estimate.expanded == found.stated.expanded
+
+
+def test_what_u_omits_over_a_range_is_of_the_temperature_at_which_u_is(tmp_path):
+    """A cause that moves bias and slope against each other: 3 deg/h at 25 °C, and nothing at 55 °C."""
+    bias, slope = "gyro_bias.bias[gx]", "gyro_bias_temperature.slope[gx]"
+    unit = replace(UNIT, unstated={bias: 3.0, slope: 0.1}, jointly={bias: np.array([3.0]), slope: np.array([-0.1])})
+    ends = 'lower = -99\nupper = 99\nunit = "deg/h"'
+    (at_reference,) = outcome(tmp_path, limit(bias, ends), unit)
+    assert at_reference.omitted_ratio == pytest.approx(math.hypot(1, 3.0 / 0.5), rel=0.02)
+
+    def over(lower: float, upper: float, span: str):
+        text = f'lower = {lower}\nupper = {upper}\nunit = "deg/h"\ntemperature_degC = {span}'
+        return outcome(tmp_path, limit(bias, text), unit)[0]
+
+    hot, cold = over(-99, 15, "[-10, 55]"), over(0, 99, "[-10, 25]")
+    assert (hot.temperature, cold.temperature) == (55.0, -10.0)
+    assert hot.omitted_ratio == pytest.approx(1.0, abs=1e-6)
+    assert cold.omitted_ratio == pytest.approx(math.hypot(1, (3.0 + 3.5) / math.hypot(0.5, 0.35)), rel=0.03)
+    # 8 ± 0.6 deg/h is within 11 at 55 °C whatever the cause is; at −10 °C the cause puts 6.5 deg/h on 1.5.
+    assert over(-99, 11, "[40, 55]").decision.outcome == "pass"
+    assert over(-99, 11, "[-10, 55]").decision.withheld == "taken_as_exact"

@@ -12,6 +12,7 @@ from imubayes_qualification.evaluation.coverage import (
     coverage_factor,
     coverage_of,
     coverage_of_length,
+    coverage_with_scatter,
     equivalent_degrees,
     shortest_interval,
 )
@@ -99,3 +100,41 @@ def test_the_shortest_interval_of_a_skewed_quantity_is_shorter_than_that_of_equa
     assert low < 0.01
     assert high == pytest.approx(-math.log(0.05), rel=0.03)
     assert high - low < np.diff(np.quantile(ordered, [0.025, 0.975]))[0]
+
+
+@pytest.mark.parametrize("log_sd", [0.1, 0.3, 0.6])
+def test_k_of_an_offset_whose_scatter_is_uncertain_is_that_of_its_own_posterior(log_sd):
+    """Normal with a lognormal scatter: by quadrature over the scatter, y ± U holds 95 %, and y ± 1.96 u less."""
+    own, median = 0.4, 1.0
+    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
+    width, weight = np.hypot(own, median * np.exp(log_sd * nodes)), weights / weights.sum()
+
+    def held(half: float) -> float:
+        return float(weight @ (2 * stats.norm.cdf(half / width) - 1))
+
+    u = math.sqrt(float(weight @ width**2))
+    found = []
+    for seed in range(8):
+        random = np.random.default_rng(seed)
+        centre = Marginal(7.0 + own * random.standard_normal(SIZE), float(SIZE))
+        found.append(coverage_with_scatter(centre, median * np.exp(log_sd * random.standard_normal(SIZE))))
+    assert sum(each.shape == "symmetric" for each in found) >= 7
+    assert np.mean([held(each.expanded) for each in found]) == pytest.approx(0.95, abs=1e-3)
+    for each in found:
+        assert held(each.expanded) == pytest.approx(0.95, abs=0.004)
+        assert each.standard == pytest.approx(u, rel=0.02)
+        assert each.expanded == pytest.approx(each.factor * each.standard)
+    if log_sd > 0.2:
+        assert held(float(stats.norm.ppf(0.975)) * u) < 0.948
+    # Errors are those of the ends from seed to seed.
+    ends = np.std([each.high - each.estimate for each in found])
+    assert 0.4 < ends / np.mean([math.hypot(each.errors.low, each.errors.high) / 2 for each in found]) < 1.8
+
+
+def test_an_offset_with_a_skew_posterior_keeps_its_ends():
+    random = np.random.default_rng(3)
+    centre = Marginal(random.gamma(3.0, 1.0, SIZE), float(SIZE))
+    found = coverage_with_scatter(centre, np.full(SIZE, 0.3))
+    assert found.shape == "equal-tailed"
+    exact = stats.gamma(3.0).rvs(400_000, random_state=1) + 0.3 * np.random.default_rng(2).standard_normal(400_000)
+    assert (found.low, found.high) == pytest.approx(np.quantile(exact, [0.025, 0.975]), abs=0.06)

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from imubayes.results.repeatability import ComparedQuantity, next_due
+from imubayes.results.repeatability import ComparedQuantity
+from imubayes_qualification.certificate.next_calibration import next_due
 
 
 def due(first, first_sd, second, second_sd, apart, days=100.0, lower=-math.inf, upper=math.inf):

@@ -9,9 +9,12 @@ import pytest
 from imubayes.api import Result, fit
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.display.numbers_and_labels import value_and_sd
+from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
+from imubayes.responses.instrument_errors import instrument_errors
 from imubayes.results.posterior_quantities import posterior_quantities
-from imubayes_qualification.budgets.report_budgets import unit_with_budgets
+from imubayes_qualification.budgets.report_budgets import keep_budgets, stated_summary, unit_with_budgets
 from imubayes_qualification.budgets.uncertainty_budget import BudgetArrays, FunctionOfQuantities, budget_of
 from imubayes_qualification.certificate.conformity import assess
 
@@ -22,7 +25,7 @@ NAMES = ["converter_gain_drift.slope[ax]", "accel_scale_factor.scale[ax]", "acce
 TAU = "halfnormal(1e-3 noise)"
 
 
-def fitted(**priors: str) -> Result:
+def fitted(out: Path | None = None, **priors: str) -> Result:
     model = read_model(ROOT / "models" / "accel-channel.toml")
     effects = tuple(
         replace(
@@ -30,7 +33,7 @@ def fitted(**priors: str) -> Result:
         )
         for effect in model.effects
     )
-    return fit(load_campaign(ROOT / "data" / "accel-channel"), replace(model, effects=effects), sample=False)
+    return fit(load_campaign(ROOT / "data" / "accel-channel"), replace(model, effects=effects), out, sample=False)
 
 
 def _own(effect, priors: dict[str, str]) -> dict[str, str]:
@@ -158,3 +161,73 @@ def test_the_report_has_one_number_for_each_quantity(result):
     moved = {shift.name for one in found.exact.included for shift in one.shifts}
     listed = {each.name for each in found.budgets.quantities if any(line.kind == "exact" for line in each.lines)}
     assert moved & {each.name for each in found.budgets.quantities} >= listed > set()
+
+
+BIAS, SOURCE = "accel_bias.bias[ax]", "injection_error.gain[ax]"
+THERMOMETER, TIME_BASE = "converter_thermometer_error.offset[ramp-1g]", "output_time_base.gain[pulse/s]"
+
+
+def recorded_otherwise(degrees: float = 0.0, share: float = 0.0) -> dict[str, float]:
+    """Return the estimates by a record with another temperature of one run, or with all outputs larger by a share."""
+    campaign = load_campaign(ROOT / "data" / "accel-channel")
+    runs = []
+    for run in campaign.runs:
+        temperature = run.covariates["converter_temperature"] + degrees * (run.name == "ramp-1g")
+        covariates = {**run.covariates, "converter_temperature": temperature}
+        runs.append(replace(run, covariates=covariates, observed=run.observed * (1 + share)))
+    model = read_model(ROOT / "models" / "accel-channel.toml")
+    effects = tuple(
+        replace(effect, prior={"tau": TAU}) if effect.name == "run_scatter" else effect for effect in model.effects
+    )
+    found = fit(replace(campaign, runs=tuple(runs)), replace(model, effects=effects), sample=False)
+    return {line.name: line.mean or 0.0 for line in (*found.summary.parameters, *found.summary.derived)}
+
+
+def test_an_instrument_of_which_nothing_is_stated_is_in_what_u_omits_with_its_effect_per_unit(result):
+    """By a refit of a record with that error: a thermometer 0.5 °C off in one run, a counter 20 ppm slow."""
+    exact = unit_with_budgets(result).exact
+    inputs = {each.parameter: each for each in exact.inputs}
+    assert {THERMOMETER, TIME_BASE} <= set(inputs)
+    assert not any(inputs[name].included or inputs[name].stated for name in (THERMOMETER, TIME_BASE))
+    assert {BIAS, SOURCE} <= {each.name for each in exact.unstated}
+    own = recorded_otherwise()
+    # True = recorded + δ: a record that is too high by 0.5 °C has δ = −0.5 °C, outputs too large by 20 ppm have 20 ppm.
+    cases = ((THERMOMETER, BIAS, -0.5, {"degrees": 0.5}), (TIME_BASE, SOURCE, 20.0, {"share": 20e-6}))
+    for parameter, quantity, size, change in cases:
+        moved = recorded_otherwise(**change)[quantity] - own[quantity]
+        assert moved == pytest.approx(inputs[parameter].sensitivity(quantity) * size, rel=0.02), parameter
+        assert abs(moved) > 5, "µg, and ppm: what is nearly nothing would agree with anything"
+
+
+def test_a_thermometer_with_a_stated_uncertainty_is_not_omitted(result):
+    """0 is one that is stated: the run's temperature is exact, and nobody is told that it is not known."""
+    campaign = result.fit.model.campaign
+    runs = tuple(replace(run, converter_temperature_uncertainty=0.0) for run in campaign.runs)
+    declared = bind(result.fit.model.spec, replace(campaign, runs=runs))
+    plain = {each.effect for each in instrument_errors(result.fit)}
+    assert plain >= {"converter_thermometer_error", "output_time_base"}
+    stated = {each.effect for each in instrument_errors(replace(result.fit, model=declared))}
+    assert plain - stated == {"converter_thermometer_error"}
+
+
+def test_a_fit_prints_the_uncertainty_that_its_certificate_states(tmp_path):
+    """Draws of a fit have a Monte Carlo error of a per cent in u, which changes its second digit."""
+    result = fitted(tmp_path / "r")
+    assert stated_summary(result) is result.summary, "nothing is kept of a quick fit before its first report"
+    keep_budgets(result)
+    found = unit_with_budgets(result)
+    exact = {shift.name for each in found.exact.included for shift in each.shifts}
+    of_fit = stated_summary(result)
+    lines = {line.name: line for line in (*of_fit.parameters, *of_fit.derived, *of_fit.combinations)}
+    drawn = {line.name: line.sd or 0.0 for line in (*result.summary.parameters, *result.summary.derived)}
+    compared = [each for each in found.budgets.quantities if each.name in lines and each.name not in exact]
+    assert len(compared) > 5
+    for each in compared:
+        printed = value_and_sd(lines[each.name].mean, lines[each.name].sd)[1]
+        assert printed == value_and_sd(lines[each.name].mean, each.standard_uncertainty)[1], each.name
+    assert any(drawn.get(each.name) != each.standard_uncertainty for each in compared)
+    # What the certificate contains of gravity, the fit says that it does not.
+    wider = {each.name: (lines[each.name].sd or 0.0) / each.standard_uncertainty
+             for each in found.budgets.quantities if each.name in exact & lines.keys()}  # fmt: skip
+    assert max(wider.values()) <= 1
+    assert min(wider.values()) < 0.99

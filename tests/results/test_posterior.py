@@ -7,7 +7,15 @@ import pytest
 import xarray
 
 from imubayes.api import Result
-from imubayes.inference.posterior_groups import SAMPLE, Group, Groups, Labelled, in_units, rounded
+from imubayes.inference.posterior_groups import (
+    SAMPLE,
+    Group,
+    Groups,
+    Labelled,
+    _without_noise,
+    in_units,
+    rounded,
+)
 from imubayes.results.result import read_result
 from imubayes.results.result_folder import write_posterior
 from imubayes.results.stored_tables import draws_of
@@ -118,6 +126,19 @@ def test_draws_are_rounded_where_it_matters_to_nothing():
     assert np.abs(found - values)[:, 0].max() > 0
     np.testing.assert_array_equal(found[:, 2], 7.0)
     np.testing.assert_array_equal(rounded(values, np.array([np.nan, np.inf, 0.0])), values)
+
+
+@pytest.mark.parametrize("ratio", [1e-2, 2e-4, 2e-5])
+def test_rounding_changes_no_uncertainty_of_what_is_known_better_than_its_members(ratio):
+    """Seat plus misalignment is known to a few thousandths of each: U of the sum from stored draws is that of it."""
+    random = np.random.default_rng(5)
+    common, own = 46.0 * random.standard_normal((4, 5000)), 46.0 * ratio * random.standard_normal((4, 5000))
+    drawn = np.stack([300.0 + common, -120.0 - common + own], axis=-1)
+    stored = _without_noise(drawn)
+    exact, found = (np.quantile(each.sum(axis=-1), [0.025, 0.975]) for each in (drawn, stored))
+    assert found[1] - found[0] == pytest.approx(exact[1] - exact[0], rel=1e-3)
+    assert stored.sum(axis=-1).std() == pytest.approx(drawn.sum(axis=-1).std(), rel=1e-3)
+    assert np.abs(stored - drawn).max() > 0, "they are rounded"
 
 
 def test_the_file_of_the_draws_is_packed(tmp_path):

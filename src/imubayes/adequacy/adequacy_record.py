@@ -170,6 +170,15 @@ class ChannelRms(Record):
     noise: float | None = None
 
 
+class RunChi2(Record):
+    """χ² of the `n` readings of one channel in one run."""
+
+    run: str
+    channel: str
+    n: int
+    chi2: float
+
+
 class KnownNoiseFit(Record):
     """Goodness of fit at the noise known beforehand.
 
@@ -178,11 +187,13 @@ class KnownNoiseFit(Record):
     chi2 : least sum of squares of outputs and priors.
     dof : number of outputs.
     channels : residual rms of each channel, offsets of runs included, with the noise that was known.
+    runs : χ² of each channel in each run; empty in results of earlier versions.
     """
 
     chi2: float
     dof: float
     channels: tuple[ChannelRms, ...]
+    runs: tuple[RunChi2, ...] = ()
 
     @property
     def chi2_per_dof(self) -> float:

@@ -13,10 +13,11 @@ figure.
 
 import math
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
-from imubayes.adequacy.adequacy_record import ChannelRms, KnownNoiseFit
+from imubayes.adequacy.adequacy_record import ChannelRms, KnownNoiseFit, RunChi2
 from imubayes.adequacy.known_noise import known_scales
 from imubayes.foundations.arrays import Array, Float
 from imubayes.foundations.campaign_data import INPUT_UNIT
@@ -75,9 +76,24 @@ class KnownNoisePoint:
         return replace(self, misfit=misfit, left=self.left - across @ size, z=self.z - moved)
 
     def record(self) -> KnownNoiseFit:
-        """Return χ² and the residual rms of each channel."""
+        """Return χ², the residual rms of each channel, and χ² of each channel in each run."""
         outputs = float(np.sum(np.asarray(self.model.problem.observations.weight)))
-        return KnownNoiseFit(chi2=float(self.left @ self.left), dof=outputs, channels=self._channels())
+        return KnownNoiseFit(
+            chi2=float(self.left @ self.left), dof=outputs, channels=self._channels(), runs=self._runs()
+        )
+
+    def _runs(self) -> tuple[RunChi2, ...]:
+        campaign, entries = self.model.campaign, self.model.entries
+        used = (np.asarray(self.model.problem.observations.weight) > 0) & ~entries.closing
+        names = [channel.name for channel in campaign.channels]
+        place = (entries.run * len(names) + entries.channel)[used]
+        size, square = len(campaign.runs) * len(names), self.left[: len(entries)][used] ** 2
+        counts, sums = np.bincount(place, minlength=size), np.bincount(place, square, size)
+        return tuple(
+            RunChi2(run=run.name, channel=name, n=n, chi2=chi2)
+            for (run, name), n, chi2 in zip(product(campaign.runs, names), counts.tolist(), sums.tolist(), strict=True)
+            if n
+        )
 
     def _channels(self) -> tuple[ChannelRms, ...]:
         campaign, entries = self.model.campaign, self.model.entries

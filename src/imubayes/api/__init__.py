@@ -6,5 +6,5 @@ from imubayes.foundations.records import displayed_by
 
 displayed_by("imubayes.display.representations")
 
-# Each command imports what it needs: a diagnosis needs neither the reports nor the formats of other programs.
+# Each command imports what it needs: to read a history takes no JAX.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

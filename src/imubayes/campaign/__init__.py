@@ -1,7 +1,6 @@
 """Campaign folders in, SI records out: the only place where units come in.
 
-`load_campaign` reads a folder, `read_model_file` a model, `check_campaign` says what is odd about the data,
-and `convert` makes campaigns of foreign recordings.
+`load_campaign` reads a folder, `read_model_file` a model, and `check_campaign` says what is odd about the data.
 """
 
 from imubayes.campaign.campaign_in_memory import build_campaign

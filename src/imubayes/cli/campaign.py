@@ -96,7 +96,7 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
         declared = bind(read_model(model), inspection.campaign)
         untold: tuple[str, ...] = ()
         if len(declared.layout) > len(declared.entries):
-            from imubayes.inference.proposed_effects import untold_effects
+            from imubayes.inference.linear_information import untold_effects
 
             tell("determining the effects that the runs show")
             untold = untold_effects(declared)

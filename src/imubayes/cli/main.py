@@ -25,7 +25,7 @@ from imubayes.cli.session import numbers_apart
 from imubayes.foundations.errors import InputError, Issue, NotKept, closest_first
 from imubayes.foundations.extensions import extensions
 
-DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+DONE, UNUSABLE, INTERRUPTED = 0, 2, 130
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Characters that steer a terminal: they come from names in files, and are shown as numbers.
 _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *range(127, 160))}

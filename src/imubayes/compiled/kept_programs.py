@@ -32,6 +32,8 @@ SWITCH = "IMUBAYES_KEEP_PROGRAMS"
 MOST_BYTES = 300_000_000
 """Size of the folder above which the programs used longest ago are removed: some thousand, of one fit some hundred."""
 
+_NOT_OPTIMISED = {"xla_backend_optimization_level": 0}
+
 
 @dataclass(frozen=True)
 class _Program:
@@ -91,21 +93,22 @@ def forget_programs() -> None:
     _programs.clear()
 
 
-def kept[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+def kept[**P, R](function: Callable[P, R], briefly: Callable[P, bool] | None = None) -> Callable[P, R]:
     """Return a function compiled as by `equinox.filter_jit`, whose programs outlast the process.
 
     Parameters
     ----------
     function : of a module, not a closure; what it returns depends on its arguments and the package's sources alone.
+    briefly : whether a program for such arguments takes less time for all that it will do than to optimise it would.
     """
-    return cast(Callable[P, R], _Kept(function))
+    return cast(Callable[P, R], _Kept(function, briefly))
 
 
 class _Kept:
     """A function whose programs are kept; an object, as compiled functions are, which take NumPy arrays for JAX's."""
 
-    def __init__(self, function: Callable):
-        self.function, self.ordinary = function, eqx.filter_jit(function)
+    def __init__(self, function: Callable, briefly: Callable[..., bool] | None):
+        self.function, self.briefly, self.ordinary = function, briefly, eqx.filter_jit(function)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if _Folder.place is None or not core.trace_state_clean() or jax.config.jax_disable_jit:
@@ -114,11 +117,20 @@ class _Kept:
         key = (self.function, given.kinds, config.trace_context())
         if key not in _programs:
             ahead = _ahead.pop(key, None)
-            _programs[key] = _found_or_made(self.function, given) if ahead is None else ahead.result()
+            made = (
+                _found_or_made(self.function, given, self._options(*args, **kwargs))
+                if ahead is None
+                else ahead.result()
+            )
+            _programs[key] = made
         program = _programs[key]
         if program is None:
             return self.ordinary(*args, **kwargs)
         return _result(key, program, given.arrays, lambda: self(*args, **kwargs))
+
+    def _options(self, *args: Any, **kwargs: Any) -> dict[str, int]:
+        """Return those of the compiler."""
+        return _NOT_OPTIMISED if self.briefly is not None and self.briefly(*args, **kwargs) else {}
 
     def ahead(self, *args: Any) -> None:
         """Compile the program of a call in a thread, unless it is kept."""
@@ -130,7 +142,7 @@ class _Kept:
             return
         with suppress(NoIdentityError):
             if not (_Folder.place / identity(self.function, given.slotted())).exists():
-                _ahead[key] = _threads.submit(_found_or_made, self.function, given)
+                _ahead[key] = _threads.submit(_found_or_made, self.function, given, self._options(*args))
 
 
 def compile_ahead(function: Callable, *args: Any) -> None:
@@ -172,7 +184,7 @@ def _result(key: Any, program: _Program, arrays: list[Any], again: Callable[[], 
         return again()
 
 
-def _found_or_made(function: Callable, given: Arguments) -> _Program | None:
+def _found_or_made(function: Callable, given: Arguments, options: dict[str, int] | None = None) -> _Program | None:
     """Return the program of a function, from the folder or compiled now; None where it cannot be kept."""
     assert _Folder.place is not None
     arguments = given.slotted()
@@ -183,13 +195,19 @@ def _found_or_made(function: Callable, given: Arguments) -> _Program | None:
     stored = (_Folder.preloading.read if _Folder.preloading is not None else store.read_program)(file)
     if stored is not None:
         return _Program(stored.executable, pickle.loads(stored.skeleton), file)
-    program = _compiled(function, arguments, given.arrays)
+    program = _compiled(function, arguments, given.arrays, options=options)
     if program is not None:
         _write(file, program, len(given.arrays))
     return program
 
 
-def _compiled(function: Callable, arguments: Any, arrays: list[Any], to_be_kept: bool = True) -> _Program | None:
+def _compiled(
+    function: Callable,
+    arguments: Any,
+    arrays: list[Any],
+    to_be_kept: bool = True,
+    options: dict[str, int] | None = None,
+) -> _Program | None:
     """Return a function compiled for arguments with `Slot`s in the place of arrays.
 
     None where it calls back and is to be kept.
@@ -206,19 +224,19 @@ def _compiled(function: Callable, arguments: Any, arrays: list[Any], to_be_kept:
     lowered = jax.jit(flat).lower(*arrays)
     if not to_be_kept:
         return _Program(lowered.compile(), returned[-1])
-    executable = _without_cache(lowered)
+    executable = _without_cache(lowered, options)
     made = cast(Any, executable)._executable.unsafe_call
     if made.has_host_callbacks or made.ordered_effects or made.has_unordered_effects:
         return None
     return _Program(executable, returned[-1])
 
 
-def _without_cache(lowered: jax.stages.Lowered) -> jax.stages.Compiled:
+def _without_cache(lowered: jax.stages.Lowered, options: dict[str, int] | None) -> jax.stages.Compiled:
     """Compile, and do not take the code from JAX's cache: jaxlib cannot serialise what it has loaded from there."""
     with config.enable_compilation_cache(False):
         reset_cache()  # JAX asks once whether it has a cache
         try:
-            return lowered.compile()
+            return lowered.compile(compiler_options=options or None)
         finally:
             reset_cache()
 

@@ -198,7 +198,7 @@ INK, QUIET, FAINT, RED = "#222222", "#666666", "#dddddd", "#b91c1c"
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 BAND, BAND_WIDE = "#cfd8e3", "#e9eef4"
 MOST_PANELS = 6
-TEXT, SMALL = 9.0, 8.0
+TEXT, SMALL, _TITLE = 9.0, 8.0, 13.0
 STYLE = mpl.rc_params_from_file(str(files("imubayes.display") / "imubayes.mplstyle"), use_default_template=False)
 _EDGE = 0.3
 
@@ -257,17 +257,21 @@ def picture(width: float, height: float, title: str, caption: str, subtitle: str
     alarm : a warning that takes the place of the subtitle, in red.
     """
     inner = width - 2 * _EDGE
-    subtitle = textwrap.shorten(alarm, int(inner * 72 / (TEXT * 0.62)), placeholder=" …") or subtitle
+    # Wrapped, and the figure as much higher: nothing of a title or a warning is left out.
+    heading = textwrap.wrap(title, int(inner * 72 / (_TITLE * 0.6)))
+    said = textwrap.wrap(alarm or subtitle, int(inner * 72 / (TEXT * (0.58 if alarm else 0.545))))
     lines = textwrap.wrap(caption, int(inner * 72 / (TEXT * 0.545)))
-    below = 0.32 + 0.165 * len(lines)
-    whole = height + below + (0.62 if subtitle else 0.42)
+    below, lower = 0.32 + 0.165 * len(lines), 0.24 * (len(heading) - 1)
+    whole = height + below + 0.42 + lower + (0.035 + 0.165 * len(said) if said else 0.0)
     figure = Picture(figsize=(width, whole))
     FigureCanvasAgg(figure)
     figure.caption = caption
     figure.inside = (_EDGE, below, width - _EDGE, below + height)
     left = _EDGE / width
-    figure.text(left, 1 - 0.13 / whole, title, size=13, weight="bold", va="top")
-    figure.text(left, 1 - 0.42 / whole, subtitle, color=RED if alarm else QUIET, va="top")
+    figure.text(left, 1 - 0.13 / whole, "\n".join(heading), size=_TITLE, weight="bold", va="top")
+    figure.text(
+        left, 1 - (0.42 + lower) / whole, "\n".join(said), color=RED if alarm else QUIET, va="top", linespacing=1.3
+    )
     figure.text(left, 0.17 / whole, "\n".join(lines), va="bottom", linespacing=1.3)
     return figure
 

@@ -15,6 +15,7 @@ from functools import cache
 from sciform import Formatter
 
 from imubayes.foundations.covariates import Covariate, shown
+from imubayes.foundations.numerics import leading_decade
 
 # unit → (largest typical size for which the finer unit is chosen, its factor, its name), the finest first
 _FINER: dict[str, tuple[tuple[float, float, str], ...]] = {
@@ -93,11 +94,6 @@ _SMALLEST, _LARGEST = 1e-5, 1e8
 _ROUNDING_ERROR = 1e-12
 
 
-def _decade(value: float, digits: int = 1) -> int:
-    """Return the power of ten of the leading digit after rounding to some significant digits."""
-    return int(f"{value:.{digits - 1}e}".partition("e")[2])
-
-
 @cache
 def _formatter(decimals: int, exponent: int) -> Formatter:
     if exponent:
@@ -115,7 +111,7 @@ def rounded(values: Iterable[float | None], sd: float | None) -> tuple[str, ...]
     step = sd if sd is not None and math.isfinite(sd) and sd > 0 else max(sizes, default=1.0) * 1e-4
     largest = max([*sizes, step])
     exponent = 0 if _SMALLEST <= largest < _LARGEST else math.floor(math.log10(largest))
-    formatter = _formatter(1 - _decade(step, 2) + exponent, exponent)
+    formatter = _formatter(1 - leading_decade(step, 2) + exponent, exponent)
     return tuple(
         _unsigned_zero(formatter(value)) if value is not None and math.isfinite(value) else NO_NUMBER
         for value in values
@@ -158,7 +154,7 @@ def significant(value: float | None, digits: int = 3) -> str:
         return "0"
     if not _SMALLEST <= abs(value) < _LARGEST:
         return f"{value:.{digits - 1}e}"
-    return _formatter(digits - 1 - _decade(value, digits), 0)(value)
+    return _formatter(digits - 1 - leading_decade(value, digits), 0)(value)
 
 
 def ratio_text(value: float | None) -> str:

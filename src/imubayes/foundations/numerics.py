@@ -1,9 +1,10 @@
-"""Numerical helpers that need NumPy alone: means of groups, cross products, nodes of Gauss–Legendre quadrature.
+"""Numerical helpers that need NumPy alone: means of groups, cross products, quadrature, rounding.
 
 What is computed with in compiled functions stands in `imubayes.foundations.arrays`, tail probabilities in
 `imubayes.foundations.tail_probabilities`.
 """
 
+from decimal import ROUND_HALF_EVEN, Decimal
 from functools import lru_cache
 
 import numpy as np
@@ -29,6 +30,19 @@ def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     good = np.isfinite(values)
     total = np.bincount(group, np.where(good, values, 0.0))
     return (total / np.maximum(np.bincount(group, good), 1))[group]
+
+
+def leading_decade(value: float, digits: int = 1) -> int:
+    """Return the power of ten of the leading digit of a number after rounding to some significant digits.
+
+    Of the number as it is written, ties to even (ISO 80000-1, B.3), as the numbers themselves are printed: 0.995 is 1.0
+    to two digits, although its binary value is a little below that.
+    """
+    number = Decimal(repr(float(value)))
+    if not number:
+        return 0
+    last = Decimal((0, (1,), number.adjusted() - digits + 1))
+    return number.quantize(last, ROUND_HALF_EVEN).adjusted()
 
 
 @lru_cache(maxsize=256)  # rows of a run, and quadratures of a report, have few numbers of nodes

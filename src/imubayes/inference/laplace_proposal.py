@@ -208,11 +208,6 @@ class WeighedProposal:
         return float(self.weight.max())
 
     @property
-    def mass_error(self) -> float:
-        """Relative standard error of the mass that was found."""
-        return float(self.weight.std() / np.sqrt(self.weight.size))
-
-    @property
     def heavy_tailed(self) -> bool:
         """Whether weights beyond those drawn may matter."""
         return self.pareto_k > PARETO_K and self.largest > LARGEST_WEIGHT

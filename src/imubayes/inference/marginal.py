@@ -21,7 +21,7 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 from scipy import special
 
-from imubayes.foundations.numerics import gauss_legendre
+from imubayes.foundations.numerics import gauss_legendre, leading_decade
 from imubayes.foundations.tail_probabilities import normal_survival
 
 # Nodes of the quadrature, and how far beyond the draws an infinite end is placed, in standard normals.
@@ -241,7 +241,7 @@ class DeservedDigits:
 
 def last_digit(uncertainty: float, digits: int) -> int:
     """Return l of u = c · 10^l, where c is an integer of so many digits."""
-    return int(f"{uncertainty:.{digits - 1}e}".partition("e")[2]) - (digits - 1)
+    return leading_decade(uncertainty, digits) - (digits - 1)
 
 
 def numerical_tolerance(uncertainty: float, digits: int) -> float:

@@ -62,7 +62,7 @@ _HOPELESS, _APART = 15.0, 0.1
 # Log density, relative to the mode, where the marginal is not finite.
 _NOWHERE = -200.0
 # Draws whose precisions are formed and factored together: as a whole those of 4000 take hundreds of megabytes.
-_AT_ONCE = 128
+_AT_ONCE = 32
 
 
 @dataclass(frozen=True)

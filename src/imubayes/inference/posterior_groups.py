@@ -202,9 +202,10 @@ ENTRY = "entry"
 _KEPT_VALUES, _FEWEST_KEPT, _MOST_KEPT = 1_000_000, 100, 1000
 _PRIOR_SHARE, _BATCH = 4, 20
 # Draws are rounded to binary places below these shares of their spread, since what follows is noise that no file can be
-# compressed with: less than a ten-thousandth of a standard deviation for parameters; replicated outputs to an eighth of
-# it, which raises their variance by a thousandth; log densities to a 128th, a per cent of the weight of a draw.
-_SHARE, _REPLICATED_SHARE, _DENSITY_STEP = 2.0**-12, 2.0**-3, 2.0**-7
+# compressed with.  Of parameters 6e-8 of a standard deviation: a sum or difference of them may be known 5e4 times
+# better than each, and its uncertainty then changes by less than a thousandth.  Replicated outputs are rounded to an
+# eighth of it, which raises their variance by a thousandth; log densities to a 128th, a per cent of a draw's weight.
+_SHARE, _REPLICATED_SHARE, _DENSITY_STEP = 2.0**-24, 2.0**-3, 2.0**-7
 # Independent draws are divided into chains, since diagnostics of chains compare several.
 _INDEPENDENT_CHAINS = 4
 

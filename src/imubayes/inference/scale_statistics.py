@@ -14,6 +14,7 @@ None elsewhere, and the marginal is differentiated automatically.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import equinox as eqx
@@ -41,7 +42,7 @@ _DIGITS, _PROBES = 10, 3
 # Above so many numbers in the statistics of all classes, products of rows are formed anew for each h.
 _MOST_STORED = 4_000_000
 # Noise scales whose precisions are formed together.
-_AT_ONCE = 64
+_AT_ONCE = 32
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,14 @@ class RowClasses:
     def count(self) -> int:
         """Number K of classes."""
         return len(self.entry.samples)
+
+    @cached_property
+    def turns(self) -> list[tuple[np.ndarray | slice, np.ndarray]]:
+        """The cells, one of each group in turn: places among `groups`, and cells."""
+        nth = np.arange(len(self.cell_group)) - np.searchsorted(self.cell_group, self.cell_group)
+        turns = [np.flatnonzero(nth == k) for k in range(nth.max(initial=-1) + 1)]
+        whole = len(self.groups)  # a slice takes no copy
+        return [(slice(None) if len(cells) == whole else self.cell_group[cells], cells) for cells in turns]
 
     def variances(self, values: np.ndarray) -> np.ndarray:
         """Return the variance of each class, (…, K), at values of the noise parameters (…, H), SI."""
@@ -227,7 +236,9 @@ class ScaleStatistics:
         along, misfit, size = self._of_groups(weight)
         gain = 1 + shared * size
         drawn = shared / gain
-        precision = self._weighted(weight) - np.swapaxes(along, -1, -2) @ (drawn[..., None] * along)
+        # Of one array with itself BLAS forms half.
+        root = np.sqrt(drawn)[..., None] * along
+        precision = self._weighted(weight) - np.swapaxes(root, -1, -2) @ root
         count = np.arange(len(self.z))
         precision[..., count, count] += prior
         pulled = weight @ self.pulled - ((drawn * misfit)[..., None, :] @ along)[..., 0, :]
@@ -238,15 +249,17 @@ class ScaleStatistics:
     def _of_groups(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the weighted sums of the Jacobian (…, S, P), the misfit (…, S), and the information (…, S)."""
         of_cell = weight[..., self.classes.cell_class]
-        along = np.swapaxes(self._summed(np.swapaxes(of_cell[..., None] * self.along, -1, -2)), -1, -2)
+        along = np.zeros((*weight.shape[:-1], len(self.classes.groups), len(self.z)))
+        for groups, cells in self.classes.turns:
+            along[..., groups, :] += of_cell[..., cells, None] * self.along[cells]
         return along, self._summed(of_cell * self.misfit), self._summed(of_cell * self.size)
 
     def _summed(self, of_cells: np.ndarray) -> np.ndarray:
         """Return sums (…, S) over the cells (…, C) of each run and channel."""
-        group, count = self.classes.cell_group, len(self.classes.groups)
-        if np.array_equal(group, np.arange(count)):  # one class in each
-            return of_cells
-        return of_cells @ _one_hot(group, count)
+        found = np.zeros((*of_cells.shape[:-1], len(self.classes.groups)))
+        for groups, cells in self.classes.turns:
+            found[..., groups] += of_cells[..., cells]
+        return found
 
     def _weighted(self, weight: np.ndarray) -> np.ndarray:
         """Return Σ p A, shape (…, P, P)."""

@@ -148,6 +148,11 @@ def candidate_responses(fitted: Fit, only: Sequence[str] = (), about: Linearisat
     return _linearised_with(fitted, *lacking_effects(fitted, only), about)
 
 
+def responses_of_model(fitted: Fit) -> Responses:
+    """Return the fit linearised in its own parameters alone: no candidate is looked at."""
+    return _linearised_with(fitted, (), {})
+
+
 def _linearised_with(
     fitted: Fit,
     acting: tuple[bound.BoundEffect, ...],

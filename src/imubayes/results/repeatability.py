@@ -15,7 +15,6 @@ straight line and cannot test it: the interval is stated with that reservation, 
 at most.  A drift of several calibrations is one of `batch trends`.
 """
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -26,7 +25,6 @@ from imubayes.foundations.errors import input_error
 from imubayes.foundations.quantity_names import INPUT_AXIS, QuantityName, family_of
 from imubayes.foundations.records import Presented, Record
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
-from imubayes.foundations.units import DAYS_PER_YEAR
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import inverse_of_precision, precision_of
 from imubayes.inference.parameter_fit import linearise
@@ -46,7 +44,6 @@ _DAYS = 86400.0
 MOST_INTERVALS = 10.0
 """Of those between two calibrations, for which a drift is continued."""
 _EXPANDED = 2.0  # coverage factor
-_STEPS = 2000
 
 
 class ComparedQuantity(Record):
@@ -382,28 +379,3 @@ def _pooled(
         value = line.first + float(gradient @ moved[:count])
         sd = float(np.sqrt(gradient @ covariance[:count, :count] @ gradient))
         yield line.model_copy(update={"pooled": value, "pooled_sd": sd})
-
-
-def next_due(found: ComparedQuantity, days: float, lower: float, upper: float) -> NextDue:
-    """Return when a quantity reaches a limit; `days` between both calibrations, infinite limits where there is none.
-
-    The drift is taken as even from the first calibration on, so that the value t after the second is
-    x₂ + (x₂ − x₁) t / D, with the uncertainty of both and what they have in common.
-    """
-    common = 0.5 * (found.first_sd**2 + found.second_sd**2 - found.difference_sd**2)
-    drift = found.second - found.first
-    share = np.linspace(0.0, MOST_INTERVALS, _STEPS)
-    variance = ((1 + share) * found.second_sd) ** 2 + (share * found.first_sd) ** 2 - 2 * share * (1 + share) * common
-    reach = _EXPANDED * np.sqrt(np.maximum(variance, 0.0))
-    value = found.second + drift * share
-    outside = (value + reach > upper) | (value - reach < lower)
-    at = float(share[int(np.argmax(outside))]) * days if outside.any() else None
-    return NextDue(
-        name=found.name,
-        unit=found.unit,
-        rate=drift * DAYS_PER_YEAR / days,
-        rate_sd=found.difference_sd * DAYS_PER_YEAR / days,
-        lower=lower if math.isfinite(lower) else None,
-        upper=upper if math.isfinite(upper) else None,
-        days=at,
-    )

@@ -11,7 +11,7 @@ within a limit.  The next time that the unit is switched on it has another offse
 the same at all temperatures.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -94,6 +94,36 @@ def depends_on_temperature(name: str, draws: Mapping[str, np.ndarray]) -> bool:
     )
 
 
+def thermal_quantities(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the quantities that depend on temperature, and the coefficients by which they do."""
+    terms = {f"{effect}.{parameter}" for each in FAMILIES.values() for effect, parameter, _ in each.terms}
+    return tuple(name for name in names if family_of(name) in terms or family_of(name) in FAMILIES)
+
+
+def shifts_over_range(
+    name: str,
+    unit: str,
+    draws: Mapping[str, np.ndarray],
+    model: ThermalModel,
+    span: tuple[float, float],
+    shifts: Mapping[str, np.ndarray],
+) -> np.ndarray:
+    """Return what r causes do to a quantity at the temperatures of `over_range`, (r, T), linear about the means.
+
+    Parameters
+    ----------
+    shifts : what each cause does to a quantity, (r,); 0 for one that is not named.
+    """
+    count = max((len(each) for each in shifts.values()), default=0)
+    at = {each: np.nanmean(draws[each]) + np.zeros(count + 1) for each in thermal_quantities(draws)}
+    at[name] = np.nanmean(draws[name]) + np.zeros(count + 1)
+    for each, values in shifts.items():
+        if each in at:
+            at[each][1:] += values
+    found = over_range(name, unit, at, model, span)
+    return found[1:] - found[:1]
+
+
 def course_over_range(
     name: str, unit: str, draws: Mapping[str, np.ndarray], model: ThermalModel, span: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -145,19 +175,24 @@ def over_range(
 def branches_over_range(
     name: str, unit: str, draws: Mapping[str, np.ndarray], model: ThermalModel, span: tuple[float, float]
 ) -> np.ndarray:
-    """Return what `over_range` does with all that moves a bias besides, shape (S, B·T): B branches of T temperatures.
+    """Return what `over_range` does with hysteresis and lag, shape (S, B·T): B branches of T temperatures.
 
     There is one branch where nothing depends on what was before; else that of cooling follows that of warming.
     """
     values = over_range(name, unit, draws, model, span)
     if FAMILIES.get(family_of(name), _NO_TERMS).kind != "bias":
         return values
-    to_unit = 1 / to_si(unit, STANDARD_GRAVITY)
-    scatter = np.sqrt(sum((each**2 for each in _repeatability(name, draws, model)), np.zeros(len(values))))
-    # One offset for each draw: the same draws give the same report.
-    values = values + (to_unit * scatter * np.random.default_rng(20260401).standard_normal(len(values)))[:, None]
-    width = to_unit * sum(_half_widths(name, draws, model, span), np.zeros(len(values)))
+    width = sum(_half_widths(name, draws, model, span), np.zeros(len(values))) / to_si(unit, STANDARD_GRAVITY)
     return np.concatenate([values + width[:, None], values - width[:, None]], axis=1) if width.any() else values
+
+
+def scatter_of_next_run(name: str, unit: str, draws: Mapping[str, np.ndarray], model: ThermalModel) -> np.ndarray:
+    """Return the standard deviation of the offset that a bias has in the next run, (S,); 0 for other quantities."""
+    count = len(draws[name])
+    if FAMILIES.get(family_of(name), _NO_TERMS).kind != "bias":
+        return np.zeros(count)
+    variance = sum((each**2 for each in _repeatability(name, draws, model)), np.zeros(count))
+    return np.sqrt(variance) / to_si(unit, STANDARD_GRAVITY)
 
 
 def _parameter(name: str, effect: str, parameter: str, draws: Mapping[str, np.ndarray]) -> str | None:

@@ -1,6 +1,7 @@
 // The tabs at the bottom: tree of models, estimates with what a preview moves, and the commands of every click.
 
 import { compact, digits, el, fill } from "./dom.js";
+import { drawEstimates } from "./estimates.js";
 import { drawKnowledge } from "./knowledge.js";
 import { show, told, view } from "./state.js";
 
@@ -9,7 +10,7 @@ const panel = el("div", { role: "tabpanel", id: "tab-panel" }), head = el("div",
 
 // How a tab is drawn, and what is told that it shows: nothing else draws it anew, under what is typed or folded there.
 const DRAWN = {
-  models: [models, "facts", "kept"], estimates: [estimates, "facts", "preview"], knowledge: [drawKnowledge, "facts"], commands: [commands, "facts", "kept"],
+  models: [models, "facts", "kept"], estimates: [drawEstimates, "facts", "preview"], knowledge: [drawKnowledge, "facts"], commands: [commands, "facts", "kept"],
 };
 
 export function drawTab(actions, seen, heard) {
@@ -45,23 +46,23 @@ export function parentOf(model) {
 function models(panel, actions) {
   const tree = told.session?.tree ?? [];
   const units = [...new Set(tree.flatMap((line) => Object.keys(line.rms)))];
+  const head = ["χ²/n", "Δχ² predicted", "observed", "Δ elpd", ...units.map((unit) => `rms / ${unit === "deg/s" ? "deg/h" : unit === "g" ? "µg" : unit}`), "exported", "note"];
   const rows = tree.map((line) => el("tr", { class: line.id === view.model ? "chosen" : "" },
     el("td", { class: "left" }, "\u2003".repeat(line.depth), line.depth ? "└ " : "",
       el("button", { class: "plain", "data-key": `model-${line.id}`, "aria-current": line.id === view.model ? "true" : null, disabled: !line.taken, title: line.note || line.folder, onclick: () => show({ model: line.id, ticked: [] }) }, line.name || line.title),
       line.taken ? "" : " ✕ not taken"),
-    el("td", {}, line.chi2 && line.dof ? (line.chi2 < 99 * line.dof ? (line.chi2 / line.dof).toFixed(2) : compact(line.chi2 / line.dof)) : "–"),
-    el("td", {}, digits(line.delta_chi2.predicted)), el("td", {}, digits(line.delta_chi2.observed)),
-    el("td", {}, line.gain),
-    units.map((unit) => el("td", {}, size(line.rms[unit], unit))),
-    el("td", {}, line.selected ? "● selected" : line.taken ? el("button", { class: "plain", "data-key": `select-${line.id}`, onclick: () => actions.select(line.id) }, "○ select") : ""),
-    el("td", {}, el("button", { class: "plain", "data-key": `note-${line.id}`, title: line.note || "name and note", onclick: () => actions.note(line) }, line.note ? "✎ note" : "✎"))));
-  const head = ["χ²/n", "Δχ² predicted", "observed", "Δ elpd", ...units.map((unit) => `rms / ${unit === "deg/s" ? "deg/h" : unit === "g" ? "µg" : unit}`), "exported", "note"];
+    el("td", { "data-label": head[0] }, line.chi2 && line.dof ? (line.chi2 < 99 * line.dof ? (line.chi2 / line.dof).toFixed(2) : compact(line.chi2 / line.dof)) : "–"),
+    el("td", { "data-label": head[1] }, digits(line.delta_chi2.predicted)), el("td", { "data-label": `Δχ² ${head[2]}` }, digits(line.delta_chi2.observed)),
+    el("td", { "data-label": head[3] }, line.gain.replaceAll("-", "−")),
+    units.map((unit, at) => el("td", { "data-label": head[4 + at] }, size(line.rms[unit], unit))),
+    el("td", { "data-label": "exported" }, line.selected ? "● selected" : line.taken ? el("button", { class: "plain", "data-key": `select-${line.id}`, onclick: () => actions.select(line.id) }, "○ select") : ""),
+    el("td", { "data-label": "note" }, el("button", { class: "plain", "data-key": `note-${line.id}`, title: line.note || "name and note", onclick: () => actions.note(line) }, line.note ? "✎ note" : "✎"))));
   const effects = (told.facts?.effects ?? []).map((effect) => el("span", { class: "chip" }, effect,
     el("button", { class: "plain", "data-key": `remove-${effect}`, title: `remove ${effect}, and refit`, "aria-label": `remove ${effect}`, onclick: () => actions.change({ remove: [effect] }) }, "×")));
   const aside = (told.facts?.set_aside ?? []).map((words, at) => el("span", { class: "chip" }, words,
     el("button", { class: "plain", "data-key": `back-${at}`, title: "take these readings back, and refit", "aria-label": `take back ${words}`, onclick: () => actions.change({ take_back: [at] }) }, "↩")));
   fill(panel,
-    el("table", {}, el("thead", {}, el("tr", {}, el("th", { class: "left" }, "model"), head.map((words) => el("th", {}, words)))), el("tbody", {}, rows)),
+    el("table", { class: "wide" }, el("thead", {}, el("tr", {}, el("th", { class: "left" }, "model"), head.map((words) => el("th", {}, words)))), el("tbody", {}, rows)),
     el("h3", { class: "quiet aside" }, "Effects of the model that is shown"), el("div", { class: "chips" }, effects),
     aside.length ? el("h3", { class: "quiet aside" }, "Readings set aside") : null, aside.length ? el("div", { class: "chips" }, aside) : null);
 }
@@ -69,22 +70,6 @@ function models(panel, actions) {
 function size(value, unit) {
   if (value === undefined) return "–";
   return digits(value * ({ "deg/s": 3600, g: 1e6 }[unit] ?? 1));
-}
-
-function estimates(panel) {
-  const preview = told.preview?.effects.length ? told.preview : null;
-  if (!preview) {
-    fill(panel, el("p", { class: "quiet" }, "Preview a cause: what it would do to scale factors, biases and mounting angles is shown here, without a refit."));
-    return;
-  }
-  const rows = preview.moved.map((each) => el("tr", {},
-    el("td", { class: "left" }, each.name), el("td", {}, digits(each.before, 7)), el("td", {}, digits(each.sd, 2)),
-    el("td", {}, digits(each.after, 7)), el("td", { class: "left" }, each.unit),
-    el("td", { class: each.in_sd > 0 ? "up" : "down" }, `${each.in_sd > 0 ? "↑" : "↓"} ${digits(Math.abs(each.in_sd), 2)} sd`)));
-  const empty = el("tr", {}, el("td", { class: "left quiet", colspan: "6" }, "No estimate would move by a twentieth of its standard uncertainty."));
-  fill(panel, el("table", {},
-    el("thead", {}, el("tr", {}, el("th", { class: "left" }, "estimate"), [preview.refitted ? "before" : "now", "sd", preview.refitted ? "after" : `with ${preview.effects.join(", ")}`].map((words) => el("th", {}, words)), el("th", { class: "left" }, "unit"), el("th", {}, preview.refitted ? "moved" : "would move"))),
-    el("tbody", {}, rows.length ? rows : empty)));
 }
 
 function commands(panel) {

@@ -12,7 +12,7 @@ export function drawCauses(place, actions) {
     fill(place);
     return;
   }
-  const chosen = view.brushes.length ? told.selection : null;
+  const chosen = view.brushes.length ? told.selection : null, ready = facts.stage === "ready";
   // A saved page knows what is selected, and cannot rank it.
   const selection = chosen?.n && chosen.nothing !== null ? chosen : null;
   const known = new Map(facts.causes.map((cause) => [cause.effect, cause]));
@@ -31,10 +31,17 @@ export function drawCauses(place, actions) {
     selection ? other("noise alone", selection.nothing) : null,
     selection && selection.offset !== null ? other("an offset of these readings alone", selection.offset) : null,
     selection && selection.form !== null ? other(selection.form_words || "outside the catalogue", selection.form) : null,
+    ready ? null : el("p", { class: "aside quiet", id: "weighing", role: "status" }, el("progress", { "aria-label": "weighing" }), " ", el("span", { id: "weighing-step" }, told.weighing || "waiting"), ". ",
+      facts.stage === "read" ? "Causes are listed here once they are weighed; map and residuals do not wait for them." : "The diagnosis is the one in the folder; previews and selections are ready shortly."),
     lines,
     listed.length > MOST ? el("button", { class: "plain", onclick: () => { every = !every; drawCauses(place, actions); } }, every ? "fewer" : `${listed.length - MOST} more`) : null,
     selection ? el("p", { class: "aside quiet" }, "Each cause is judged by how well it predicts these readings from all others. Mark on the bar: probability from all readings.") : null,
     accept(actions, selection));
+}
+
+export function tellWeighing() {
+  const step = document.getElementById("weighing-step");
+  if (step) step.textContent = told.weighing || "waiting";
 }
 
 function other(words, share) {
@@ -71,7 +78,7 @@ function causeRow(line, cause, selection, actions) {
   const next = { "": "in", in: "out", out: "" }[lock], signs = { "": "free", in: "in", out: "out" };
   const id = `tick-${cause.effect}`;
   return el("div", { class: `cause ${lock} ${told.hovered === cause.effect ? "hovered" : ""}`, title: cause.words, onmouseenter: () => hover(cause.effect), onmouseleave: () => hover("") },
-    el("input", { type: "checkbox", id, checked: at, disabled: lock === "out", "data-key": id, class: "tick", onchange: toggle, onfocus: () => hover(cause.effect), onblur: () => hover("") }),
+    el("input", { type: "checkbox", id, checked: at, disabled: lock === "out" || told.facts.stage !== "ready", "data-key": id, class: "tick", onchange: toggle, onfocus: () => hover(cause.effect), onblur: () => hover("") }),
     el("label", { class: "name", for: id }, broken(cause.effect)),
     bar(line.probability, selection ? cause.probability : null),
     el("span", { class: "number", title: odds(line.log_odds ?? cause.log_odds) }, probability(line.probability)),
@@ -95,10 +102,11 @@ function accept(actions, selection) {
   const preview = told.preview?.effects.length && !told.preview.refitted ? told.preview : null, ticked = view.ticked.length > 0;
   const busy = told.session?.tasks.some(atWork);
   return el("div", { class: "aside accept" },
-    preview ? el("p", { id: "preview-sentence", role: "status" }, preview.sentence) : el("p", { class: "quiet" }, "Point at a cause to preview it without a refit; tick several to preview them together."),
+    preview ? el("p", { id: "preview-sentence", role: "status" }, preview.sentence) : told.facts.stage !== "ready" ? null : el("p", { class: "quiet" }, "Point at a cause to preview it without a refit; tick several to preview them together."),
     preview ? el("pre", { tabindex: "0", "aria-label": "command" }, preview.command) : null,
     el("div", { class: "row" },
       el("button", { class: "main", id: "accept", "data-key": "accept", disabled: !ticked || busy, title: "adds what is ticked; key a", onclick: actions.accept }, "add, and refit"),
       selection || told.facts.verdict === "unexplained_structure" ? el("button", { "data-key": "formula", id: "formula", onclick: () => actions.formula(view.channel) }, `formula of ${view.channel}`) : null,
+      told.facts.named.length > 1 ? el("button", { "data-key": "tick-named", id: "tick-named", title: told.facts.named.join(", "), disabled: told.facts.stage !== "ready", onclick: () => show({ ticked: [...new Set([...view.ticked, ...told.facts.named])] }) }, `tick all ${told.facts.named.length} named`) : null,
       el("button", { "data-key": "untick", disabled: !ticked, onclick: () => show({ ticked: [] }) }, "untick")));
 }

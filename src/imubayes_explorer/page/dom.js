@@ -86,15 +86,26 @@ export function bar(share, tick = null) {
   return el("span", { class: "bar", "aria-hidden": "true" }, el("i", { style: { width } }), mark);
 }
 
-// χ²/n on a scale that readers with any colour vision tell apart (cividis); text is chosen for contrast.
-const CIVIDIS = [[0, 34, 78], [53, 69, 108], [102, 105, 112], [148, 142, 119], [200, 184, 102], [254, 232, 56]];
+// χ²/n from the ground of each theme to its opposite (magma), logarithmic from 1 to the worst cell: what fails stands out.
+const MAGMA = {
+  light: [[255, 255, 248], [254, 204, 143], [247, 112, 92], [182, 55, 122], [81, 18, 124], [25, 10, 50]],
+  dark: [[27, 33, 44], [70, 32, 122], [140, 41, 129], [222, 73, 104], [254, 159, 109], [252, 253, 191]],
+};
 
-export function heat(ratio) {
-  const share = Math.max(0, Math.min(1, Math.log10(Math.max(ratio, 0.3) / 0.7) / Math.log10(40 / 0.7)));
-  const at = share * (CIVIDIS.length - 1), low = Math.min(Math.floor(at), CIVIDIS.length - 2), part = at - low;
-  const [r, g, b] = [0, 1, 2].map((k) => Math.round(CIVIDIS[low][k] * (1 - part) + CIVIDIS[low + 1][k] * part));
+export function themed() {
+  return document.documentElement.dataset.theme === "dark" ? "dark" : "light";
+}
+
+export function heat(ratio, worst) {
+  const stops = MAGMA[themed()], share = Math.max(0, Math.min(1, Math.log(Math.max(ratio, 1)) / Math.log(Math.max(worst, 10))));
+  const at = share * (stops.length - 1), low = Math.min(Math.floor(at), stops.length - 2), part = at - low;
+  const [r, g, b] = [0, 1, 2].map((k) => Math.round(stops[low][k] * (1 - part) + stops[low + 1][k] * part));
   const light = 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
-  return { back: `rgb(${r} ${g} ${b})`, text: light > 0.18 ? "#000000" : "#ffffff" };
+  return { back: `rgb(${r} ${g} ${b})`, text: light > 0.18 ? "#000000" : "#ffffff", light };
+}
+
+export function heatGround() {
+  return `linear-gradient(to right, ${MAGMA[themed()].map((stop) => `rgb(${stop.join(" ")})`).join(", ")})`;
 }
 
 function linear(value) {
@@ -102,15 +113,26 @@ function linear(value) {
   return part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
 }
 
+// Labels of equal steps with as many digits as tell them apart.
+export function ticks(splits) {
+  const known = splits.filter((value) => value !== null), size = Math.max(...known.map(Math.abs), 0);
+  const step = known.length > 1 ? Math.abs(known[1] - known[0]) : size;
+  const power = size >= 1e6 || (size > 0 && size < 1e-4) ? Math.floor(Math.log10(size)) : 0, scaled = step / 10 ** power;
+  let places = Math.max(0, -Math.floor(Math.log10(scaled || 1) + 1e-9));
+  while (places < 12 && Math.abs(scaled * 10 ** places - Math.round(scaled * 10 ** places)) > 1e-6 * scaled * 10 ** places) places += 1;
+  return splits.map((value) => (value === null ? null : `${(value / 10 ** power).toFixed(places)}${power && value ? `e${power}` : ""}`.replace(/^-(0(\.0*)?)$/, "$1").replaceAll("-", "−")));
+}
+
 const HUES = {
   light: ["#0072b2", "#d55e00", "#009e73", "#7a3b00", "#8c5fb5", "#6b6b6b"],
   dark: ["#56b4e9", "#ffb347", "#3ddbb0", "#f28ac4", "#f0e442", "#c3c9d3"],
 };
-const SHAPES = ["circle", "triangle", "square", "diamond"];
+const SHAPES = ["circle", "triangle", "square", "diamond", "down", "cross"];
 
+// A hue never stands alone: those next to each other differ in shape as well.
 export function sign(place) {
-  const hues = HUES[document.documentElement.dataset.theme === "dark" ? "dark" : "light"];
-  return { colour: hues[place % hues.length], shape: SHAPES[Math.floor(place / hues.length) % SHAPES.length] };
+  const hues = HUES[themed()];
+  return { colour: hues[place % hues.length], shape: SHAPES[(place + Math.floor(place / hues.length)) % SHAPES.length] };
 }
 
 export function css(name) {

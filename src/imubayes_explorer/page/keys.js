@@ -3,7 +3,7 @@
 import { el, fill } from "./dom.js";
 
 const KEYS = [
-  ["?", "this list"], ["t", "guided tour"], ["m", "to the map; arrows walk, Enter selects a cell"],
+  ["?", "this list"], ["t", "guided tour"], ["h", "fold or unfold the verdict"], ["m", "to the map; arrows walk, Enter selects a cell"],
   ["r", "to the residuals; ← → move a selection, ⇧ ← → change its width"], ["c", "to the causes; Space ticks, Enter adds what is ticked"],
   ["a", "add what is ticked, and refit"], ["x", "cancel what is at work"], ["u", "undo: back to the model before"],
   ["n", "next channel (N: the one before)"], ["v", "next covariate on the abscissa (V: the one before)"],
@@ -33,7 +33,7 @@ export function listenToKeys(actions) {
 export function helpDialog(dialog) {
   fill(dialog, el("form", { method: "dialog" }, el("h2", { id: "dialog-title" }, "Keys"),
     el("table", {}, el("tbody", {}, KEYS.map(([key, words]) => el("tr", {}, el("td", {}, el("kbd", {}, key)), el("td", {}, words))))),
-    el("p", { class: "quiet" }, "With the mouse: drag on a panel to select readings, ⇧ adds to the selection; point at a cause to preview it."),
+    el("p", { class: "quiet" }, "With the mouse: drag on a panel to select readings, click one to select it alone, ⇧ adds to the selection; the wheel zooms; point at a reading to read it, at a cause to preview it; a click in the legend shows its runs alone."),
     el("button", { class: "main", autofocus: true }, "close")));
   dialog.showModal();
 }

@@ -1,7 +1,7 @@
 // The page: what changes leads to what is asked, and what is told leads to what is drawn. State flows one way.
 
 import { asideDialog, drawBelow, drawTab, noteDialog, parentOf } from "./below.js";
-import { drawCauses } from "./causes.js";
+import { drawCauses, tellWeighing } from "./causes.js";
 import { el, fill } from "./dom.js";
 import { formulaDialog } from "./formula.js";
 import { helpDialog, listenToKeys } from "./keys.js";
@@ -11,7 +11,7 @@ import { drawCharts, drawControls, drawShape, focusRuns, makeCharts, picture, re
 import { atWork, hear, onChange, previewed, show, tell, told, view } from "./state.js";
 import { drawTasks } from "./tasks.js";
 import { tour } from "./tour.js";
-import { drawVerdict } from "./verdict.js";
+import { drawVerdict, fold } from "./verdict.js";
 
 const place = (name) => document.getElementById(name);
 const dialog = place("dialog");
@@ -49,6 +49,12 @@ const actions = {
     hear(await ask("select", { model: before }));
     show({ model: before, ticked: [] });
   }),
+  reload: () => attempt(async () => {
+    told.facts = null;
+    asked = "";
+    hear(await ask("reload", { model: view.model }));
+    tell({ facts: null });
+  }),
   export: () => download("model.toml"),
   save: () => download("session.html"),
   picture: (kind) => download(`${view.channel}.${kind}`, () => picture(kind)),
@@ -63,16 +69,22 @@ const actions = {
 
 // ---- what is asked ----
 
+// What the page chose by itself: it chooses again once the diagnosis says what the residual depends on.
+let chosen = { model: "", x: "" };
+
 async function open() {
   const facts = await attempt(() => latest("model", (signal) => ask("model", { model: view.model }, signal)));
   if (!facts || facts.id !== view.model) return;
+  const own = chosen.model === facts.id && chosen.x === view.x && !view.brushes.length && !view.between;
+  const mine = facts.abscissae.some((axis) => axis.name === view.x) && !own;
   const worst = facts.cells.reduce((one, other) => (other.chi2 / other.n > one.chi2 / one.n ? other : one), facts.cells[0]);
   const kept = {
     channel: facts.channels.includes(view.channel) ? view.channel : worst.channel,
-    x: facts.abscissae.some((axis) => axis.name === view.x) ? view.x : firstAbscissa(facts),
-    colour: facts.groupings.includes(view.colour) ? view.colour : "run",
-    ticked: view.ticked.filter((effect) => facts.causes.some((cause) => cause.effect === effect)),
+    x: mine ? view.x : firstAbscissa(facts),
+    colour: facts.labels.some(({ by }) => by === view.colour) ? view.colour : firstColour(facts),
+    ticked: facts.stage === "read" ? view.ticked : view.ticked.filter((effect) => facts.causes.some((cause) => cause.effect === effect)),
   };
+  chosen = mine ? { model: "", x: "" } : { model: facts.id, x: kept.x };
   told.facts = facts;
   show(kept, true);
   tell({ facts });
@@ -82,6 +94,11 @@ async function open() {
 function firstAbscissa(facts) {
   const said = facts.abscissae.find((axis) => facts.sentence.includes(`depends on ${axis.phrase}`));
   return (said ?? facts.abscissae.find((axis) => axis.name === "table_rate_deg_s") ?? facts.abscissae[0]).name;
+}
+
+// Many runs are told apart by their mounting.
+function firstColour(facts) {
+  return facts.runs.length > 8 && facts.labels.some(({ by }) => by === "mounting") ? "mounting" : "run";
 }
 
 async function load(moving = false) {
@@ -137,14 +154,17 @@ onChange((seen, heard) => {
 });
 
 function draw(seen, heard) {
-  if (any(heard, "facts", "lost") || any(seen, "model")) drawVerdict(place("verdict"));
+  if (any(heard, "facts", "lost", "folded") || any(seen, "model")) drawVerdict(place("verdict"));
   if (any(heard, "facts", "preview") || any(seen, "brushes", "channel", "model")) drawMap(place("map"));
   if (any(heard, "facts", "selection", "preview", "kept") || any(seen, "brushes", "ticked", "model")) drawCauses(place("causes"), actions);
+  if (any(heard, "weighing")) tellWeighing();
   if (any(heard, "facts", "kept") || any(seen, "tab", "model")) drawBelow(place("below"), actions);
   drawTab(actions, seen, heard);
   if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between")) drawControls(actions);
   if (any(heard, "session", "fault", "lost", "dismissed", "preview")) drawTasks(place("notice"), actions);
 }
+
+let asked = "";
 
 // A change that was taken is followed by every window that shows the model it was made from.
 function onState(session) {
@@ -154,7 +174,13 @@ function onState(session) {
   for (const task of session.tasks) {
     const fresh = last && task.made && !known.has(task.number);
     if (fresh && task.of === view.model && task.made !== view.model) show({ model: task.made, ticked: [] });
-    else if (task.made && task.made === view.model && told.facts?.id !== view.model) open();
+  }
+  const now = session.opened.find((each) => each.id === view.model), key = now && `${now.id} ${now.stage} ${now.identity}`;
+  const weighing = told.facts?.stage === "ready" ? "" : session.tasks.find((task) => atWork(task) && (task.of === view.model || task.made === view.model))?.step ?? "";
+  if (weighing !== told.weighing) tell({ weighing });
+  if (now && asked !== key && (told.facts?.id !== now.id || told.facts.stage !== now.stage || told.facts.identity !== now.identity)) {
+    asked = key;
+    open();
   }
   const there = session.tree.some((line) => line.id === view.model);
   if (!there && session.tree.length) show({ model: (session.tree.find((line) => line.selected) ?? session.tree[0]).id }, true);
@@ -176,6 +202,7 @@ function theme(name) {
 
 function switchTheme() {
   theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  drawMap(place("map"));
   restyle();
 }
 
@@ -191,7 +218,7 @@ const turnX = (step) => show({ x: next(covariates(), view.x, step), between: nul
 
 listenToKeys({
   "?": () => helpDialog(dialog), t: () => tour(dialog), d: switchTheme,
-  m: () => (place("map").querySelector(".cell.marked") ?? place("map").querySelector(".cell"))?.focus(), r: () => place("residuals").focus(),
+  h: fold, m: () => (place("map").querySelector(".cell.marked") ?? place("map").querySelector(".cell"))?.focus(), r: () => place("residuals").focus(),
   c: () => place("causes").querySelector(".tick:not(:disabled)")?.focus(), a: actions.accept, u: actions.undo, e: actions.export, g: () => actions.picture("svg"), G: () => actions.picture("png"), s: actions.aside,
   x: () => told.session?.tasks.filter(atWork).forEach((task) => actions.cancel(task.number)),
   n: () => show({ channel: next(channels(), view.channel, 1) }), N: () => show({ channel: next(channels(), view.channel, -1) }),
@@ -206,7 +233,10 @@ try {
   wanted = localStorage.getItem("imubayes-theme") ?? wanted;
 } catch { /* as the system has it */ }
 theme(wanted);
+try {
+  told.folded = localStorage.getItem("imubayes-folded") === "yes";
+} catch { /* unfolded */ }
 tools();
-makeCharts(place("charts"));
+makeCharts(place("charts"), actions);
 drawVerdict(place("verdict"));
 listen(onState, () => tell({ lost: true }), () => tell({ lost: false }));

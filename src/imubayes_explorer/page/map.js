@@ -1,6 +1,6 @@
 // χ² per reading of every run and channel: where the model fails; a cell selects its readings.
 
-import { compact, digits, el, fill, heat, shortened } from "./dom.js";
+import { compact, digits, el, fill, heat, heatGround, shortened } from "./dom.js";
 import { show, told, view } from "./state.js";
 
 let fitted = false;
@@ -13,26 +13,42 @@ export function drawMap(place) {
   }
   const known = new Map(facts.cells.map((cell, at) => [JSON.stringify([cell.run, cell.channel]), [cell, at]]));
   const expected = told.preview?.effects.length ? told.preview.cells : null;
+  // The scale is that of the model, not of a preview: what a preview takes off is seen as a change of colour.
+  const worst = Math.max(10, ...facts.cells.filter((cell) => cell.n).map((cell) => chi2Of(cell) / cell.n));
   const head = el("tr", {}, el("th", { class: "run" }, "run"), facts.channels.map((channel) => el("th", {},
     el("button", { "data-key": `channel-${channel}`, onclick: () => show({ channel, brushes: [{ channels: [channel], runs: [] }] }), title: `select channel ${channel}` }, channel))));
   const rows = facts.runs.map((run) => el("tr", {},
     el("th", { class: "run" }, el("button", { "data-key": `run-${run}`, title: `select run ${run}`, onclick: () => show({ brushes: [{ channels: [], runs: [run] }] }) }, shortened(run, facts.runs.length > 24 ? 14 : 18))),
     facts.channels.map((channel) => {
       const found = known.get(JSON.stringify([run, channel]));
-      return el("td", {}, found ? cellButton(found[0], expected ? expected[found[1]] : null) : null);
+      return el("td", {}, found ? cellButton(found[0], expected ? expected[found[1]] : null, worst) : null);
     })));
   fill(place,
     el("div", { class: "head" }, el("h2", { id: "map-title" }, "χ² per reading"),
       el("label", { class: "quiet" }, el("input", { type: "checkbox", "data-key": "fitted", checked: fitted, onchange: (event) => { fitted = event.target.checked; drawMap(place); } }), " at fitted noise")),
+    legend(worst),
     el("table", { onkeydown: walk }, el("thead", {}, head), el("tbody", {}, rows)),
     el("p", { class: "aside quiet" }, expected ? (told.preview.refitted ? "χ² of the refit." : "Dashed: expected with what is previewed.") : "1 is what noise alone makes. Click a cell, a run or a channel to select it; hold ⇧ to add."));
 }
 
-function cellButton(cell, expected) {
-  const { n, chi2 } = expected ?? { n: cell.n, chi2: fitted ? cell.fitted ?? cell.chi2 : cell.chi2 };
+function chi2Of(cell) {
+  return fitted ? cell.fitted ?? cell.chi2 : cell.chi2;
+}
+
+// Decades of the scale, as many as there is room for.
+function legend(worst) {
+  const most = Math.log10(worst), step = Math.ceil(most / 4), marks = [];
+  for (let power = 0; power < most - 0.3 * step; power += step) marks.push([power, power ? compact(10 ** power) : "≤ 1"]);
+  marks.push([most, compact(worst)]);
+  return el("div", { class: "scale", id: "scale", role: "img", "aria-label": `Colours: χ² per reading, logarithmic from 1 to ${compact(worst)}, that of the worst cell` },
+    el("i", { style: { background: heatGround() } }), marks.map(([power, words]) => el("span", { style: { left: `${(100 * power) / most}%` } }, words)));
+}
+
+function cellButton(cell, expected, worst) {
+  const { n, chi2 } = expected ?? { n: cell.n, chi2: chi2Of(cell) };
   // Nothing is left of a cell whose readings are all set aside.
-  const { back, text } = n ? heat(chi2 / n) : {}, words = n ? compact(chi2 / n) : "–";
-  const marked = view.brushes.some((brush) => !brush.x && matches(brush.channels, cell.channel) && matches(brush.runs, cell.run));
+  const { back, text } = n ? heat(chi2 / n, worst) : {}, words = n ? compact(chi2 / n) : "–";
+  const marked = view.brushes.some((brush) => !brush.x && !brush.rows?.length && matches(brush.channels, cell.channel) && matches(brush.runs, cell.run));
   const names = ["cell", marked && "marked", expected !== null && (told.preview.refitted ? "refitted" : "previewed"), cell.channel === view.channel && "shown"];
   return el("button", {
     class: names.filter(Boolean).join(" "), "data-key": `cell-${cell.run}-${cell.channel}`, "aria-pressed": String(marked),

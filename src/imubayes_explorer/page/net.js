@@ -81,7 +81,7 @@ export async function latest(kind, ask) {
 
 export function listen(onState, onLost, onBack) {
   if (kept) {
-    onState({ ...kept.state, tasks: [] });
+    onState({ ...kept.state, tasks: [], opened: kept.state.opened.map((each) => ({ ...each, replaced: false })) });
     return;
   }
   const source = new EventSource("events");

@@ -19,6 +19,8 @@ const refusal = "this page was saved, and has no server: start `imubayes explore
 export function savedAnswer(name, body) {
   const model = body && find(body.model);
   if (!model) throw new Error(name === "model" ? "this model was not open when the page was saved" : refusal);
+  if (name === "estimates") return model.calibration;
+  if (name === "point") return point(model, body.entry);
   if (name === "model" || name === "known") return model[name === "model" ? "facts" : name];
   if (name === "selection") return selection(model, body.brushes);
   if (name === "preview") {
@@ -30,11 +32,12 @@ export function savedAnswer(name, body) {
 }
 
 function chooser(model, brushes) {
-  const { columns, facts } = model, run = numbers(columns.run), channel = numbers(columns.channel);
+  const { columns, facts } = model, run = numbers(columns.run), channel = numbers(columns.channel), row = numbers(columns.row);
   const tests = brushes.map((brush) => {
     const x = brush.x ? numbers(columns[`x:${brush.x}`]) : null, y = brush.y ? numbers(columns[brush.y]) : null;
     return (k) => (!brush.channels?.length || brush.channels.includes(facts.channels[channel[k]]))
       && (!brush.runs?.length || brush.runs.includes(facts.runs[run[k]]))
+      && (!brush.rows?.length || brush.rows.includes(row[k]))
       && (!x || (x[k] >= brush.x_low && x[k] <= brush.x_high)) && (!y || (y[k] >= brush.y_low && y[k] <= brush.y_high));
   });
   return (k) => tests.some((test) => test(k));
@@ -53,6 +56,15 @@ function selection(model, brushes) {
   return { n, of: model.of, chi2, nothing: null, offset: null, causes: [], sentence, runs: [...runs] };
 }
 
+function point(model, entry) {
+  const { columns, facts } = model, run = facts.runs[numbers(columns.run)[entry]], channel = numbers(columns.channel)[entry];
+  const said = (value) => `${+value.toPrecision(6)}`.replaceAll("-", "−");
+  const settings = facts.abscissae.filter((axis) => axis.name !== "reading" && Number.isFinite(numbers(columns[`x:${axis.name}`])[entry]));
+  return { entry, run, row: numbers(columns.row)[entry], channel: facts.channels[channel], values: [
+    [facts.channels[channel], `${said(numbers(columns.observed)[entry])} ${model.units[channel]}`], ["residual", `${said(numbers(columns.known)[entry])} × known noise`],
+    ...settings.map((axis) => [axis.phrase, `${said(numbers(columns[`x:${axis.name}`])[entry])} ${axis.unit}`.trim()])] };
+}
+
 export function savedPoints(wanted) {
   const model = find(wanted.model);
   if (!model) throw new Error(refusal);
@@ -64,7 +76,7 @@ export function savedPoints(wanted) {
   }
   places.sort((one, other) => x[one] - x[other]);
   const preview = model.previews.find((each) => wanted.effects.length === 1 && each.facts.effects[0] === wanted.effects[0]);
-  const chosen = chooser(model, wanted.brushes), labels = model.labels[wanted.colour], groups = [...new Set(labels)];
+  const chosen = chooser(model, wanted.brushes), labels = facts.labels.find((each) => each.by === wanted.colour).labels, groups = [...new Set(labels)];
   const y = column(wanted.y), known = column("known"), pick = (values) => Float32Array.from(places, (k) => values[k]);
   const after = preview ? numbers(preview.after) : known, axis = facts.abscissae.find((each) => each.name === wanted.x);
   return {
@@ -73,7 +85,7 @@ export function savedPoints(wanted) {
       y_label: { known: "residual / known noise", input: "residual / input unit", fitted: "residual / fitted noise" }[wanted.y],
       output_label: `${wanted.channel} / ${model.units[own]}`,
     },
-    x: pick(x), observed: pick(column("observed")), predicted: pick(column("predicted")), band: pick(column("band")), y: pick(y),
+    entry: places, x: pick(x), observed: pick(column("observed")), predicted: pick(column("predicted")), band: pick(column("band")), y: pick(y),
     sd: wanted.y === "input" ? Float32Array.from(places, (k) => 1.96 * column("sd")[k]) : new Float32Array(places.length).fill(1.96),
     group: Float32Array.from(places, (k) => groups.indexOf(labels[run[k]])), marked: Float32Array.from(places, (k) => Number(chosen(k))),
     curve: pick(preview ? numbers(preview.curve) : column("predicted")),

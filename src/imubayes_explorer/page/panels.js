@@ -2,19 +2,21 @@
 
 import { Chart, extent, shape } from "./chart.js";
 import { css, el, fill, sign } from "./dom.js";
+import { drawLegend } from "./legend.js";
+import { hideReading, pickReading, tellReading } from "./points.js";
 import { asPng, asSvg } from "./picture.js";
 import { show, told, view } from "./state.js";
 
-const MOST_NAMED = 14;
-let measurement, residuals, moving = null;
+let measurement, residuals, moving = null, whole = null;
 
-export function makeCharts(place) {
+export function makeCharts(place, actions) {
   const controls = el("div", { class: "controls", id: "controls" });
   const above = el("div", { class: "chart", id: "measurement", role: "img", "aria-label": "Measurement and model" });
   const below = el("div", { class: "chart", id: "residuals", role: "img", "aria-label": "Residuals" });
   place.append(controls, above, below, el("div", { class: "legend", id: "legend", role: "group", tabindex: "0", "aria-label": "Colours" }));
-  measurement = new Chart(above, { both: false, onBrush: brushed, draw: drawMeasurement });
-  residuals = new Chart(below, { both: true, onBrush: brushed, draw: drawResiduals });
+  const shared = (panel) => ({ onBrush: brushed, onZoom: zoomed, onPick: (k, added) => pickReading(actions, k, added), onPoint: (k, left, top) => tellReading(actions, panel, k, left, top) });
+  measurement = new Chart(above, { ...shared(above), both: false, draw: drawMeasurement, places: () => told.points && { x: told.points.x, y: told.points.observed } });
+  residuals = new Chart(below, { ...shared(below), both: true, draw: drawResiduals, places: () => told.points && { x: told.points.x, y: afterShown() ? told.points.after : told.points.y } });
   above.append(el("div", { class: "title" }, "measurement (points) and model (line)"));
   below.append(el("div", { class: "title", id: "residual-title" }));
 }
@@ -27,6 +29,23 @@ export function restyle() {
   measurement.build();
   residuals.build();
   drawCharts();
+}
+
+// Zoomed out beyond all readings, the panels show all of them.
+function zoomed([low, high]) {
+  hideReading();
+  const all = whole?.of === `${view.model} ${view.channel} ${view.x}` ? whole.x : null;
+  if (all && low <= all[0] && high >= all[1]) show({ between: null }, true);
+  else show({ between: [all ? Math.max(low, all[0]) : low, all ? Math.min(high, all[1]) : high] }, true);
+  drawCharts(); // those that are here at once, all of the range when they have come
+}
+
+function previewing() {
+  return told.preview?.effects.length > 0 && !told.points?.head.refitted;
+}
+
+function afterShown() {
+  return previewing() && view.after;
 }
 
 function brushed({ x, y }, added) {
@@ -46,7 +65,7 @@ export function drawControls(actions) {
     pick("channel", "channel", facts.channels.map((name) => [name, name])),
     pick("x", "against", facts.abscissae.map((axis) => [axis.name, axis.unit ? `${axis.phrase} / ${axis.unit}` : axis.phrase])),
     pick("y", "residual", [["known", "over known noise"], ["input", "in input units"], ["fitted", "over fitted noise"]]),
-    pick("colour", "colour", facts.groupings.map((name) => [name, name])),
+    pick("colour", "colour", facts.labels.map(({ by }) => [by, by])),
     el("label", {}, el("input", { type: "checkbox", "data-key": "only", checked: view.only.length > 0, onchange: focusRuns }), "only selected runs"),
     el("label", {}, el("input", { type: "checkbox", "data-key": "after", checked: view.after, title: "the residual after the preview; key p", onchange: (event) => show({ after: event.target.checked }) }), "after preview"),
     el("button", { "data-key": "draw", id: "draw", title: "draw the shape that you see, and get its formula; key w", onclick: actions.draw }, "draw a shape"),
@@ -111,7 +130,8 @@ export function drawCharts(before = null) {
   const points = told.points;
   if (!points) return;
   const { head } = points, last = before && before.head.count === head.count ? before : null;
-  const x = extent(points.x), sd = quantile(points.sd, 0.5);
+  if (!view.between) whole = { of: `${view.model} ${view.channel} ${view.x}`, x: extent(points.x) };
+  const x = view.between ?? extent(points.x), sd = quantile(points.sd, 0.5);
   const y = extent(points.y, 1.15 * sd), was = last ? extent(last.y, 1.15 * sd) : y;
   measurement.show({ x, y: extent(points.observed) }, "", head.output_label);
   document.getElementById("residual-title").textContent = head.refitted ? "residual of the refit; band: 95 % of noise alone" : told.preview?.effects.length
@@ -195,13 +215,12 @@ function drawResiduals(context, at) {
   context.fillRect(box.left, at.y(sd), box.width, at.y(-sd) - at.y(sd));
   context.fillStyle = css("--quiet");
   context.fillRect(box.left, at.y(0), box.width, at.ratio);
-  const previewing = told.preview?.effects.length > 0 && !points.head.refitted;
-  if (previewing && view.after) {
+  if (afterShown()) {
     drawPoints(context, at, points, points.after, false);
     return;
   }
-  drawPoints(context, at, points, moving?.y ?? points.y, previewing);
-  if (previewing) dashes(context, at, points, points.y.map((value, k) => value - points.after[k]));
+  drawPoints(context, at, points, moving?.y ?? points.y, previewing());
+  if (previewing()) dashes(context, at, points, points.y.map((value, k) => value - points.after[k]));
 }
 
 function dashes(context, at, points, y) {
@@ -214,24 +233,4 @@ function dashes(context, at, points, y) {
     context.lineTo(x + 5 * at.ratio, height);
   }
   context.stroke();
-}
-
-function drawLegend(groups) {
-  const named = groups.slice(0, MOST_NAMED).map((name, place) => {
-    const { colour, shape: kind } = sign(place);
-    const mark = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-    mark.setAttribute("width", 11);
-    mark.setAttribute("height", 11);
-    const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
-    const paths = { circle: "M1.5 5.5a4 4 0 1 0 8 0a4 4 0 1 0 -8 0", square: "M2 2h7v7h-7z", triangle: "M5.5 1L10 9.5H1z", diamond: "M5.5 .5L10.5 5.5L5.5 10.5L.5 5.5z" };
-    path.setAttribute("d", paths[kind]);
-    path.setAttribute("fill", colour);
-    mark.append(path);
-    return el("span", {}, mark, " ", name);
-  });
-  if (groups.length > MOST_NAMED) named.push(el("span", { class: "quiet" }, `and ${groups.length - MOST_NAMED} more`));
-  if (told.points.head.of > told.points.head.count) {
-    named.push(el("span", { class: "quiet" }, `${told.points.head.count} extremes of ${told.points.head.of} readings`));
-  }
-  fill(document.getElementById("legend"), named);
 }

@@ -1,11 +1,11 @@
 // The view of this window, which its address holds, and what the server has told; panels only read it.
 
-const FIRST = { model: "", channel: "", x: "", y: "known", colour: "run", only: [], brushes: [], ticked: [], tab: "models", between: null, after: false };
+const FIRST = { model: "", channel: "", x: "", y: "known", colour: "", only: [], brushes: [], ticked: [], tab: "models", between: null, after: false };
 
 export const view = { ...FIRST, ...fromAddress() };
 export const told = {
   session: null, kept: "", facts: null, points: null, selection: null, preview: null, hovered: "", fault: "", lost: false,
-  dismissed: 0,
+  dismissed: 0, folded: false, weighing: "",
 };
 
 export function atWork(task) {
@@ -66,6 +66,7 @@ function readAddress() {
 export function previewed() {
   const refit = told.session?.tasks.find((task) => atWork(task) && task.kind === "change" && task.of === view.model);
   if (refit) return { effects: refit.adding, task: refit.number };
+  if (told.facts?.stage !== "ready") return { effects: [] };
   // What was pointed at in the model before may be no cause of this one.
   const known = told.facts?.causes.some((cause) => cause.effect === told.hovered);
   const hovered = known && !view.ticked.includes(told.hovered) ? [told.hovered] : [];

@@ -19,7 +19,8 @@ from imubayes.results.folder_files import BUDGETS, add_to, added
 from imubayes.results.posterior_quantities import posterior_quantities, slopes
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import complete
-from imubayes.results.summary import is_constant
+from imubayes.results.summary import Quantity, Summary, is_constant
+from imubayes.results.temperature_range import thermal_quantities
 from imubayes_qualification.budgets import budget_parts
 from imubayes_qualification.budgets import uncertainty_budget as budget
 from imubayes_qualification.budgets.standard_quantities import STANDARD_QUANTITIES, draws_of_standard
@@ -29,7 +30,7 @@ from imubayes_qualification.evaluation.coverage import KnownUncertainty, coverag
 from imubayes_qualification.evaluation.decision_rules import LEAST_SHARE, USEFUL_RUN
 
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
-_METHOD = 13
+_METHOD = 14
 _MOST_HALVED = 3
 # Decimals of a correlation: two scale factors that share the error of gravity differ from 1 in the fifth.
 _DECIMALS = 8
@@ -72,8 +73,7 @@ def unit_with_budgets(result: Result) -> UnitWithBudgets:
 
 def _known(unit: TestedUnit, found: budget_parts.QuantityBudget) -> KnownUncertainty:
     """Return what a budget knows of an uncertainty; what is taken as exact moves no estimate by chance."""
-    own = found.standard_uncertainty**2 - sum(line.contribution**2 for line in found.lines if line.kind == "exact")
-    of_mean = math.sqrt(max(own, 0.0) / unit.quantities.effective[found.name])
+    of_mean = math.sqrt(max(_own_variance(found), 0.0) / unit.quantities.effective[found.name])
     factor = found.coverage_factor if found.interval == "symmetric" else None
     return KnownUncertainty(found.standard_uncertainty, found.monte_carlo_error, factor, of_mean)
 
@@ -85,6 +85,29 @@ def keep_budgets(result: Result) -> None:
     """
     if result.converged and result.folder is not None:
         unit_with_budgets(result)
+
+
+def stated_summary(result: Result) -> Summary:
+    """Return the summary of a result with the standard uncertainties that its report states, where its folder has them.
+
+    Those of draws have a Monte Carlo error, which those of budgets do not.  What the model takes as exact is in none.
+    """
+    kept = None if result.folder is None else _kept(result.folder)
+    if kept is None or kept.method != _METHOD:
+        return result.summary
+    known = {each.name: math.sqrt(max(_own_variance(each), 0.0)) for each in kept.budgets.quantities}
+
+    def stated[L: Quantity](lines: tuple[L, ...]) -> tuple[L, ...]:
+        return tuple(line.model_copy(update={"sd": known[line.name]}) if line.name in known else line for line in lines)
+
+    summary = result.summary
+    update = {name: stated(getattr(summary, name)) for name in ("parameters", "derived", "combinations")}
+    return summary.model_copy(update=update)
+
+
+def _own_variance(found: budget_parts.QuantityBudget) -> float:
+    """Return the variance of a quantity without what the model takes as exact."""
+    return found.standard_uncertainty**2 - sum(line.contribution**2 for line in found.lines if line.kind == "exact")
 
 
 def _kept(folder: Path) -> KeptBudgets | None:
@@ -105,7 +128,7 @@ def _computed(result: Result) -> tuple[KeptBudgets, TestedUnit]:
     names = [line.name for line in entries if not line.repeats_misalignments and not is_constant(draws[line.name])]
     arrays = budget.budget_of(result, names, functions_of_quantities(result, plain))
     gradients = {name: each.gradient for name, each in zip(arrays.names, arrays.components, strict=True)}
-    exact = exact_equipment(result.fit).found(gradients)
+    exact = exact_equipment(result.fit).found(gradients, thermal_quantities(gradients))
     unit = unit_under_test(result, exact)
     correlation = budget.correlation_of(complete({name: unit.quantities.draws[name] for name in arrays.names}))
     widths = tuple(finite(parameter.prior_sd) for parameter in arrays.priors)
@@ -258,7 +281,7 @@ def _by_exact(parts: _Parts, name: str) -> Iterator[_Contribution]:
         if shift:
             named = {
                 "kind": "exact", "input": each.parameter, "source": each.source, "distribution": _NORMAL,
-                "unit": each.unit, "input_uncertainty": each.left, "sensitivity": shift / each.left,
+                "unit": each.unit, "input_uncertainty": each.left, "sensitivity": -shift / each.left,
             }  # fmt: skip
             yield _Contribution(shift**2, "B", named=named)
 

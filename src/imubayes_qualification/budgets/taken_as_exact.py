@@ -5,15 +5,18 @@ be zero.  Its plausible size s is the standard uncertainty that the campaign sta
 prior.  What the data tell of c bounds it further.  With J the whitened Jacobian of the model's own parameters in z, k
 the whitened response to c, C = (JᵀJ + diag w⁻²)⁻¹ and g the gradient of a quantity q, all linear about the mode,
 
-    Var(c) = (s⁻² + kᵀk − kᵀJ C Jᵀk)⁻¹,    ∂q/∂c = −gᵀ C Jᵀk,
+    Var(c) = (s⁻² + kᵀk − kᵀJ C Jᵀk)⁻¹,    ∂q/∂c = gᵀ C Jᵀk,
 
-jointly for several such parameters.  The variance (∂q/∂c)² Var(c) is what the estimate of q has beside its own.  It is
-*included* in every uncertainty of a report where the campaign itself says that the parameter is not exact: by a stated
-uncertainty, and by normal gravity, which nobody measured.  The others are listed with what they would do, and no unit
-passes on a quantity that all of them together could put beyond its limit.
+jointly for several such parameters: the change of the estimate that is due to c.  An estimate that is corrected for c
+changes by as much the other way, which is the sensitivity coefficient of a budget.  The variance (∂q/∂c)² Var(c) is
+what the estimate of q has beside its own.  It is *included* in every uncertainty of a report where the campaign itself
+says that the parameter is not exact: by a stated uncertainty, and by normal gravity, which nobody measured.  The others
+are listed with what they would do, and no unit passes on a quantity that all of them together could put beyond its
+limit.  Errors of thermometers, clock and meters, of which the campaign states no uncertainty, are among them
+(`imubayes.responses.instrument_errors`).
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +26,8 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_columns
 from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.problem import prior_widths
-from imubayes.responses.candidate_effects import Coefficient, Response, candidate_responses
+from imubayes.responses.candidate_effects import Response, candidate_responses
+from imubayes.responses.instrument_errors import instrument_errors
 from imubayes.responses.uncertain_equipment import stated_size, uncertain_equipment
 from imubayes_qualification.budgets.budget_parts import Source, posterior_covariance
 from imubayes_qualification.budgets.uncertainty_budget import SOURCES
@@ -63,13 +67,25 @@ class ExactInput(UncertainEquipment):
         """Return what one standard deviation does to a quantity, in its unit; 0 where that does not matter."""
         return next((each.value for each in self.shifts if each.name == name), 0.0)
 
+    def sensitivity(self, name: str) -> float:
+        """Return what an error of one unit does to a quantity, in its unit per `unit`; 0 where that does not matter."""
+        return self.shift(name) / self.left
+
+
+class JointShift(Record):
+    """What independent standard normal causes do to one of several quantities, in its unit, with sign."""
+
+    name: str
+    values: tuple[float, ...]
+
 
 @dataclass(frozen=True)
-class _Parameter:
-    """A coefficient of an effect that the model lacks, with its plausible size in its unit."""
+class ExactParameter:
+    """A parameter that the model lacks: cause, name, unit, and its plausible size in that, stated or not."""
 
     effect: str
-    coefficient: Coefficient
+    name: str
+    unit: str
     size: float
     stated: bool
 
@@ -82,10 +98,12 @@ class TakenAsExact(Record):
     inputs : the parameters that matter to some quantity.
     unstated : of the quantities that it matters to, the standard deviation by all parameters together that are not
         included; two of the same response, of which the data tell the sum, do less together than each by itself.
+    jointly : the same with its correlation, of the quantities that a value at another temperature is made of.
     """
 
     inputs: tuple[ExactInput, ...] = ()
     unstated: tuple[QuantityShift, ...] = ()
+    jointly: tuple[JointShift, ...] = ()
 
     def omitted_ratio(self, name: str, own: float) -> float:
         """Return the factor on the uncertainty of a quantity, `own`, by what is included in none; 1 for nothing."""
@@ -111,13 +129,13 @@ class ExactEquipment:
     covariance : shape (P, P), of the model's own parameters in z.
     """
 
-    parameters: tuple[_Parameter, ...]
+    parameters: tuple[ExactParameter, ...]
     included: np.ndarray
     response: np.ndarray
     told: np.ndarray
     covariance: np.ndarray
 
-    def found(self, gradients: Mapping[str, np.ndarray]) -> TakenAsExact:
+    def found(self, gradients: Mapping[str, np.ndarray], jointly: Collection[str] = ()) -> TakenAsExact:
         """Return the parameters with what each does to quantities; those that matter to none are left out.
 
         An included parameter has what it does beside those before it, any other one what it does alone.
@@ -125,6 +143,7 @@ class ExactEquipment:
         Parameters
         ----------
         gradients : quantity → shape (R, P), its gradient, or those of the components that it is the length of.
+        jointly : quantities with one gradient of which the correlation is kept.
         """
         if not self.parameters:
             return TakenAsExact()
@@ -143,7 +162,25 @@ class ExactEquipment:
             if rest > (LEAST_SHIFT * own[name]) ** 2:
                 unstated.append(QuantityShift(name=name, value=float(np.sqrt(rest))))
         inputs = (self._input(k, float(np.linalg.norm(factor[k])), shifts, own) for k in range(len(sizes)))
-        return TakenAsExact(inputs=tuple(each for each in inputs if each.shifts), unstated=tuple(unstated))
+        matters = {each.name for each in unstated}.intersection(jointly)
+        chosen = {name: gradients[name][0] / own[name] for name in gradients if name in matters}
+        together = self._jointly(np.reshape(list(chosen.values()), (len(chosen), len(self.response))), inside, whole)
+        joint = (
+            JointShift(name=name, values=tuple((own[name] * row).tolist()))
+            for name, row in zip(chosen, together, strict=True)
+        )
+        return TakenAsExact(
+            inputs=tuple(each for each in inputs if each.shifts), unstated=tuple(unstated), jointly=tuple(joint)
+        )
+
+    def _jointly(self, rows: np.ndarray, inside: np.ndarray, whole: np.ndarray) -> np.ndarray:
+        """Return F, (Q, r), with F Fᵀ the covariance by what is not included, of Q quantities in units of their sd."""
+        along = rows @ self.response
+        covariance = along @ whole @ (along @ whole).T
+        known = along[:, self.included] @ inside
+        values, vectors = np.linalg.eigh(covariance - known @ known.T)
+        kept = values > LEAST_SHIFT**2
+        return vectors[:, kept] * np.sqrt(values[kept])
 
     @property
     def included_shifts(self) -> np.ndarray:
@@ -161,9 +198,9 @@ class ExactEquipment:
         each = self.parameters[place]
         return ExactInput(
             effect=each.effect,
-            parameter=each.coefficient.parameter.name,
+            parameter=each.name,
             source=SOURCES[each.effect],
-            unit=each.coefficient.parameter.shown_unit,
+            unit=each.unit,
             size=each.size,
             left=left,
             stated=each.stated,
@@ -186,6 +223,10 @@ def exact_equipment(fit: Fit, effects: Sequence[str] = tuple(SOURCES)) -> ExactE
     problem, size = fit.model.problem, len(fit.z)
     responses = candidate_responses(fit, only=tuple(effects))
     listed = [each for response in _first_shapes(responses.candidates) for each in _parameters(fit, response)]
+    listed += [
+        (ExactParameter(each.effect, each.name, each.unit, each.size, stated=False), each.column)
+        for each in instrument_errors(fit, effects)
+    ]
     columns = [column for _, column in listed]
     joined = np.concatenate([responses.jacobian, np.reshape(columns, (len(columns), -1)).T], axis=1) if columns else (
         responses.jacobian
@@ -201,7 +242,7 @@ def exact_equipment(fit: Fit, effects: Sequence[str] = tuple(SOURCES)) -> ExactE
     covariance = posterior_covariance(own, widths) if size else np.zeros((0, 0))
     parameters = tuple(each for each, _ in listed)
     uncertain = {each.parameter for each in uncertain_equipment(fit)}
-    included = np.array([each.coefficient.parameter.name in uncertain for each in parameters], dtype=bool)
+    included = np.array([each.name in uncertain for each in parameters], dtype=bool)
     return ExactEquipment(parameters, included, np.linalg.solve(upper, along), rest.T @ rest, covariance)
 
 
@@ -212,9 +253,7 @@ def included_shifts(fit: Fit) -> tuple[tuple[UncertainEquipment, np.ndarray], ..
         return ()
     exact = exact_equipment(fit, tuple({each.effect for each in listed}))
     known = {each.parameter: each for each in listed}
-    names = [
-        each.coefficient.parameter.name for each, ours in zip(exact.parameters, exact.included, strict=True) if ours
-    ]
+    names = [each.name for each, ours in zip(exact.parameters, exact.included, strict=True) if ours]
     return tuple((known[name], shift) for name, shift in zip(names, exact.included_shifts, strict=True))
 
 
@@ -251,10 +290,11 @@ def _first_shapes(candidates: Sequence[Response]) -> Iterator[Response]:
             yield response
 
 
-def _parameters(fit: Fit, response: Response) -> Iterator[tuple[_Parameter, np.ndarray]]:
+def _parameters(fit: Fit, response: Response) -> Iterator[tuple[ExactParameter, np.ndarray]]:
     """Yield the coefficients of an effect that may have either sign, each with the response of the entries (E,)."""
     for coefficient, column in zip(response.coefficients, response.columns.T, strict=True):
         stated = stated_size(fit.model, response.scan.effect, coefficient)
-        size = coefficient.parameter.prior_sd if stated is None else stated
+        own = coefficient.parameter
+        size = own.prior_sd if stated is None else stated
         if not coefficient.even and 0 < size < np.inf:
-            yield _Parameter(response.scan.effect, coefficient, size, stated is not None), column
+            yield ExactParameter(response.scan.effect, own.name, own.shown_unit, size, stated is not None), column

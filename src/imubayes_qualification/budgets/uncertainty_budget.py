@@ -22,6 +22,7 @@ from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.model.problem import Problem
 from imubayes.parameters.declarations import Layout, Parameter
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform
+from imubayes.responses.instrument_errors import INSTRUMENTS
 from imubayes.results.posterior_quantities import posterior_quantities
 from imubayes.results.result import Result
 from imubayes_qualification.budgets import budget_parts as parts
@@ -46,7 +47,7 @@ SOURCES: dict[str, parts.Source] = {
     "station_level": "site", "gravity_anomaly": "site",
     "reference_bias": "reference", "reference_scale_factor": "reference",
     "reference_alignment": "reference", "injection_error": "reference",
-    "thermometer_error": "reference", "converter_thermometer_error": "reference",
+    **dict.fromkeys(INSTRUMENTS, "reference"),
 }  # fmt: skip
 """Effect → what its prior is about; the unit under test for all others."""
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import polars as pl
@@ -19,7 +20,38 @@ from imubayes.results.summary import Quantity, is_constant
 from imubayes.results.temperature_range import ThermalModel, thermal_model
 from imubayes_qualification.budgets.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
 from imubayes_qualification.budgets.taken_as_exact import ExactInput, TakenAsExact, standard_draws
-from imubayes_qualification.evaluation.coverage import Coverage, KnownUncertainty, coverage_of, coverage_of_length
+from imubayes_qualification.evaluation.coverage import (
+    NORMAL_FACTOR,
+    Coverage,
+    KnownUncertainty,
+    coverage_of,
+    coverage_of_length,
+    coverage_with_scatter,
+)
+
+# Share of a standard deviation from which on a scatter between runs gives the posterior a shape of its own.
+_MATTERS = 0.1
+
+
+@dataclass(frozen=True)
+class RangeDraws:
+    """Draws of a quantity at T temperatures, and what the next run adds.
+
+    Attributes
+    ----------
+    centre : shape (S, T), without the offset of a run.
+    scatter : shape (S, T), standard deviation of that offset, which is the same at all temperatures.
+    """
+
+    centre: np.ndarray
+    scatter: np.ndarray
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Draws with the offset, one for each draw: the same draws give the same report, (S, T)."""
+        if not self.scatter.any():
+            return self.centre
+        return self.centre + self.scatter * np.random.default_rng(20260401).standard_normal((len(self.centre), 1))
 
 
 @dataclass(frozen=True)
@@ -34,6 +66,8 @@ class TestedUnit(UnitUnderTest):
     known : quantity → its uncertainty, where a budget gives it.
     added : quantity → standard deviation by what is included of equipment that the model takes as exact.
     unstated : quantity → standard deviation by equipment that the model takes as exact, in no uncertainty.
+    jointly : the same with its correlation: quantity → shape (r,), by r independent causes, where it depends on
+        temperature.
     floors : quantity → the smallest expanded uncertainty that may be stated of it.
     """
 
@@ -45,31 +79,46 @@ class TestedUnit(UnitUnderTest):
     known: Mapping[str, KnownUncertainty] = field(default_factory=dict)
     added: Mapping[str, float] = field(default_factory=dict)
     unstated: Mapping[str, float] = field(default_factory=dict)
+    jointly: Mapping[str, np.ndarray] = field(default_factory=dict)
     floors: Mapping[str, float] = field(default_factory=dict)
 
-    def with_floor(self, name: str, values: np.ndarray) -> np.ndarray:
-        """Return draws (S, T) at T temperatures, widened where U would be below the floor of their quantity."""
+    def with_floor(self, name: str, values: "RangeDraws") -> "RangeDraws":
+        """Return draws at T temperatures, widened where U would be below the floor of their quantity."""
         if (floor := self.floors.get(name)) is None:
             return values
-        middle, effective = values.mean(axis=0), self.quantities.effective[name]
-        expanded = np.array([self.coverage_at(name, Marginal(each, effective)).expanded for each in values.T])
-        return middle + (values - middle) * np.maximum(floor / expanded, 1.0)
+        expanded = np.array([each.expanded for each in self.coverage_at(name, values)])
+        factor, middle = np.maximum(floor / expanded, 1.0), values.centre.mean(axis=0)
+        return RangeDraws(middle + (values.centre - middle) * factor, values.scatter * factor)
 
-    def coverage_at(self, name: str, marginal: Marginal) -> Coverage:
-        """Return what is stated of a quantity at one temperature; what was added moves no estimate.
+    def coverage_at(self, name: str, values: "RangeDraws") -> list[Coverage]:
+        """Return what is stated of a quantity at T temperatures; what was added moves no estimate.
 
         Where the temperature changes nothing, that is what is stated of it everywhere.
         """
-        if np.array_equal(marginal.draws, self.quantities.marginal(name).draws):
-            return self.coverage(name)
+        effective, own = self.quantities.effective[name], self.quantities.marginal(name).draws
+        return [
+            self.coverage(name)
+            if not scatter.any() and np.array_equal(centre, own)
+            else self._coverage_at(name, Marginal(centre, effective), scatter)
+            for centre, scatter in zip(values.centre.T, values.scatter.T, strict=True)
+        ]
+
+    def _coverage_at(self, name: str, centre: Marginal, scatter: np.ndarray) -> Coverage:
         added = self.added.get(name, 0.0)
-        if not added or not marginal.sd > 0:
-            return coverage_of(marginal)
-        own = max(marginal.sd**2 - added**2, 0.0)
-        of_mean = float(np.sqrt(own / marginal.effective))
+        if float(np.mean(scatter**2)) > (_MATTERS * centre.sd) ** 2:
+            return coverage_with_scatter(centre, scatter, added)
+        # k of what it is made of: that of the bias contains how well the scatter of its runs is known.
+        known = self.known.get(name)
+        factor = NORMAL_FACTOR if known is None or known.factor is None else known.factor
+        standard = float(np.sqrt(centre.sd**2 + np.mean(scatter**2)))
+        if not standard > 0:
+            return coverage_of(centre)
+        own = max(centre.sd**2 - added**2, 0.0)
+        of_mean = float(np.sqrt(own / centre.effective))
         # What was added has its standard deviation exactly, and a chance correlation with the draws.
-        of_sd = float(np.hypot(marginal.errors.sd * own / marginal.sd**2, of_mean))
-        return coverage_of(marginal, KnownUncertainty(marginal.sd, of_sd, mean_error=of_mean))
+        share = own / centre.sd**2 if centre.sd > 0 else 0.0
+        of_sd = float(np.hypot(centre.errors.sd * share, of_mean if added else 0.0))
+        return coverage_of(centre, KnownUncertainty(standard, of_sd, factor, of_mean))
 
     def coverage(self, name: str) -> Coverage:
         """Return what is stated of a quantity: the same in every table."""
@@ -110,7 +159,8 @@ def unit_under_test(result: Result, exact: TakenAsExact | None = None) -> Tested
     for shift in (shift for each in exact.included for shift in each.shifts):
         added[shift.name] = float(np.hypot(added.get(shift.name, 0.0), shift.value))
     unstated = {each.name: each.value for each in exact.unstated}
-    return replace(unit, quantities=known, lengths=lengths, added=added, unstated=unstated)
+    jointly = {each.name: np.array(each.values) for each in exact.jointly}
+    return replace(unit, quantities=known, lengths=lengths, added=added, unstated=unstated, jointly=jointly)
 
 
 def widened(known: PosteriorQuantities, exact: Sequence[ExactInput]) -> PosteriorQuantities:

@@ -33,8 +33,8 @@ from imubayes_qualification.certificate.specification import LimitEntry, Specifi
 from imubayes_qualification.evaluation.coverage import KnownUncertainty
 
 _PATH = ("certificate", "cmc")
-# Share of a standard deviation by which a quantity may differ from another one of its label, in another unit; draws are
-# stored to a ten-thousandth of theirs.
+# Share of a standard deviation by which a quantity may differ from another one of its label, in another unit: scale
+# factors are no linear functions of their errors.
 _SAME = 5e-4
 
 

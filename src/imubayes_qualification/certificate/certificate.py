@@ -32,11 +32,13 @@ beside it: standards of equipment that no run used or that had expired, dates in
 
 Equipment is what the runs used: tables by name; ``reference_gyro`` and ``current_injection``, procedures with a
 standard of their own; ``gravity``, of accelerometers; and the instruments of what was read beside the outputs and
-enters the results, ``temperature``, ``converter_temperature``, ``time`` and ``vibration``.  A claim is held against
+enters the results, ``temperature``, ``converter_temperature``, ``time`` and ``vibration``; outputs that are counted
+per second have the standard ``time`` as well, and voltages and currents ``meter``.  A claim is held against
 what was used: no standard of gravity was, if the campaign has the formula of normal gravity.
 """
 
 import datetime
+import re
 import unicodedata
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -52,12 +54,35 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import instruments
 from imubayes.foundations.records import Record
 from imubayes.procedures.ambient import instant, starts_of
+from imubayes.responses.instrument_errors import METER, TIME_BASE, readout
 from imubayes_qualification.certificate.countries import COUNTRIES
 
 
 def _visible(text: str) -> str:
     if all(unicodedata.category(letter) in ("Cf", "Zs") for letter in text):
         raise ValueError("it is blank")
+    return text
+
+
+# Words that stand for what is still to be written, wherever they are, and those that do so alone.
+_TO_BE_WRITTEN = frozenset({"tbd", "tba", "tbc", "tbn", "todo", "fixme", "placeholder", "lorem"})
+_NOTHING = frozenset({"na", "none", "null", "nil", "nan", "unknown", "pending", "dummy", "notapplicable",
+                      "notavailable", "notstated", "tobedetermined", "tobedefined", "tobeannounced"})  # fmt: skip
+_WORDS = re.compile(r"[^\W_]+")
+
+
+def is_placeholder(text: str) -> bool:
+    """Tell whether a text stands for a name or number that is still to be written: ``n/a``, ``TBD``, ``NMI-XXXX``."""
+    words = _WORDS.findall(text.casefold())
+    whole = "".join(words)
+    if not whole or whole in _NOTHING or not whole.strip("x") or not whole.strip("0"):
+        return True
+    return any(word in _TO_BE_WRITTEN or (len(word) > 2 and not word.strip("x")) for word in words)
+
+
+def _identified(text: str) -> str:
+    if is_placeholder(text):
+        raise ValueError(f"{text!r} is a placeholder: without this key, it is listed as missing")
     return text
 
 
@@ -81,6 +106,7 @@ def _assigned(country: str) -> str:
 
 
 Text = Annotated[file_schemas.Text, Field(min_length=1, max_length=2000), AfterValidator(_visible)]
+Identity = Annotated[Text, AfterValidator(_identified)]
 Date = Annotated[datetime.date, BeforeValidator(_no_number)]
 Celsius = Annotated[float, Field(strict=True, ge=-273.15)]
 Percent = Annotated[float, Field(strict=True, ge=0, le=100)]
@@ -94,20 +120,20 @@ class _CertificatePart(BaseModel):
 class Party(_CertificatePart):
     """Laboratory or customer."""
 
-    name: Text | None = Field(default=None, description="of the organisation")
-    address: Text | None = Field(default=None, description="as on a letter, one line")
+    name: Identity | None = Field(default=None, description="of the organisation")
+    address: Identity | None = Field(default=None, description="as on a letter, one line")
     country: Annotated[str, Field(pattern=file_schemas.COUNTRY), AfterValidator(_assigned)] | None = Field(
         default=None, description="ISO 3166-1"
     )
-    email: Text | None = Field(default=None, description="for questions")
+    email: Identity | None = Field(default=None, description="for questions")
 
 
 class CertifiedItem(_CertificatePart):
     """What was calibrated; its serial number is that of the campaign."""
 
-    description: Text | None = Field(default=None, description="what it is")
-    manufacturer: Text | None = Field(default=None, description="who made it")
-    model: Text | None = Field(default=None, description="type designation")
+    description: Identity | None = Field(default=None, description="what it is")
+    manufacturer: Identity | None = Field(default=None, description="who made it")
+    model: Identity | None = Field(default=None, description="type designation")
     condition: Text | None = Field(default=None, description="in which it was received")
     received: Date | None = Field(default=None, description="date of receipt")
 
@@ -115,16 +141,23 @@ class CertifiedItem(_CertificatePart):
 class MeasurementStandard(_CertificatePart):
     """A standard that was used, and what its traceability rests on."""
 
-    name: Text = Field(description="what it is: rate table, dividing head, gravity, thermometer")
+    name: Identity = Field(description="what it is: rate table, dividing head, gravity, thermometer")
     equipment: tuple[Text, ...] = Field(
         default=(),
         description="that it is or traces: tables by name, reference_gyro, current_injection, gravity, temperature, "
-        "converter_temperature, time, vibration",
+        "converter_temperature, time, vibration, meter",
     )
-    serial: Text | None = Field(default=None, description="its serial number")
-    certificate: Text | None = Field(default=None, description="number of its calibration certificate")
-    issued_by: Text | None = Field(default=None, description="who issued that")
+    serial: Identity | None = Field(default=None, description="its serial number")
+    certificate: Identity | None = Field(default=None, description="number of its calibration certificate")
+    issued_by: Identity | None = Field(default=None, description="who issued that")
+    calibrated: Date | None = Field(default=None, description="when it was calibrated")
     valid_until: Date | None = Field(default=None, description="when it is due again")
+
+    @model_validator(mode="after")
+    def _is_valid_after_its_calibration(self) -> "MeasurementStandard":
+        if self.calibrated and self.valid_until and self.calibrated > self.valid_until:
+            raise ValueError(f"calibrated on {self.calibrated}, which is after valid_until, {self.valid_until}")
+        return self
 
 
 class Environment(_CertificatePart):
@@ -157,7 +190,7 @@ class CapabilityEntry(_CertificatePart):
 class Amendment(_CertificatePart):
     """What an amended or reissued certificate changes (ISO/IEC 17025:2017, 7.8.8)."""
 
-    of: Text = Field(description="number of the certificate that is amended or replaced")
+    of: Identity = Field(description="number of the certificate that is amended or replaced")
     changes: Text = Field(description="information that is changed")
     reason: Text | None = Field(default=None, description="of the change")
     replaces: bool = Field(
@@ -168,29 +201,29 @@ class Amendment(_CertificatePart):
 class ExternalResult(_CertificatePart):
     """Results that an external provider obtained."""
 
-    provider: Text = Field(description="who obtained them")
+    provider: Identity = Field(description="who obtained them")
     results: Text = Field(description="which they are, such as runs of the campaign")
 
 
 class Signatory(_CertificatePart):
     """A person who authorises the certificate."""
 
-    name: Text = Field(description="as it signs")
+    name: Identity = Field(description="as it signs")
     function: Text | None = Field(default=None, description="in the laboratory")
 
 
 class Certificate(_CertificatePart):
     """The certificate block (ISO/IEC 17025:2017, 7.8.2 and 7.8.4)."""
 
-    number: Text | None = Field(default=None, description="unique identification of the certificate")
+    number: Identity | None = Field(default=None, description="unique identification of the certificate")
     date: Date | None = Field(default=None, description="of issue")
-    title: Text = Field(default="Calibration certificate", description="of the document")
+    title: Identity = Field(default="Calibration certificate", description="of the document")
     laboratory: Party = Field(default=Party(), description="who calibrated")
     customer: Party = Field(default=Party(), description="for whom")
-    order: Text | None = Field(default=None, description="of the customer")
+    order: Identity | None = Field(default=None, description="of the customer")
     item: CertifiedItem = Field(default=CertifiedItem(), description="what was calibrated")
-    location: Text | None = Field(default=None, description="where the calibration was made")
-    method: Text | None = Field(default=None, description="identification of the method")
+    location: Identity | None = Field(default=None, description="where the calibration was made")
+    method: Identity | None = Field(default=None, description="identification of the method")
     standard: tuple[MeasurementStandard, ...] = Field(default=(), description="standards that were used")
     cmc: tuple[CapabilityEntry, ...] = Field(default=(), description="capabilities: no U is stated smaller")
     environment: Environment = Field(default=Environment(), description="conditions during the calibration")
@@ -205,7 +238,7 @@ class Certificate(_CertificatePart):
     )
     sampling: Text | None = Field(default=None, description="plan and method by which the item was sampled")
     remarks: Text | None = Field(default=None, description="of the laboratory")
-    accreditation: Text | None = Field(default=None, description="text of the accreditation mark")
+    accreditation: Identity | None = Field(default=None, description="text of the accreditation mark")
     signatory: tuple[Signatory, ...] = Field(default=(), description="who authorises the certificate")
 
     @model_validator(mode="after")
@@ -226,7 +259,8 @@ MissingItem = Literal[
     "number", "date", "laboratory_name", "laboratory_address", "location", "customer_name", "customer_address",
     "method", "item_description", "serial", "received", "performed", "environment", "standards",
     "standard_certificate", "standard_validity", "expired", "untraced", "unused", "normal_gravity",
-    "repeated_standard", "shared_certificate", "received_late", "issued_early",
+    "repeated_standard", "shared_certificate", "own_number", "own_standard", "calibrated_late", "received_late",
+    "issued_early",
     "omitted", "validity", "cmc", "signatories",
 ]  # fmt: skip
 """What a certificate lacks, or what in it contradicts the campaign.
@@ -234,8 +268,10 @@ MissingItem = Literal[
 `expired` is a standard whose validity ended before the last run that used it, `untraced` equipment of the runs that no
 standard names, `unused` what a standard names and no run used, `normal_gravity` a measured gravity in place of its
 formula, `repeated_standard` one that is listed twice, `shared_certificate` a number that several issuers gave,
-`omitted` what U is known to lack, `validity` that of the model or the fit, `cmc` the capabilities of a laboratory that
-states an accreditation.
+`own_number` the number of this certificate given to that of a standard, `own_standard` a standard whose certificate
+this laboratory issued, `calibrated_late` one that was calibrated after the first run that used it, `omitted` what U is
+known to lack, `validity` that of the model or the fit, `cmc` the capabilities of a laboratory that states an
+accreditation.
 """
 
 
@@ -285,23 +321,38 @@ def read_certificate(file: str | Path) -> tuple[Certificate, Ledger]:
 GRAVITY = "gravity"
 # Procedures whose stimulus comes from a standard that is no table.
 _WITH_STANDARD = ("reference_gyro", "current_injection")
+_READOUTS = {TIME_BASE: "time", METER: "meter"}
 
 
 @dataclass(frozen=True)
 class EquipmentUsed:
-    """What runs used that a standard may trace, each with the start of the last run that did.
+    """What runs used that a standard may trace, each with the start of the first and of the last run that did.
 
     Attributes
     ----------
-    needed : what enters the results: tables, procedures with a standard, gravity, instruments of covariates.
+    needed : what enters the results: tables, procedures with a standard, gravity, instruments of covariates and of
+        outputs.
     recorded : what is known and enters no result: instruments of covariates that no effect of the model reads, gravity
         of a unit without accelerometers.
     normal_gravity : whether gravity is that of the formula, which no standard gave.
     """
 
-    needed: Mapping[str, str | None]
-    recorded: Mapping[str, str | None]
+    needed: Mapping[str, "Used"]
+    recorded: Mapping[str, "Used"]
     normal_gravity: bool
+
+
+@dataclass(frozen=True)
+class Used:
+    """When equipment was used: start of the first and of the last run that did; None where no run states its start."""
+
+    first: str | None = None
+    last: str | None = None
+
+    def by(self, start: str | None) -> "Used":
+        """Return this with a further run."""
+        known = sorted(filter(None, (self.first, self.last, start)), key=instant)
+        return Used(known[0], known[-1]) if known else self
 
 
 def equipment_used(campaign: Campaign, covariates: Collection[str] = ()) -> EquipmentUsed:
@@ -314,16 +365,17 @@ def equipment_used(campaign: Campaign, covariates: Collection[str] = ()) -> Equi
     accelerometers = any(channel.kind == "accelerometer" for channel in campaign.channels)
     read, normal = instruments(covariates), campaign.site.has_normal_gravity
     gravity = () if normal else (GRAVITY,)
-    needed, recorded = dict[str, str | None](), dict[str, str | None]()
+    needed, recorded = dict[str, Used](), dict[str, Used]()
     for run in campaign.runs:
         own = instruments(run.covariates)
         procedure = run.procedure if run.procedure in _WITH_STANDARD else None
         enters = [run.table, procedure, *(name for name in own if name in read)]
-        beside = [name for name in own if name not in read]
+        enters += filter(None, (_READOUTS.get(readout(each.output_unit) or "") for each in campaign.channels))
+        beside = [name for name in own if name not in enters]
         (enters if accelerometers else beside).extend(gravity)
         for listed, names in ((needed, enters), (recorded, beside)):
             for name in filter(None, names):
-                listed[name] = max(filter(None, (listed.get(name), run.start)), key=instant, default=None)
+                listed[name] = listed.get(name, Used()).by(run.start)
     return EquipmentUsed(needed, recorded, accelerometers and normal)
 
 
@@ -340,7 +392,8 @@ def missing_items(found: Certificate, campaign: Campaign, covariates: Collection
         "number": found.number, "date": found.date, "laboratory_name": laboratory.name,
         "laboratory_address": laboratory.address, "location": found.location, "customer_name": customer.name,
         "customer_address": customer.address, "method": found.method,
-        "item_description": item.description or item.model, "serial": campaign.serial, "received": item.received,
+        "item_description": item.description or item.model, "received": item.received,
+        "serial": campaign.serial and not is_placeholder(campaign.serial),
         "performed": starts, "environment": any(found.environment.model_dump().values()), "standards": found.standard,
         "received_late": not (item.received and starts and item.received > _day(starts[0])),
         "issued_early": not (found.date and starts and found.date < _day(starts[-1])),
@@ -348,7 +401,18 @@ def missing_items(found: Certificate, campaign: Campaign, covariates: Collection
     }  # fmt: skip
     absent = [Missing(item=name) for name, given in required.items() if not given]
     used = equipment_used(campaign, covariates)
-    return (*absent, *(_of_standards(found.standard, used, starts) if found.standard else ()))
+    if not found.standard:
+        return tuple(absent)
+    return (*absent, *_of_standards(found.standard, used, starts), *_of_itself(found))
+
+
+def _of_itself(found: Certificate) -> Iterator[Missing]:
+    """Yield what a certificate would be traceable to itself by: its own number, or its own laboratory."""
+    for each in found.standard:
+        if found.number and _plain(each.certificate) == _plain(found.number):
+            yield Missing(item="own_number", of=each.name)
+        if found.laboratory.name and _plain(each.issued_by) == _plain(found.laboratory.name):
+            yield Missing(item="own_standard", of=each.name)
 
 
 def _of_standards(
@@ -364,17 +428,25 @@ def _of_standards(
         claimed = (*standard.equipment, *({standard.name} & {GRAVITY}))
         for name in dict.fromkeys(name for name in claimed if name not in used):
             yield Missing(item="unused", of=f"{standard.name}: {name}")
-        if standard.certificate is None:
-            yield Missing(item="standard_certificate", of=standard.name)
-        ends = filter(None, (used[name] for name in own if name in used))
-        last = max(ends, key=instant, default=starts[-1] if starts else None)
-        if standard.valid_until is None:
-            yield Missing(item="standard_validity", of=standard.name)
-        elif last is not None and _day(last) > standard.valid_until:
-            yield Missing(item="expired", of=standard.name)
+        yield from _of_dates(standard, [used[name] for name in own if name in used], starts)
     for name in equipment.needed:
         if name not in traced:
             yield Missing(item="untraced", of=name)
+
+
+def _of_dates(standard: MeasurementStandard, used: Sequence[Used], starts: Sequence[str]) -> Iterator[Missing]:
+    """Yield what the certificate of a standard lacks, or was not at the runs that used it; all where none is known."""
+    times = [each for each in used if each.first] or [Used(starts[0], starts[-1])] if starts else []
+    first = min(filter(None, (each.first for each in times)), key=instant, default=None)
+    last = max(filter(None, (each.last for each in times)), key=instant, default=None)
+    if standard.certificate is None:
+        yield Missing(item="standard_certificate", of=standard.name)
+    if standard.calibrated is not None and first is not None and _day(first) < standard.calibrated:
+        yield Missing(item="calibrated_late", of=standard.name)
+    if standard.valid_until is None:
+        yield Missing(item="standard_validity", of=standard.name)
+    elif last is not None and _day(last) > standard.valid_until:
+        yield Missing(item="expired", of=standard.name)
 
 
 def _repeated(standards: Sequence[MeasurementStandard]) -> Iterator[Missing]:

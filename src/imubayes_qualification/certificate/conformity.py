@@ -25,8 +25,13 @@ from imubayes.foundations.units import same_dimension, to_si
 from imubayes.inference.marginal import Marginal
 from imubayes.results.result import Result
 from imubayes.results.summary import CombinationSummary, Quantity
-from imubayes.results.temperature_range import TEMPERATURES_OF_RANGE, branches_over_range
-from imubayes_qualification.budgets.unit_under_test import TestedUnit, is_measured, unit_under_test
+from imubayes.results.temperature_range import (
+    TEMPERATURES_OF_RANGE,
+    branches_over_range,
+    scatter_of_next_run,
+    shifts_over_range,
+)
+from imubayes_qualification.budgets.unit_under_test import RangeDraws, TestedUnit, is_measured, unit_under_test
 from imubayes_qualification.certificate.specification import LimitEntry, SpecificationFile, read_specification, rule_of
 from imubayes_qualification.evaluation import decision_rules as rules
 from imubayes_qualification.evaluation.coverage import Coverage, coverage_of
@@ -62,6 +67,7 @@ class ConformityOfQuantity:
     consumer, producer : specific risks: of delivering a unit that does not conform where it is accepted, of rejecting
         one that does where it is not; None where it does not apply or is withheld.
     overall : global risks, where the production is known.
+    omitted_ratio : factor on U, at the temperature of `stated`, by what the model takes as exact and no U contains.
     """
 
     limit: ResolvedLimit
@@ -74,6 +80,7 @@ class ConformityOfQuantity:
     consumer: float | None
     producer: float | None
     overall: rules.GlobalRisks | None
+    omitted_ratio: float = 1.0
 
 
 def resolved_limits(
@@ -200,12 +207,13 @@ def _conversion(entry: LimitEntry, quantity: Quantity, where: str, gravity: floa
 def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
     """Return the outcome for one limit."""
     name, effective = limit.quantity.name, unit.quantities.effective[limit.quantity.name]
-    values = _values(limit, unit)
+    drawn = _drawn(limit, unit)
+    values, omitted = drawn.values, _omitted(limit, unit, drawn.values.shape[1])
     over = _conformance_over(values, limit.tolerance, effective)
     marginals = [Marginal(column, effective) for column in values.T]
-    stated = [unit.coverage(name)] if limit.span is None else [unit.coverage_at(name, each) for each in marginals]
+    stated = [unit.coverage(name)] if limit.span is None else unit.coverage_at(name, drawn)
     estimates = [_estimate(each, over) for each in stated]
-    decisions = _decisions(limit, unit, values, estimates)
+    decisions = _decisions(limit, unit, values, omitted, estimates)
     worst = min(range(len(estimates)), key=lambda place: _rank(decisions[place], estimates[place], limit.tolerance))
     estimate, decision = estimates[worst], decisions[worst]
     consumer, producer = rules.specific_risks(over.value, decision.outcome)
@@ -221,21 +229,42 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
         consumer=consumer,
         producer=producer,
         overall=None if production is None else _overall(production, estimate.standard, limit, decision),
+        omitted_ratio=_ratio(float(np.linalg.norm(omitted[:, worst])), estimate.standard),
     )
 
 
-def _values(limit: ResolvedLimit, unit: TestedUnit) -> np.ndarray:
-    """Return the draws of the quantity of a limit, (S, T), at the temperatures of its range or at one."""
+def _ratio(omitted: float, own: float) -> float:
+    return math.hypot(1.0, omitted / own) if own > 0 else 1.0
+
+
+def _drawn(limit: ResolvedLimit, unit: TestedUnit) -> RangeDraws:
+    """Return the draws of the quantity of a limit at the temperatures of its range, or at one."""
     name, draws = limit.quantity.name, unit.quantities.draws
-    values = draws[name][:, None]
+    centre, scatter = draws[name][:, None], np.zeros(len(draws[name]))
     if limit.span is not None:
-        values = branches_over_range(name, limit.quantity.unit, draws, unit.thermal, limit.span)
-        values = unit.with_floor(name, values)
-    return values[np.isfinite(values).all(axis=1)]
+        centre = branches_over_range(name, limit.quantity.unit, draws, unit.thermal, limit.span)
+        scatter = scatter_of_next_run(name, limit.quantity.unit, draws, unit.thermal)
+    known = np.isfinite(centre).all(axis=1) & np.isfinite(scatter)
+    made = RangeDraws(centre[known], np.repeat(scatter[known][:, None], centre.shape[1], axis=1))
+    return made if limit.span is None else unit.with_floor(name, made)
+
+
+def _omitted(limit: ResolvedLimit, unit: TestedUnit, count: int) -> np.ndarray:
+    """Return what independent causes that no U contains do to the quantity at its T temperatures, (r, T)."""
+    name = limit.quantity.name
+    if limit.span is None or count == 1 or not unit.jointly:
+        return np.full((1, count), unit.unstated.get(name, 0.0))
+    draws = unit.quantities.draws
+    found = shifts_over_range(name, limit.quantity.unit, draws, unit.thermal, limit.span, unit.jointly)
+    return np.tile(found, (1, count // found.shape[1]))  # the same on both branches
 
 
 def _decisions(
-    limit: ResolvedLimit, unit: TestedUnit, values: np.ndarray, estimates: Sequence[rules.MeasuredValue]
+    limit: ResolvedLimit,
+    unit: TestedUnit,
+    values: np.ndarray,
+    omitted: np.ndarray,
+    estimates: Sequence[rules.MeasuredValue],
 ) -> list[rules.Decision]:
     """Return the decision at each temperature; none on what was not measured, or could fail by equipment."""
     name = limit.quantity.name
@@ -244,7 +273,7 @@ def _decisions(
         return [replace(decision, outcome="withheld", withheld="not_determined") for decision in decisions]
     if not any(each.outcome in rules.ACCEPTED for each in decisions):
         return decisions
-    if _passes_with_exact(limit, values, unit.unstated.get(name, 0.0), unit.quantities.effective[name]):
+    if _passes_with_exact(limit, values, omitted, unit.quantities.effective[name]):
         return decisions
     return [_without_pass(each, "taken_as_exact") for each in decisions]
 
@@ -263,11 +292,11 @@ def _without_pass(decision: rules.Decision, reason: rules.NoDecision) -> rules.D
     return replace(decision, outcome="withheld", withheld=reason) if accepted else decision
 
 
-def _passes_with_exact(limit: ResolvedLimit, values: np.ndarray, sd: float, effective: float) -> bool:
-    """Tell whether draws (S, T) would be accepted if what is taken as exact had its plausible size, sd in all."""
-    if not sd:
+def _passes_with_exact(limit: ResolvedLimit, values: np.ndarray, omitted: np.ndarray, effective: float) -> bool:
+    """Tell whether draws (S, T) would be accepted with what is taken as exact at its plausible size, (r, T)."""
+    if not omitted.any():
         return True
-    moved = values + sd * np.random.default_rng(20260502).standard_normal((len(values), 1))
+    moved = values + np.random.default_rng(20260502).standard_normal((len(values), len(omitted))) @ omitted
     over = _conformance_over(moved, limit.tolerance, effective)
     estimates = [_estimate(coverage_of(Marginal(column, effective)), over) for column in moved.T]
     decisions = [rules.applied(limit.rule, each, limit.tolerance, limit.production) for each in estimates]

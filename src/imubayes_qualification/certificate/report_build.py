@@ -367,6 +367,7 @@ def _outcome(found: ConformityOfQuantity, gravity: float) -> record.LimitOutcome
         coverage_factor=found.stated.factor,
         symbol=symbol,
         label=label,
+        omitted_ratio=found.omitted_ratio,
         conformance=estimates.probability_of(found.conformance),
         rule=rule.name,
         guard_factor=rule.guard_factor,

@@ -63,8 +63,7 @@ class ReportedEstimate(Record):
     ----------
     name : of the parameter or derived quantity, or key and label of a quantity of the standards.
     estimate, standard_uncertainty : posterior mean and standard deviation.
-    low, high : ends of the coverage interval.
-    prior_sd : prior standard deviation, None where it is infinite or unknown.
+    low, high, prior_sd : ends of the coverage interval, prior standard deviation, None where infinite or unknown.
     from_data : 1 − posterior variance / prior variance; None where it is unknown.
     interval : kind of the coverage interval: y ± U, of equal tails, or the shortest.
     coverage_factor, expanded_uncertainty : k and U = k u, half the length of the interval.
@@ -225,14 +224,14 @@ class LimitOutcome(Record):
     ----------
     estimate, standard_uncertainty, expanded_uncertainty, low, high, interval : at the worst temperature of the range; U
         is half the length of the 95 % coverage interval.
-    temperature_range, temperature : of the limit, and where the quantity is worst, °C.
+    temperature_range, temperature : of the limit, and where it is worst, °C.
     symbol, label : of the standards where they have one, else the name of the quantity; and the channel.
     rule, guard_factor, guard_width, rule_probability : as applied.
     guard_band : width w; None for rules on probabilities.
-    consumer_risk, producer_risk : specific risks.
-    global_consumer_risk, global_producer_risk : where the production is known.
+    consumer_risk, producer_risk : specific risks; global ones where the production is known.
     withheld : why there is no decision; None where there is one.
     monte_carlo : errors of the estimate; None where it is exact.
+    omitted_ratio : factor by which what U omits would multiply it.
     """
 
     name: str
@@ -261,6 +260,7 @@ class LimitOutcome(Record):
     coverage_factor: float | None = None
     symbol: str = ""
     label: str = ""
+    omitted_ratio: float = 1
     consumer_risk: float | None
     producer_risk: float | None
     global_consumer_risk: Probability | None

@@ -10,7 +10,6 @@ import numpy as np
 import polars as pl
 
 from imubayes.display.figure_style import Picture
-from imubayes.display.figures.measurement import modulation_figure
 from imubayes.display.fit_cautions import exact_text
 from imubayes.display.layout import Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, value_and_sd
@@ -20,7 +19,9 @@ from imubayes.foundations.earth import earth_rate
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.files import write_text
 from imubayes.model.model_file import UncertainEquipment
-from imubayes.procedures.rotation_modulation import attenuation, carrier
+from imubayes.procedures.rotation_modulation import attenuation
+from imubayes_qualification.display.modulation_figure import modulation_figure
+from imubayes_qualification.onboard.carrier_motion import carrier
 from imubayes_qualification.onboard.corrected_outputs import CarrierEstimate
 from imubayes_qualification.onboard.inputs_along_axes import CalibratedInputs
 from imubayes_qualification.onboard.record import UnexpressedEffect

@@ -14,6 +14,10 @@ The length of a vector, as the angle between true and nominal axis, is not norma
 about u where the vector is zero.  Its estimate is the length of the mean vector, its interval the shortest (JCGM 101,
 5.3.4), and its components are stated beside it.  Where the mean vector is shorter than all of that interval, it is from
 zero to the length that is not exceeded with the probability.
+
+A bias in the next run has an offset that is normal with the scatter τ between runs, and τ is uncertain: the posterior
+is no normal one, and its k is its own.  Over draws of bias c and τ its distribution function is F(y) = E[Φ((y − c)/τ)],
+which scatters less than draws of the offset, and u² = Var(c) + E[τ²].
 """
 
 import math
@@ -23,6 +27,7 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
+from imubayes.foundations.tail_probabilities import normal_survival
 from imubayes.inference.marginal import Marginal, MonteCarloErrors
 
 IntervalShape = Literal["symmetric", "equal-tailed", "shortest"]
@@ -35,6 +40,11 @@ _SAME = 1e-9
 # Monte Carlo errors by which an end of the interval may differ from that of the distribution with a known k; degrees of
 # freedom below which the standard deviation of t is no measure of its width.
 _AGREES, _LEAST_DEGREES = 3.0, 4.0
+# Share of u that the scatter of each draw has at least: less would make steps of the distribution function.
+_LEAST_SCATTER, _MOST_STEPS, _CLOSE = 0.02, 60, 1e-6
+# Share of U by which the ends of an interval y ± U may differ from those of equal tails: it changes the coverage by
+# less than a ten-thousandth.
+_OFF_CENTRE = 0.02
 
 
 @dataclass(frozen=True)
@@ -135,6 +145,55 @@ def coverage_of(marginal: Marginal, known: KnownUncertainty | None = None) -> Co
             own = MonteCarloErrors(of_mean, known.error, of_end, of_end)
             return Coverage(mean, known.standard, mean - half, mean + half, "symmetric", own, k)
     return Coverage(marginal.mean, known.standard, low, high, "equal-tailed", errors)
+
+
+def coverage_with_scatter(centre: Marginal, scatter: np.ndarray, added: float = 0.0) -> Coverage:
+    """Return what is stated of a quantity with an offset of its own on top, whose standard deviation is uncertain.
+
+    Parameters
+    ----------
+    centre : of the quantity without the offset.
+    scatter : shape (S,), standard deviation of the offset for each draw.
+    added : standard deviation, known exactly, of what is in the draws and moves no estimate by chance.
+    """
+    draws, effective = centre.draws, centre.effective
+    squares = (draws - centre.mean) ** 2 + scatter**2
+    standard = math.sqrt(float(np.mean(squares)))
+    of_mean = math.sqrt(max(centre.sd**2 - added**2, 0.0) / effective)
+    of_sd = float(np.std(squares)) / math.sqrt(effective) / (2 * standard)
+    reach = np.maximum(scatter, _LEAST_SCATTER * standard)
+    (low, of_low), (high, of_high) = (
+        _quantile_of_mixture(draws, reach, probability, effective) for probability in (1 - _ONE_SIDED, _ONE_SIDED)
+    )
+    errors = MonteCarloErrors(of_mean, of_sd, of_low, of_high)
+    off_centre = abs(low + high - 2 * centre.mean)
+    if off_centre > max(_AGREES * math.hypot(of_low, of_high), _OFF_CENTRE * (high - low)):
+        return Coverage(centre.mean, standard, low, high, "equal-tailed", errors)
+    half = (high - low) / 2
+    return Coverage(centre.mean, standard, centre.mean - half, centre.mean + half, "symmetric", errors, half / standard)
+
+
+def _quantile_of_mixture(
+    centre: np.ndarray, scatter: np.ndarray, probability: float, effective: float
+) -> tuple[float, float]:
+    """Return the quantile of a mixture of normal distributions, (S,), and its Monte Carlo error."""
+    ends = centre + special.ndtri(probability) * scatter
+    low, high = float(ends.min()), float(ends.max())
+    # Between the quantiles of its members, by Newton steps inside a bracket that closes.
+    at = float(np.mean(centre)) + special.ndtri(probability) * math.sqrt(np.var(centre) + np.mean(scatter**2))
+    error = 0.0
+    for _ in range(_MOST_STEPS):
+        below = normal_survival((centre - at) / scatter)
+        density = float(np.mean(np.exp(-0.5 * ((at - centre) / scatter) ** 2) / scatter)) / math.sqrt(2 * math.pi)
+        excess = float(np.mean(below)) - probability
+        low, high = (low, at) if excess > 0 else (at, high)
+        error = float(np.std(below)) / math.sqrt(effective) / max(density, 1e-300)
+        after = at - excess / max(density, 1e-300)
+        after = after if low < after < high else (low + high) / 2
+        if abs(after - at) <= _CLOSE * (high - low + error):
+            return after, error
+        at = after
+    return at, error
 
 
 def coverage_of_length(marginal: Marginal, length: float, known: KnownUncertainty | None = None) -> Coverage:

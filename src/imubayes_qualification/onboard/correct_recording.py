@@ -26,10 +26,11 @@ from imubayes.foundations.campaign_data import Campaign, Channel
 from imubayes.foundations.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.foundations.errors import InputError, Issue, input_error, refuse
 from imubayes.model.bound_effects import BoundEffect
-from imubayes.model.sensitive_axes import acting_on, solve_rows
+from imubayes.model.sensitive_axes import acting_on
 from imubayes.noise.components import Entry, EntryNoise, SharedNoise, SlowNoise, WhiteNoise
 from imubayes.results.result import Result
 from imubayes_qualification.onboard import response
+from imubayes_qualification.onboard.inverted_path import solve_rows
 from imubayes_qualification.onboard.record import UnexpressedEffect
 from imubayes_qualification.onboard.unexpressed_effects import (
     Acting,

@@ -18,9 +18,10 @@ import polars as pl
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.procedures.kinematics import nominal_outputs
-from imubayes.procedures.rotation_modulation import Carrier, attenuation, carrier, noise_of, to_table_axes
+from imubayes.procedures.rotation_modulation import attenuation, noise_of, to_table_axes
 from imubayes.results.stored_tables import Residuals
 from imubayes.results.summary import Summary
+from imubayes_qualification.onboard.carrier_motion import Carrier, carrier
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ class _Unit:
         names = [member.name for member in members]
         self.lacking = {each.name: each.channels for each in lacking_effects(result.fit, names)[0]}
         exact = exact_equipment(result.fit, names)
-        named = [each.coefficient.parameter.name for each in exact.parameters]
+        named = [each.name for each in exact.parameters]
         self.shifts = dict(zip(named, exact.response.T, strict=True))
         self.told = dict(zip(named, np.diag(exact.told).tolist(), strict=True))
         self.fitted = self._outputs(np.zeros(len(self.slopes)))

@@ -27,11 +27,12 @@ from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.model_file import UncertainEquipment
 from imubayes.model.problem import Problem, values_of
-from imubayes.model.sensitive_axes import SensitivityInputs, acting_on, inputs_of
+from imubayes.model.sensitive_axes import SensitivityInputs, acting_on
 from imubayes.results.result import Result
 from imubayes.results.stored_tables import complete, draws_of, thinned
 from imubayes_qualification.budgets.taken_as_exact import included_shifts, with_included
 from imubayes_qualification.onboard import correct_recording as correction
+from imubayes_qualification.onboard.inverted_path import inputs_of
 from imubayes_qualification.onboard.record import UnexpressedEffect
 from imubayes_qualification.onboard.response import TEMPERATURES, sensor_posterior, temperature_ranges
 from imubayes_qualification.onboard.unexpressed_effects import Acting, input_ranges, uncorrected_effects

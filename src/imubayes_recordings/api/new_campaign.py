@@ -14,10 +14,10 @@ from imubayes.display.progress import progress_of
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import new_folder, refuse_existing, refuse_occupied, write_text
 from imubayes.foundations.records import several
-from imubayes.inference.proposed_effects import EffectProposal, propose_effects
 from imubayes.procedures import PROCEDURES, procedure_named
 from imubayes_recordings.convert import read_recordings
 from imubayes_recordings.convert.options import read_options
+from imubayes_recordings.convert.proposed_effects import EffectProposal, propose_effects
 from imubayes_recordings.convert.shown_grade import ShownGrade, shown_grade
 from imubayes_recordings.display.model_writer import OPEN, commented_campaign, commented_model, start_proposal, template
 

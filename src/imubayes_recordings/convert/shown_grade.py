@@ -16,11 +16,12 @@ from imubayes.campaign.equipment import LEAST_NOISE, grade_of
 from imubayes.foundations.campaign_data import GRADES, Campaign, Grade
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.laplace_marginal import climb, inverse_of_precision
+from imubayes.inference.linear_information import TOLD, linear_information
 from imubayes.inference.parameter_fit import linearise
-from imubayes.inference.proposed_effects import SENSORS, TOLD, EffectProposal, linear_information
 from imubayes.model.bind import Model, bind
 from imubayes.model.carried_motion import first_point
 from imubayes.model.model_file import ModelSpec
+from imubayes_recordings.convert.proposed_effects import SENSORS, EffectProposal
 
 _IMPROBABLE = 1e-3
 """Probability, over all parameters or effects, of a distance at which a grade counts as contradicted (convention)."""

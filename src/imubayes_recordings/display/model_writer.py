@@ -9,11 +9,12 @@ from tomlkit.items import AoT
 from imubayes.display.layout import Report
 from imubayes.display.numbers_and_labels import counted, listed, percent
 from imubayes.foundations.covariates import remedy
-from imubayes.inference.proposed_effects import FURTHER, SENSORS, STATION, EffectProposal, ProposedEffect, of_equipment
+from imubayes.inference.linear_information import STATION, of_equipment
 from imubayes.model.effect_registry import Registry
 from imubayes.model.model_file import EffectSpec
 from imubayes.parameters.declarations import declared_parameters
 from imubayes.procedures import PROCEDURES, Procedure
+from imubayes_recordings.convert.proposed_effects import FURTHER, SENSORS, EffectProposal, ProposedEffect
 
 _OF_CAMPAIGN = {
     "site": {

@@ -16,7 +16,7 @@ from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.figures import panels
 from imubayes.display.numbers_and_labels import covariate as covariate_of
 from imubayes.foundations.covariates import Covariate
-from imubayes.results.summary import RunSummary, Summary
+from imubayes.results.summary import Summary
 
 _WIDTH, _LEGEND = 13.0, 2.05
 _GOOD = (
@@ -153,47 +153,85 @@ def _absent(against: Covariate, without: int, count: int) -> str:
 
 _MOST_RUNS, _MOST_CHANNELS = 40, 12
 _CELL = (0.78, 0.27)
-_CLASSES = (
-    ("too large, p < 0.001", "#c2410c", "white"),
-    ("large, p < 0.05", "#fbd3b4", style.INK),
-    ("consistent with noise", "#f6f6f6", style.INK),
-    ("small, p < 0.05", "#c9dff0", style.INK),
-    ("too small, p < 0.001", "#1f6aa5", "white"),
-    ("no values", "white", style.QUIET),
-)
+HEAT = ((255, 255, 248), (254, 204, 143), (247, 112, 92), (182, 55, 122), (81, 18, 124), (25, 10, 50))
+"""Light to dark (magma) from χ²/n = 1 to the worst cell, on a logarithmic scale: the colours of `explore` on white."""
+_LEAST_WORST, _DARK = 10.0, 0.18
+"""The scale goes this far at least.  Letters are white on colours of less relative luminance."""
 
 
 @style.themed
 def run_chi2_figure(summary: Summary) -> style.Picture:
-    """Return a map of χ²/n over runs and channels, coloured by its p-value under noise alone.
+    """Return a map of χ²/n over runs and channels at the noise known beforehand, light to dark up to the worst cell.
 
-    Of more than 40 runs or 12 channels, the worst are shown.
+    Of more than 40 runs or 12 channels, the worst are shown.  A result of an earlier version has χ² as fitted alone.
     """
-    share = cautions.share_of_freedom(summary)
-    entries = {(run.name, run.channel): run for run in summary.runs}
+    share, cells = cautions.share_of_freedom(summary), _cells(summary)
     runs, channels = _chosen(summary)
-    shown = {key: entries.get(key) for key in ((run, channel) for run in runs for channel in channels)}
+    shown = {key: cells.get(key) for key in ((run, channel) for run in runs for channel in channels)}
+    ratios = [chi2 / n for n, chi2 in filter(None, shown.values()) if np.isfinite(chi2)]
+    worst = max([_LEAST_WORST, *ratios])
     figure = style.picture(
         max(2.7 + len(channels) * _CELL[0] + 2.5, 8.0),
-        max(0.4 + len(runs) * _CELL[1], 1.55),
+        max(0.4 + len(runs) * _CELL[1], 1.75),
         "Goodness of fit by run and channel",
-        _caption(summary, len(runs), len(channels), sum(run is not None for run in shown.values()), share),
+        _caption(summary, len(runs), len(channels), sum(cell is not None for cell in shown.values()), share),
         alarm=cautions.alarm_of(summary),
     )
     left, bottom, right, top = figure.inside
     across, base = len(channels) * _CELL[0], top - 0.35 - len(runs) * _CELL[1]
     axes = style.panels(figure, margins=(2.2, base - bottom, right - left - 2.2 - across, 0.35))[0, 0]
     axes.set(xlim=(0, len(channels)), ylim=(len(runs), 0))
-    for (run, channel), entry in shown.items():
-        _draw_cell(axes, channels.index(channel), runs.index(run), entry, share)
+    for (run, channel), cell in shown.items():
+        _draw_cell(axes, channels.index(channel), runs.index(run), cell, share, worst)
     axes.xaxis.tick_top()
     axes.set_xticks([place + 0.5 for place in range(len(channels))], [numbers.shortened(name, 11) for name in channels])
     axes.set_yticks([place + 0.5 for place in range(len(runs))], [numbers.shortened(name, 32) for name in runs])
     axes.tick_params(length=0, labelsize=8.5)
     axes.spines[:].set_visible(False)
-    handles = [Patch(facecolor=c, edgecolor="#bbbbbb", linewidth=0.5, label=label) for label, c, _ in _CLASSES]
-    style.legend_at(figure, left + 2.35 + across, top - 0.35, handles, handlelength=1.2)
+    handles = [
+        Patch(facecolor=_heat(ratio, worst), edgecolor="#bbbbbb", linewidth=0.5, label=label)
+        for ratio, label in _decades(worst)
+    ]
+    style.legend_at(figure, left + 2.35 + across, top - 0.35, handles, handlelength=1.2, title="χ²/n")
     return figure
+
+
+Chi2OfCell = tuple[int, float]
+"""Readings and χ² of one channel in one run."""
+
+
+def _cells(summary: Summary) -> dict[tuple[str, str], Chi2OfCell]:
+    """Return the cells at the noise known beforehand; as fitted where a result has no others."""
+    known = summary.known_noise.runs if summary.known_noise is not None else ()
+    if known:
+        return {(each.run, each.channel): (each.n, each.chi2) for each in known}
+    return {(run.name, run.channel): (run.n, run.chi2) for run in summary.runs if run.n and run.chi2 is not None}
+
+
+def _decades(worst: float) -> list[tuple[float, str]]:
+    """Return what the legend has: 1, at most four powers of ten, and the worst cell."""
+    most = np.log10(worst)
+    step = int(np.ceil(most / 4))
+    powers = [10.0**power for power in range(step, int(np.ceil(most)), step) if power < most - 0.15 * step]
+    return [(1.0, "1 or less"), *((each, numbers.ratio_text(each)) for each in powers), (worst, _worst_text(worst))]
+
+
+def _worst_text(worst: float) -> str:
+    return numbers.ratio_text(worst) + (", the worst cell" if worst > _LEAST_WORST else "")
+
+
+def _heat(ratio: float, worst: float) -> tuple[float, float, float]:
+    """Return the colour of a cell, red, green and blue in 0 … 1."""
+    share = np.clip(np.log(max(ratio, 1.0)) / np.log(worst), 0.0, 1.0)
+    places = np.linspace(0, 1, len(HEAT))
+    red, green, blue = (float(np.interp(share, places, part)) / 255 for part in zip(*HEAT, strict=True))
+    return red, green, blue
+
+
+def _ink(colour: tuple[float, float, float]) -> str:
+    """Return the colour of letters that is read best on a colour (relative luminance of WCAG)."""
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in colour]
+    return style.INK if np.dot((0.2126, 0.7152, 0.0722), linear) > _DARK else "white"
 
 
 def _chosen(summary: Summary) -> tuple[list[str], list[str]]:
@@ -206,11 +244,13 @@ def _chosen(summary: Summary) -> tuple[list[str], list[str]]:
 
 
 def _caption(summary: Summary, runs: int, channels: int, cells: int, share: float) -> str:
+    known = summary.known_noise is not None and summary.known_noise.runs
     caption = (
-        f"χ²/n: mean square of the whitened residuals. In a good model it is about {share:.2f} (the parameters take up "
-        "the rest of 1) and no cell is dark. Colour: p-value of χ² for the n of the cell; by chance "
-        f"{cells * cautions.SIGNIFICANT:.2g} of {cells} {'cell is' if cells == 1 else 'cells are'} expected to be dark "
-        "orange. Blue: less scatter than the noise model assumes."
+        f"χ²/n: mean square of the residuals over the noise {'known beforehand' if known else 'as fitted'}. In a good "
+        f"model it is about {share:.2f} (the parameters take up the rest of 1) and no cell is dark. "
+        "Colour: logarithmic from 1 to the worst cell. Bold: χ² too large for the n of the cell, p < "
+        f"{cautions.SIGNIFICANT:g}; by chance {cells * cautions.SIGNIFICANT:.2g} of {cells} "
+        f"{'cell is' if cells == 1 else 'cells are'} expected to be bold."
     )
     all_runs, all_channels = len({run.name for run in summary.runs}), len({run.channel for run in summary.runs})
     if runs < all_runs or channels < all_channels:
@@ -218,15 +258,15 @@ def _caption(summary: Summary, runs: int, channels: int, cells: int, share: floa
     return caption
 
 
-def _draw_cell(axes: Axes, column: int, row: int, entry: RunSummary | None, share: float) -> None:
-    text, (_, colour, ink) = _class_of(entry, share)
-    axes.add_patch(Rectangle((column, row), 1, 1, facecolor=colour, edgecolor="white", linewidth=1.5))
-    axes.text(column + 0.5, row + 0.53, text, ha="center", va="center", size=style.SMALL, color=ink)
-
-
-def _class_of(entry: RunSummary | None, share: float) -> tuple[str, tuple[str, str, str]]:
-    if entry is None or not entry.n or entry.chi2 is None:
-        return numbers.NO_NUMBER, _CLASSES[5]
-    chance = cautions.tail(entry.chi2, share * entry.n)
-    strength = 2 if abs(chance) < cautions.SIGNIFICANT else (1 if abs(chance) < 0.05 else 0)
-    return numbers.ratio_text(entry.chi2 / entry.n), _CLASSES[2 - strength if chance >= 0 else 2 + strength]
+def _draw_cell(axes: Axes, column: int, row: int, cell: Chi2OfCell | None, share: float, worst: float) -> None:
+    if cell is None or not np.isfinite(cell[1]):
+        axes.add_patch(Rectangle((column, row), 1, 1, facecolor="white", edgecolor="white", linewidth=1.5))
+        axes.text(column + 0.5, row + 0.53, numbers.NO_NUMBER, ha="center", va="center", color=style.QUIET)
+        return
+    n, chi2 = cell
+    colour, large = _heat(chi2 / n, worst), 0 <= cautions.tail(chi2, share * n) < cautions.SIGNIFICANT
+    axes.add_patch(Rectangle((column, row), 1, 1, facecolor=colour, edgecolor="#e4e4e4", linewidth=0.8))
+    axes.text(
+        column + 0.5, row + 0.53, numbers.ratio_text(chi2 / n), ha="center", va="center", size=style.SMALL,
+        color=_ink(colour), weight="bold" if large else "normal",
+    )  # fmt: skip

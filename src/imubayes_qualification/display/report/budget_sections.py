@@ -226,7 +226,7 @@ def _line(line: parts.BudgetLine) -> tuple[Cell, ...]:
         "" if line.sensitivity is None else significant(line.sensitivity, 2),
         contribution=line.contribution,
         share=line.share,
-        known="" if line.relative_uncertainty is None else f"{100 * line.relative_uncertainty:.2g} %",
+        known="" if line.relative_uncertainty is None else f"{significant(100 * line.relative_uncertainty, 2)} %",
     )
 
 

@@ -30,7 +30,7 @@ from imubayes.foundations.errors import Issue, refuse
 from imubayes_qualification.certificate.certificate import Certificate, Party
 from imubayes_qualification.certificate.report_record import QualificationReport, ReportedEstimate, StandardEstimate
 from imubayes_qualification.display.report.certificate_pages import all_statements
-from imubayes_qualification.display.report.exact_tables import omissions, omitted_beside
+from imubayes_qualification.display.report.exact_tables import omissions, omitted_beside, omitted_factor
 from imubayes_qualification.display.report.words import Stated, limits_text, value_text
 from imubayes_qualification.evaluation.coverage import COVERAGE_PROBABILITY, IntervalShape, equivalent_degrees
 from imubayes_qualification.evaluation.decision_rules import Outcome
@@ -242,9 +242,13 @@ def _limits(report: QualificationReport) -> Iterator[_Certified]:
         span = limit.temperature_range
         where = "at the reference temperature" if span is None else "worst from {:g} °C to {:g} °C".format(*span)
         name = f"{limit.symbol or limit.name} of {limit.label}, {where}"
-        yield _Certified(
-            "Limits of the specification", name, f"limits {limits_text(limit)} {pretty(limit.unit)}", limit
-        )
+        said = f"limits {limits_text(limit)} {pretty(limit.unit)}{_lacks(omitted_factor(limit.omitted_ratio))}"
+        yield _Certified("Limits of the specification", name, said, limit)
+
+
+def _lacks(factor: str) -> str:
+    """Return that U omits contributions, which would multiply it; empty for nothing."""
+    return f"; known contributions that U omits would multiply it by {factor[2:]}" if factor else ""
 
 
 def _of_other_tables(report: QualificationReport) -> Iterator[_Certified]:
@@ -256,9 +260,7 @@ def _of_other_tables(report: QualificationReport) -> Iterator[_Certified]:
     )
     for group, estimates in tables:
         for name, each in estimates:
-            omits = beside.get(each.name)
-            lacks = "" if omits is None else f"; known contributions that U omits would multiply it by {omits[2:]}"
-            yield _Certified(group, name, f"{each.name}{lacks}", each)
+            yield _Certified(group, name, f"{each.name}{_lacks(beside.get(each.name, ''))}", each)
 
 
 def _is_withheld(stated: Stated) -> bool:
@@ -278,6 +280,7 @@ def _equipment(parent: ElementTree.Element, block: Certificate) -> None:
         until = None if each.valid_until is None else each.valid_until.isoformat()
         known = {
             "serial number": each.serial, "certificate": each.certificate, "certificate issued by": each.issued_by,
+            "calibrated": None if each.calibrated is None else each.calibrated.isoformat(),
             "certificate valid until": until,
         }  # fmt: skip
         if any(known.values()):

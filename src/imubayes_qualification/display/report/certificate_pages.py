@@ -21,6 +21,9 @@ _OF_STANDARDS: tuple[certificates.MissingItem, ...] = (
     "normal_gravity",
     "repeated_standard",
     "shared_certificate",
+    "own_number",
+    "own_standard",
+    "calibrated_late",
 )
 _MISSING: dict[certificates.MissingItem, str] = {
     "number": "unique identification of the certificate (7.8.2.1 d)",
@@ -47,6 +50,9 @@ _MISSING: dict[certificates.MissingItem, str] = {
     "unused": "no run used this standard, and its claim counts for nothing — {of}",
     "repeated_standard": "one standard is listed more than once — {of}",
     "shared_certificate": "one number is that of certificates of several issuers — {of}",
+    "own_number": "the certificate of {of} has the number of this certificate",
+    "own_standard": "the certificate of {of} was issued by this laboratory, and traces to none beyond it (6.5)",
+    "calibrated_late": "{of} was calibrated after the first run that used it (ISO/IEC 17025, 6.5)",
     "received_late": "the date of receipt is after the first run",
     "issued_early": "the date of issue is before the last run",
     "validity": "the fit did not converge, or no diagnosis found its model adequate (ISO/IEC 17025, 7.2.2 and 7.7.1)",
@@ -60,7 +66,7 @@ _WITH_SIGNATURES = 2
 # What has no standard, in words: of gravity by its formula the item has no name.
 _USED = {
     "": "gravity, by the formula of normal gravity", "temperature": "temperature of the unit",
-    "converter_temperature": "temperature of the converter", "time": "time of the runs",
+    "converter_temperature": "temperature of the converter", "time": "time and counting", "meter": "volt- or ammeter",
     "reference_gyro": "reference gyro", "current_injection": "injected current",
 }  # fmt: skip
 
@@ -198,11 +204,11 @@ def _standards_table(report: QualificationReport, standards: Sequence[certificat
     expired = {each.of for each in report.missing if each.item == "expired"}
     rows = [
         cells(each.name, ", ".join(each.equipment) or "–", each.serial or "–", each.certificate or _NOT_STATED,
-              each.issued_by or "–", _validity(each, each.name in expired))
+              each.issued_by or "–", str(each.calibrated or ""), _validity(each, each.name in expired))
         for each in standards
     ]  # fmt: skip
-    head = ("standard", "in the campaign", "serial number", "certificate", "issued by", "valid until")
-    return without_empty_columns(Sheet("Standards used", head, rows, (0, 1, 2, 3, 4, 5)))
+    head = ("standard", "in the campaign", "serial number", "certificate", "issued by", "calibrated", "valid until")
+    return without_empty_columns(Sheet("Standards used", head, rows, (0, 1, 2, 3, 4, 5, 6)))
 
 
 def _validity(standard: certificates.MeasurementStandard, expired: bool) -> Cell:

@@ -1,5 +1,6 @@
 """What the model takes as exact of site and equipment: what of it is in every U, and what U omits of each quantity."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -9,12 +10,15 @@ from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import pretty, ratio_text, significant
 from imubayes.foundations.quantity_names import QuantityName
 from imubayes_qualification.budgets.taken_as_exact import OMITTED, ExactInput
-from imubayes_qualification.certificate.report_record import QualificationReport, ReportedEstimate
+from imubayes_qualification.certificate.report_record import QualificationReport, ReportedEstimate, StandardEstimate
+from imubayes_qualification.display.report.document import without_empty_columns
 
 # Included inputs are told from this ratio of uncertainties on.
 _MATTERS = 1.1
 # Share of the omitted variance, by each effect alone, from which on an effect is named as its cause.
 _CAUSE = 0.1
+# Share of u by which a cause of the plausible size moves a quantity, from which on it is listed with what it does.
+_LISTED = 0.1
 
 Kind = Literal["standard", "angle", "combination", "result"]
 _KINDS: dict[Kind, str] = {
@@ -100,7 +104,12 @@ def omissions(report: QualificationReport) -> list[Omission]:
 
 def omitted_beside(report: QualificationReport) -> dict[str, str]:
     """Return, for the name of every estimate whose U omits something, the factor by which that would multiply it."""
-    return {name: f"× {ratio_text(found.ratio)}" for names, found in _omitted(report) for name in names}
+    return {name: omitted_factor(found.ratio) for names, found in _omitted(report) for name in names}
+
+
+def omitted_factor(ratio: float) -> str:
+    """Return the factor by which what U omits would multiply it, as text; empty where that is not worth saying."""
+    return f"× {ratio_text(ratio)}" if ratio > OMITTED else ""
 
 
 def _omitted(report: QualificationReport) -> Iterator[tuple[tuple[str, ...], Omission]]:
@@ -168,9 +177,84 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
         "Known contributions that no u and no U of this document contains, from site and equipment that the model "
         "takes as exact: all of them together, if they widen U by a twentieth or more. The size is a standard "
         "uncertainty that is plausible, as the campaign states none. State it in the campaign (0 where exact), or take "
-        "the effect into the model. A limit passes only if all of these together could not carry the value across it."
+        "the effect into the model; of clocks, time bases, meters and vibration sensors the campaign states nothing, "
+        "and other sizes act in proportion (annex A). Factors are of values at T_ref; that of a limit over a range of "
+        "temperatures is beside the limit. A limit passes only if all of these together could not carry the value "
+        "across it."
     )
     return Sheet("Contributions that U omits", head, rows, (0, 1, 3, 4), note=note)
+
+
+def sensitivity_table(report: QualificationReport) -> Sheet | None:
+    """Return what an error of one unit of each cause that U omits does to the quantities; None where there is none.
+
+    Of a cause with several parameters, as the thermometer in each run, what independent errors of all do, and what one
+    that all have in common does; of the channels of a quantity the one that is moved most in units of its u.
+    """
+    causes: dict[str, list[ExactInput]] = {}
+    for each in report.exact.inputs:
+        if not each.included:
+            causes.setdefault(each.effect, []).append(each)
+    rows = []
+    for own in causes.values():
+        for symbol, lines in _by_symbol(report).items():
+            line = max(lines, key=lambda each: _share(own, each))
+            if _share(own, line) < _LISTED:
+                continue
+            independent, common = _moved(own, line)
+            several = len(own) > 1
+            rows.append(
+                cells(
+                    _named(own[0]) + (f", {len(own)} parameters" if several else ""),
+                    f"1 {pretty(own[0].unit)}",
+                    Cell(symbol, formula=True),
+                    line.label,
+                    significant(independent),
+                    significant(common) if several else "",
+                    significant(_u(line), 2),
+                    pretty(line.unit),
+                )
+            )
+    if not rows:
+        return None
+    head = ("taken as exact", "error", "quantity", "channel", "change", "the same error in all", "u", "unit")
+    note = (
+        "What an error of this size would do to the estimate, at T_ref, if the model keeps taking it as exact; of a "
+        "cause with several parameters the root sum of squares of what each does. Other sizes do so in proportion. "
+        "Quantities that the plausible size moves by less than a tenth of u are left out, and of each quantity the "
+        "channel is named that is moved most."
+    )
+    title = "Change of the results per unit of what U omits"
+    return without_empty_columns(Sheet(title, head, rows, (0, 1, 2, 3, 7), note=note))
+
+
+def _by_symbol(report: QualificationReport) -> dict[str, list[StandardEstimate]]:
+    """Return the measured quantities of the standards by their symbol."""
+    found: dict[str, list[StandardEstimate]] = {}
+    for each in report.standards:
+        if each.measured and each.withheld is None and each.standard_uncertainty:
+            found.setdefault(each.symbol, []).append(each)
+    return found
+
+
+def _u(line: StandardEstimate) -> float:
+    return line.standard_uncertainty or 1.0
+
+
+def _names(line: StandardEstimate) -> tuple[str, ...]:
+    return (line.name, *(line.members if len(line.members) == 1 else ()))
+
+
+def _share(causes: Sequence[ExactInput], line: StandardEstimate) -> float:
+    """Return what errors of the plausible sizes do to a quantity, in units of its u."""
+    shifts = [next(filter(None, map(each.shift, _names(line))), 0.0) for each in causes]
+    return math.sqrt(sum(shift**2 for shift in shifts)) / _u(line)
+
+
+def _moved(causes: Sequence[ExactInput], line: StandardEstimate) -> tuple[float, float]:
+    """Return what independent errors of one unit do to a quantity, and what one that all have does."""
+    changes = [next(filter(None, map(each.sensitivity, _names(line))), 0.0) for each in causes]
+    return math.sqrt(sum(change**2 for change in changes)), sum(changes)
 
 
 def omitted_note(found: Sequence[Omission], kind: Kind) -> str:

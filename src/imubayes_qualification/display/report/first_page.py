@@ -8,7 +8,7 @@ from imubayes.foundations.quantity_names import family_of
 from imubayes_qualification.certificate import report_record as record
 from imubayes_qualification.display.report import words
 from imubayes_qualification.display.report.document import Banner, without_empty_columns
-from imubayes_qualification.display.report.exact_tables import BESIDE
+from imubayes_qualification.display.report.exact_tables import BESIDE, omitted_factor
 
 
 def banner(report: record.QualificationReport) -> Banner:
@@ -123,7 +123,6 @@ def limits_table(
     limits: Sequence[record.LimitOutcome],
     components: Mapping[str, str] | None = None,
     reference: str = "",
-    beside: Mapping[str, str] | None = None,
 ) -> Sheet:
     """Return every limit with y ± U, conformance probability and decision.
 
@@ -131,7 +130,6 @@ def limits_table(
     ----------
     components : quantity that is the length of a vector → its components as text.
     reference : T_ref, which holds where a limit has no range of temperatures.
-    beside : name of a quantity → the factor on its U by what this omits.
     """
     rows = []
     for limit in limits:
@@ -144,7 +142,7 @@ def limits_table(
                 words.limits_text(limit),
                 _where(limit, reference),
                 words.value_text(limit) + (f" ({along})" if along else ""),
-                (beside or {}).get(limit.name, ""),
+                omitted_factor(limit.omitted_ratio),
                 words.factor_text(limit),
                 pretty(limit.unit),
                 words.probability_text(limit.conformance),
@@ -160,7 +158,9 @@ def limits_table(
         "which the quantity is worst; if the posterior is not symmetric, estimate [95 % interval]. Of a direction "
         "error Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a range "
         "y contains hysteresis and lag, U the scatter between runs; at T_ref both are of the mean over the "
-        f"runs. p_c: conformance probability over the whole range (JCGM 106). {words.digits_text(limits)}",
+        f"runs. {BESIDE}: the factor by which contributions that it omits would multiply it, at the same temperature. "
+        "p_c: conformance probability over the whole range (JCGM 106). "
+        f"{words.digits_text(limits)}",
     )
     return without_empty_columns(sheet, BESIDE)
 

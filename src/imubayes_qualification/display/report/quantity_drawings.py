@@ -39,7 +39,7 @@ _MATRIX = (
     "runs separates its quantities, so that squares are small. A large square says that only a combination of the two "
     "is well known, which a further run can separate."
 )
-_LEAST, _STEPS = 0.05, 4
+_LEAST = 0.05
 
 
 def bar_drawings(budgets: Sequence[QuantityBudget]) -> Drawings:

@@ -136,16 +136,17 @@ def report_document(report: QualificationReport, annexes: Sequence[Annex] = ANNE
 
 def _blocks(report: QualificationReport, annexes: Sequence[Annex]) -> Iterator[Block | None]:
     """Yield the blocks in order; None for a drawing that has nothing to show."""
-    conformity, beside = report.conformity, exact_tables.omitted_beside(report)
+    conformity = report.conformity
     if conformity is not None and conformity.limits:
         yield first_page.limits_table(
-            conformity.limits, first_page.components_of(report), words.reference_temperature(report), beside
+            conformity.limits, first_page.components_of(report), words.reference_temperature(report)
         )
     omitted = exact_tables.omissions(report)
     yield exact_tables.omitted_table([each for each in omitted if _ANNEX_OF.get(each.kind) in (None, *annexes)])
     yield exact_tables.included_table(report)
     if conformity is None:  # then the quantities themselves are what is certified
-        yield from result_sections.standards_section(report, exact_tables.omitted_note(omitted, "standard"), beside)
+        note = exact_tables.omitted_note(omitted, "standard")
+        yield from result_sections.standards_section(report, note, exact_tables.omitted_beside(report))
     else:
         yield Heading("Conformity to the specification")
         yield Paragraph(f"Specification “{conformity.specification}”, SHA-256 {conformity.sha256}.")
@@ -171,6 +172,7 @@ def _results(report: QualificationReport, omitted: Sequence[exact_tables.Omissio
     pictures, beside = report.pictures, exact_tables.omitted_beside(report)
     if report.conformity is not None:
         yield from result_sections.standards_section(report, exact_tables.omitted_note(omitted, "standard"), beside)
+    yield exact_tables.sensitivity_table(report)
     yield Heading("Errors of the unit")
     nothing = Paragraph("There is nothing to draw: the fit did not converge, or the runs vary nothing.")
     yield unit_drawings.error_drawings(pictures) or nothing

@@ -245,7 +245,7 @@ def risk_text(risk: float | None) -> str:
     """Return a risk in per cent; an en dash where there is none."""
     if risk is None:
         return NO_NUMBER
-    return f"{100 * risk:.2g} %" if risk >= 1e-4 else "< 0.01 %"
+    return f"{significant(100 * risk, 2)} %" if risk >= 1e-4 else "< 0.01 %"
 
 
 def limits_text(limit: record.LimitOutcome) -> str:

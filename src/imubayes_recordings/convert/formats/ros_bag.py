@@ -15,7 +15,7 @@ FOLDER_FILE = "metadata.yaml"
 _MOST_ELEMENTS = 9  # of an array that is taken apart into columns
 # Units by the definition of the message.
 _UNITS = {"linear_acceleration": "m/s^2", "angular_velocity": "rad/s", "temperature": "degC"}
-_STAMP, _ARRIVAL = "header.stamp", "arrival"
+_ARRIVAL = "arrival"
 
 highlevel: Any = ExtraPackage("rosbags.highlevel")
 typesys: Any = ExtraPackage("rosbags.typesys")

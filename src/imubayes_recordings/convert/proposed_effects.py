@@ -15,19 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.effects.base import AmbientEffect
 from imubayes.foundations.campaign_data import Campaign, Run
-from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_about
-from imubayes.inference.parameter_fit import linearise
+from imubayes.inference.laplace_marginal import inverse_of_precision
+from imubayes.inference.linear_information import STATION, TOLD, linear_information, of_equipment
 from imubayes.model.bind import Model, bind
 from imubayes.model.bound_effects import observability
-from imubayes.model.carried_motion import first_point
-from imubayes.model.effect_registry import Registry
-from imubayes.model.model_file import GRAVITY, EffectSpec, ModelSpec
+from imubayes.model.model_file import EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
 
-STATION = ("station_heading", "station_level", "reference_alignment", "reference_scale_factor", "reference_bias",
-           "injection_error")  # fmt: skip
 SENSORS = ("gyro_bias", "gyro_scale_factor", "gyro_misalignment", "accel_bias", "accel_scale_factor",
            "accel_misalignment")  # fmt: skip
 FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lever_arm", "gyro_bias_temperature",
@@ -35,8 +30,8 @@ FURTHER = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "accel_quadratic", "lev
            "accel_bias_temperature", "accel_bias_temperature_quadratic", "accel_bias_temperature_cubic",
            "accel_scale_temperature", "converter_gain_drift", "converter_offset_drift")  # fmt: skip
 NOISE = ("white_noise", "encoder_noise", "run_scatter", "hand_acceleration", "hand_velocity")
-# Of bias, scale factor and misalignment, and of further effects: the least share of the information from the data.
-TOLD, _DETERMINED = 0.1, 0.5
+# Of further effects: the least share of the information from the data.
+_DETERMINED = 0.5
 # Factor by which a further effect may widen the standard deviation of a bias, scale factor or misalignment, and one of
 # these another while it counts as one on which nothing depends.
 _WIDENED, _INDEPENDENT = 5.0, 1.1
@@ -70,13 +65,6 @@ class EffectProposal:
     undetermined: dict[str, float]
     missing: dict[str, tuple[str, ...]]
     turned_by_hand: bool
-
-
-def of_equipment() -> tuple[str, ...]:
-    """Return the effects whose width a campaign states of its equipment, without those of ambient and gravity."""
-    known = Registry()
-    ambient = {name for name, member in known.effects.items() if issubclass(member, AmbientEffect)}
-    return tuple(name for name in known.of_equipment() if name not in ambient and name != GRAVITY)
 
 
 def propose_effects(campaign: Campaign) -> EffectProposal:
@@ -151,43 +139,6 @@ def _entries(name: str, campaign: Campaign, by_hand: bool) -> Sequence[EffectSpe
         EffectSpec(name, (first.name,), prior={"toward_o": _HELD, "toward_p": _HELD}),
         EffectSpec(name, (second.name,), prior={across: _HELD}),
         EffectSpec(name, tuple(channel.name for channel in others)),
-    )
-
-
-def untold_effects(model: Model) -> tuple[str, ...]:
-    """Return the effects of sensors of a model of which the runs tell less than a tenth, beside all others."""
-    known = linear_information(model)
-    owner, told = known.owner, 1 - np.diag(inverse_of_precision(known.precision)) / known.widths**2
-    others = {*of_equipment(), *STATION, *(e.name for e in model.assembly.effects if e.effect_class.nuisance)}
-    names = [name for name in dict.fromkeys(owner.tolist()) if name not in others]
-    return tuple(name for name in names if float(np.max(told[owner == name])) < TOLD)
-
-
-@dataclass(frozen=True)
-class LinearInformation:
-    """A model linear about the middle of its priors; of a unit in motion, about the first estimate of its gyros.
-
-    Attributes
-    ----------
-    precision, pull : shapes (P, P) and (P,), precision of θ with its prior, and precision × posterior mean.
-    widths, owner : shape (P,), prior widths, and the effects that the parameters belong to.
-    """
-
-    precision: np.ndarray
-    pull: np.ndarray
-    widths: np.ndarray
-    owner: np.ndarray
-
-
-def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInformation:
-    """Return the linear model at noise scales h, (H,), those of the campaign if None."""
-    start = first_point(model.assembly)
-    about = linearise(model.problem, start)
-    scales = np.zeros(len(model.hyper_layout)) if h is None else h
-    residual, jacobian, widths = whitened_about(model.problem, about, scales)
-    owner = np.array([parameter.effect for parameter in model.layout.parameters])
-    return LinearInformation(
-        jacobian.T @ jacobian + np.diag(widths**-2), jacobian.T @ (residual + jacobian @ start), widths, owner
     )
 
 

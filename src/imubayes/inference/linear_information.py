@@ -1,0 +1,66 @@
+"""The information that the rows of a campaign carry, before anything is fitted.
+
+The model is linear about nominal equipment and sensors, with the noise that the campaign states: the share of the
+information on a coefficient that comes from the data follows from the rows alone, not from their readings.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.effects.base import AmbientEffect
+from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_about
+from imubayes.inference.parameter_fit import linearise
+from imubayes.model.bind import Model
+from imubayes.model.carried_motion import first_point
+from imubayes.model.effect_registry import Registry
+from imubayes.model.model_file import GRAVITY
+
+STATION = ("station_heading", "station_level", "reference_alignment", "reference_scale_factor", "reference_bias",
+           "injection_error")  # fmt: skip
+TOLD = 0.1
+"""Least share of the information on a bias, scale factor or misalignment that comes from the data."""
+
+
+def of_equipment() -> tuple[str, ...]:
+    """Return the effects whose width a campaign states of its equipment, without those of ambient and gravity."""
+    known = Registry()
+    ambient = {name for name, member in known.effects.items() if issubclass(member, AmbientEffect)}
+    return tuple(name for name in known.of_equipment() if name not in ambient and name != GRAVITY)
+
+
+def untold_effects(model: Model) -> tuple[str, ...]:
+    """Return the effects of sensors of a model of which the runs tell less than a tenth, beside all others."""
+    known = linear_information(model)
+    owner, told = known.owner, 1 - np.diag(inverse_of_precision(known.precision)) / known.widths**2
+    others = {*of_equipment(), *STATION, *(e.name for e in model.assembly.effects if e.effect_class.nuisance)}
+    names = [name for name in dict.fromkeys(owner.tolist()) if name not in others]
+    return tuple(name for name in names if float(np.max(told[owner == name])) < TOLD)
+
+
+@dataclass(frozen=True)
+class LinearInformation:
+    """A model linear about the middle of its priors; of a unit in motion, about the first estimate of its gyros.
+
+    Attributes
+    ----------
+    precision, pull : shapes (P, P) and (P,), precision of θ with its prior, and precision × posterior mean.
+    widths, owner : shape (P,), prior widths, and the effects that the parameters belong to.
+    """
+
+    precision: np.ndarray
+    pull: np.ndarray
+    widths: np.ndarray
+    owner: np.ndarray
+
+
+def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInformation:
+    """Return the linear model at noise scales h, (H,), those of the campaign if None."""
+    start = first_point(model.assembly)
+    about = linearise(model.problem, start)
+    scales = np.zeros(len(model.hyper_layout)) if h is None else h
+    residual, jacobian, widths = whitened_about(model.problem, about, scales)
+    owner = np.array([parameter.effect for parameter in model.layout.parameters])
+    return LinearInformation(
+        jacobian.T @ jacobian + np.diag(widths**-2), jacobian.T @ (residual + jacobian @ start), widths, owner
+    )
