@@ -1,8 +1,8 @@
 """Commands of the model loop: `imubayes diagnose`, `add`, `remove`, `refit`, `plant` and `history`.
 
-`diagnose` names the effects that a model lacks.  `add` is a step forward, with its improvement; `remove` is a step back,
-with its loss; `refit` takes an edited model.  `plant` shows whether an effect would have been found.  `history` shows
-the models tried.
+`diagnose` names the effects that a model lacks.  `add` is a step forward, with its improvement; `remove` is a step
+back, with its loss; `refit` takes an edited model.  `plant` shows whether an effect would have been found.  `history`
+shows the models tried.
 """
 
 import sys
