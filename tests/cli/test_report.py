@@ -225,7 +225,7 @@ def test_every_quantity_has_a_budget_that_adds_up(result, tmp_path):
     assert all(row[-1] == 1.0 for row in matrix.rows)
     said = visible(page)
     assert "Uncertainty budgets" in said
-    assert "What to improve first" in said
+    assert "Improve first" in said
     assert f"{100 * bias.lines[0].share:.1f} %" in said
 
 

@@ -42,9 +42,13 @@ def test_examples_are_few_enough(wheel):
         entries = archive.infolist()
     examples = [entry for entry in entries if entry.filename.startswith("imubayes/examples/")]
     assert 100_000 < sum(entry.compress_size for entry in examples) <= MOST_EXAMPLES
-    # Nothing stands beside the package, and nothing that makes or tests it is in it.
+    # Nothing else is in the wheel, and nothing that makes or tests it.
     assert {entry.filename.partition("/")[0] for entry in entries if ".dist-info/" not in entry.filename} == {
-        "imubayes"
+        "imubayes",
+        "imubayes_archive",
+        "imubayes_explorer",
+        "imubayes_qualification",
+        "imubayes_recordings",
     }
     assert not [entry.filename for entry in examples if entry.filename.endswith((".py", ".ipynb", ".png"))]
 

@@ -1,7 +1,7 @@
 """Commands `imubayes fit`, `classical`, `compare` and `predict`.
 
 `fit`, the main job, fits all runs of a campaign jointly.  `classical` gives the classical evaluation of each run.
-`compare` holds the model against the measurements, `predict` against others that were not fitted.
+`compare` compares the model with the measurements, `predict` against others that were not fitted.
 """
 
 import sys

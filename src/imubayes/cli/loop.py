@@ -1,7 +1,7 @@
 """Commands of the model loop: `imubayes diagnose`, `add`, `remove`, `refit`, `plant` and `history`.
 
-`diagnose` says what is missing in a model.  `add` is a step forward, with what it brought; `remove` is a step back,
-with what it costs; `refit` takes an edited model.  `plant` says whether an effect would have been found.  `history`
+`diagnose` names the effects that a model lacks.  `add` is a step forward, with its improvement; `remove` is a step
+back, with its loss; `refit` takes an edited model.  `plant` shows whether an effect would have been found.  `history`
 shows the models tried.
 """
 

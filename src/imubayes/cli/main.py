@@ -154,7 +154,7 @@ def _of_command_line(error: cyclopts.CycloptsError) -> Issue:
 
 
 def _issue_of(error: Exception) -> Issue:
-    """Return what is said of an error that no command foresaw."""
+    """Return the message for an error that no command foresaw."""
     cause: BaseException | None = error
     while cause is not None:
         if getattr(cause, "errno", None) in _FULL or os.strerror(errno.ENOSPC) in str(cause):

@@ -227,9 +227,11 @@ class Certificate(_CertificatePart):
     standard: tuple[MeasurementStandard, ...] = Field(default=(), description="standards that were used")
     cmc: tuple[CapabilityEntry, ...] = Field(default=(), description="capabilities: no U is stated smaller")
     environment: Environment = Field(default=Environment(), description="conditions during the calibration")
-    adjustment: Text | None = Field(default=None, description="results before and after, where it was adjusted")
+    adjustment: Text | None = Field(default=None, description="results before and after an adjustment")
     deviations: Text | None = Field(default=None, description="from the method")
-    amendment: Amendment | None = Field(default=None, description="where it amends or replaces an issued certificate")
+    amendment: Amendment | None = Field(
+        default=None, description="present if it amends or replaces an issued certificate"
+    )
     external: tuple[ExternalResult, ...] = Field(default=(), description="results of external providers")
     customer_data: Text | None = Field(
         default=None, description="information that the customer provided, such as limits"

@@ -34,8 +34,8 @@ def apply(
     A recording with all gyros or accelerometers of a unit is solved for rate and specific force in body axes, all
     channels jointly; the systematic uncertainty of the calibration and the random one of the row are given apart.
     Readings of single channels, or of channels that do not span three axes, become inputs along the axis of each
-    channel. Effects of the model that depend on what the recording does not tell are left in; they are named, and the
-    uncertainty contains what they may do.
+    channel. Effects of the model that depend on quantities missing from the recording are not corrected. They are
+    named, and the uncertainty includes them.
 
     Example: imubayes apply results/desk-imu data/desk-imu --out results/desk-imu-corrected.csv
 

@@ -32,7 +32,7 @@ _ARCSEC = {"deg": 3600.0, "arcmin": 60.0, "arcsec": 1.0}
 _ON_PAPER = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
 _CAPTION = (
     "Left: posterior mean and 95 % interval in prior standard deviations; an estimate outside the bands means that the "
-    "equipment is worse than stated or that the model is wrong (where the prior has no single centre, the estimate is "
+    "equipment is worse than stated or that the model is wrong (if the prior has no single centre, the estimate is "
     "given as a number). Right: standard uncertainty before (open) and after the runs (filled), logarithmic axis. With "
     "a good set of runs every line is long; a short one, in vermilion, is a quantity that the data did not determine."
 )

@@ -121,7 +121,7 @@ def evidence_figure(evidence: ResidualEvidence, against: str, signs: style.RunSi
     factor, shown = readable(evidence.unit, float(np.median(np.abs(evidence.residual))))
     residual, explained = evidence.residual * factor, evidence.explained * factor
     over = evidence.over
-    divided = "" if over is None else " over its input, where that is a third of the largest or more"
+    divided = "" if over is None else " over its input, for inputs above a third of the largest"
     without = " without the offset of each run" if evidence.within else ""
     caption = (
         f"Left: residual of {channel}{without}{divided}; black: the part that {effect} explains and the "
@@ -184,7 +184,7 @@ def before_after_figure(
         large, over = _large_inputs(over)
         names, at, floor = names[large], at[large], None if floor is None else floor / float(np.median(np.abs(over)))
         before, after, factor, shown = before[large] / over, after[large] / over, 1e6, "ppm"
-        divided, quantity = "over its input, where that is a third of the largest or more,", "residual / input / ppm"
+        divided, quantity = "over its input, for inputs above a third of the largest,", "residual / input / ppm"
     before, after = before * factor, after * factor
     caption = (
         f"Residual of {channel} {divided}{' about the mean of each run,' if within else ''} before and after "

@@ -28,16 +28,16 @@ NO_DEGREES = (
 """Why no ν stands beside u."""
 _METHOD = (
     "Posterior variance = Σ (cᵢ u(xᵢ))² of independent inputs: the noise of the runs (type A) and each prior (type B), "
-    "which states what was known of fixture, table, site, reference and unit before the test."
+    "which states the prior knowledge of fixture, table, site, reference and unit before the test."
 )
 _NOTES = (
     "Type A contributions are evaluated from all rows of the runs of a procedure, so that they have no single input. "
     "Known to: their own relative standard uncertainty, as the scatter of these runs is known from few rows (GUM "
     "E.4.3). The record has the contribution of each run.",
-    "Noise scales: the scatter itself is estimated, and where it is uncertain the estimate moves with it; this is the "
+    "Noise scales: the scatter itself is estimated, and if it is uncertain the estimate moves with it; this is the "
     "variance of the conditional mean. Second order: what is quadratic in the inputs (GUM 5.1.2, note).",
     "Remainder: posterior variance less all contributions, hence higher orders and Monte Carlo error.",
-    f"{NO_DEGREES} Where the posterior is not symmetric, its interval stands with the results.",
+    f"{NO_DEGREES} If the posterior is not symmetric, its interval is given with the results.",
 )
 _TABLE_NOTE = (
     "u(x): standard uncertainty of the input; c: sensitivity, in the unit of the quantity over that of the input; "
@@ -46,7 +46,7 @@ _TABLE_NOTE = (
 _FIRST_NOTE = (
     "Halve first: the contribution whose halving, by a better certificate or less noise, leaves the smallest u; the "
     "weights of all other inputs change with it. Next run: of repetitions of the runs made, and "
-    "of other runs that the equipment allows, the one that narrows the quantity most; a dash where none narrows it by "
+    "of other runs that the equipment allows, the one that narrows the quantity most; a dash if none narrows it by "
     "1 %. Both are linear predictions."
 )
 
@@ -150,7 +150,7 @@ def _improvements(shown: Sequence[parts.QuantityBudget], withheld: Collection[st
         for each in shown
     ]
     head = ("quantity", "u", "unit", "halve first", "u falls by", "next run", "u falls by")
-    yield Sheet("What to improve first", head, rows, (0, 2, 3, 5), note=_FIRST_NOTE)
+    yield Sheet("Improve first", head, rows, (0, 2, 3, 5), note=_FIRST_NOTE)
     if letters:
         yield Paragraph("Next runs:")
         yield Items([f"{letter}: {text}." for text, letter in letters.items()])

@@ -175,7 +175,7 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
     head = ("quantity", "U would be multiplied by", "worst: u → u with them", "unit", "omitted")
     note = (
         "Known contributions that no u and no U of this document contains, from site and equipment that the model "
-        "takes as exact: all of them together, where they widen U by a twentieth and more. The size is a standard "
+        "takes as exact: all of them together, if they widen U by a twentieth or more. The size is a standard "
         "uncertainty that is plausible, as the campaign states none. State it in the campaign (0 where exact), or take "
         "the effect into the model; of clocks, time bases, meters and vibration sensors the campaign states nothing, "
         "and other sizes act in proportion (annex A). Factors are of values at T_ref; that of a limit over a range of "

@@ -155,7 +155,7 @@ def limits_table(
         rows,
         (0, 1, 2, 3, 5, 7, 9),
         note="y ± U: estimate with expanded uncertainty U = k u of 95 % coverage, at the temperature of the range at "
-        "which the quantity is worst; where the posterior is not symmetric, estimate [95 % interval]. Of a direction "
+        "which the quantity is worst; if the posterior is not symmetric, estimate [95 % interval]. Of a direction "
         "error Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a range "
         "y contains hysteresis and lag, U the scatter between runs; at T_ref both are of the mean over the "
         f"runs. {BESIDE}: the factor by which contributions that it omits would multiply it, at the same temperature. "
@@ -243,8 +243,8 @@ def risk_table(limits: Sequence[record.LimitOutcome]) -> Sheet:
         head,
         rows,
         (0, 1, 2),
-        note="Specific risks (JCGM 106, 9.3): of delivering a unit that does not conform where it is accepted, and of "
-        "rejecting one that does where it is not. Every probability is found twice, from the posterior draws and by "
-        "quadrature over a distribution fitted to them; where the two differ by more than their errors allow, it is "
+        note="Specific risks (JCGM 106, 9.3): of delivering a unit that is accepted and does not conform, and of "
+        "rejecting one that conforms. Every probability is found twice, from the posterior draws and by "
+        "quadrature over a distribution fitted to them; if the two differ by more than their errors allow, it is "
         "withheld. w = 0 is simple acceptance; U is half the length of the 95 % coverage interval.",
     )

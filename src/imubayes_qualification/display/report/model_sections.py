@@ -161,7 +161,7 @@ def _fit_table(adequacy: record.Adequacy) -> Sheet:
         for run in adequacy.runs
     ]  # fmt: skip
     head = ("run", "channel", "values", "χ²/n", "rms residual", "unit")
-    note = "χ²/n: mean square of the standardised residuals, near 1 where the noise model holds."
+    note = "χ²/n: mean square of the standardised residuals, near 1 if the noise model holds."
     return Sheet("Goodness of fit by run and channel", head, rows, (0, 1, 5), note=note)
 
 

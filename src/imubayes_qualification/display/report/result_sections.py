@@ -18,7 +18,7 @@ _UNMEASURED = "Not measured: known from priors, or fixed by the model"
 _TOGETHER = "Determined combinations"
 _STANDARD_NOTE = (
     "y ± U: estimate with expanded uncertainty U = k u of 95 % coverage; estimate [95 % interval] where the posterior "
-    "is not symmetric. u: standard uncertainty. Term: where it stands in the model equation. "
+    "is not symmetric. u: standard uncertainty. Term: its place in the model equation. "
 )
 _REASONS = {
     "not_in_model": "not in the model",
@@ -151,7 +151,7 @@ def mounting_section(
         "data: 1 − posterior variance / prior variance. That of an axis nominally along the axis of rotation is the "
         "length of its tilt, whose deviation is never negative. "
         "Determined by: the procedure that alone would leave the smallest uncertainty, with that uncertainty, and how "
-        "many times smaller it is with all runs together; a dash stands where the angle is not linear enough in the "
+        "many times smaller it is with all runs together; a dash means that the angle is not linear enough in the "
         f"parameters for a share by procedure. {words.digits_text(angles)}{omitted}"
     )
     runs = [
@@ -240,7 +240,7 @@ def converter_section(
     if lines or drift:
         yield Heading("Converters")
     if drift:
-        note = "Temperature sensitivity of gain and offset, and what else the model has of the converter."
+        note = "Temperature sensitivity of gain and offset, and the other converter effects of the model."
         rows = [_result_row(line) for line in drift]
         yield without_empty_columns(Sheet("Drift of the converters", _RESULT_HEAD, rows, (0, 3, 5), note=note), BESIDE)
     if lines:

@@ -45,7 +45,7 @@ _TITLES = {
 CAPTION = (
     "Upper panels: error of the unit with its nominal constants (scale factor and bias together; bias alone against "
     "temperature), posterior mean with its 95 % coverage band, which is often narrower than the line. Red: limits of "
-    "the specification, where it has them. A good unit stays between the red lines with its whole band. Lower "
+    "the specification, if it has them. A good unit stays between the red lines with its whole band. Lower "
     "panels: what the model leaves, as means of residuals in classes of equal width, in their standard deviations. A "
     "good model leaves no trend: 95 % of the means lie in the grey band, and they change sign often."
 )

@@ -1,0 +1,67 @@
+"""The worst patterns of un-English prose are in no message and on no page; CONTRIBUTING.md has better wordings.
+
+The patterns are those that have no correct use in these texts.
+"""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = ("README.md", "data/your-campaign.md", "data/archives.md", "src/docs/**/*.md")
+PATTERNS = {
+    r"\b(to|can|cannot) be had\b": "can be obtained, can be opened",
+    r"\banyhow\b": "in any case, in an unknown attitude",
+    r"\blikeliest\b": "most probable",
+    r"\bnobody\b": "not stated, unknown",
+    r"\bheld against\b|\bholds? (it|them|two \w+|the \w+) against\b": "compared with",
+    r"\b(tells?|told) of\b|\btell(s|ing)? apart\b|\btold apart\b|\btold by\b": "determine, distinguish",
+    r"\b(cannot|does not|do not) tell\b": "cannot determine, does not show",
+    r"\bwhat is (left|missing|said|known|there) (is|are|of|in|by)\b": "the residual, missing effects, the known …",
+    r"\bstands? beside\b|\bstands? there\b": "is given beside",
+    r"\b[Mm]end (the|what|it)\b": "correct",
+}
+
+
+def _texts(file: Path) -> Iterator[str]:
+    """Yield the strings of a module that a user may read: all but docstrings, which only the commands show."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    unseen = (
+        {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)} if "cli" not in file.parts else set()
+    )
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in unseen:
+            yield " ".join(node.value.split())
+
+
+def _found(text: str) -> list[str]:
+    return [f"{match[0]!r}: {better}" for pattern, better in PATTERNS.items() for match in re.finditer(pattern, text)]
+
+
+def test_no_message_has_a_pattern_that_is_not_english():
+    files = sorted((ROOT / "src").glob("imubayes*/**/*.py"))
+    assert len(files) > 300
+    faults = [f"{file.relative_to(ROOT)}: {fault}" for file in files for text in _texts(file) for fault in _found(text)]
+    assert faults == []
+
+
+def test_no_page_has_a_pattern_that_is_not_english():
+    files = [file for pattern in PAGES for file in sorted(ROOT.glob(pattern))]
+    assert len(files) > 35
+    faults = [
+        f"{file.relative_to(ROOT)}: {fault}"
+        for file in files
+        for fault in _found(" ".join(file.read_text(encoding="utf-8").split()))
+    ]
+    assert faults == []
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    ["the port cannot be had", "The likeliest shape", "the runs do not tell which", "what is missing is named"],
+)
+def test_such_a_sentence_is_found(sentence):
+    assert len(_found(sentence.replace("The", "the"))) == 1
