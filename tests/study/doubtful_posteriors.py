@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "batch"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "archive"))
 from small_units import MODEL, change_readings, edit, make_units
 
 from imubayes.campaign import load_campaign
