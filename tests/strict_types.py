@@ -29,7 +29,6 @@ IMPORTED_FIRST = (
     "emcee",
     "h5netcdf",
     "matplotlib.backends.backend_agg",
-    "optimistix",
     "polars",
     "pyarrow.parquet",
     "pydantic",

@@ -42,6 +42,8 @@ from imubayes_explorer.refit_ahead import Ahead, refitted, told_values
 
 _MOST_RANKED = 12
 _MOST_MOVED, _STAYED = 60, 0.05
+_MOST_ACTING = 60
+"""Previews of causes that are no lines, which are kept."""
 
 
 class LinearView(KnownNoiseView):
@@ -56,7 +58,7 @@ class LinearView(KnownNoiseView):
         super().__init__(explained.fit, explained.known, explained.at_known_noise)
         self.explained = explained
         self._diagnosis, self._shown = diagnosis, in_output_units(summary)
-        self._acting: tuple[tuple[str, ...], Ahead | None] = (), None
+        self._acting = dict[tuple[str, ...], Ahead | None]()
         self._white: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._evidence = threading.Lock()  # it keeps the columns used last, which two threads must not do at once
 
@@ -66,6 +68,10 @@ class LinearView(KnownNoiseView):
         for effect in self.variants:
             self._columns(effect)
         _ = self._slopes, self._catalogue
+        for effect in self.variants:
+            if self._bends(effect):
+                tell(f"preparing previews: {effect}")
+                self.with_causes([effect])
 
     # ---- what explains selected rows ----
 
@@ -214,18 +220,26 @@ class LinearView(KnownNoiseView):
         A cause of one sign, such as a dead zone or a saturation, is no line: it acts as it is found, and the
         parameters of the model are fitted beside it.
         """
-        of, linear, asked = self.explained.of, self.acting_linearly(effects), tuple(effects)
-        bent = [each for each in effects if of.problem.sign[list(of.variants[self.variants[each]].places)].any()]
+        linear, asked = self.acting_linearly(effects), tuple(effects)
+        bent = [each for each in effects if self._bends(each)]
         if not bent:
             return linear
-        known, found = self._acting
-        if known != asked:  # the points of a preview are asked for after its words
+        if asked not in self._acting:
             told = told_values([each for each in map(self._diagnosis.estimate, bent) if each is not None])
             plain = [self._columns(each)[0] for each in effects if each not in bent]
             beside = np.concatenate(plain, axis=1) if plain else None
             found = refitted(self._catalogue.at(told), self.point, self.fit.model, columns=beside)
-            self._acting = asked, found
+            while len(self._acting) > _MOST_ACTING:
+                self._acting.pop(next(iter(self._acting)))
+            self._acting[asked] = found
+        else:
+            found = self._acting[asked]
         return linear if found is None else found.point
+
+    def _bends(self, effect: str) -> bool:
+        """Tell whether a cause is of one sign, and so no line."""
+        of = self.explained.of
+        return bool(of.problem.sign[list(of.variants[self.variants[effect]].places)].any())
 
     @cached_property
     def _catalogue(self) -> CatalogueModel:

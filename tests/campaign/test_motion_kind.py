@@ -24,6 +24,18 @@ def test_a_unit_that_is_waved_is_slow_motion(unit) -> None:
     assert "about all axes" in why
 
 
+def test_accelerometers_alone_that_are_waved_are_in_slow_motion(unit) -> None:
+    columns = {name: values for name, values in waved(unit, 4, seconds=40.0).items() if name[0] != "g"}
+    procedure, why = procedure_in_motion(columns, np.zeros((len(columns["time_s"]), 0)))
+    assert procedure == "slow_motion"
+    assert "no gyros" in why
+
+
+def test_accelerometers_alone_with_rests_stay_a_free_tumble() -> None:
+    columns = {name: values for name, values in random_attitudes(6, 12).columns().items() if name[0] != "g"}
+    assert procedure_in_motion(columns, np.zeros((len(columns["time_s"]), 0))) == ("free_tumble", "")
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_unit_on_a_drill_is_free_rotation(unit, axis) -> None:
     columns = drilled(unit, 5, axis, -1.0)

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from imubayes.inference.least_squares import LeastSquares, covariance, minimise
 from nist import FILE, digits, evaluate, read
+
+from imubayes.inference.least_squares import LeastSquares, covariance, minimise
 
 here = pytest.mark.skipif(not FILE.exists(), reason="the certified problems lie beside the repository, not in it")
 PROBLEMS = read() if FILE.exists() else {}

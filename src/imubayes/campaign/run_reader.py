@@ -14,8 +14,10 @@ from imubayes.campaign.equipment import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.physical_checks import check_log, check_rest, check_rows
 from imubayes.campaign.reduction.carried_rows import reduce_motion
-from imubayes.campaign.reduction.free_tumble import reduce_tumble
+from imubayes.campaign.reduction.free_tumble import ReducedTumble, reduce_tumble
 from imubayes.campaign.reduction.pose_table import reduce_means
+from imubayes.campaign.reduction.static_poses import spans_space
+from imubayes.campaign.reduction.waved_poses import reduce_waved
 from imubayes.campaign.run_tables import (
     TEXT_COLUMNS,
     ColumnLayout,
@@ -369,7 +371,7 @@ def _load_tumble(
                 f"run '{entry.name}' is given as means, and a unit in motion has none",
                 where, "a raw log of all channels with time_s", "give the raw log; its windows are found in it",
             )  # fmt: skip
-        reduced = reduce_motion(source.whole(), channels, gravity, where, limits)
+        reduced = _reduce_motion(entry, source.whole(), equipment, where, limits)
     elif source.layout.reduced:
         reduced = reduce_means(source.whole(), channels, gravity, where)
     else:
@@ -377,6 +379,23 @@ def _load_tumble(
     run = build_run(entry, reduced.numbers, channels, gravity, reduced.notes, reduced.tumble)
     findings = [replace(finding, run=entry.name) for finding in reduced.findings]
     return run, findings
+
+
+def _reduce_motion(
+    entry: RunEntry, numbers: dict[str, np.ndarray], equipment: Equipment, where: str, limits: reduce.Limits
+) -> ReducedTumble:
+    """Return a run in motion reduced by what carries its attitude: three gyros, or nothing."""
+    channels, gravity = equipment.channels, equipment.site.gravity
+    if spans_space(channels, "gyro"):
+        return reduce_motion(numbers, channels, gravity, where, limits)
+    if not PROCEDURES[entry.procedure].without_gyros:
+        raise input_error(
+            f"run '{entry.name}' of {entry.procedure} needs gyros about three axes",
+            f"{where}, [[channel]] of campaign.toml",
+            "three gyros whose input axes are not coplanar: they carry the attitude from window to window",
+            'add the gyros; accelerometers alone are calibrated by procedure = "slow_motion" or "free_tumble"',
+        )
+    return reduce_waved(numbers, channels, gravity, where, limits)
 
 
 def _check_counts(numbers: dict[str, np.ndarray], source: TableSource, entry: RunEntry) -> list[Finding]:

@@ -93,7 +93,7 @@ def forget_programs() -> None:
     _programs.clear()
 
 
-def kept[**P, R](function: Callable[P, R], briefly: Callable[P, bool] | None = None) -> Callable[P, R]:
+def kept[**P, R](function: Callable[P, R], briefly: Callable[..., bool] | None = None) -> Callable[P, R]:
     """Return a function compiled as by `equinox.filter_jit`, whose programs outlast the process.
 
     Parameters

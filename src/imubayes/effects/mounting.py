@@ -203,7 +203,7 @@ class RotationCentre(PlaceEffect):
     stage = Stage.PLACE
     per = ("run",)
     kinds = ("accelerometer",)
-    needs = ("hand",)
+    needs = ("carried",)
     confused_with = "lever_arm if the unit sits in one way alone"
     reference = "IEEE Std 1293, centrifuge geometry; Groves § 6.3.1.3"
     x: Scalar = parameter("mm", "normal(0, 100 mm)", (1, 300), "the unit's position along body x")

@@ -244,6 +244,7 @@ class Tumble:
     carried_back : shape (n,); True where its pose is that at the end of the transition.
     first_gyros : shape (7, 6); first estimate of bias, rad/s, and scale factor error of the gyros along the body axes,
         from which a fit begins, then its information matrix; empty where all rows are static.
+    waved : whether each row is a window in motion with a pose of its own, as nothing carries the attitude on.
     """
 
     pose: np.ndarray
@@ -260,11 +261,17 @@ class Tumble:
     carried_step: np.ndarray = field(default_factory=_no_places)
     carried_back: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     first_gyros: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
+    waved: bool = False
+
+    @property
+    def carried(self) -> bool:
+        """Whether the gyros carry the attitude from window to window."""
+        return len(self.carried_row) > 0
 
     @property
     def in_motion(self) -> bool:
         """Whether rows are windows in motion."""
-        return len(self.carried_row) > 0
+        return self.carried or self.waved
 
     @property
     def turns(self) -> int:

@@ -219,6 +219,7 @@ CONDITIONS: dict[str, str] = {
     "temperature uncertainty": "a run that states temperature_uncertainty_degC",
     "converter_temperature uncertainty": "a run that states converter_temperature_uncertainty_degC",
     "hand": "a unit in motion: slow_motion or free_rotation",
+    "carried": "a unit in motion with gyros about three axes: slow_motion or free_rotation",
     "posed": "a free tumble",
     "driven": "a table that the gyro drives",
     "unknown_heading": 'a table with azimuth_deg = "unknown", or a record at rest without a table',

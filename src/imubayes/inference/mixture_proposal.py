@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
+import scipy  # loads its parts when they are first used
 from scipy.special import fdtri, gammainccinv, gammaincinv, gammaln, ndtri
 
 from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival, f_survival, normal_survival
@@ -134,7 +134,9 @@ def fitted_to(draws: np.ndarray, seed: int) -> MixtureProposal | None:
     if values[0] <= 1e-12 * values[-1]:
         return None
     parts = max(1, min(_PARTS, len(draws) // (_DRAWS_A_DIMENSION * size)))
-    _, label = kmeans2(white @ vectors / np.sqrt(values), parts, minit="++", rng=np.random.default_rng(seed))
+    _, label = scipy.cluster.vq.kmeans2(
+        white @ vectors / np.sqrt(values), parts, minit="++", rng=np.random.default_rng(seed)
+    )
     kept = [part for part in range(parts) if np.sum(label == part) > 2 * size]
     if not kept:
         return None

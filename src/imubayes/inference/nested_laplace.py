@@ -61,7 +61,7 @@ _SURVEY = np.linspace(-3.5, 3.5, 15)
 _HOPELESS, _APART = 15.0, 0.1
 # Log density, relative to the mode, where the marginal is not finite.
 _NOWHERE = -200.0
-# Draws whose precisions are formed and factored together: as a whole those of 4000 take hundreds of megabytes.
+# Draws whose precisions are formed and factored together: of more, what is read again is no longer in the cache.
 _AT_ONCE = 32
 
 

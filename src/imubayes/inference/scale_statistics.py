@@ -41,7 +41,7 @@ from imubayes.noise.components import Entry, EntryNoise, SharedNoise
 _DIGITS, _PROBES = 10, 3
 # Above so many numbers in the statistics of all classes, products of rows are formed anew for each h.
 _MOST_STORED = 4_000_000
-# Noise scales whose precisions are formed together.
+# Noise scales whose precisions are formed together: of more, what is read again is no longer in the cache.
 _AT_ONCE = 32
 
 

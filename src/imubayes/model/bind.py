@@ -417,8 +417,8 @@ def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> Mo
 def _by_hand(tumbles: Sequence[Tumble]) -> list[str]:
     """Return the unknowns of runs without a table: attitudes, heading, and what the gyros wander."""
     names = list(_IMPLIED_BY_POSES) if tumbles else []
-    names += _IMPLIED_BY_TURNS if any(tumble.turns and not tumble.in_motion for tumble in tumbles) else ()
-    return [*names, *(_IMPLIED_BY_MOTION if any(tumble.in_motion for tumble in tumbles) else ())]
+    names += _IMPLIED_BY_TURNS if any(tumble.turns and not tumble.carried for tumble in tumbles) else ()
+    return [*names, *(_IMPLIED_BY_MOTION if any(tumble.carried for tumble in tumbles) else ())]
 
 
 def _temperature_errors(listed: Collection[str], campaign: Campaign, registry: Registry) -> list[str]:

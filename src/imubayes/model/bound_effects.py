@@ -25,7 +25,9 @@ from imubayes.parameters.declarations import Declared, Parameter, declared_optio
 from imubayes.procedures.ambient import unknown_covariates
 
 # An effect that needs one of these, or a covariate that is absent there, must be switched off in the runs without it.
-_GATES = ("injection", "reference", "driven", "directions", "unknown_heading", "unknown_level", "hand", "posed")
+_GATES = (
+    "injection", "reference", "driven", "directions", "unknown_heading", "unknown_level", "hand", "carried", "posed",
+)  # fmt: skip
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
 _AMBIENT_SHARING = {"run": ("run",)}  # a run states the uncertainty of its own temperature

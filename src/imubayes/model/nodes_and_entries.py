@@ -9,7 +9,7 @@ a run without times follow each other without a gap.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import equinox as eqx
@@ -42,6 +42,7 @@ class NodeTable:
     row_of : shape (R,), global row (run after run) at each place of the sorted rows.
     injected : shape (N,), 1 where a current is injected.
     supplies : for each run what it supplies.
+    campaign, parts : whose nodes they are, and the stimulus of each of its runs.
     """
 
     stimulus: Stimulus
@@ -53,6 +54,8 @@ class NodeTable:
     row_of: np.ndarray
     injected: np.ndarray
     supplies: tuple[frozenset[str], ...]
+    campaign: Campaign
+    parts: tuple[Stimulus, ...]
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,23 @@ class Entries:
 
 def join_nodes(campaign: Campaign) -> NodeTable:
     """Return the nodes of all runs of a campaign."""
-    parts = [PROCEDURES[run.procedure].stimulus(run, campaign) for run in campaign.runs]
+    return _joined(campaign, tuple(_stimulus(run, campaign) for run in campaign.runs))
+
+
+def rejoin_nodes(nodes: NodeTable, campaign: Campaign) -> NodeTable:
+    """Return the nodes of a campaign from those of one that differs in some runs."""
+    before, surroundings = nodes.campaign, (field.name for field in fields(Campaign) if field.name != "runs")
+    if any(getattr(campaign, name) is not getattr(before, name) for name in surroundings):
+        return join_nodes(campaign)
+    runs = zip(campaign.runs, before.runs, nodes.parts, strict=True)
+    return _joined(campaign, tuple(part if run is known else _stimulus(run, campaign) for run, known, part in runs))
+
+
+def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
+    return PROCEDURES[run.procedure].stimulus(run, campaign)
+
+
+def _joined(campaign: Campaign, parts: tuple[Stimulus, ...]) -> NodeTable:
     first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
     row = np.concatenate([part.row + first for part, first in zip(parts, first_row, strict=False)])
     count = np.bincount(row, minlength=first_row[-1])
@@ -103,6 +122,8 @@ def join_nodes(campaign: Campaign) -> NodeTable:
         row_of=sorted_rows,
         injected=np.concatenate([np.full(len(part.row), float(part.injected)) for part in parts])[order],
         supplies=tuple(part.supplies for part in parts),
+        campaign=campaign,
+        parts=parts,
     )
 
 

@@ -321,7 +321,7 @@ def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "
     return jnp.concatenate([predicted, closing.reshape(-1)])
 
 
-def is_small(problem: Problem, points: Float[Array, "n P"]) -> bool:
+def is_small(problem: Problem, *given: Any) -> bool:
     """Whether all that is evaluated in a fit takes less time than to optimise the program for it."""
     return len(problem.observations.value) <= _SMALL
 

@@ -37,7 +37,7 @@ class CarriedClosure(EntryNoise):
 
     name = "carried_closure"
     per = ()
-    needs = ("hand",)
+    needs = ("carried",)
     kinds = ("closure",)
     nuisance = True
     reference = "definition; IEEE Std 952, angle random walk over some ten seconds"
@@ -83,7 +83,7 @@ class HandVelocity(SlowNoise):
 
     name = "hand_velocity"
     per = ()
-    needs = ("hand",)
+    needs = ("carried",)
     kinds = ("accelerometer",)
     excludes = ("correlated_noise", "outliers")
     confused_with = "hand_acceleration if velocities last longer than a row"

@@ -203,6 +203,7 @@ class Procedure:
     needs_table : whether a run must name a table and a mounting.
     needs_gyro : whether the unit must have a gyro.
     reduction : how raw logs are reduced to rows.
+    without_gyros : whether a log in motion is reduced if no gyros carry its attitude.
     by_direction : whether rows give the directions of the axes (`i_axis`, `o_axis`) instead of angles.
     rate_recorded : whether the table rate is recorded (0 if absent); False if another instrument measures it.
     injected : whether a current replaces the accelerometer at the converter input.
@@ -225,6 +226,7 @@ class Procedure:
     needs_table: bool = False
     needs_gyro: bool = False
     reduction: Reduction = Reduction.CONSTANT
+    without_gyros: bool = False
     by_direction: bool = False
     rate_recorded: bool = True
     injected: bool = False

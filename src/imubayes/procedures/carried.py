@@ -22,7 +22,7 @@ def carried_stimulus(run: Run, campaign: Campaign) -> Stimulus:
         where the run is no reduced log.
     """
     tumble = run.tumble
-    if tumble is None or not tumble.in_motion:
+    if tumble is None or not tumble.carried:
         raise input_error(
             f"run '{run.name}' of {run.procedure} has no motion between its windows",
             f"run '{run.name}'",
@@ -33,6 +33,25 @@ def carried_stimulus(run: Run, campaign: Campaign) -> Stimulus:
     pose = tumble.pose[tumble.carried_row]
     still = at_rest(run, campaign, weights, np.eye(3), tumble.attitude[pose])
     return replace(still, pose=pose, hand=_nominal_motion(tumble, campaign), unstated=frozenset({"unknown_heading"}))
+
+
+def pose_stimulus(run: Run, campaign: Campaign) -> Stimulus:
+    """Return the stimulus of a run whose rows are poses of unknown attitude, one node each.
+
+    Raises
+    ------
+    InputError
+        if the run has no poses.
+    """
+    if run.tumble is None:
+        raise input_error(
+            f"run '{run.name}' of {run.procedure} has no poses",
+            f"run '{run.name}'",
+            "a raw log of all channels with time_s",
+            "give the raw log; its poses are found in it",
+        )
+    attitude = run.tumble.attitude[run.tumble.pose]
+    return replace(at_rest(run, campaign, [np.ones(1)] * run.rows, np.eye(3), attitude), pose=run.tumble.pose)
 
 
 def _nominal_motion(tumble: Tumble, campaign: Campaign) -> CarriedNodes:

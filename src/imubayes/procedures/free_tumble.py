@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from imubayes.foundations.campaign_data import Campaign, Run
-from imubayes.foundations.errors import input_error
 from imubayes.procedures.base import PlannedRows, PlannedSteps, PlanRules, Procedure, Reduction
-from imubayes.procedures.kinematics import Stimulus, at_rest, rotation_matrices, table_stimulus
+from imubayes.procedures.carried import pose_stimulus
+from imubayes.procedures.kinematics import Stimulus, rotation_matrices, table_stimulus
 from imubayes.procedures.magnitude_estimate import of_accelerometers
 from imubayes.procedures.textbook import DEGREE_PER_HOUR, Evaluation, TextbookResult, measured
 
@@ -58,15 +58,7 @@ def _in_motion(run: Run, campaign: Campaign) -> Stimulus:
 def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
     if run.attitude is not None:
         return _in_motion(run, campaign)
-    if run.tumble is None:
-        raise input_error(
-            "the free tumble has no rotations between its poses",
-            f"run '{run.name}'",
-            "a raw log of all channels with time_s",
-            "give the raw log, not means; the poses are found in it",
-        )
-    attitude = run.tumble.attitude[run.tumble.pose]
-    return replace(at_rest(run, campaign, [np.ones(1)] * run.rows, np.eye(3), attitude), pose=run.tumble.pose)
+    return pose_stimulus(run, campaign)
 
 
 def tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:

@@ -139,6 +139,7 @@ class Stimulus:
             accelerations.append(self.hand.acceleration)
         told = {
             "hand": self.hand is not None,
+            "carried": self.hand is not None and bool(np.any(self.hand.carried > 0)),
             "posed": self.hand is None and bool(np.any(self.pose >= 0)),
             "turning": bool(np.any(self.table_rate != 0) or np.any(self.pose >= 0)) or self.referenced or carried,
             "acceleration": any(np.any(values != 0) for values in accelerations),

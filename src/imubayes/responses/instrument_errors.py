@@ -84,7 +84,8 @@ def _all(fit: Fit, only: Sequence[str]) -> Iterator[InstrumentError]:
     if VIBRATION_SENSOR in only and "vibration" in read:
         column = at.scaled({"vibration": 1.0}, 0.0) * _PERCENT
         yield InstrumentError(VIBRATION_SENSOR, f"{VIBRATION_SENSOR}.gain[all]", "%", _VIBRATION_PERCENT, column)
-    yield from _of_outputs(fit, at)
+    if {TIME_BASE, METER}.intersection(only):
+        yield from _of_outputs(fit, at)
 
 
 def _of_thermometer(fit: Fit, effect: type[TemperatureOffset], at: "_Response") -> Iterator[InstrumentError]:

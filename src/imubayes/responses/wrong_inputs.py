@@ -22,7 +22,7 @@ from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.covariates import COVARIATES, Covariate, recorded
 from imubayes.model.assembly import nodes_of
 from imubayes.model.bind import Model
-from imubayes.model.nodes_and_entries import join_entries, join_nodes
+from imubayes.model.nodes_and_entries import join_entries, rejoin_nodes
 from imubayes.model.problem import Problem, predict
 from imubayes.procedures import PROCEDURES
 
@@ -195,12 +195,14 @@ def problem_of(model: Model, campaign: Campaign) -> Problem | None:
 
     Arrays have the shapes that they had, so that nothing is traced.
     """
-    nodes = join_nodes(campaign)
+    before = model.campaign
+    nodes = rejoin_nodes(model.nodes, campaign)
     same = nodes.turns == model.nodes.turns and np.array_equal(nodes.row_of, model.nodes.row_of)
     if not same or not np.array_equal(nodes.stand, model.nodes.stand):
         return None
-    arrays, given = on_device(nodes_of(campaign, nodes)), np.asarray(model.problem.observations.value)
-    value = given + (join_entries(campaign).value - join_entries(model.campaign).value)
+    arrays, value = on_device(nodes_of(campaign, nodes)), np.asarray(model.problem.observations.value)
+    if any(run.observed is not known.observed for run, known in zip(campaign.runs, before.runs, strict=True)):
+        value = value + (join_entries(campaign).value - join_entries(before).value)
     return eqx.tree_at(lambda known: (known.nodes, known.observations.value), model.problem, (arrays, value))
 
 

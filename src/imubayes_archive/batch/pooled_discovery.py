@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 import polars as pl
-from scipy import special
 
 from imubayes.criticism.evidence.effect_variants import EXPECTED
 from imubayes.criticism.explanation_records import NAMED
@@ -256,7 +255,7 @@ class _PooledSearch:
 
     def candidate(self, each: pooled.PooledEvidence, ranked: Sequence[pooled.PooledEvidence]) -> PooledCandidate:
         """Return the evidence for a candidate among those that it was ranked with, as a record."""
-        whole = np.logaddexp(0.0, special.logsumexp([other.log_odds for other in ranked]))
+        whole = np.logaddexp.reduce([0.0, *(other.log_odds for other in ranked)])
         return PooledCandidate(
             **vars(each.key), equipment=self.groups[each.group].label, law=each.law, laws=each.shares,
             units=each.units, probability=math.exp(min(each.log_odds - whole, 0.0)), log_odds=each.log_odds,
@@ -291,8 +290,8 @@ class _PooledSearch:
         mass: dict[tuple[str, int], list[pooled.PooledEvidence]] = {}
         for each in ranked:
             mass.setdefault((each.key.effect, each.group), []).append(each)
-        logs = {key: float(special.logsumexp([one.log_odds for one in own])) for key, own in mass.items()}
-        whole, told = special.logsumexp(list(logs.values())), 0.0
+        logs = {key: float(np.logaddexp.reduce([one.log_odds for one in own])) for key, own in mass.items()}
+        whole, told = float(np.logaddexp.reduce(list(logs.values()))), 0.0
         for key in sorted(logs, key=lambda each: -logs[each]):
             if told >= _TOLD:
                 return
@@ -306,7 +305,9 @@ class _PooledSearch:
     ) -> EquipmentGroup | None:
         if not group.name:
             return None
-        outside = special.logsumexp(pooled.log_bayes(at, leader.key, ~group.members[None])) - math.log(3)
+        outside = float(
+            np.logaddexp.reduce(pooled.log_bayes(at, leader.key, ~group.members[None]), axis=None)
+        ) - math.log(3)
         inside = int(group.members.sum())
         return EquipmentGroup(
             kind=group.kind, name=group.name, inside=inside, outside=len(group.members) - inside,

@@ -292,7 +292,7 @@ class PooledEvidence:
 def log_bayes(scores: PooledScores, key: CandidateKey, members: np.ndarray) -> np.ndarray:
     """Return the log Bayes factor of each law in each group, members (G, n) bool, against nothing missing, (G, 3)."""
     tables = law_tables(unit_gains(scores, scores.candidates[key]), members)
-    return np.stack([special.logsumexp(tables[law].reshape(len(members), -1), axis=1) for law in LAWS], axis=1)
+    return np.stack([np.logaddexp.reduce(tables[law].reshape(len(members), -1), axis=1) for law in LAWS], axis=1)
 
 
 def all_evidence(

@@ -1,6 +1,6 @@
 // The tabs at the bottom: tree of models, estimates with what a preview moves, and the commands of every click.
 
-import { compact, digits, el, fill } from "./dom.js";
+import { compact, digits, el, fill, minus } from "./dom.js";
 import { drawEstimates } from "./estimates.js";
 import { drawKnowledge } from "./knowledge.js";
 import { show, told, view } from "./state.js";
@@ -53,7 +53,7 @@ function models(panel, actions) {
       line.taken ? "" : " ✕ not taken"),
     el("td", { "data-label": head[0] }, line.chi2 && line.dof ? (line.chi2 < 99 * line.dof ? (line.chi2 / line.dof).toFixed(2) : compact(line.chi2 / line.dof)) : "–"),
     el("td", { "data-label": head[1] }, digits(line.delta_chi2.predicted)), el("td", { "data-label": `Δχ² ${head[2]}` }, digits(line.delta_chi2.observed)),
-    el("td", { "data-label": head[3] }, line.gain.replaceAll("-", "−")),
+    el("td", { "data-label": head[3] }, minus(line.gain)),
     units.map((unit, at) => el("td", { "data-label": head[4 + at] }, size(line.rms[unit], unit))),
     el("td", { "data-label": "exported" }, line.selected ? "● selected" : line.taken ? el("button", { class: "plain", "data-key": `select-${line.id}`, onclick: () => actions.select(line.id) }, "○ select") : ""),
     el("td", { "data-label": "note" }, el("button", { class: "plain", "data-key": `note-${line.id}`, title: line.note || "name and note", onclick: () => actions.note(line) }, line.note ? "✎ note" : "✎"))));

@@ -1,6 +1,6 @@
 // Ranked causes: of everything by the one evidence, or of the selected readings; ticked ones are previewed, then added.
 
-import { bar, digits, el, fill, odds, probability } from "./dom.js";
+import { bar, digits, el, fill, minus, odds, probability } from "./dom.js";
 import { atWork, show, tell, told, view } from "./state.js";
 
 const MOST = 14;
@@ -27,7 +27,7 @@ export function drawCauses(place, actions) {
       chosen ? el("span", { class: "row" },
         chosen.n ? el("button", { id: "aside", "data-key": "aside", onclick: actions.aside, title: "key s: fit without these readings, with a reason" }, "set aside …") : null,
         el("button", { onclick: () => show({ brushes: [] }), "data-key": "clear" }, "clear selection")) : null),
-    chosen ? el("p", { class: "aside", id: "selection-sentence", role: "status" }, chosen.sentence) : null,
+    chosen ? el("p", { class: "aside", id: "selection-sentence", role: "status" }, minus(chosen.sentence)) : null,
     selection ? other("noise alone", selection.nothing) : null,
     selection && selection.offset !== null ? other("an offset of these readings alone", selection.offset) : null,
     selection && selection.form !== null ? other(selection.form_words || "outside the catalogue", selection.form) : null,
@@ -82,7 +82,7 @@ function causeRow(line, cause, selection, actions) {
     el("label", { class: "name", for: id }, broken(cause.effect)),
     bar(line.probability, selection ? cause.probability : null),
     el("span", { class: "number", title: odds(line.log_odds ?? cause.log_odds) }, probability(line.probability)),
-    el("span", { class: "more" }, el("span", {}, `${cause.coefficient}; Δχ² ${digits(cause.delta_chi2)}; ${odds(cause.log_odds)} alone`),
+    el("span", { class: "more" }, el("span", {}, `${minus(cause.coefficient)}; Δχ² ${digits(cause.delta_chi2)}; ${odds(cause.log_odds)} alone`),
       el("button", { class: "plain quiet", "data-key": `lock-${cause.effect}`, title: `locked: ${signs[lock]}; in: always added, out: never proposed`, "aria-label": `lock of ${cause.effect}: ${signs[lock]}`, onclick: () => actions.lock(cause.effect, next) }, signs[lock])));
 }
 
@@ -102,7 +102,7 @@ function accept(actions, selection) {
   const preview = told.preview?.effects.length && !told.preview.refitted ? told.preview : null, ticked = view.ticked.length > 0;
   const busy = told.session?.tasks.some(atWork);
   return el("div", { class: "aside accept" },
-    preview ? el("p", { id: "preview-sentence", role: "status" }, preview.sentence) : told.facts.stage !== "ready" ? null : el("p", { class: "quiet" }, "Point at a cause to preview it without a refit; tick several to preview them together."),
+    preview ? el("p", { id: "preview-sentence", role: "status" }, minus(preview.sentence)) : told.facts.stage !== "ready" ? null : el("p", { class: "quiet" }, "Point at a cause to preview it without a refit; tick several to preview them together."),
     preview ? el("pre", { tabindex: "0", "aria-label": "command" }, preview.command) : null,
     el("div", { class: "row" },
       el("button", { class: "main", id: "accept", "data-key": "accept", disabled: !ticked || busy, title: "adds what is ticked; key a", onclick: actions.accept }, "add, and refit"),

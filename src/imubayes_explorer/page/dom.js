@@ -50,8 +50,14 @@ export function digits(value, count = 3) {
   if (value === 0) return "0";
   const size = Math.abs(value);
   if (size >= 1e7 || size < 1e-5) return value.toExponential(count - 1).replace("-", "−");
-  const places = Math.max(0, Math.min(8, count - 1 - Math.floor(Math.log10(size))));
-  return value.toFixed(places).replace("-", "−");
+  // Rounded as in the sentences: one quantity has one figure.
+  const rounded = Number(value.toPrecision(count)), places = Math.max(0, Math.min(8, count - 1 - Math.floor(Math.log10(Math.abs(rounded)))));
+  return minus(rounded.toFixed(places));
+}
+
+// Numbers in words from the server have hyphens, as commands need them; on the page a negative number has its sign.
+export function minus(text) {
+  return text.replace(/(^|[\s(±…[])-(?=[\d.])/g, "$1−");
 }
 
 // A ratio in few signs: 0.8, 46, 8.2k, 5.5M.

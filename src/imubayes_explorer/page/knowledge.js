@@ -1,6 +1,6 @@
 // What the runs determined, what they did not, and the run that would; any quantity with its prior and posterior.
 
-import { digits, el, fill } from "./dom.js";
+import { digits, el, fill, minus } from "./dom.js";
 import { geometry } from "./geometry.js";
 import { ask } from "./net.js";
 import { told, view } from "./state.js";
@@ -59,7 +59,7 @@ async function seek(name, panel, actions) {
 function sheet(table, panel, actions) {
   const names = new Set(known.tables.quantities);
   const cell = (text, at, row) => el("td", { class: `${table.left.includes(at) ? "left" : ""} ${table.doubtful.includes(row * table.head.length + at) ? "doubtful" : ""}` },
-    at === 0 && names.has(text) ? el("button", { class: "plain", onclick: () => seek(text, panel, actions) }, text) : text);
+    at === 0 && names.has(text) ? el("button", { class: "plain", onclick: () => seek(text, panel, actions) }, text) : minus(text));
   return el("div", {}, el("table", {},
     el("thead", {}, el("tr", {}, table.head.map((words, at) => el("th", { class: table.left.includes(at) ? "left" : "" }, words)))),
     el("tbody", {}, table.rows.map((row, place) => el("tr", {}, row.map((text, at) => cell(text, at, place)))))),

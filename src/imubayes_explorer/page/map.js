@@ -38,7 +38,7 @@ function chi2Of(cell) {
 // Decades of the scale, as many as there is room for.
 function legend(worst) {
   const most = Math.log10(worst), step = Math.ceil(most / 4), marks = [];
-  for (let power = 0; power < most - 0.3 * step; power += step) marks.push([power, power ? compact(10 ** power) : "≤ 1"]);
+  for (let power = 0; power <= 0.85 * most; power += step) marks.push([power, power ? compact(10 ** power) : "≤ 1"]);
   marks.push([most, compact(worst)]);
   return el("div", { class: "scale", id: "scale", role: "img", "aria-label": `Colours: χ² per reading, logarithmic from 1 to ${compact(worst)}, that of the worst cell` },
     el("i", { style: { background: heatGround() } }), marks.map(([power, words]) => el("span", { style: { left: `${(100 * power) / most}%` } }, words)));

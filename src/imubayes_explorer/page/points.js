@@ -31,8 +31,10 @@ export function tellReading(actions, place, k, left, top) {
       el("table", {}, el("tbody", {}, found.values.map(([label, words]) => el("tr", {}, el("td", { class: "left" }, label), el("td", {}, words))))));
     place.append(box);
     box.hidden = false;
-    const room = place.clientWidth - box.offsetWidth - 4, high = place.clientHeight - box.offsetHeight - 4;
-    Object.assign(box.style, { left: `${Math.max(4, Math.min(left + 14, room))}px`, top: `${Math.max(2, Math.min(top + 14, high))}px` });
+    // Beside the reading, and whole within the window.
+    const from = place.getBoundingClientRect(), wide = box.offsetWidth, x = from.left + left, y = from.top + top;
+    const right = x + 14 + wide > innerWidth ? x - 14 - wide : x + 14;
+    Object.assign(box.style, { left: `${Math.max(4, right)}px`, top: `${Math.max(4, Math.min(y + 14, innerHeight - box.offsetHeight - 4))}px` });
   }, 40);
 }
 

@@ -1,6 +1,6 @@
 // What the worker does, what it brought, and what went wrong, each with what to do next.
 
-import { el, fill } from "./dom.js";
+import { el, fill, minus } from "./dom.js";
 import { atWork, tell, told, view } from "./state.js";
 
 // Between two steps the seconds run on.
@@ -42,10 +42,10 @@ function progress(task, actions) {
   const refit = task.kind === "change" && told.preview?.refitted ? told.preview.sentence : null;
   const late = told.preview?.task === task.number && !refit;
   return el("div", {}, el("progress", { "aria-label": task.what }),
-    refit ? el("span", { class: "said", id: "refit-sentence" }, refit) : null,
+    refit ? el("span", { class: "said", id: "refit-sentence" }, minus(refit)) : null,
     late ? el("span", { id: "late-sentence" }, task.adding.length ? "The points show the linear prediction; the residuals of this change come with its fit." : "The residuals of this change come with its fit.") : null,
     el("span", { class: refit ? "quiet" : "said" }, `${task.what}: ${task.state === "cancelling" ? "cancelling at the next step" : task.step || "waiting"} · `, el("span", { id: `seconds-${task.number}` }, `${secondsOf(task).toFixed(0)} s`)),
-    task.lines.length && !refit ? el("span", { class: "said" }, task.lines.join("\n")) : null,
+    task.lines.length && !refit ? el("span", { class: "said" }, minus(task.lines.join("\n"))) : null,
     task.kind === "open" ? null : el("button", { id: "cancel", "data-key": "cancel", disabled: task.state === "cancelling", onclick: () => actions.cancel(task.number) }, "cancel"));
 }
 
@@ -55,7 +55,7 @@ function ended(task) {
   }
   const cancelled = `${task.what} was cancelled; ${task.lines.length ? "what it had written stays." : "nothing was written."}`;
   const said = task.state === "cancelled" ? [cancelled, ...task.lines] : task.lines;
-  return said.length ? el("div", {}, el("span", { class: "said" }, said.join("\n")), close(() => tell({ dismissed: task.number }))) : null;
+  return said.length ? el("div", {}, el("span", { class: "said" }, minus(said.join("\n"))), close(() => tell({ dismissed: task.number }))) : null;
 }
 
 function close(act) {

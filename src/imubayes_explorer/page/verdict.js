@@ -1,6 +1,6 @@
 // The verdict and how probable each kind of explanation is; folded, map and residuals are seen without being told.
 
-import { bar, el, fill, odds, probability } from "./dom.js";
+import { bar, el, fill, minus, odds, probability } from "./dom.js";
 import { tell, told } from "./state.js";
 
 const KINDS = {
@@ -28,5 +28,5 @@ export function drawVerdict(place) {
       el("button", { class: "plain quiet", id: "fold", "data-key": "fold", "aria-expanded": String(!told.folded), title: "key h: fold or unfold the verdict", onclick: fold }, told.folded ? "▸ verdict" : "▾ verdict"),
       told.folded ? null : kinds,
       el("span", { class: "quiet" }, `${facts.campaign}, model ${facts.name}: χ² ${facts.chi2.toFixed(1)} for ${facts.dof.toFixed(0)} outputs at the noise known beforehand`)),
-    told.folded ? null : el("p", { class: "sentence", id: "sentence", title: facts.evidence }, facts.sentence || "The explanations are being weighed; map and residuals are those of the fit."));
+    told.folded ? null : el("p", { class: "sentence", id: "sentence", title: minus(facts.evidence) }, minus(facts.sentence) || "The explanations are being weighed; map and residuals are those of the fit."));
 }

@@ -1,7 +1,7 @@
 """The procedure of a unit that nobody put on a table, and the unit of its gyros, by how it moves.
 
 A unit that rests in four attitudes and more is a free tumble.  One that is hardly ever at rest turns about one axis of
-its body (`free_rotation`), or about all (`slow_motion`).
+its body (`free_rotation`), or about all (`slow_motion`); accelerometers alone are in slow motion.
 """
 
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from imubayes.campaign.reduction.motion_windows import about_one_axis
-from imubayes_recordings.convert.column_names import ACCELEROMETERS, GYROS, SIX, TIME
+from imubayes_recordings.convert.column_names import ACCELEROMETERS, GYROS, TIME
 
 _BLOCK_SECONDS, _PARTS = 0.8, 5
 _STEADY = 0.015  # scatter of the parts of a block at rest, of |f|
@@ -27,7 +27,7 @@ def procedure_in_motion(columns: Mapping[str, np.ndarray], rates: np.ndarray) ->
     columns : target → values, shape (N,).
     rates : what the gyros measure at their nominal scale, rad/s, shape (N, G).
     """
-    if not all(name in columns for name in (*SIX, TIME)) or len(columns[TIME]) < 100:
+    if not all(name in columns for name in (*ACCELEROMETERS, TIME)) or len(columns[TIME]) < 100:
         return "free_tumble", ""
     force = np.stack([columns[name] for name in ACCELEROMETERS], axis=1)
     used = np.isfinite(force).all(axis=1) & np.isfinite(rates).all(axis=1)
@@ -39,6 +39,8 @@ def procedure_in_motion(columns: Mapping[str, np.ndarray], rates: np.ndarray) ->
     seconds = moving * len(time) * interval
     if poses >= _POSES or moving < _MOVING_SHARE or seconds < _MOVING_SECONDS:
         return "free_tumble", ""
+    if not all(name in columns for name in GYROS):
+        return "slow_motion", f"{seconds:.3g} s without rest, and no gyros about three axes: each window has |f| = g"
     if about_one_axis(rates):
         axis = np.linalg.eigh(rates.T @ rates)[1][:, -1]
         axis = axis * np.sign(axis[np.argmax(np.abs(axis))])

@@ -134,13 +134,6 @@ def _divided(
     numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], file: str, limits: Limits
 ) -> tuple[MotionLog, tuple[str, ...]]:
     """Return the log, divided into stretches without gaps and clipped samples, and notes on what is left out."""
-    if not static.spans_space(channels, "gyro"):
-        raise input_error(
-            "a unit in motion needs gyros about three axes",
-            f"{file}, [[channel]] of campaign.toml",
-            "three gyros whose input axes are not coplanar: they carry the attitude from window to window",
-            "add the gyros, or hold the unit still in 12 attitudes and more: procedure = \"free_tumble\"",
-        )  # fmt: skip
     recording = static.record(numbers, channels, None, file)
     _, rate = static.body_vectors(recording.readings, channels, file)
     longest = max(recording.time[b] - recording.time[a] for a, b in contiguous(recording.time, recording.interval, 0))
@@ -153,12 +146,7 @@ def _divided(
     bad = _spoilt(first, division.samples, clipped)
     chosen = np.flatnonzero(~bad)
     seconds = len(chosen) * division.samples * recording.interval
-    if seconds < LEAST_SECONDS:
-        raise input_error(
-            f"the log holds {seconds:.3g} s of motion without gaps and clipped samples",
-            file, f"{LEAST_SECONDS:g} s or more in one piece; some minutes in all attitudes are recommended",
-            "record for longer, within the ranges of all channels",
-        )  # fmt: skip
+    refuse_short(seconds, file)
     follows = np.array([not begins[i] and i > 0 and not bad[i - 1] for i in chosen])
     log = MotionLog(
         recording.time, recording.readings, recording.force, rate, division, np.array(first)[chosen], follows
@@ -169,6 +157,16 @@ def _divided(
         named = ", ".join(name for name, own in clipped.items() if own.any())
         notes += (f"{named}: clipped; {int(bad.sum())} stretches of {seconds:.3g} s left out",)
     return log, notes
+
+
+def refuse_short(seconds: float, file: str) -> None:
+    """Raise InputError if a log holds less than `LEAST_SECONDS` of motion."""
+    if seconds < LEAST_SECONDS:
+        raise input_error(
+            f"the log holds {seconds:.3g} s of motion without gaps and clipped samples",
+            file, f"{LEAST_SECONDS:g} s or more in one piece; some minutes in all attitudes are recommended",
+            "record for longer, within the ranges of all channels",
+        )  # fmt: skip
 
 
 def _spoilt(first: Sequence[int], samples: int, clipped: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -356,10 +354,7 @@ def _tumble(
 def _rows(
     numbers: Mapping[str, np.ndarray], log: MotionLog, windows: Windows, channels: Sequence[Channel], kept: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the columns of the windows; the gyros have none, since their outputs carry the attitude.
-
-    The scatter of single samples is that of their fourth differences, which the motion hardly adds to.
-    """
+    """Return the columns of the windows; the gyros have none, since their outputs carry the attitude."""
     turn, place = np.nonzero(kept)
     per = log.division.per_window
     start = log.first[turn] + per * place
@@ -374,10 +369,18 @@ def _rows(
             rows[channel.name] = rows[f"{channel.name}_sd"] = np.full(len(start), np.nan)
             continue
         rows[channel.name] = windows.readings[turn, place, index]
-        rough = np.diff(log.readings[:, index][inside], _ROUGH, axis=1)
-        usual = np.full(len(start), np.nan)
-        rows[f"{channel.name}_sd"] = np.sqrt(np.mean(rough**2, axis=1) / _ROUGH_NOISE) if per > _ROUGH else usual
+        rows[f"{channel.name}_sd"] = scatter_of_samples(log.readings[:, index][inside])
     return rows
+
+
+def scatter_of_samples(readings: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of single samples of windows in motion, (n, S) → (n,); NaN of too few samples.
+
+    It is that of their fourth differences, which the motion hardly adds to.
+    """
+    if readings.shape[1] <= _ROUGH + 1:
+        return np.full(len(readings), np.nan)
+    return np.sqrt(np.mean(np.diff(readings, _ROUGH, axis=1) ** 2, axis=1) / _ROUGH_NOISE)
 
 
 def _inconsistent(misfit: np.ndarray, gravity: float, file: str) -> list[Finding]:

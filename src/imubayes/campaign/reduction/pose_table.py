@@ -74,7 +74,7 @@ def reduce_means(
         )
     force, rate = body_vectors(np.where(np.isfinite(readings), readings, 0.0), channels, file)
     _refuse_turning(rate[np.isfinite(readings).all(axis=1)], file)
-    _refuse_one_attitude(force[complete], file)
+    refuse_one_attitude(force[complete], file)
     force, scatter = force[complete], _scatter(numbers, channels, heavy)[complete]
     fit = fit_magnitude(force, gravity, scatter)
     flagged = fit.outliers
@@ -131,11 +131,12 @@ def _refuse_turning(rate: np.ndarray, file: str) -> None:
         )
 
 
-def _refuse_one_attitude(force: np.ndarray, file: str) -> None:
+def refuse_one_attitude(force: np.ndarray, file: str, rows: str = "poses") -> None:
+    """Raise InputError if poses, with forces (n, 3), do not differ in attitude; `rows` is what they are called."""
     apart = float(np.rad2deg(angle_between(force, force[:1]).max()))
     if not apart > LEAST_APART:
         raise input_error(
-            f"the {len(force)} poses are all of one attitude, within {apart:.2g} deg",
+            f"the {len(force)} {rows} are all of one attitude, within {apart:.2g} deg",
             file,
             "poses in different attitudes, each with |f| = g",
             "turn the unit from pose to pose, or correct the procedure of the run",

@@ -241,7 +241,7 @@ def _closing_rows(at: _At) -> Iterator[ChannelRows]:
         entry = np.flatnonzero(used & (entries.run == k))
         own = (p for p, (each, kind, _) in enumerate(parameters)
                if (issubclass(kind, RotationClosure) and run.name in each.label)
-               or (issubclass(kind, CarriedClosure) and run.tumble is not None and run.tumble.in_motion))  # fmt: skip
+               or (issubclass(kind, CarriedClosure) and run.tumble is not None and run.tumble.carried))  # fmt: skip
         place = next(own, None)
         if not len(entry) or place is None:
             continue
