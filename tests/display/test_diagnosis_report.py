@@ -13,7 +13,7 @@ from rich.console import Console
 from display.made_diagnoses import ASYMMETRY, diagnosis, evidence, line
 from imubayes.adequacy.adequacy_record import AgreeingInput, ChannelRms, Disagreement, NoiseComparison
 from imubayes.adequacy.known_noise import KnownNoise
-from imubayes.criticism.detectability import ParameterBias
+from imubayes.criticism.detectability import NeglectedUncertainty, ParameterBias
 from imubayes.criticism.diagnosis_record import (
     AskedEffect,
     ResidualFormula,
@@ -482,3 +482,15 @@ def test_injection_names_what_was_missed(capsys):
     rows = injection_sheet(trials).rows
     assert [(row[3].mood, row[-1].text) for row in rows] == [("bad", "< 0.001"), ("", "0.54")]
     assert injection_json(trials)["null"]["rate"] == 0.05
+
+
+def test_an_uncertainty_that_no_interval_includes_is_said_once_below_the_verdict():
+    gravity = NeglectedUncertainty(
+        effect="gravity_anomaly", parameter="gravity_anomaly.size", value=50.0, unit="ug", shifts="accel_bias.bias[ax]",
+        in_sd=2.0,
+    )  # fmt: skip
+    found = diagnosis("adequate", 0.95).model_copy(update={"neglected": (gravity,)})
+    first, *_, last = shown.diagnosis_lines(found)
+    assert "gravity_anomaly" not in first
+    assert last.startswith("No interval includes gravity_anomaly")
+    assert sentence(found).endswith(last)

@@ -262,8 +262,8 @@ def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
 
 
 def diagnosis_lines(found: Diagnosis) -> list[str]:
-    """Return the verdict, the probability of each explanation, and the prediction for what leads."""
-    lines = [sentences.sentence(found)]
+    """Return the verdict, the probability of each explanation, the prediction for what leads, and omissions last."""
+    lines = [sentences.verdict_text(found)]
     if found.explanations is not None:
         lines.append(sentences.evidence_text(found.explanations))
     if found.groups:
@@ -273,7 +273,7 @@ def diagnosis_lines(found: Diagnosis) -> list[str]:
         lines.append("All statements refer to the point at which the fit stopped, and are provisional.")
     elif found.message and found.verdict != "not_converged":
         lines.append("The sampling of this fit did not converge. All statements refer to its mode.")
-    return lines
+    return [*lines, *filter(None, [sentences.omitted_text(found)])]
 
 
 def next_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:

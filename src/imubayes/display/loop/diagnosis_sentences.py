@@ -176,7 +176,12 @@ _MOST_NAMED = 3
 
 
 def sentence(found: diagnosis.Diagnosis) -> str:
-    """Return the verdict in a few sentences; first the noise that contradicts what is known, where noise leads."""
+    """Return the verdict in a few sentences, and the uncertainties that no interval includes."""
+    return " ".join(filter(None, (verdict_text(found), omitted_text(found))))
+
+
+def verdict_text(found: diagnosis.Diagnosis) -> str:
+    """Return the verdict in a few sentences; first the noise that contradicts what is known, if noise leads."""
     if found.asked is not None:
         return _asked_sentence(found)
     told = [found.message] if found.verdict == "not_converged" else []
@@ -187,7 +192,7 @@ def sentence(found: diagnosis.Diagnosis) -> str:
 
 
 def _beside_the_finding(found: diagnosis.Diagnosis) -> Iterator[str]:
-    """Yield by how much the fitted noise differs from the recorded one, outliers, and what no interval includes."""
+    """Yield by how much the fitted noise differs from the recorded one, and outliers."""
     told = {each.parameter for each in found.contradicted} if found.explains_by_noise else ()
     apart = [each for each in found.disagreeing_noise if each.parameter not in told]
     if apart:
@@ -201,8 +206,6 @@ def _beside_the_finding(found: diagnosis.Diagnosis) -> Iterator[str]:
         worst, many = outliers[0], f"{len(outliers)} outliers, the largest" if outliers[1:] else "One outlier:"
         where = f"{worst.channel} in row {worst.row} of run {worst.run}"
         yield f"{many} {where}, {abs(worst.distance):.0f} standard deviations."
-    if found.neglected:
-        yield _neglected_sentence(found)
 
 
 def _finding(found: diagnosis.Diagnosis) -> str:
@@ -302,8 +305,10 @@ def _both(each: NoiseComparison) -> str:
     return f"{significant(each.fitted)} against {significant(each.recorded)}{unit} per sample"
 
 
-def _neglected_sentence(found: diagnosis.Diagnosis) -> str:
-    """Return which stated uncertainties no interval includes, the worst with what it would shift."""
+def omitted_text(found: diagnosis.Diagnosis) -> str:
+    """Return which stated uncertainties no interval includes, the worst with its shift; empty without one."""
+    if not found.neglected or found.asked is not None:
+        return ""
     worst = found.neglected[0]
     effects = listed([each.effect for each in found.neglected])
     return (
