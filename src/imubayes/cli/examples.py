@@ -7,6 +7,7 @@ from imubayes.cli.fit import compare, fit
 from imubayes.cli.loop import diagnose
 from imubayes.cli.session import Flag
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.extensions import extensions
 from imubayes.foundations.shipped_examples import copy_examples, examples
 from imubayes.foundations.shipped_examples import example as named
 
@@ -48,14 +49,18 @@ def demo(
     _announce("diagnose", result)
     status = diagnose(result)
     other = _COMPLETE if name == _SHOWN else _SHOWN
-    print(
-        f"\nopen this page: {(result / 'compare.html').resolve()}\n"
-        "next:\n"
-        f"  {_command('explore', result)}    the loop in the browser (extra: pip install 'imubayes[explore]')\n"
-        f"  {_command('report', result, '--out', out / 'report.html')}    the uncertainty report\n"
-        f"  imubayes demo {other}    {examples()[other].summary}\n"
-        "  imubayes new FOLDER RECORDING    a recording of your own"
-    )
+    print(f"\nopen this page: {(result / 'compare.html').resolve()}\nnext:")
+    for package, line in (
+        (
+            "explorer",
+            f"{_command('explore', result)}    the loop in the browser (extra: pip install 'imubayes[explore]')",
+        ),
+        ("qualification", f"{_command('report', result, '--out', out / 'report.html')}    the uncertainty report"),
+        ("", f"imubayes demo {other}    {examples()[other].summary}"),
+        ("recordings", "imubayes new FOLDER RECORDING    a recording of your own"),
+    ):
+        if not package or package in extensions("commands"):
+            print(f"  {line}")
     return status
 
 
