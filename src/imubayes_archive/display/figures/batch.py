@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
 from imubayes.display import figure_style as style
 from imubayes.display.numbers_and_labels import pretty
-from imubayes.foundations.units import DAYS_PER_YEAR
 from imubayes_archive.batch.pooled_discovery import PooledDiscovery, PooledFinding
 
 _MOST_ROWS, _MOST_PANELS, _MOST_UNITS = 20, 6, 60
@@ -49,20 +49,23 @@ def trend_picture(estimates: pl.DataFrame, parameters: Sequence[str]) -> style.P
         axes.set_visible(False)
     for axes, name in zip(grid.flat, chosen, strict=False):
         table = estimates.filter((pl.col("parameter") == name) & pl.col("date").is_not_null()).sort("date")
-        years = 1970 + table["date"].cast(pl.Int32).to_numpy() / DAYS_PER_YEAR
+        days = table["date"].cast(pl.Int32).to_numpy()  # since 1970, as Matplotlib counts them
         value, sd = table["estimate"].to_numpy(), table["estimate_sd"].to_numpy()
         owners = table["unit"].to_numpy()
         for unit in np.unique(owners):
             mine = owners == unit
             if mine.sum() > 1:
-                axes.plot(years[mine], value[mine], color=style.VERMILION, linewidth=0.9, zorder=2)
+                axes.plot(days[mine], value[mine], color=style.VERMILION, linewidth=0.9, zorder=2)
         axes.errorbar(
-            years, value, sd, linestyle="", marker="o", markersize=3, color=style.BLUE, elinewidth=0.6, zorder=3
+            days, value, sd, linestyle="", marker="o", markersize=3, color=style.BLUE, elinewidth=0.6, zorder=3
         )
         _limit(axes, value, sd)
         unit = pretty(table["unit_of_measure"][0]) if table.height else ""
         axes.set_title(f"{name} / {unit}" if unit else name, loc="left", fontsize=9)
-        axes.set_xlabel("year")
+        locator = AutoDateLocator(maxticks=6)
+        axes.xaxis.set_major_locator(locator)
+        axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+        axes.set_xlabel("date of calibration")
     return figure
 
 
