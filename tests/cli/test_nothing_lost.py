@@ -289,3 +289,13 @@ def test_a_fit_without_numbers_is_told_and_not_drawn(tmp_path, refused, capsys):
     assert summary["chi2"] is None
     assert not summary["converged"]
     assert "predictions are not finite" in refused("compare", out)
+
+
+def test_an_interrupted_batch_says_what_is_kept_of_it(monkeypatch, capsys, tmp_path):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("imubayes_archive.api.archives.fit_archive", interrupt)
+    archive = str(ROOT / "data" / "unit-archive")
+    assert run(["batch", archive, "--model", "accel-channel", "--out", str(tmp_path / "units")]) == 130
+    assert "the units fitted so far are kept" in capsys.readouterr().err

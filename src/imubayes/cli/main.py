@@ -31,8 +31,12 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _CONTROL = {code: f"\\x{code:02x}" for code in (*range(9), *range(11, 32), *range(127, 160))}
 _COLLECTION_THRESHOLD = 2_000_000
 _LOOP = (demo, fit, compare, predict, diagnose, add, remove, refit, history)
+_SAMPLES_KEPT = "the samples so far are kept, --resume continues"
 _COMMANDS = (
-    *(Command(call, "The loop", place) for place, call in enumerate(_LOOP)),
+    *(
+        Command(call, "The loop", place, interrupted=_SAMPLES_KEPT if call is fit else "")
+        for place, call in enumerate(_LOOP)
+    ),
     Command(plant, "The loop", 10),
     Command(example, "Data", 0),
     Command(check, "Data", 1),
@@ -54,8 +58,10 @@ app = cyclopts.App(
 )
 _ordered = {name: cyclopts.Group(name, sort_key=place) for place, name in enumerate(GROUPS)}
 _beside = chain.from_iterable(entry.load() for entry in extensions("commands").values())
+_interrupted: dict[str, str] = {}
 for _command in chain(_COMMANDS, _beside):
     _command.add_to(app, _ordered[_command.group])
+    _interrupted[_command.word] = _command.interrupted
 
 app.register_install_completion_command()
 
@@ -87,9 +93,9 @@ def _leave(status: int) -> NoReturn:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with _telling_what_is_not_kept():
-            words = list(sys.argv[1:] if arguments is None else arguments)
             status = app(numbers_apart(words), exit_on_error=False, print_error=False)
             sys.stdout.flush()
     except InputError as error:
@@ -97,7 +103,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except cyclopts.CycloptsError as error:
         return _refuse(_of_command_line(error))
     except KeyboardInterrupt:
-        print("interrupted; the samples of `imubayes fit` so far are kept, --resume continues", file=sys.stderr)
+        kept = _interrupted.get(words[0] if words else "", "")
+        print(f"interrupted{'; ' if kept else ''}{kept}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         return DONE

@@ -22,6 +22,7 @@ class Command:
     place : where among them.
     name : of the command, if it is not that of the function.
     help : of the command, if its function is not imported for `imubayes --help`.
+    interrupted : what is kept of its work after Ctrl-C, and how it is continued; empty if nothing is.
     """
 
     call: Callable[..., Any] | cyclopts.App | str
@@ -29,6 +30,13 @@ class Command:
     place: float
     name: str = ""
     help: str = ""
+    interrupted: str = ""
+
+    @property
+    def word(self) -> str:
+        """The word by which it is called."""
+        own = self.call.name[0] if isinstance(self.call, cyclopts.App) else getattr(self.call, "__name__", "")
+        return self.name or own
 
     def add_to(self, app: cyclopts.App, group: cyclopts.Group) -> None:
         """Add the command to the command line, shown in a group."""
