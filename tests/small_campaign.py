@@ -328,7 +328,7 @@ def simulated(model: Model, z: np.ndarray, seed: int) -> Campaign:
 
 def in_wide_campaign() -> list[type[Effect]]:
     """Return the effects that the wide campaign can show."""
-    elsewhere = {"reference", "driven", "directions", "outer_angle", "middle_angle", "hand"}
+    elsewhere = {"reference", "driven", "directions", "outer_angle", "middle_angle", "hand", "carried"}
     effects = [one for one in Registry().effects.values() if issubclass(one, Effect) and not one.nuisance]
     return [one for one in effects if not elsewhere & set(one.needs)]
 

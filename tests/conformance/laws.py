@@ -31,7 +31,8 @@ OWN = {"noise": 0.5, "scale": 1000.0}
 # What "nothing" is for a covariate: the effect's own reference for temperatures, long ago for power-on, 0 for all else.
 TEMPERATURES = ("temperature", "converter_temperature")
 LONG_AGO = 1e12
-GATES = ("injection", "reference", "driven", "directions", "unknown_heading", "unknown_level", "hand", "posed")
+GATES = ("injection", "reference", "driven", "directions", "unknown_heading", "unknown_level", "hand", "carried",
+         "posed")  # fmt: skip
 INSTANTS = 24  # of a record, two runs
 
 

@@ -82,7 +82,7 @@ def campaign_in_motion() -> Campaign:
 def shown_by(member: type) -> Campaign:
     """Return the small campaign whose runs supply what a member needs."""
     special = {"reference": referenced_campaign, "driven": driven_campaign, "directions": directed_campaign,
-               "hand": campaign_in_motion,
+               "hand": campaign_in_motion, "carried": campaign_in_motion,
                "unknown_heading": anyhow_campaign, "unknown_level": anyhow_campaign}  # fmt: skip
     special |= {"outer_angle": serial_campaign, "middle_angle": serial_campaign}
     for need, among in special.items():
