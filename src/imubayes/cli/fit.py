@@ -262,7 +262,7 @@ def _shown(result: "Result", campaign: Path, out: Path, as_json: bool, verbose: 
     from imubayes.display.fit_cautions import next_command
     from imubayes.display.fit_report import summary_report
 
-    entry = extensions("options").get("fit.stated")
+    entry = extensions("options").get("fit.stated") if result.summary.sampled else None  # of others nothing is kept
     stated = result.summary if entry is None else entry.load()(result)
     show(lambda: result.summary, lambda: summary_report(stated, verbose=verbose), as_json)
     if not as_json:
