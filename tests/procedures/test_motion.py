@@ -121,6 +121,17 @@ def test_a_gap_divides_the_log() -> None:
     assert np.all(np.abs(run.covariates["time"] - 8.0) > 0.5)
 
 
+def test_rows_that_are_far_apart_last_no_longer_than_their_samples() -> None:
+    """Of a long log few windows are used: a row that lasted until the next one would share its velocity with it."""
+    errors = random_unit(np.random.default_rng(1))
+    campaign = campaign_of({"waved": waved(errors, 1, seconds=400.0, hz=50.0)}, "slow_motion")
+    timeline = imubayes.bind(model_of(), campaign).problem.timeline
+    assert timeline is not None
+    rows = campaign.runs[0].rows
+    assert timeline.row.length[:rows] == pytest.approx(campaign.runs[0].samples[0] / 50.0, rel=1e-6)
+    assert np.mean(timeline.row.gap[1:rows] > 0.5 * timeline.row.length[1:rows]) > 0.3
+
+
 def test_a_short_log_is_refused() -> None:
     errors = random_unit(np.random.default_rng(1))
     short = {name: values[:200] for name, values in waved(errors, 1, seconds=5.0).items()}

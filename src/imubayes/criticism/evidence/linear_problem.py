@@ -269,7 +269,9 @@ def _scale_sd(model: Model, channel: int, sizes: np.ndarray) -> float:
     they tell the motion of a hand, which rows in motion average.
     """
     kind = model.campaign.channels[channel].kind
-    if any(issubclass(member, Noise) and member.of_motion and kind in member.kinds for _, member, _ in noise_scales(model)):
+    if any(
+        issubclass(member, Noise) and member.of_motion and kind in member.kinds for _, member, _ in noise_scales(model)
+    ):
         return UNKNOWN
     samples, correlated = sample_noise(model).get(channel), _scale(model, channel, SeriesNoise) is not None
     if samples is not None and not samples.varying and not correlated:
