@@ -210,3 +210,16 @@ def test_pulls_of_many_units(procedure: str) -> None:
         assert 0.7 < np.sqrt(np.mean(np.square(values))) < 1.3, effect
     everything = np.concatenate(list(by_effect.values()))
     assert 0.85 < np.sqrt(np.mean(everything**2)) < 1.15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("planted", "seed", "verdict"), [(0.0, 1, "adequate"), (1.0, 2, "missing_effect")])
+def test_a_g_sensitivity_that_the_model_lacks_is_named(planted: float, seed: int, verdict: str) -> None:
+    """Of `planted` deg/s/g along each input axis; the noise of the hand is no alarm."""
+    errors = random_unit(np.random.default_rng(700 + seed))
+    errors = replace(errors, drag=planted * np.radians(1.0) / 9.8 * np.diag([1.0, -1.0, 1.0]))
+    campaign = campaign_of({"waved": waved(errors, seed, seconds=60.0)}, "slow_motion")
+    found = imubayes.diagnose(imubayes.fit(campaign, model_of(), sample=False))
+    assert found.verdict == verdict
+    if planted:
+        assert "gyro_g_sensitivity" in found.groups[0].effects

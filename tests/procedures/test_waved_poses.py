@@ -11,7 +11,6 @@ import imubayes
 from imubayes.campaign.reduction.pose_table import MOST_POSES
 from imubayes.foundations.campaign_data import Campaign, Run
 from imubayes.foundations.errors import InputError
-from imubayes.inference.fitted_model import Fit
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 from motion_recordings import GRAVITY, random_unit, waved
@@ -132,21 +131,3 @@ def test_the_accelerometers_are_recovered_within_their_uncertainties() -> None:
     hand = fitted["hand_acceleration.sigma[all]"]
     assert hand.from_data is not None
     assert hand.from_data > 0.9
-
-
-def fitted_with(quadratic: float) -> Fit:
-    """Return the fit of a log with so much of a quadratic term, 1/(m/s²), in the outputs, which the model lacks."""
-    columns = log_of(3, reach=0.003)
-    bent = {name: columns[name] + quadratic * columns[name] ** 2 for name in AXES}
-    fitted = imubayes.fit(campaign_of(columns | bent), imubayes.build_model(MODEL), sample=False)
-    assert fitted.converged
-    return fitted
-
-
-@pytest.mark.compiled
-def test_a_quadratic_term_that_the_model_lacks_is_named_and_nothing_without_one() -> None:
-    """5 mg/g², by windows of a hand whose acceleration nobody knows before the fit."""
-    found = imubayes.diagnose(fitted_with(5e-3 / GRAVITY))
-    assert found.verdict == "missing_effect"
-    assert "accel_quadratic" in found.groups[0].effects
-    assert imubayes.diagnose(fitted_with(0.0)).verdict == "adequate"
