@@ -121,6 +121,17 @@ def test_a_gap_divides_the_log() -> None:
     assert np.all(np.abs(run.covariates["time"] - 8.0) > 0.5)
 
 
+def test_rows_that_are_far_apart_last_no_longer_than_their_samples() -> None:
+    """Of a long log few windows are used: a row that lasted until the next one would share its velocity with it."""
+    errors = random_unit(np.random.default_rng(1))
+    campaign = campaign_of({"waved": waved(errors, 1, seconds=400.0, hz=50.0)}, "slow_motion")
+    timeline = imubayes.bind(model_of(), campaign).problem.timeline
+    assert timeline is not None
+    rows = campaign.runs[0].rows
+    assert timeline.row.length[:rows] == pytest.approx(campaign.runs[0].samples[0] / 50.0, rel=1e-6)
+    assert np.mean(timeline.row.gap[1:rows] > 0.5 * timeline.row.length[1:rows]) > 0.3
+
+
 def test_a_short_log_is_refused() -> None:
     errors = random_unit(np.random.default_rng(1))
     short = {name: values[:200] for name, values in waved(errors, 1, seconds=5.0).items()}
@@ -199,3 +210,16 @@ def test_pulls_of_many_units(procedure: str) -> None:
         assert 0.7 < np.sqrt(np.mean(np.square(values))) < 1.3, effect
     everything = np.concatenate(list(by_effect.values()))
     assert 0.85 < np.sqrt(np.mean(everything**2)) < 1.15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("planted", "seed", "verdict"), [(0.0, 1, "adequate"), (1.0, 2, "missing_effect")])
+def test_a_g_sensitivity_that_the_model_lacks_is_named(planted: float, seed: int, verdict: str) -> None:
+    """Of `planted` deg/s/g along each input axis; the noise of the hand is no alarm."""
+    errors = random_unit(np.random.default_rng(700 + seed))
+    errors = replace(errors, drag=planted * np.radians(1.0) / 9.8 * np.diag([1.0, -1.0, 1.0]))
+    campaign = campaign_of({"waved": waved(errors, seed, seconds=60.0)}, "slow_motion")
+    found = imubayes.diagnose(imubayes.fit(campaign, model_of(), sample=False))
+    assert found.verdict == verdict
+    if planted:
+        assert "gyro_g_sensitivity" in found.groups[0].effects

@@ -209,7 +209,7 @@ def known_scales(fitted: Fit, *, correlated: bool = False) -> np.ndarray:
     """Return the noise scales that were known beforehand, in z, shape (H,).
 
     White noise as the raw samples tell; where they do not, and of every other noise, that of turns included, what the
-    prior states.  Of what is no noise nothing is known, and the fit stands.
+    prior states.  Of what is no noise, and of the motion of a hand, nothing is known, and the fit stands.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def known_scales(fitted: Fit, *, correlated: bool = False) -> np.ndarray:
     """
     records, h = sample_noise(fitted.model), np.array(fitted.h, dtype=float)
     for k, (parameter, member, place) in enumerate(noise_scales(fitted.model)):
-        if not issubclass(member, Noise):
+        if not issubclass(member, Noise) or member.of_motion:
             continue
         record = records.get(place) if issubclass(member, WhiteNoise) and place is not None else None
         if issubclass(member, SeriesNoise):

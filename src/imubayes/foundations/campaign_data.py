@@ -274,6 +274,15 @@ class Tumble:
         return self.carried or self.waved
 
     @property
+    def row_seconds(self) -> np.ndarray:
+        """The time that each carried row averages over, s, shape (rows,); rows may be far apart."""
+        ends = np.flatnonzero(np.diff(self.carried_row, append=-1))
+        begins = np.concatenate([[0], ends[:-1] + 1])
+        since = np.concatenate([np.zeros((len(self.step), 1)), np.cumsum(self.step, axis=1)], axis=1)
+        turn, step = self.carried_turn, self.carried_step
+        return since[turn[ends], step[ends]] - since[turn[begins], step[begins]]
+
+    @property
     def turns(self) -> int:
         """Number of transitions; 0 for pose means."""
         return len(self.start)

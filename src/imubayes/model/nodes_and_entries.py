@@ -384,6 +384,8 @@ def timeline(campaign: Campaign, entries: Entries, group: np.ndarray) -> Timelin
 
 def _sample_length(run: Run) -> float:
     """Return the length of a sample in s, ∞ where the run does not show it."""
+    if run.tumble is not None and run.tumble.carried:
+        return float(np.median(run.tumble.row_seconds / run.samples))
     time = run.covariates.get("time")
     if time is None or run.rows < 2:
         return np.inf

@@ -57,7 +57,7 @@ _SHARE = 1e-4
 _AT_ONCE = 8
 # Readings up to which a program that is not optimised saves more time than it takes: of 720 its 40 linearisations take
 # 0.1 s more, and to compile it 0.8 s less; of 2300 both are 0.7 s.
-_SMALL = 1000
+_SMALL, _FEW_STEPS = 1000, 3000
 
 
 class NoiseLayer(eqx.Module):
@@ -323,7 +323,8 @@ def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "
 
 def is_small(problem: Problem, *given: Any) -> bool:
     """Whether all that is evaluated in a fit takes less time than to optimise the program for it."""
-    return len(problem.observations.value) <= _SMALL
+    steps = 0 if problem.carried is None or problem.transitions is None else problem.transitions.step.size
+    return len(problem.observations.value) <= _SMALL and steps <= _FEW_STEPS
 
 
 def _each_predicted(problem: Problem, points: Float[Array, "n P"]) -> Float[Array, "n E"]:

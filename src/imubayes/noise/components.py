@@ -69,6 +69,7 @@ class Noise(eqx.Module):
     confused_with: ClassVar[str] = ""
     reference: ClassVar[str] = ""
     nuisance: ClassVar[bool] = False
+    of_motion: ClassVar[bool] = False  # who moves the unit makes it: nothing tells its size before the fit
 
 
 class EntryNoise(Noise):

@@ -61,6 +61,7 @@ class HandAcceleration(EntryNoise):
     per = ()
     needs = ("hand",)
     kinds = ("accelerometer",)
+    of_motion = True
     confused_with = "white_noise if no other run determines it"
     reference = "definition; specific force is that of gravity and of the motion"
 
@@ -85,6 +86,7 @@ class HandVelocity(SlowNoise):
     per = ()
     needs = ("carried",)
     kinds = ("accelerometer",)
+    of_motion = True
     excludes = ("correlated_noise", "outliers")
     confused_with = "hand_acceleration if velocities last longer than a row"
     reference = "kinematics: the mean of a derivative; spectrum of IEEE Std 952, annex C, quantization noise"

@@ -25,7 +25,7 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.noise.components import SeriesNoise, SharedNoise, TailNoise, WhiteNoise
+from imubayes.noise.components import Noise, SeriesNoise, SharedNoise, TailNoise, WhiteNoise
 from imubayes.noise.hand_components import CarriedClosure, RotationClosure
 from imubayes.responses.candidate_effects import Coefficient, Response, Responses
 
@@ -265,8 +265,14 @@ def _responding(at: _At, entry: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _scale_sd(model: Model, channel: int, sizes: np.ndarray) -> float:
     """Return how well the noise of a channel is known: the standard deviation of its logarithm.
 
-    Where the whole noise is correlated from row to row, so are the samples, and their scatter does not tell it.
+    Where the whole noise is correlated from row to row, so are the samples, and their scatter does not tell it.  Nor do
+    they tell the motion of a hand, which rows in motion average.
     """
+    kind = model.campaign.channels[channel].kind
+    if any(
+        issubclass(member, Noise) and member.of_motion and kind in member.kinds for _, member, _ in noise_scales(model)
+    ):
+        return UNKNOWN
     samples, correlated = sample_noise(model).get(channel), _scale(model, channel, SeriesNoise) is not None
     if samples is not None and not samples.varying and not correlated:
         return float(np.hypot(BELIEVED, np.sqrt(0.5 / samples.freedom)))

@@ -118,9 +118,11 @@ class _Size:
 def _sizes(model: Model, channel: int, h: np.ndarray) -> Iterator[tuple[int, _Size]]:
     """Yield the sizes of the members that correlate the rows of a channel, with their places in h."""
     values = np.asarray(prior_values(model.problem.hyper_priors, h))
+    kind = model.campaign.channels[channel].kind
     for k, (parameter, member, place) in enumerate(noise_scales(model)):
         bounded = issubclass(member, SeriesNoise)
-        if place == channel and (bounded or (issubclass(member, SlowNoise) and parameter.unit == "output")):
+        own = place == channel or (place is None and kind in member.kinds)
+        if own and (bounded or (issubclass(member, SlowNoise) and parameter.unit == "output")):
             yield k, _Size(parameter, float(values[k]) / parameter.factor, bounded)
 
 
