@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from glob import escape
 from operator import methodcaller
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +19,7 @@ from imubayes.api import add, export, fit, refit, remove
 from imubayes.display.loop.change_report import change_lines
 from imubayes.display.loop.diagnosis_report import add_command, formula_source
 from imubayes.foundations.errors import InputError, input_error, kept_if_possible
-from imubayes.foundations.files import write_text
+from imubayes.foundations.files import remove_abandoned, write_text
 from imubayes.foundations.progress import Tell
 from imubayes.loop.model_changes import reduce
 from imubayes.loop.model_history import Tree
@@ -100,13 +101,22 @@ class Session:
 
     def __init__(self, root: Path):
         self.root, self._version = root, 0
+        for folder in root.resolve().parent.glob(f"{escape(root.name)}-*/"):
+            remove_abandoned(folder)
         self._lock, self._listeners = threading.RLock(), list[Callable[[], None]]()
         self._open, self._kept = dict[str, OpenModel](), KeptSession.read(root)
         self._read: tuple[Tree | None, Stamp] = None, frozenset()
         self._looked = dict[str, tuple[Stamp, bool]]()
         self._refits = threading.Lock()
         self._change: tuple[int, Change | None] = 0, None
-        self.worker = Worker(self.changed)
+        self.worker, self.closed = Worker(self.changed), False
+
+    def close(self) -> None:
+        """End the news of every window, and cancel what is at work."""
+        self.closed = True
+        for each in self.worker.tasks:
+            self.worker.cancel(each.number)
+        self.changed()
 
     # ---- what windows are told ----
 
