@@ -80,16 +80,28 @@ def noise_ratio(each: NoiseComparison) -> str:
     return f"{value} ± {sd}"
 
 
+_FAILED, _NOT_CONVERGED, _DOUBTED = "FIT FAILED", "NOT CONVERGED", "DO NOT TRUST THE INTERVALS"
+_SHORT = 100
+"""Characters of a warning that a picture has room for."""
+
+
+def alarm_in_picture(summary: Summary) -> str:
+    """Return the warning as it stands in a picture; of a long one the reason is said once, at the head of the page."""
+    alarm = alarm_of(summary)
+    word = next((word for word in (_FAILED, _NOT_CONVERGED, _DOUBTED) if alarm.startswith(word)), "")
+    return alarm if len(alarm) <= _SHORT else f"{word}. The reason is given at the head of the comparison."
+
+
 def alarm_of(summary: Summary) -> str:
     """Return the warning that precedes everything else; empty where the intervals of the fit can be trusted."""
     if summary.implausible or summary.unexplained:
-        return " ".join(("FIT FAILED.", *failures(summary), _FAILED_REMEDY))
+        return " ".join((f"{_FAILED}.", *failures(summary), _FAILED_REMEDY))
     if not summary.converged:
-        said = f"NOT CONVERGED. {summary.message.strip() or 'The numbers below must not be used.'}"
+        said = f"{_NOT_CONVERGED}. {summary.message.strip() or 'The numbers below must not be used.'}"
         return f"{said} {_SAMPLING_REMEDY}" if summary.sampled else said
     contradicted = [contradiction_text(summary.noise_contradicted)] if summary.noise_contradicted else []
     causes = "; ".join([*contradicted, *([violation_text(summary.noise_violations)] * bool(summary.noise_violations))])
-    return f"DO NOT TRUST THE INTERVALS: {causes}. `imubayes diagnose` looks for the cause." if causes else ""
+    return f"{_DOUBTED}: {causes}. `imubayes diagnose` looks for the cause." if causes else ""
 
 
 def next_command(summary: Summary, campaign: str, folder: str) -> str:
