@@ -11,7 +11,15 @@ from collections.abc import Sequence
 
 from imubayes.adequacy.adequacy_record import AgreeingInput, NoiseComparison, NoiseViolation
 from imubayes.display.layout import Cell, Sheet, cells
-from imubayes.display.numbers_and_labels import listed, percent, pretty, relation, significant, value_and_sd
+from imubayes.display.numbers_and_labels import (
+    command_line,
+    listed,
+    percent,
+    pretty,
+    relation,
+    significant,
+    value_and_sd,
+)
 from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.quantity_names import SCALE_FACTOR, family_of
 from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival
@@ -107,9 +115,9 @@ def alarm_of(summary: Summary) -> str:
 def next_command(summary: Summary, campaign: str, folder: str) -> str:
     """Return the command to run after a fit: what looks for the cause of its warning, or the look at the residuals."""
     if summary.implausible or summary.unexplained or not (summary.converged or summary.sampled):
-        return f"imubayes check {campaign}"
+        return command_line("check", campaign)
     doubted = summary.noise_violations or summary.noise_contradicted or not summary.converged
-    return f"imubayes {'diagnose' if doubted else 'compare'} {folder}"
+    return command_line("diagnose" if doubted else "compare", folder)
 
 
 _SAMPLING_REMEDY = (
@@ -231,7 +239,7 @@ def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
     if not doubted:
         return ()
     names = listed([f"run {each.run}" for each in doubted], _MOST_NAMED)
-    verb, command = "does" if len(doubted) == 1 else "do", f"imubayes diagnose {result}".rstrip()
+    verb, command = "does" if len(doubted) == 1 else "do", command_line("diagnose", *filter(None, [result]))
     said = f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known before the fit"
     causes = [agreement_text(each) for each in doubted[0].causes[:_MOST_NAMED]]
     if causes:
