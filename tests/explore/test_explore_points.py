@@ -277,3 +277,28 @@ def test_effects_of_one_name_say_their_channels(fresh):
     assert chips == ["gyro_bias gx, gy×", "gyro_bias gz×", "accel_bias×"]
     names = fresh.run("[...document.querySelectorAll('.chip button')].map((each) => each.getAttribute('aria-label'))")
     assert names == ["remove gyro_bias of gx, gy", "remove gyro_bias of gz", "remove accel_bias"]
+
+
+def test_a_brush_of_a_large_campaign_is_drawn_within_a_third_of_a_second(fresh):
+    """336 runs of six channels: cells are changed in place, and keep the focus."""
+    many = (
+        "import('./page/state.js').then(({ tell, told }) => {"
+        "const runs = Array.from({ length: 336 }, (_, n) => `run-${n}`);"
+        "tell({ facts: { ...told.facts, runs, cells: runs.flatMap((run, n) => told.facts.channels.map((channel, k) =>"
+        "({ ...told.facts.cells[(n + k) % 42], run, channel }))), labels: told.facts.labels.map(({ by }) => ({ by,"
+        "labels: runs })) } }); })"
+    )
+    fresh.run(f"({many}, null)")
+    fresh.wait("document.querySelectorAll('.cell').length === 2016")
+    fresh.run("(window.first = document.querySelector('.cell'), first.focus(), null)")
+    times = [
+        fresh.driver.execute_async_script(
+            "const done = arguments[1], from = performance.now();"
+            "document.querySelectorAll('.cell')[arguments[0]].click();"
+            "requestAnimationFrame(() => setTimeout(() => done(performance.now() - from)));", 100 * place,
+        )
+        for place in range(1, 8)
+    ]  # fmt: skip
+    assert sorted(times)[3] < 300
+    assert fresh.run("document.querySelectorAll('.cell.marked').length") == 1
+    assert fresh.run("first.isConnected && document.activeElement === first")
