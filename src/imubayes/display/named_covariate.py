@@ -20,18 +20,18 @@ OBSERVED = "input_observed"
 """The column of residual tables that holds the input of the channel of a row."""
 
 
-class _Label(Record):
+class _NamedLabel(Record):
     name: str
 
 
-class _Group(Record):
-    covariate: _Label | None = None
+class _NamedGroup(Record):
+    covariate: _NamedLabel | None = None
 
 
-class _Named(Record):
+class _NamedByDiagnosis(Record):
     """What is read of `diagnosis.json`; its other contents are left alone."""
 
-    groups: tuple[_Group, ...] = ()
+    groups: tuple[_NamedGroup, ...] = ()
 
 
 def named_covariate(folder: Path, residuals: pl.DataFrame) -> Covariate | None:
@@ -41,7 +41,7 @@ def named_covariate(folder: Path, residuals: pl.DataFrame) -> Covariate | None:
     """
     try:
         file = added(folder, DIAGNOSIS)
-        said = _Named.model_validate_json(file.read_bytes()) if file is not None else _Named()
+        said = _NamedByDiagnosis.model_validate_json(file.read_bytes()) if file is not None else _NamedByDiagnosis()
     except (InputError, OSError, ValueError):
         return None
     name = next((group.covariate.name for group in said.groups if group.covariate is not None), "")
