@@ -6,6 +6,9 @@ from pathlib import Path
 from imubayes.cli.registration import Command
 from imubayes.cli.session import Flag, Trust, progress, start_jax, trusting
 
+_STEP = 5.0
+"""Seconds that a fit at work has to end at its next step; what is left of it goes when the page is opened again."""
+
 
 def explore(
     place: Path | None = None,
@@ -49,7 +52,7 @@ def explore(
         with suppress(KeyboardInterrupt):
             begun.wait()
     finally:
-        begun.stop()
+        begun.stop(_STEP)
 
 
 COMMANDS = (Command(explore, "The loop", 9),)

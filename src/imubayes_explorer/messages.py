@@ -219,6 +219,13 @@ class GroupLabels(Record):
     labels: tuple[str, ...]
 
 
+class ModelEffect(Record):
+    """An effect of a model, and the channels that it acts on where its entry names them; empty for all."""
+
+    name: str
+    channels: tuple[str, ...] = ()
+
+
 class ModelFacts(Record):
     """What the page shows of a model that is open; of one that is only read, no verdict and no causes.
 
@@ -250,7 +257,7 @@ class ModelFacts(Record):
     runs: tuple[str, ...]
     abscissae: tuple[CovariateLabel, ...]
     labels: tuple[GroupLabels, ...]
-    effects: tuple[str, ...]
+    effects: tuple[ModelEffect, ...]
     set_aside: tuple[str, ...]
     command: str = ""
     named: tuple[str, ...] = ()

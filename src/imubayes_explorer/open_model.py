@@ -1,6 +1,5 @@
 """A model that is open: its result, diagnosis and linear model in memory, and what the page is told of it."""
 
-import shlex
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -96,8 +95,8 @@ class OpenModel:
 
     @property
     def place(self) -> str:
-        """The result folder as it stands in a command."""
-        return quoted(self.folder)
+        """The result folder as it is shown."""
+        return shown(self.folder)
 
     def campaign_changed(self) -> bool:
         """Tell whether a file of the campaign is another one than when the model was opened."""
@@ -121,7 +120,9 @@ class OpenModel:
             runs=table.run_names,
             abscissae=table.abscissae,
             labels=table.labels(),
-            effects=tuple(effect.name for effect in model.spec.effects),
+            effects=tuple(
+                messages.ModelEffect(name=effect.name, channels=effect.channels or ()) for effect in model.spec.effects
+            ),
             set_aside=tuple(map(set_aside_text, model.spec.set_aside)),
         )
         if self.told is None:
@@ -241,9 +242,9 @@ class OpenModel:
         return self.told.channels_for(effects[0]) if self.told is not None and len(effects) == 1 else None
 
 
-def quoted(folder: Path) -> str:
-    """Return a folder as it stands in a command."""
-    return shlex.quote(shown_place(str(folder.resolve())))
+def shown(folder: Path) -> str:
+    """Return a folder as it is shown: a command quotes it."""
+    return shown_place(str(folder.resolve()))
 
 
 def stamp_of(files: Iterable[Path]) -> Stamp:

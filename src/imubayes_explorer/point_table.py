@@ -63,12 +63,13 @@ class PointTable:
         return frozenset(channel.name for channel in self.view.fit.model.campaign.channels)
 
     @cached_property
-    def _known_noise(self) -> np.ndarray:
+    def known_noise(self) -> np.ndarray:
+        """Standard deviation of the noise known beforehand of every entry, (E,), output units."""
         return noise_sd(self.view.fit.model.problem, self.view.point.h)
 
     def noise(self, entry: int) -> float:
         """Return the standard deviation of the noise known beforehand of an entry, in the unit of its output."""
-        return self._as_shown(entry, self._known_noise)
+        return self._as_shown(entry, self.known_noise)
 
     def misfit(self, entry: int) -> float:
         """Return the residual of an entry at the noise known beforehand, in the unit of its output."""

@@ -67,7 +67,7 @@ def saved_model(model: OpenModel, calibration: CalibrationFacts) -> SavedModel:
     """Return what a saved page needs of a model."""
     table, view, facts = model.table, model.view, model.facts()
     likeliest = [cause.effect for cause in facts.causes[:_PREVIEWED]]
-    names = 10 + len(table.columns) + 2 * len(likeliest)
+    names = 11 + len(table.columns) + 2 * len(likeliest)
     every = np.flatnonzero(view.entries & np.isin(table.channel, table.channels))
     kept = every[:: -(-len(every) * names // _MOST_NUMBERS)]
     run_place = {name: place for place, name in enumerate(table.run_names)}
@@ -78,6 +78,7 @@ def saved_model(model: OpenModel, calibration: CalibrationFacts) -> SavedModel:
         **{name: table.ordinate(name) for name in get_args(Ordinate)},
         "sd": numbers(table.table, "input_sd"),
         "row": table.row,
+        "noise": table.known_noise,
         **{f"x:{name}": values for name, values in table.columns.items()},
     }
     previews = []

@@ -146,7 +146,7 @@ class _Answers:
 
         end = self.session.listen(told)
         try:
-            while not await request.is_disconnected():
+            while not self.session.closed and not await request.is_disconnected():
                 news.clear()
                 try:
                     state = await run_in_threadpool(self.session.state)

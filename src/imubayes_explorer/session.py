@@ -4,12 +4,12 @@ All that is done to results goes through the functions behind the commands; the 
 same.  What windows are told is one record, which counts its changes.
 """
 
-import shlex
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from glob import escape
 from operator import methodcaller
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,8 +17,9 @@ from tempfile import TemporaryDirectory
 from imubayes.api import add, export, fit, refit, remove
 from imubayes.display.loop.change_report import change_lines
 from imubayes.display.loop.diagnosis_report import add_command, formula_source
+from imubayes.display.numbers_and_labels import command_line
 from imubayes.foundations.errors import InputError, input_error, kept_if_possible
-from imubayes.foundations.files import write_text
+from imubayes.foundations.files import remove_abandoned, write_text
 from imubayes.foundations.progress import Tell
 from imubayes.loop.model_changes import reduce
 from imubayes.loop.model_history import Tree
@@ -41,7 +42,7 @@ from imubayes_explorer.messages import (
     PreviewFacts,
     PreviewWanted,
 )
-from imubayes_explorer.open_model import OpenModel, Stamp, opened, quoted, stamp_of, weighed
+from imubayes_explorer.open_model import OpenModel, Stamp, opened, shown, stamp_of, weighed
 from imubayes_explorer.point_table import PointTable
 from imubayes_explorer.refit_ahead import Ahead
 from imubayes_explorer.selection_text import fitted_text
@@ -100,13 +101,22 @@ class Session:
 
     def __init__(self, root: Path):
         self.root, self._version = root, 0
+        for folder in root.resolve().parent.glob(f"{escape(root.name)}-*/"):
+            remove_abandoned(folder)
         self._lock, self._listeners = threading.RLock(), list[Callable[[], None]]()
         self._open, self._kept = dict[str, OpenModel](), KeptSession.read(root)
         self._read: tuple[Tree | None, Stamp] = None, frozenset()
         self._looked = dict[str, tuple[Stamp, bool]]()
         self._refits = threading.Lock()
         self._change: tuple[int, Change | None] = 0, None
-        self.worker = Worker(self.changed)
+        self.worker, self.closed = Worker(self.changed), False
+
+    def close(self) -> None:
+        """End the news of every window, and cancel what is at work."""
+        self.closed = True
+        for each in self.worker.tasks:
+            self.worker.cancel(each.number)
+        self.changed()
 
     # ---- what windows are told ----
 
@@ -211,7 +221,7 @@ class Session:
         self._hold(found)
         self.worker.say(lines, name)  # shown at once, while its explanations are weighed
         self._hold(weighed(found, tell))
-        self.keep(f"imubayes diagnose {found.place}")
+        self.keep(command_line("diagnose", found.place))
         return TaskOutcome(name, lines)
 
     def _hold(self, model: OpenModel) -> None:
@@ -234,11 +244,11 @@ class Session:
 
     def fit(self, campaign: Path, model: Path) -> None:
         """Fit a campaign as the first model."""
-        places = shlex.join(["imubayes", "fit", str(campaign), "--model", str(model), "--out", str(self.root)])
+        command = command_line("fit", str(campaign), "--model", str(model), "--out", str(self.root), "--no-sample")
 
         def work(tell: Tell) -> TaskOutcome:
             result = fit(campaign, model, self.root, sample=False, progress=tell)
-            self.keep(f"{places} --no-sample")
+            self.keep(command)
             self.worker.say((fitted_text(shown_place(str(self.root.resolve()))),))
             return self._opened(result, tell)
 
@@ -248,7 +258,7 @@ class Session:
         """Return what causes would do together, with the command that adds them, or what a change does."""
         found, (ahead, what) = self.require(wanted.model), self._ahead_of(wanted)
         out = self.folder_for(found, wanted.effects[0]) if wanted.effects else found.folder
-        told = found.preview(wanted.effects, quoted(out), ahead, what, self._table_of(found, ahead))
+        told = found.preview(wanted.effects, shown(out), ahead, what, self._table_of(found, ahead))
         return told.model_copy(update={"task": wanted.task})
 
     def calibration(self, wanted: ModelWanted) -> CalibrationFacts:
@@ -353,7 +363,7 @@ class Session:
         folder, channels = self.folder_for(model, effects[0]), channels or model.channels_for(effects)
         return Change(
             what=f"add {', '.join(effects)}",
-            command=add_command(effects, channels, model.place, quoted(folder)),
+            command=add_command(effects, channels, model.place, shown(folder)),
             make=lambda tell: add(model.result, effects, folder, channels, diagnosis=model.told, progress=tell),
             predict=lambda: model.ahead_of_adding(effects, channels),
             adding=effects,
@@ -370,7 +380,7 @@ class Session:
         view = model.view
         return Change(
             what=f"add the formula of {channel}",
-            command=add_command([quoted(file)], [channel], model.place, quoted(folder)),
+            command=add_command([shown(file)], [channel], model.place, shown(folder)),
             make=lambda tell: add(
                 model.result, [str(file)], folder, [channel], diagnosis=model.diagnosis, progress=tell
             ),
@@ -383,7 +393,7 @@ class Session:
         folder = self.folder_for(model, f"without-{effects[0]}")
         return Change(
             what=f"remove {', '.join(effects)}",
-            command=f"imubayes remove {shlex.join(effects)} --from {model.place} --out {quoted(folder)}",
+            command=command_line("remove", *effects, "--from", model.place, "--out", shown(folder)),
             make=lambda tell: remove(model.result, effects, folder, progress=tell),
             predict=lambda: model.view.ahead(reduce(model.view.fit, effects).model),
         )
@@ -395,7 +405,7 @@ class Session:
         ahead_of = methodcaller("ahead_of", edited.spec)
         return Change(
             what=edited.what,
-            command=f"imubayes refit {model.place} --model {quoted(file)} --out {quoted(folder)}",
+            command=command_line("refit", model.place, "--model", shown(file), "--out", shown(folder)),
             make=lambda tell: refit(model.result, file, folder, progress=tell),
             predict=lambda: next(filter(None, map(ahead_of, (model, *self.ready_models))), None),
             write=lambda: write_model(edited.spec, file),
@@ -414,15 +424,15 @@ class Session:
                 "the campaign is no longer the one that was fitted",
                 model.readings.fit.model.campaign.folder or "campaign",
                 "the files as they were: the fit belongs to their every byte",
-                f"restore them, or fit the campaign as it is now: imubayes explore CAMPAIGN --model "
-                f"{model.folder / 'model.toml'}",
+                f"restore them, or fit the campaign as it is now: "
+                f"{command_line('explore', 'CAMPAIGN', '--model', str(model.folder / MODEL))}",
             )  # fmt: skip
 
     def select(self, model: str) -> None:
         """Make a model the selected one: the one that is exported."""
         folder = self.place_of(model)
         select(folder)
-        self.keep(f"imubayes history --select {quoted(folder)}", again=True)
+        self.keep(command_line("history", "--select", shown(folder)), again=True)
 
     def note(self, wanted: NoteWanted) -> None:
         """Keep a name and a note of a model."""
@@ -457,6 +467,6 @@ class Session:
             if others:
                 raise input_error(
                     f"the selected model needs {', '.join(others)} beside it", "export", "a model in one file",
-                    f"run: imubayes history {quoted(self.root)} --export model.toml",
+                    f"run: {command_line('history', shown(self.root), '--export', 'model.toml')}",
                 )  # fmt: skip
             return file.read_text(encoding="utf-8")

@@ -26,7 +26,8 @@ if TYPE_CHECKING or not _MISSING:
     from imubayes_explorer.guard import HOST, new_token
     from imubayes_explorer.server import application
 
-_PATIENCE = 10.0
+_PATIENCE, _STEP = 10.0, 120.0
+"""Seconds in which the server starts or ends, and that a step of the work may take, such as a program that compiles."""
 SHIPPED = "hidden-gyro"
 """The example that is explored where nothing is named: an effect is hidden in it."""
 
@@ -72,10 +73,21 @@ class Exploration:
         while self._thread.is_alive():
             self._thread.join(0.5)
 
-    def stop(self) -> None:
-        """Stop serving; what was accepted is in its folders."""
+    def stop(self, patience: float = _STEP) -> bool:
+        """Stop serving, and end what is at work at its next step; what was accepted is in its folders.
+
+        Parameters
+        ----------
+        patience : seconds that the step at work may take.
+
+        Returns
+        -------
+        ended : False where it took longer, and is still at work.
+        """
+        self.session.close()
         self._server.should_exit = True
         self._thread.join(_PATIENCE)
+        return self.session.worker.stop(patience)
 
     def __repr__(self) -> str:
         return f"<Exploration of {self.session.root} at {self.address}>"

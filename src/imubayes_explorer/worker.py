@@ -71,9 +71,10 @@ class Worker:
     """Runs tasks one after the other; `changed` is called after every step."""
 
     def __init__(self, changed: Callable[[], None]):
-        self._changed, self._queue = changed, queue.Queue[tuple[int, Work]]()
+        self._changed, self._queue = changed, queue.Queue[tuple[int, Work] | None]()
         self._lock, self._tasks = threading.Lock(), dict[int, TaskProgress]()
-        threading.Thread(target=self._run, name="explore-worker", daemon=True).start()
+        self._thread = threading.Thread(target=self._run, name="explore-worker", daemon=True)
+        self._thread.start()
 
     @property
     def tasks(self) -> tuple[TaskProgress, ...]:
@@ -100,6 +101,19 @@ class Worker:
         """Stop a task at its next step; one that has ended stays as it is."""
         self._update(number, ("waiting", "running"), state="cancelling")
 
+    def stop(self, patience: float) -> bool:
+        """Cancel every task, and wait for the one at work to end at its next step; return whether all has ended.
+
+        Parameters
+        ----------
+        patience : seconds.  The interpreter must not end while a compiled program runs in the thread.
+        """
+        for each in self.tasks:
+            self.cancel(each.number)
+        self._queue.put(None)
+        self._thread.join(patience)
+        return not self._thread.is_alive()
+
     def say(self, lines: tuple[str, ...], made: str = "") -> None:
         """Tell what the task at work has brought so far: it is there, even where the task is being cancelled."""
         for each in self.tasks:
@@ -115,8 +129,8 @@ class Worker:
         self._changed()
 
     def _run(self) -> None:
-        while True:
-            number, work = self._queue.get()
+        while (queued := self._queue.get()) is not None:
+            number, work = queued
             began = time.monotonic()
 
             def tell(text: str, number: int = number, began: float = began) -> None:

@@ -68,14 +68,14 @@ def two_runs(folder: Path, factors: dict[str, float]) -> Inspection:
 def test_a_rate_wrong_by_a_factor_in_one_run_is_named_with_the_factor(tmp_path: Path, run: str, factor: float) -> None:
     found = two_runs(tmp_path / "campaign", {"up": 1.0, "down": 1.0} | {run: factor})
     assert {finding.name for finding in found.findings} == {"table_rate"}
-    told = re.search(rf"of run '{run}' is ([\d.]+) ± (\S+) times what the outputs say", str(found.findings[0]))
+    told = re.search(rf"of run '{run}' is ([\d.]+) ± (\S+) times that of the outputs", str(found.findings[0]))
     assert told, str(found.findings[0])
     assert float(told[1]) == pytest.approx(factor, abs=2e-4)
 
 
 def test_of_two_runs_that_differ_by_what_a_scale_factor_may_be_both_are_named(tmp_path: Path) -> None:
     (finding,) = two_runs(tmp_path / "campaign", {"up": 1.01, "down": 1.0}).findings
-    assert "cannot tell" in finding.what
+    assert "cannot determine" in finding.what
     assert "'up' is 1.010" in finding.what
     assert "'down' is 0.990" in finding.what
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from imubayes.cli.main import run
+from page_outline import assert_accessible
 
 ROOT = Path(__file__).parents[2]
 LACKING = "converter_offset_drift"
@@ -68,6 +69,7 @@ def test_the_loop(place, capsys):
 
     page = place / "history.html"
     status, out, _ = said(capsys, "history", second, "--html", page, "--json")
+    assert_accessible(page.read_text(encoding="utf-8"))
     nodes = json.loads(out)["nodes"]
     assert [one["selected"] for one in nodes] == [False, True]
     # What is predicted, observed and drawn is one figure: χ² at the noise known beforehand.

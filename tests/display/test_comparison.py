@@ -12,15 +12,24 @@ import polars as pl
 import pytest
 import synthetic_results as made
 import xarray as xr
+from made_diagnoses import diagnosis
+from markupsafe import Markup
 from PIL import Image
+from test_figures import assert_readable
 
-from imubayes.display.compare_report import Comparison, print_comparison
+from imubayes.criticism.diagnosis_record import CovariateLabel
+from imubayes.display.compare_report import Comparison, comparison_page, print_comparison
 from imubayes.display.compare_report import compare as compare_first
-from imubayes.display.figure_selection import corner_choice, most_telling_first, pattern
+from imubayes.display.figure_selection import corner_choice, most_telling_first, pattern, plan
+from imubayes.display.fit_cautions import alarm_in_picture, alarm_of
+from imubayes.display.fit_report import summary_html
+from imubayes.display.named_covariate import named_covariate
 from imubayes.display.numbers_and_labels import covariate
 from imubayes.foundations.errors import InputError, NotKept
+from imubayes.results.change_records import write_diagnosis
 from imubayes.results.stored_tables import draws_of
 from kept_results import listed
+from page_outline import assert_accessible
 
 compare = partial(compare_first, every=True)
 
@@ -54,8 +63,26 @@ def test_the_page_shows_five_figures_first(compared: Comparison, trihedral: Path
     ]  # fmt: skip
     assert files[1].startswith("residuals-")
     assert files[2].startswith("run-")
-    assert page.index("All other figures") > page.index(f"figures/{files[4]}")
+    assert page.index('<h2 id="others">') > page.index(f"figures/{files[4]}")
     assert not re.search(r"<script|<link|@import|https?:", page)
+
+
+def test_the_page_is_walked_without_a_mouse(compared: Comparison):
+    assert_accessible(compared.page.read_text(encoding="utf-8"))
+
+
+def test_a_long_warning_stands_once_at_the_head(compared: Comparison):
+    """The picture says that there is one, and where; a short one is said in the picture."""
+    words = f"The fit stopped, {'and its message goes on and on; ' * 8}THE END."
+    failed = compared.summary.model_copy(update={"converged": False, "sampled": False, "message": words})
+    tables = Markup(summary_html(failed, alarm=False))
+    page = comparison_page("a title", tables, [], {}, (), alarm_of(failed))
+    assert page.count("THE END.") == 1
+    assert page.index("THE END.") < page.index("<main>")
+    assert summary_html(failed).count("THE END.") == 1
+    assert alarm_in_picture(failed) == "NOT CONVERGED. The reason is given at the head of the comparison."
+    brief = failed.model_copy(update={"message": "It stopped."})
+    assert alarm_in_picture(brief) == alarm_of(brief) == "NOT CONVERGED. It stopped."
 
 
 @pytest.mark.slow
@@ -84,6 +111,37 @@ def test_the_clearest_pattern_comes_first():
     clearest = {each.name: pattern(planted, each) for each in map(covariate, ("temperature", "table_rate"))}
     assert clearest["temperature"] > 10 > 3 > pattern(residuals, covariate("temperature"))
     assert clearest["temperature"] > clearest["table_rate"]
+
+
+def named_by(name: str | None, folder: Path) -> None:
+    """Put a diagnosis into a folder, whose first group goes with a covariate."""
+    label = None if name is None else CovariateLabel(name=name, unit="deg/s", phrase="the covariate that is named")
+    found = diagnosis()
+    [group] = found.groups
+    groups = (group.model_copy(update={"covariate": label}),)
+    write_diagnosis(folder, found.model_copy(update={"groups": groups}))
+
+
+def test_the_covariate_that_the_diagnosis_names_is_drawn_first(tmp_path: Path):
+    """A recorded one, and the input of the channels, which no run table has; one of which nothing is known is not."""
+    residuals = made.trihedral_residuals(temperatures=(-40, 25, 60), channels=("gx", "gy", "ax"))
+    kinds = {"gx": "gyro", "gy": "gyro", "ax": "accelerometer"}
+    residuals = residuals.with_columns(pl.col("channel").replace_strict(kinds).alias("kind"))
+    summary = made.summary_of(residuals)
+    folder = made.write_folder(tmp_path / "named", residuals, summary)
+    assert named_covariate(folder, residuals) is None
+    for name, file in (("time_s", "residuals-time"), ("rate_i", "residuals-rate-i")):
+        named_by(name, folder)
+        named = named_covariate(folder, residuals)
+        figures = dict(plan(summary, residuals, [], {}, [], named=named))
+        assert most_telling_first(list(figures), summary, residuals, [], named)[1] == file
+        drawn = figures[file]()
+        assert_readable(drawn)
+        shown = {axes.get_title() for axes in drawn.axes}
+        assert ("ax" in shown) == (name == "time_s")
+    for nothing in (None, "rate_o"):
+        named_by(nothing, folder)
+        assert named_covariate(folder, residuals) is None
 
 
 def test_chosen_runs(tmp_path: Path):

@@ -2,6 +2,7 @@
 
 import io
 import json
+import shlex
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +38,7 @@ from imubayes.display.loop import diagnosis_report as shown
 from imubayes.display.loop.change_report import injection_json, injection_report, injection_sheet
 from imubayes.display.loop.diagnosis_sentences import sentence
 from imubayes.display.loop.history import history_json, history_sheet
+from imubayes.display.numbers_and_labels import command_line
 from imubayes.foundations.errors import InputError
 from imubayes.loop.injection_recovery import Size, Trial, Trials
 from imubayes.loop.model_history import ChiSquareDrop, CrossValidation, Node, Tree, node_id
@@ -494,3 +496,20 @@ def test_an_uncertainty_that_no_interval_includes_is_said_once_below_the_verdict
     assert "gravity_anomaly" not in first
     assert last.startswith("No interval includes gravity_anomaly")
     assert sentence(found).endswith(last)
+
+
+def test_a_path_with_blanks_is_quoted_in_every_command():
+    """Each is split by a shell into the words that are meant, and names the folder as a whole."""
+    folder = "results/my unit's first"
+    found = diagnosis().model_copy(update={"result": folder})
+    commands = [
+        shown.next_command(found),
+        shown.next_command(diagnosis("adequate").model_copy(update={"result": folder})),
+    ]
+    commands += [shown.add_command(["a_cause"], ["gx"], folder, f"{folder}-2"), command_line("compare", folder)]
+    for command in commands:
+        words = shlex.split(command)
+        assert words[0] == "imubayes"
+        assert folder in words
+    assert shlex.split(commands[0])[-1] != folder
+    assert command_line("compare", "results/first") == "imubayes compare results/first"

@@ -205,7 +205,7 @@ def test_a_cause_of_some_rows_is_judged_as_dense_algebra_does(model, monkeypatch
     run = view.fit.model.campaign.runs.index(next(e for e in view.fit.model.campaign.runs if e.name == "rate-z-up"))
     wrong = [each for each in view.explained.posterior.search.forms if each.run == run and len(each.columns) > 1]
     for form in {each.name: each for each in wrong if each.wrong is not None}.values():
-        told = ChosenForm(form, form.amplitudes[2], tuple(form.columns))
+        told = ChosenForm(form, form.amplitudes[len(form.amplitudes) // 2], tuple(form.columns))
         response, starts = np.zeros((total, told.width)), np.cumsum([0, *(len(rows.entry) for rows in problem.rows)])
         for k, own in form.columns.items():
             response[starts[k] : starts[k + 1], told.span(k)] = own.make()
@@ -527,6 +527,14 @@ def test_the_saved_page_holds_the_readings_and_asks_nobody(client, explored, fir
     known = np.frombuffer(base64.b64decode(model["columns"]["known"]), "<f4")
     assert np.sum(known.astype(float) ** 2) == pytest.approx(sum(cell["chi2"] for cell in facts["cells"]), rel=1e-5)
     assert model["previews"][0]["facts"]["effects"] == [HIDDEN]
+    shown = explored.session.require(first)
+    noise = np.frombuffer(base64.b64decode(model["columns"]["noise"]), "<f4")
+    kept = np.flatnonzero(shown.view.entries & np.isin(shown.table.channel, shown.table.channels))
+    np.testing.assert_allclose(noise[[0, -1]], [shown.table.noise(int(each)) for each in kept[[0, -1]]], rtol=1e-6)
+    spec = shown.view.fit.model.spec.effects
+    assert [(each["name"], tuple(each["channels"])) for each in model["facts"]["effects"]] == [
+        (each.name, each.channels or ()) for each in spec
+    ]
     assert not re.search(r'(?:src|href)="(?!data:)', page)
     assert "default-src 'none'" in page
 
@@ -541,7 +549,7 @@ def test_a_session_that_is_begun_again_has_what_was_done(client, explored):
     ("nothing", "offset", "best", "said"),
     [
         (0.8, 0.1, ("a_cause", 0.1), "Noise alone explains them with probability 0.80"),
-        (0.1, 0.7, ("a_cause", 0.2), "deviate by a cause of their own, with probability 0.70"),
+        (0.1, 0.7, ("a_cause", 0.2), "They deviate by a cause of their own, with probability 0.70"),
         (0.1, 0.0, ("a_cause", 0.9), "a_cause explains them with probability 0.90"),
         (0.4, 0.1, ("a_cause", 0.3), "No single cause is dominant"),
         (0.4, None, None, "No single cause is dominant"),

@@ -1,6 +1,8 @@
 """What is pointed at, clicked, zoomed and folded on the page, by mouse, touch and keys, from 390 to 1920 px."""
 
 import json
+import re
+from urllib.parse import quote
 
 import pytest
 from explore_page import LACKING, Page
@@ -235,3 +237,68 @@ def test_another_result_is_told_and_shown_when_asked(fresh):
     assert "no longer holds the result that is shown" in fresh.text("#replaced")
     fresh.click("#reload")
     fresh.wait("asked.includes('reload') && !document.querySelector('#replaced') && document.querySelector('.cell')")
+
+
+def test_the_saved_page_says_a_reading_with_its_noise_and_drops_a_preview_that_it_cannot_make(
+    fresh, explored, first, client, tmp_path
+):
+    file = tmp_path / "session.html"
+    file.write_bytes(client.ask("session.html")[1])
+    view = json.dumps({"model": first, "channel": "gz", "x": "rate_i"})
+    saved = Page(f"file://{file}#{quote(view)}")
+    try:
+        right, down, _ = place_of_worst(saved)
+        said, same = pointed(saved, right, down), pointed(fresh, *place_of_worst(fresh)[:2])
+        [value] = re.findall(r"gz(-?[\d.]+ ± [\d.]+) pulse/s", same)
+        found, noise = map(float, re.search(r"gz(-?[\d.]+) ± ([\d.]+) pulse/s", said.replace("−", "-")).groups())
+        expected = list(map(float, value.split(" ± ")))
+        assert found == pytest.approx(expected[0], abs=noise)
+        assert noise == pytest.approx(expected[1], rel=0.05)
+        saved.click(f'[id="tick-{HIDDEN}"]')
+        saved.wait("document.querySelector('#preview-sentence') && document.querySelector('.cell.previewed')")
+        saved.run("(document.querySelectorAll('.tick:not(:checked)')[2].click(), null)")
+        saved.wait("document.querySelector('#notice .fault')")
+        assert "one at a time" in saved.text("#notice .fault")
+        saved.wait("!document.querySelector('#preview-sentence') && !document.querySelector('.cell.previewed')")
+    finally:
+        saved.close()
+
+
+def test_effects_of_one_name_say_their_channels(fresh):
+    """The model says twice the same effect, on other channels: each chip names its own."""
+    told = (
+        "import('./page/state.js').then(({ tell, told }) => tell({ facts: { ...told.facts, effects: ["
+        "{ name: 'gyro_bias', channels: ['gx', 'gy'] }, { name: 'gyro_bias', channels: ['gz'] },"
+        "{ name: 'accel_bias', channels: [] }] } }))"
+    )
+    fresh.run(f"({told}, null)")
+    fresh.wait("document.querySelectorAll('.chip').length === 3")
+    chips = fresh.run("[...document.querySelectorAll('.chip')].map((each) => each.textContent)")
+    assert chips == ["gyro_bias gx, gy×", "gyro_bias gz×", "accel_bias×"]
+    names = fresh.run("[...document.querySelectorAll('.chip button')].map((each) => each.getAttribute('aria-label'))")
+    assert names == ["remove gyro_bias of gx, gy", "remove gyro_bias of gz", "remove accel_bias"]
+
+
+def test_a_brush_of_a_large_campaign_is_drawn_within_a_third_of_a_second(fresh):
+    """336 runs of six channels: cells are changed in place, and keep the focus."""
+    many = (
+        "import('./page/state.js').then(({ tell, told }) => {"
+        "const runs = Array.from({ length: 336 }, (_, n) => `run-${n}`);"
+        "tell({ facts: { ...told.facts, runs, cells: runs.flatMap((run, n) => told.facts.channels.map((channel, k) =>"
+        "({ ...told.facts.cells[(n + k) % 42], run, channel }))), labels: told.facts.labels.map(({ by }) => ({ by,"
+        "labels: runs })) } }); })"
+    )
+    fresh.run(f"({many}, null)")
+    fresh.wait("document.querySelectorAll('.cell').length === 2016")
+    fresh.run("(window.first = document.querySelector('.cell'), first.focus(), null)")
+    times = [
+        fresh.driver.execute_async_script(
+            "const done = arguments[1], from = performance.now();"
+            "document.querySelectorAll('.cell')[arguments[0]].click();"
+            "requestAnimationFrame(() => setTimeout(() => done(performance.now() - from)));", 100 * place,
+        )
+        for place in range(1, 8)
+    ]  # fmt: skip
+    assert sorted(times)[3] < 300
+    assert fresh.run("document.querySelectorAll('.cell.marked').length") == 1
+    assert fresh.run("first.isConnected && document.activeElement === first")

@@ -5,6 +5,7 @@ import json
 import shlex
 import shutil
 import threading
+import time
 from collections.abc import AsyncGenerator
 from contextlib import suppress
 from dataclasses import replace
@@ -16,6 +17,7 @@ from starlette.requests import Request
 from imubayes.cli.main import run
 from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.errors import InputError, NotKept
+from imubayes.foundations.files import only_writer
 from imubayes.foundations.progress import Tell
 from imubayes.model.nodes_and_entries import join_entries
 from imubayes.model.set_aside import without
@@ -251,3 +253,49 @@ def test_another_prior_is_a_branch_that_its_command_makes_again(explored, first,
     free = {each.name: each.mean for each in read_summary_and_residuals(explored.session.root)[0].parameters}
     assert abs(own[name]) < 0.1 * abs(free[name])
     client.json("select", {"model": first})
+
+
+def test_a_folder_that_a_killed_fit_has_left_is_removed_and_one_at_work_stays(tmp_path):
+    left, held, own = (tmp_path / f"first-{name}" for name in ("left", "held", "own"))
+    for folder in (left, held, own):
+        folder.mkdir()
+        (folder / ".lock").write_text("999999999\n")
+    (own / "notes.txt").write_text("of the user\n")
+    with only_writer(held):
+        Session(tmp_path / "first")
+        assert not left.exists()
+        assert held.exists()
+    assert (own / "notes.txt").exists()
+
+
+def test_a_session_that_ends_waits_for_the_step_at_work():
+    """The interpreter must not end while the thread computes; a task that waits never begins."""
+    worker, at_work, did = Worker(lambda: None), threading.Event(), list[str]()
+
+    def work(tell: Tell) -> TaskOutcome:
+        at_work.set()
+        time.sleep(0.3)
+        did.append("a step")
+        tell("the next step")
+        return TaskOutcome("never", ())
+
+    numbers = [worker.submit("change", "add an effect", "", work) for _ in range(2)]
+    at_work.wait(10)
+    assert not worker.stop(0.0)
+    assert worker.stop(10.0)
+    assert did == ["a step"]
+    assert [each.state for each in worker.tasks if each.number in numbers] == ["cancelled", "cancelled"]
+
+
+def test_the_news_of_a_window_end_with_the_session(copied):
+    async def silent() -> dict[str, str]:
+        await asyncio.sleep(60)
+        return {"type": "http.disconnect"}
+
+    async def told() -> list[str]:
+        stream = _Answers(copied)._states(Request({"type": "http"}, silent))
+        first = await anext(stream)
+        copied.close()
+        return [first, *[each async for each in stream]]
+
+    assert len(asyncio.run(asyncio.wait_for(told(), 10))) <= 2

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import imubayes
+import imubayes_qualification as qualification
 from display.made_diagnoses import ASYMMETRY, QUADRATIC, diagnosis
 from imubayes.cli.main import run
 from imubayes.criticism.diagnosis_record import Diagnosis
@@ -25,6 +26,7 @@ from imubayes_qualification.certificate import report_build
 from imubayes_qualification.certificate.report_record import QualificationReport
 from imubayes_qualification.display.report.report_files import html_page, report_document
 from kept_results import listed
+from page_outline import assert_accessible, contrast
 
 ROOT = Path(__file__).parents[2]
 WIDE = '[[limit]]\nquantity = "accel_bias.bias"\nlower = -100\nupper = 100\nunit = "mg"\n'
@@ -72,6 +74,8 @@ def test_an_adequate_unit_passes_and_the_page_is_made_from_the_record_alone(resu
     assert status == 0
     assert record.conformity is not None
     assert record.conformity.outcome == "pass"
+    assert_accessible(page)
+    assert len(re.findall(r'<a href="#', page)) > 5  # the sections, of a page of many screens
     kinds = {each.interval for each in record.results if each.interval is not None}
     assert "equal-tailed" not in record.interval or kinds == {"equal-tailed"}
     # Every number of the page stands in the JSON file: the page made from the file is the same to the byte.
@@ -477,6 +481,19 @@ def test_no_page_of_a_phone_scrolls_sideways(result, tmp_path):
     _, _, page = written(result, tmp_path, "--spec", specification(tmp_path))
     assert width_on_phone(tmp_path, page) == 390
     assert width_on_phone(tmp_path, page.replace("</main>", '<p style="width: 600px">planted</p></main>')) > 390
+
+
+def test_a_page_is_read_in_both_themes_and_printed_on_white():
+    """Every ink has a contrast of 4.5 on its ground, in the light theme and in the dark one, which no print has."""
+    source = Path(qualification.__file__).parent / "display" / "templates" / "qualification.html.j2"
+    themes = re.findall(r"(@media [^{]*)?\{?\s*:root \{([^}]*)\}", source.read_text())
+    assert [media.split("(")[-1].strip(" )") for media, _ in themes] == ["", "prefers-color-scheme: dark"]
+    assert "screen" in themes[1][0]
+    for _, declared in themes:
+        colours = dict(re.findall(r"--([\w-]+): (#\w+);", declared))
+        pairs = [(ink, "page") for ink in ("ink", "quiet", "good", "weak", "bad", "link")]
+        pairs += [(ink, f"{mood}-ground") for mood in ("good", "weak", "bad") for ink in ("ink", mood)]
+        assert min(contrast(colours[ink], colours[ground]) for ink, ground in pairs) >= 4.5
 
 
 def width_on_phone(folder: Path, page: str) -> int:

@@ -27,11 +27,12 @@ from imubayes.display.classical_comparison import (
 )
 from imubayes.display.figure_selection import corner_choice, most_telling_first, plan, runs_shown
 from imubayes.display.figure_style import Picture, ordered
-from imubayes.display.fit_cautions import disagreement_lines
+from imubayes.display.fit_cautions import alarm_of, disagreement_lines
 from imubayes.display.fit_quality_tables import combination_sheet, fit_sheet, run_sheet, weak_sheet
 from imubayes.display.fit_report import summary_html
 from imubayes.display.layout import SheetTable, render, terminal
 from imubayes.display.loop.kept_causes import causes_of
+from imubayes.display.named_covariate import named_covariate
 from imubayes.display.progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, kept_if_possible, refuse
@@ -63,7 +64,7 @@ class PageFigure:
 
 
 def comparison_page(
-    title: str, tables: Markup, ranked: Sequence[str], captions: Mapping[str, str], notes: Sequence[str]
+    title: str, tables: Markup, ranked: Sequence[str], captions: Mapping[str, str], notes: Sequence[str], alarm: str
 ) -> str:
     """Return the page.
 
@@ -74,9 +75,10 @@ def comparison_page(
     ranked : files in `figures`, those that matter most first.
     captions : of each file.
     notes : what was left out.
+    alarm : the warning that precedes everything else; the tables are without it.
     """
     shown = [PageFigure(f"figures/{name}", captions[name]) for name in ranked]
-    page = {"first": shown[:FIRST], "others": shown[FIRST:], "notes": notes, "tables": tables}
+    page = {"first": shown[:FIRST], "others": shown[FIRST:], "notes": notes, "tables": tables, "alarm": alarm}
     return render("comparison", title=title, **page).lstrip() + "\n"
 
 
@@ -176,8 +178,9 @@ def compare(
     names, draws = _for_corner(summary, folder, parameters, every)
     chosen = _chosen_runs(residuals, folder, runs) if runs else runs_shown(summary, residuals)
     campaign = campaign_of(folder)
-    figures = dict(plan(summary, residuals, names, draws, chosen, campaign, _thermal(folder, summary, draws)))
-    ranked = most_telling_first(list(figures), summary, residuals, chosen)
+    named = named_covariate(folder, residuals)
+    figures = dict(plan(summary, residuals, names, draws, chosen, campaign, _thermal(folder, summary, draws), named))
+    ranked = most_telling_first(list(figures), summary, residuals, chosen, named)
     if not every:
         ranked = [*ranked[:FIRST], *(name for name in ranked[FIRST:] if _is_asked(name, parameters, runs))]
     wanted = {name: draw for name, draw in figures.items() if name in ranked}
@@ -191,8 +194,9 @@ def compare(
     page, made, captions = folder / PAGE, (), {}
     with kept_if_possible(folder), progress_of(progress) as tell:
         drawn, captions = draw_figures(wanted, folder, tell)
-        title, tables = f"{summary.campaign}, model {summary.model}", Markup(summary_html(summary))
-        write_text(page, comparison_page(title, tables, [f"{name}.png" for name in ranked], captions, notes))
+        title, tables = f"{summary.campaign}, model {summary.model}", Markup(summary_html(summary, alarm=False))
+        files = [f"{name}.png" for name in ranked]
+        write_text(page, comparison_page(title, tables, files, captions, notes, alarm_of(summary)))
         made = tuple(drawn)
     return Comparison(folder, made, captions, summary, notes, page, classical_estimates)
 

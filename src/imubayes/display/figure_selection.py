@@ -11,6 +11,7 @@ from imubayes.display.figure_style import MOST_PANELS, Picture, covariates_of, n
 from imubayes.display.figures.panels import neighbour_means
 from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.fit_cautions import worst_first
+from imubayes.display.named_covariate import INPUTS, OBSERVED
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import Covariate
 from imubayes.foundations.quantity_names import MOUNTING_ANGLE, SCALE_FACTOR, QuantityName, family_of, name_of
@@ -32,12 +33,20 @@ def plan(
     chosen: Sequence[str],
     campaign: Campaign | None = None,
     thermal: ThermalModel | None = None,
+    named: Covariate | None = None,
 ) -> Plan:
-    """Yield a name and a function that draws it for every figure, the overview first; `chosen` runs have one each."""
+    """Yield a name and a function that draws it for every figure, the overview first.
+
+    Parameters
+    ----------
+    names, draws : quantities of the corner plot, and their draws.
+    chosen : runs that have a figure each.
+    named : the covariate that the diagnosis names.
+    """
     runs = ordered(residuals, "run")
     if summary.runs:
         yield "fit-of-runs", lambda: figures.run_chi2_figure(summary)
-    for covariate in covariates_of(residuals):
+    for covariate in _abscissae(residuals, named):
         for page, channels in _pages(_channels_with(residuals, covariate)):
             yield (
                 f"{_against(covariate)}{page}",
@@ -75,14 +84,20 @@ def _of_campaign(campaign: Campaign, draws: Mapping[str, Any], thermal: ThermalM
 
 
 def most_telling_first(
-    names: Sequence[str], summary: Summary, residuals: pl.DataFrame, chosen: Sequence[str]
+    names: Sequence[str],
+    summary: Summary,
+    residuals: pl.DataFrame,
+    chosen: Sequence[str],
+    named: Covariate | None = None,
 ) -> list[str]:
     """Return the names of figures in the order in which to look at them.
 
-    The map of χ², the residuals against the covariate with the clearest pattern, the run that fits worst, the true
-    mounting angles, and what the data determined; then all others.
+    The map of χ², the residuals against the covariate that the diagnosis names, or against that with the clearest
+    pattern, the run that fits worst, the true mounting angles, and what the data determined; then all others.
     """
-    covariates = sorted(covariates_of(residuals), key=lambda each: -pattern(residuals, each))
+    covariates = sorted(
+        _abscissae(residuals, named), key=lambda each: -np.inf if each == named else -pattern(residuals, each)
+    )
     files = dict(_files_of_runs(chosen))
     worst = [f"run-{files[run]}" for run in worst_first(summary) if run in files]
     wanted = [
@@ -91,6 +106,11 @@ def most_telling_first(
     ]  # fmt: skip
     place = {name: number for number, name in reversed(list(enumerate(wanted)))}
     return sorted(names, key=lambda name: place.get(name, place.get(name.rpartition("-")[0], len(wanted))))
+
+
+def _abscissae(residuals: pl.DataFrame, named: Covariate | None) -> list[Covariate]:
+    known = covariates_of(residuals)
+    return known if named is None or named in known else [named, *known]
 
 
 def pattern(residuals: pl.DataFrame, covariate: Covariate) -> float:
@@ -115,6 +135,8 @@ def _against(covariate: Covariate) -> str:
 
 def _channels_with(residuals: pl.DataFrame, covariate: Covariate) -> list[str]:
     """Return the channels whose rows have a covariate that varies; closing rotations lack most."""
+    if covariate.column == OBSERVED:
+        residuals = residuals.filter(pl.col("kind") == INPUTS[covariate.name])
     names = ordered(residuals, "channel")
     return [name for name in names if varies(numbers(residuals.filter(pl.col("channel") == name), covariate.column))]
 

@@ -11,7 +11,15 @@ from collections.abc import Sequence
 
 from imubayes.adequacy.adequacy_record import AgreeingInput, NoiseComparison, NoiseViolation
 from imubayes.display.layout import Cell, Sheet, cells
-from imubayes.display.numbers_and_labels import listed, percent, pretty, relation, significant, value_and_sd
+from imubayes.display.numbers_and_labels import (
+    command_line,
+    listed,
+    percent,
+    pretty,
+    relation,
+    significant,
+    value_and_sd,
+)
 from imubayes.foundations.campaign_data import SetAside
 from imubayes.foundations.quantity_names import SCALE_FACTOR, family_of
 from imubayes.foundations.tail_probabilities import chi2_cdf, chi2_survival
@@ -80,24 +88,36 @@ def noise_ratio(each: NoiseComparison) -> str:
     return f"{value} ± {sd}"
 
 
+_FAILED, _NOT_CONVERGED, _DOUBTED = "FIT FAILED", "NOT CONVERGED", "DO NOT TRUST THE INTERVALS"
+_SHORT = 100
+"""Characters of a warning that a picture has room for."""
+
+
+def alarm_in_picture(summary: Summary) -> str:
+    """Return the warning as it stands in a picture; of a long one the reason is said once, at the head of the page."""
+    alarm = alarm_of(summary)
+    word = next((word for word in (_FAILED, _NOT_CONVERGED, _DOUBTED) if alarm.startswith(word)), "")
+    return alarm if len(alarm) <= _SHORT else f"{word}. The reason is given at the head of the comparison."
+
+
 def alarm_of(summary: Summary) -> str:
     """Return the warning that precedes everything else; empty where the intervals of the fit can be trusted."""
     if summary.implausible or summary.unexplained:
-        return " ".join(("FIT FAILED.", *failures(summary), _FAILED_REMEDY))
+        return " ".join((f"{_FAILED}.", *failures(summary), _FAILED_REMEDY))
     if not summary.converged:
-        said = f"NOT CONVERGED. {summary.message.strip() or 'The numbers below must not be used.'}"
+        said = f"{_NOT_CONVERGED}. {summary.message.strip() or 'The numbers below must not be used.'}"
         return f"{said} {_SAMPLING_REMEDY}" if summary.sampled else said
     contradicted = [contradiction_text(summary.noise_contradicted)] if summary.noise_contradicted else []
     causes = "; ".join([*contradicted, *([violation_text(summary.noise_violations)] * bool(summary.noise_violations))])
-    return f"DO NOT TRUST THE INTERVALS: {causes}. `imubayes diagnose` looks for the cause." if causes else ""
+    return f"{_DOUBTED}: {causes}. `imubayes diagnose` looks for the cause." if causes else ""
 
 
 def next_command(summary: Summary, campaign: str, folder: str) -> str:
     """Return the command to run after a fit: what looks for the cause of its warning, or the look at the residuals."""
     if summary.implausible or summary.unexplained or not (summary.converged or summary.sampled):
-        return f"imubayes check {campaign}"
+        return command_line("check", campaign)
     doubted = summary.noise_violations or summary.noise_contradicted or not summary.converged
-    return f"imubayes {'diagnose' if doubted else 'compare'} {folder}"
+    return command_line("diagnose" if doubted else "compare", folder)
 
 
 _SAMPLING_REMEDY = (
@@ -219,7 +239,7 @@ def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
     if not doubted:
         return ()
     names = listed([f"run {each.run}" for each in doubted], _MOST_NAMED)
-    verb, command = "does" if len(doubted) == 1 else "do", f"imubayes diagnose {result}".rstrip()
+    verb, command = "does" if len(doubted) == 1 else "do", command_line("diagnose", *filter(None, [result]))
     said = f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known before the fit"
     causes = [agreement_text(each) for each in doubted[0].causes[:_MOST_NAMED]]
     if causes:

@@ -109,8 +109,13 @@ def classical_report(comparison: ClassicalComparison) -> Report:
     return Report((), sheets, () if comparison.estimates else (none,))
 
 
-def summary_html(summary: Summary) -> str:
-    """Return the whole result: convergence and calibration; folded, every table of the fit."""
+def summary_html(summary: Summary, alarm: bool = True) -> str:
+    """Return the whole result: convergence and calibration; folded, every table of the fit.
+
+    Parameters
+    ----------
+    alarm : whether the warning of the fit stands above; without it the page says it elsewhere.
+    """
     at_a_glance = [
         *quantities.calibration_sheets(summary),
         quantities.axis_sheet(summary),
@@ -121,7 +126,7 @@ def summary_html(summary: Summary) -> str:
     return render(
         "summary",
         summary=summary,
-        alarm=cautions.alarm_of(summary),
+        alarm=cautions.alarm_of(summary) if alarm else "",
         notices=cautions.notices(summary),
         chi2=cautions.chi2_text(summary),
         # Without a channel of its own, such as a result of equipment alone, the parameters stand open.

@@ -9,6 +9,7 @@ signs, and a quantity has one label.
 """
 
 import math
+import shlex
 from collections.abc import Iterable, Sequence
 from functools import cache
 
@@ -65,6 +66,11 @@ def covariate(name: str) -> Covariate:
         if name in (known.column, known.name):
             return known
     raise KeyError(f"'{name}' is not a covariate: {', '.join(known.name for known in covariates())}")
+
+
+def command_line(*words: str) -> str:
+    """Return a command of `imubayes` as it is typed: a blank or another special character of a path is quoted."""
+    return shlex.join(["imubayes", *words])
 
 
 def shortened(name: str, most: int) -> str:

@@ -287,6 +287,15 @@ def only_writer(place: Path, patience: float = 0.0) -> Iterator[None]:
         stream.close()
 
 
+def remove_abandoned(folder: Path) -> None:
+    """Remove a folder that holds nothing but the lock of a process that was killed before it wrote a file."""
+    with suppress(OSError, InputError):
+        if [file.name for file in folder.iterdir()] == [_LOCK]:
+            with only_writer(folder):  # whose holder is gone: the lock is removed
+                pass
+            folder.rmdir()
+
+
 def _locked(file: Path, place: Path, until: float) -> IO[str]:
     while True:
         stream = file.open("a+", encoding="ascii")

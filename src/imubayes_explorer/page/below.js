@@ -57,8 +57,8 @@ function models(panel, actions) {
     units.map((unit, at) => el("td", { "data-label": head[4 + at] }, size(line.rms[unit], unit))),
     el("td", { "data-label": "exported" }, line.selected ? "● selected" : line.taken ? el("button", { class: "plain", "data-key": `select-${line.id}`, onclick: () => actions.select(line.id) }, "○ select") : ""),
     el("td", { "data-label": "note" }, el("button", { class: "plain", "data-key": `note-${line.id}`, title: line.note || "name and note", onclick: () => actions.note(line) }, line.note ? "✎ note" : "✎"))));
-  const effects = (told.facts?.effects ?? []).map((effect) => el("span", { class: "chip" }, effect,
-    el("button", { class: "plain", "data-key": `remove-${effect}`, title: `remove ${effect}, and refit`, "aria-label": `remove ${effect}`, onclick: () => actions.change({ remove: [effect] }) }, "×")));
+  const effects = (told.facts?.effects ?? []).map(({ name, channels }) => el("span", { class: "chip" }, name, channels.length ? el("span", { class: "quiet" }, ` ${channels.join(", ")}`) : null,
+    el("button", { class: "plain", "data-key": `remove-${name}-${channels.join("-")}`, title: `remove ${name}, and refit`, "aria-label": `remove ${name}${channels.length ? ` of ${channels.join(", ")}` : ""}`, onclick: () => actions.change({ remove: [name] }) }, "×")));
   const aside = (told.facts?.set_aside ?? []).map((words, at) => el("span", { class: "chip" }, words,
     el("button", { class: "plain", "data-key": `back-${at}`, title: "take these readings back, and refit", "aria-label": `take back ${words}`, onclick: () => actions.change({ take_back: [at] }) }, "↩")));
   fill(panel,

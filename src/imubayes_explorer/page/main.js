@@ -18,10 +18,11 @@ const dialog = place("dialog");
 const RESIDUALS = ["known", "input", "fitted"];
 
 // What goes wrong is told on the page.
-async function attempt(work) {
+async function attempt(work, refused = () => {}) {
   try {
     return await work();
   } catch (error) {
+    refused();
     tell({ fault: error.issues ? error.issues.join("\n") : `internal error of the page: ${error.message}` });
     return undefined;
   }
@@ -132,7 +133,7 @@ async function preview() {
     tell({ preview: null });
     return;
   }
-  const found = await attempt(() => latest("preview", (signal) => ask("preview", { model: view.model, ...wanted }, signal)));
+  const found = await attempt(() => latest("preview", (signal) => ask("preview", { model: view.model, ...wanted }, signal)), () => tell({ preview: null }));
   if (found) tell({ preview: found });
 }
 

@@ -59,9 +59,11 @@ function selection(model, brushes) {
 function point(model, entry) {
   const { columns, facts } = model, run = facts.runs[numbers(columns.run)[entry]], channel = numbers(columns.channel)[entry];
   const said = (value) => `${+value.toPrecision(6)}`.replaceAll("-", "−");
+  const noise = numbers(columns.noise)[entry], places = Math.max(0, Math.min(8, 1 - Math.floor(Math.log10(noise))));
+  const known = (value) => value.toFixed(places).replaceAll("-", "−"), observed = numbers(columns.observed)[entry], residual = numbers(columns.known)[entry];
   const settings = facts.abscissae.filter((axis) => axis.name !== "reading" && Number.isFinite(numbers(columns[`x:${axis.name}`])[entry]));
   return { entry, run, row: numbers(columns.row)[entry], channel: facts.channels[channel], values: [
-    [facts.channels[channel], `${said(numbers(columns.observed)[entry])} ${model.units[channel]}`], ["residual", `${said(numbers(columns.known)[entry])} × known noise`],
+    [facts.channels[channel], `${known(observed)} ± ${known(noise)} ${model.units[channel]}`], ["over known noise", `${+residual.toPrecision(3)}`.replaceAll("-", "−")],
     ...settings.map((axis) => [axis.phrase, `${said(numbers(columns[`x:${axis.name}`])[entry])} ${axis.unit}`.trim()])] };
 }
 

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from imubayes.display import figure_style as style
-from imubayes.display.fit_cautions import alarm_of
+from imubayes.display.fit_cautions import alarm_in_picture
 from imubayes.display.fit_quality_tables import NOT_DETERMINED
 from imubayes.display.numbers_and_labels import concise, pretty, readable, shortened, significant
 from imubayes.display.quantity_tables import is_nuisance
@@ -82,7 +82,7 @@ def _empty_corner(count: int, wanted: int, summary: Summary) -> tuple[style.Pict
     width, height = max(count * side + 1.5, 8.5), count * side + 0.9
     caption = _CAPTION + (f" Shown: the first {count} of {wanted} quantities." if wanted > count else "")
     how = "" if summary.sampled else "not sampled: draws from the Laplace approximation at the mode"
-    figure = style.picture(width, height, "Joint posterior", caption, how, alarm=alarm_of(summary))
+    figure = style.picture(width, height, "Joint posterior", caption, how, alarm=alarm_in_picture(summary))
     margin = 0.75 + max(0.0, (width - 0.6 - 0.85 - count * side) / 2)
     right = width - 0.6 - margin - count * side
     return figure, style.panels(figure, count, count, (margin, 0.5, max(right, 0.1), 0.4), (0.12, 0.12))
@@ -204,7 +204,7 @@ def identifiability_figure(summary: Summary) -> style.Picture:
     lines = -(-len(shown) // columns)
     width, height = 12.0 if columns == 2 else 8.0, lines * 0.235 + 0.55
     counts = _counts([share for share, _ in entries])
-    figure = style.picture(width, height, "Identifiability", caption, counts, alarm=alarm_of(summary))
+    figure = style.picture(width, height, "Identifiability", caption, counts, alarm=alarm_in_picture(summary))
     least = 10.0 ** math.floor(min(-1.0, math.log10(min(narrowing(share) for share, _ in shown))))
     grid = style.panels(figure, 1, columns, (2.55, 0.5, 0.85, 0.05), (3.4, 0))
     for column, axes in enumerate(grid[0]):

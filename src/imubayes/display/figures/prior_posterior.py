@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 
 from imubayes.display import figure_style as style
 from imubayes.display.figures.panels import set_decades, thinned
-from imubayes.display.fit_cautions import alarm_of
+from imubayes.display.fit_cautions import alarm_in_picture
 from imubayes.display.numbers_and_labels import concise, pretty, significant
 from imubayes.display.quantity_tables import is_nuisance
 from imubayes.foundations.campaign_data import Campaign
@@ -52,7 +52,7 @@ def prior_posterior_figure(summary: Summary, names: Sequence[str] | None = None)
     """
     chosen, caption = _chosen(summary, names)
     title = "Mounting: prior and posterior" if names is None else "Prior and posterior"
-    figure = style.picture(12.0, len(chosen) * 0.24 + 0.85, title, caption, alarm=alarm_of(summary))
+    figure = style.picture(12.0, len(chosen) * 0.24 + 0.85, title, caption, alarm=alarm_in_picture(summary))
     centred = any(map(_is_centred, chosen))
     widths = (0.45, 0.55) if centred else (1.0,)
     grid = style.panels(figure, 1, len(widths), (_NAMES, 0.5, _NUMBERS, 0.3), (0.35, 0), widths=widths)[0]

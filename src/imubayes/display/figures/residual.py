@@ -175,7 +175,7 @@ def run_chi2_figure(summary: Summary) -> style.Picture:
         max(0.4 + len(runs) * _CELL[1], 1.75),
         "Goodness of fit by run and channel",
         _caption(summary, len(runs), len(channels), sum(cell is not None for cell in shown.values()), share),
-        alarm=cautions.alarm_of(summary),
+        alarm=cautions.alarm_in_picture(summary),
     )
     left, bottom, right, top = figure.inside
     across, base = len(channels) * _CELL[0], top - 0.35 - len(runs) * _CELL[1]

@@ -180,7 +180,7 @@ def next_command(change: ModelChange) -> str:
     result = (change.folder if change.taken else change.parent) or "RESULT"
     first, *others = change.added or (None,)
     if change.taken or first is None or not others:
-        return f"imubayes diagnose {result}"
+        return numbers.command_line("diagnose", result)
     return add_command([first.effect], first.channels, result, f"{change.folder or result}-alone")
 
 
@@ -233,7 +233,7 @@ def _undistinguished_line(found: NotDistinguished, folder: str) -> str:
     names = f"{', '.join([first, *others[:-1]])} and {others[-1]}"
     size = f"{found.correlation:.2f}".replace("-", "−")
     of = "correlation" if len(others) == 1 else "correlation of each with the others together"
-    command = f"imubayes remove {' '.join(others)} --from {folder} --out {folder}-{first}"
+    command = numbers.command_line("remove", *others, "--from", folder, "--out", f"{folder}-{first}")
     return f"Not distinguished: {names}, {of} {size}; `{command}` keeps {first} alone."
 
 

@@ -18,6 +18,7 @@ from imubayes.display.fit_cautions import noise_ratio
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop import diagnosis_sentences as sentences
+from imubayes.display.numbers_and_labels import command_line
 from imubayes.foundations.errors import input_error
 
 _MOST_RANKED, _MOST_OUTLIERS = 10, 8
@@ -247,7 +248,7 @@ def _omitted(found: Diagnosis) -> list[str]:
     """Return what the tables that are left out hold, in one line."""
     lists = {"effect": found.ranking, "outlier": found.outliers, "undetectable effect": found.undetectable}
     each = [numbers.counted(len(lines), name) for name, lines in lists.items() if lines]
-    return [f"All tables: {', '.join(each)}: imubayes diagnose {found.result} --verbose"] if each else []
+    return [f"All tables: {', '.join(each)}: {command_line('diagnose', found.result, '--verbose')}"] if each else []
 
 
 def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
@@ -297,17 +298,17 @@ def next_command(found: Diagnosis) -> str:
     if choice is not None:
         return add_command(choice.effects, choice.channels, result, f"{result}-{choice.effects[0]}")
     if found.formulas:
-        adding = f"imubayes add found_shape.py --to {result} --out {result}-found_shape"
-        return f"imubayes diagnose {result} --python > found_shape.py && {adding}"
+        adding = add_command(["found_shape.py"], None, result, f"{result}-found_shape")
+        return f"{command_line('diagnose', result, '--python')} > found_shape.py && {adding}"
     if found.verdict == "adequate":
-        return f"imubayes plant --result {result}"
-    return f"imubayes compare {result}"
+        return command_line("plant", "--result", result)
+    return command_line("compare", result)
 
 
 def add_command(effects: Sequence[str], channels: Sequence[str] | None, result: str, out: str) -> str:
     """Return the command that adds effects to the model of a result, on channels where they are named."""
-    on = f" --channels {' '.join(channels)}" if channels else ""
-    return f"imubayes add {' '.join(effects)} --to {result} --out {out}{on}"
+    on = ["--channels", *channels] if channels else []
+    return command_line("add", *effects, "--to", result, "--out", out, *on)
 
 
 def effect_source(found: Diagnosis) -> str:

@@ -18,7 +18,7 @@ from imubayes.display.loop.change_report import change_lines, change_sheets
 from imubayes.display.loop.diagnosis_report import next_command
 from imubayes.display.loop.diagnosis_sentences import sentence
 from imubayes.display.loop.history import history_sheet, provenance_line
-from imubayes.display.numbers_and_labels import listed
+from imubayes.display.numbers_and_labels import command_line, listed
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.foundations.errors import InputError
 from imubayes.loop.model_history import Node, Tree
@@ -80,7 +80,7 @@ def _path(tree: Tree, place: str, steps: Sequence[HistoryStep]) -> PathSection:
     diagnosis = read_diagnosis(folder)
     shown = shown_place(place)
     if diagnosis is None:
-        verdict, command = ["Not diagnosed yet."], f"imubayes diagnose {shown}"
+        verdict, command = ["Not diagnosed yet."], command_line("diagnose", shown)
     else:
         verdict, command = [sentence(diagnosis)], next_command(diagnosis)
     try:

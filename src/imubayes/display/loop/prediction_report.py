@@ -5,6 +5,7 @@ Two calibrations of one unit are compared in words and a table.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from markupsafe import Markup
@@ -159,8 +160,9 @@ def save_prediction(prediction: RunPrediction, folder: Path, tell: Tell) -> Path
     prediction.residuals.table.write_parquet(folder / RESIDUALS)
     page = folder / PREDICTION_PAGE
     title = f"{summary.campaign}, predicted by model {summary.model} of {prediction.summary.result_campaign}"
-    tables = Markup(report_html(prediction_report(prediction, verbose=True)))
-    write_text(page, comparison_page(title, tables, [f"{name}.png" for name in ranked], captions, ()))
+    report = prediction_report(prediction, verbose=True)
+    tables = Markup(report_html(replace(report, alarm="")))
+    write_text(page, comparison_page(title, tables, [f"{name}.png" for name in ranked], captions, (), report.alarm))
     write_text(folder / PREDICTION, prediction.summary.json_text())
     return page
 

@@ -44,7 +44,7 @@ Layout = tuple[tuple[str, ...], tuple[int, ...]]
 
 def html_page(document: ReportDocument) -> str:
     """Return a document as an HTML page."""
-    headings = [block.text for block in document.blocks if block.type == "heading" and block.level == 2]
+    headings = [block for block in document.blocks if block.type == "heading" and block.level <= 2]
     # Drawings are SVG that this package made; all else is escaped.
     layouts = list(dict.fromkeys(_layout(block) for block in document.blocks if isinstance(block, Sheet)))
     page = render(
