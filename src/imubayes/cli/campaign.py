@@ -190,7 +190,8 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = F
     seed
         Random seed; by default that of the plan.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
+        remembered.
     """
     with progress() as tell:
         start_jax()

@@ -144,7 +144,8 @@ def population(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
+        remembered.
     """
     from imubayes_archive.display.population_report import population_report
 
@@ -203,7 +204,8 @@ def prior(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
+        remembered.
     """
     from dataclasses import asdict
 
@@ -249,7 +251,8 @@ def diagnose(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
+        remembered.
     """
     start_jax()
     from imubayes_archive.batch.pooled_discovery import pooled_discovery

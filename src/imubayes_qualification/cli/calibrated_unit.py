@@ -57,7 +57,8 @@ def apply(
     along_axes
         Treat every channel alone: there was no input across its axis.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
+        remembered.
     """
     trusting(result, trust)
     stated = {"temperature": temperature, "converter_temperature": converter_temperature}
@@ -178,7 +179,8 @@ def export(
     accept_loss
         Leave out the terms that the format cannot hold; the file lists them with their size.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
+        remembered.
     """
     start_jax()
     trusting(result, trust)
@@ -240,7 +242,8 @@ def mission(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
+        remembered.
     """
     with progress("propagating"):
         start_jax()
@@ -284,7 +287,7 @@ def report(
     Parameters
     ----------
     result
-        Result folder of a fit; `imubayes diagnose` should have seen it.
+        Result folder of a fit that `imubayes diagnose` has examined.
     out
         Files to write, by their endings: .html, .pdf, .json; .xml for a digital calibration certificate (DCC), .csv for
         the covariance of the quantities (GTC, METAS UncLib).
@@ -297,7 +300,8 @@ def report(
         Annexes of page and PDF: results, budgets, evidence, all or none. Without it a page has all of them, and a PDF
         file the results. The JSON record has everything.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
+        remembered.
     """
     with progress() as tell:
         start_jax()
