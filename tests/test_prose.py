@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "src" / "docs"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "docs"))
 import gallery
 import reference_pages
 
+ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", "data/README.md", "data/your-campaign.md", "data/archives.md", "src/docs/**/*.md")
 PATTERNS = {
     r"\b(to|can|cannot) be had\b": "can be obtained, can be opened",

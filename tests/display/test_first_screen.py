@@ -126,4 +126,6 @@ def test_add_shows_what_changed(addition):
 
 def test_add_says_where_nothing_changed(addition):
     same = tuple(each.model_copy(update={"after": each.before}) for each in addition.runs)
-    assert "none of 84" in " ".join(screen(change_report(addition.model_copy(update={"runs": same}))))
+    assert "None of the 84 residual rms values" in " ".join(
+        screen(change_report(addition.model_copy(update={"runs": same})))
+    )

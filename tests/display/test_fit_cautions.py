@@ -60,7 +60,7 @@ def test_what_the_intervals_take_as_exact_is_said_where_it_matters(plain):
     assert said((), 0.2) == ""
     told = said((gravity,), 0.2)
     assert "The uncertainties above do not include gravity anomaly (u = 50 µg, assumed for normal gravity)" in told
-    assert "scale_factor[ax] has 10 ppm here, and 51 ppm with it" in told
+    assert "uncertainty of scale_factor[ax] is 10 ppm here, and 51 ppm with that of gravity" in told
     assert said((gravity,), 20.0) == ""  # 1000 ppm: nothing that 50 ppm would change
     stated = said((gravity, rate), 20.0)
     assert "table rate error (u = 4.0 ppm, stated)" in stated

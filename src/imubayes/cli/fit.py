@@ -42,8 +42,7 @@ def classical(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
-        remembered.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with progress() as tell:
         trusting(result, trust)
@@ -73,6 +72,10 @@ def classical(
         comparison = comparison.with_causes(causes_of(result, residuals, summary))
     show(lambda: classical_json(comparison), lambda: classical_report(comparison), as_json)
     return 0 if comparison.estimates else 1
+
+
+_FOR_ONE = "these options draw pictures of one result, but two are named"
+_FOR_TWO = "these options compare two results, but only one is named"
 
 
 def compare(
@@ -108,8 +111,7 @@ def compare(
     every
         Draw all figures; by default the five that matter most are drawn, and those asked for.
     changed
-        Of two calibrations: tables and mountings that have the same name in both calibrations but are different
-        equipment.
+        Of two calibrations: tables and mountings that have the same name in both but are different equipment.
     any_unit
         Of two calibrations: compare them even if their serial numbers differ.
     limits
@@ -119,13 +121,11 @@ def compare(
     verbose
         Of two calibrations: print every quantity.
     trust
-        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
-        remembered.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     of_one, of_two = parameters or runs or every, changed or any_unit or limits or as_json or verbose
     if of_one if other is not None else of_two:
-        pictures, both = "draw pictures of one result, but two are named", "compare two results, but only one is named"
-        fault = f"these options {pictures if other is not None else both}"
+        fault = _FOR_ONE if other is not None else _FOR_TWO
         raise input_error(fault, "command line", "the options that --help lists for it", "leave them out")
     if other is not None:
         given = {"changed": split(changed) or [], "any_unit": any_unit, "limits": limits}
@@ -186,8 +186,7 @@ def predict(
     verbose
         Print a line for each run and channel, and every estimate.
     trust
-        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
-        remembered.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax("predict")
@@ -247,8 +246,7 @@ def fit(
     verbose
         Print every table: all parameters with intervals, runs, combinations, contributions of procedures.
     trust
-        Trust the effect files that come with the input: they are code, which runs only if trusted. The trust is
-        remembered.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with ExitStack() as held:
         recorded = _read(campaign, held, out, resume, replace)
