@@ -5,13 +5,18 @@ The patterns are those that have no correct use in these texts.
 
 import ast
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "docs"))
+import gallery
+import reference_pages
+
 ROOT = Path(__file__).parents[1]
-PAGES = ("README.md", "data/your-campaign.md", "data/archives.md", "src/docs/**/*.md")
+PAGES = ("README.md", "data/README.md", "data/your-campaign.md", "data/archives.md", "src/docs/**/*.md")
 PATTERNS = {
     r"\b(to|can|cannot) be had\b": "can be obtained, can be opened",
     r"\banyhow\b": "in any case, in an unknown attitude",
@@ -57,6 +62,19 @@ def test_no_page_has_a_pattern_that_is_not_english():
         for fault in _found(" ".join(file.read_text(encoding="utf-8").split()))
     ]
     assert faults == []
+
+
+def test_no_docstring_that_becomes_a_page_or_a_help_text_has_one():
+    """The pages of commands, keys of files, public names, procedures and effects are made from docstrings."""
+    made = {
+        **reference_pages.api_pages(),
+        **reference_pages.command_pages(),
+        **reference_pages.schema_pages(),
+        **reference_pages.procedure_pages(),
+        **gallery.effect_pages([]),
+    }
+    assert len(made) > 150
+    assert [f"{page}: {fault}" for page, text in made.items() for fault in _found(" ".join(text.split()))] == []
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,7 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     ),
     "uncertainty of no temperature": (
         toml("temperature_degC = 25.0", "converter_temperature_uncertainty_degC = 0.5"),
-        "there is no converter_temperature_degC", r"rates\.csv, header", "a column of that name",
+        "is stated without converter_temperature_degC", r"rates\.csv, header", "a column of that name",
     ),
     "table twice": (toml('name = "head"', 'name = "rate"'), "given twice", r"table\[1\]\.name", "not yet used"),
     "singular mounting": (toml("[[1, 0, 0], [0, 1, 0]", "[[1, 0, 0], [1, 0, 0]"), "singular", r"mounting\[0\]", "orthonormal"),

@@ -66,7 +66,8 @@ def test_the_answer_comes_first(capsys):
         "A run that would distinguish gyro_scale_asymmetry, gyro_scale_quadratic: rate_table on 'rate' in mounting "
         "'x-up', rates to ±300 deg/s.",
         "next: imubayes add gyro_scale_asymmetry --to R --out R-gyro_scale_asymmetry",
-        "or, with all that fit as well: imubayes add gyro_scale_asymmetry gyro_scale_quadratic --to R --out R-all",
+        "or, with every effect that fits equally well: "
+        "imubayes add gyro_scale_asymmetry gyro_scale_quadratic --to R --out R-all",
     ]
     assert "93 % run offsets" in out
     assert "lever_arm (turning)" in " ".join(out.split())
@@ -312,7 +313,7 @@ def test_noise_that_disagrees_with_its_record_is_told():
     compared = (comparison("ax", 2.14, 1e-40), comparison("ay", 1.02, 0.4), comparison("az", 0.6, 1.0))
     found = diagnosis("adequate").model_copy(update={"recorded_noise": compared})
     assert "fitted noise of ax is 2.14 ± 0.11 times the known noise" in sentence(found)
-    assert "1 more channel disagrees" in sentence(found)
+    assert "It also differs in 1 other channel." in sentence(found)
     assert [row[0].text for row in shown.recorded_noise_sheet(found).rows] == ["ax", "az"]
     agreeing = found.model_copy(update={"recorded_noise": compared[1:2]})
     assert "known noise" not in sentence(agreeing)
@@ -324,7 +325,7 @@ def test_what_an_undetectable_effect_would_do_is_told(in_sd, told):
     hidden = UndetectableEffect(effect="gravity_anomaly", reason="absorbed", bias=bias)
     said = sentence(diagnosis("adequate").model_copy(update={"undetectable": (hidden,)}))
     clause = (
-        "No interval includes it: gravity_anomaly.anomaly[all] of 300 µg, the largest typical size, would bias "
+        "No interval includes it: at its largest typical size, 300 µg, gravity_anomaly.anomaly[all] would bias "
         "accel_bias.bias[ax] by 663 times its sd."
     )
     assert (clause in said) == told
@@ -349,7 +350,7 @@ def test_noise_that_contradicts_what_is_known_is_said_first_where_no_effect_expl
     sisters = replace(scatter, source="sisters", ratio=38.0, p=1e-6, sisters=("gy", "gz"))
     assert contradiction_text((sisters, scatter)) == (
         "run_scatter.tau[gx], 7.70 LSB, is 38 times that of gy and gz by the means of their runs and 2.6 times the "
-        "scale of its prior: scatter between runs makes up for something that the model lacks"
+        "scale of its prior: scatter between runs absorbs something that the model lacks"
     )
     assert contradiction_text((replace(scatter, p=1e-6),)).endswith("or the prior is too narrow for this unit")
 

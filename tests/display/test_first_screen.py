@@ -117,7 +117,7 @@ def test_add_shows_what_changed(addition):
     assert len(brief) <= 24
     said = " ".join(line.strip() for line in brief)
     assert "Δχ² at the noise known beforehand: predicted 173, observed 172." in "".join(brief)
-    assert "14 of 84 changed by 5 % or more: run-0 gx −50 %" in said
+    assert "Of the residual rms values by run and channel, 14 of 84 changed by 5 % or more: run-0 gx −50 %" in said
     assert not any(line.startswith(" gy ") for line in brief)
     assert any("asymmetry[gx]" in line for line in brief)  # names are not broken
     assert brief[-1] == "next: imubayes diagnose results/second"
@@ -126,4 +126,6 @@ def test_add_shows_what_changed(addition):
 
 def test_add_says_where_nothing_changed(addition):
     same = tuple(each.model_copy(update={"after": each.before}) for each in addition.runs)
-    assert "none of 84" in " ".join(screen(change_report(addition.model_copy(update={"runs": same}))))
+    assert "None of the 84 residual rms values" in " ".join(
+        screen(change_report(addition.model_copy(update={"runs": same})))
+    )

@@ -59,8 +59,8 @@ def test_what_the_intervals_take_as_exact_is_said_where_it_matters(plain):
 
     assert said((), 0.2) == ""
     told = said((gravity,), 0.2)
-    assert "No uncertainty above includes gravity anomaly (u = 50 µg, assumed for normal gravity)" in told
-    assert "scale_factor[ax] has 10 ppm here, and 51 ppm with it" in told
+    assert "The uncertainties above do not include gravity anomaly (u = 50 µg, assumed for normal gravity)" in told
+    assert "uncertainty of scale_factor[ax] is 10 ppm here, and 51 ppm with that of gravity" in told
     assert said((gravity,), 20.0) == ""  # 1000 ppm: nothing that 50 ppm would change
     stated = said((gravity, rate), 20.0)
     assert "table rate error (u = 4.0 ppm, stated)" in stated
@@ -127,9 +127,7 @@ def test_a_fit_that_failed_says_so_first(plain):
     text = " ".join(report_text(summary_report(failed), width=400).split())
     assert text.startswith("FIT FAILED. gyro_scale_factor.scale[gx] = -2000000 ppm is physically impossible")
     assert "(possible: -1000000 to 1000000 ppm)" in text
-    assert (
-        "outputs of ax differ from the model by 0.70 g rms, 100000 times their recorded noise, of 0.80 g in all" in text
-    )
+    assert "The residuals of ax are 0.70 g rms, 100000 times the recorded noise; the outputs are 0.80 g rms." in text
     assert "No estimate of this fit can be used." in text
     assert text.count("FIT FAILED") == 1
     assert next_command(failed, "data/unit", "results/unit") == "imubayes check data/unit"

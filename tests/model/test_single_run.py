@@ -64,5 +64,5 @@ def test_a_stated_prior_and_a_simulation_know_it():
 def test_one_line_says_what_the_uncertainty_lacks():
     (line,) = left_out_lines(bound(ONE, EffectSpec("run_scatter")).left_out)
     assert line.startswith("run_scatter is left out, with one run of gx, gy, gz, ax and 2 more")
-    assert "do not include repeatability from run to run" in line
+    assert "Repeatability from run to run requires more runs" in line
     assert "\n" not in line

@@ -215,7 +215,7 @@ def test_statements_are_those_of_the_pages():
         exact=TakenAsExact(unstated=(QuantityShift(name="K_0[ax]", value=2.0),)),
     )
     for text in (
-        "No certificate of an accredited laboratory: ISO/IEC 17025 requires 1 item more",
+        "No certificate of an accredited laboratory: ISO/IEC 17025 requires 1 more item",
         "Missing from this certificate: traceability of gravity, which runs used: no standard names it (7.8.4.1 c)",
         "The model was never diagnosed",
         "Known contributions that U omits would multiply it by 1.41.",

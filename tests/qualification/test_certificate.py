@@ -188,7 +188,7 @@ def test_requires_stands_beside_what_the_standard_requires_alone():
     assert len(required.items) + len(others.items) == len(items)
     said = [alarm for alarm in alarms(_report(Missing(item="cmc"), Missing(item="date"))) if "requires" in alarm]
     assert said == [
-        "No certificate of an accredited laboratory: ISO/IEC 17025 requires 1 item more, listed at the end."
+        "No certificate of an accredited laboratory: ISO/IEC 17025 requires 1 more item, listed at the end."
     ]
     assert alarms(_report(Missing(item="cmc"))) == ["Not in order: 1 item, listed at the end."]
 

@@ -415,7 +415,7 @@ def test_a_certificate_has_two_pages_its_date_and_what_is_missing(result, tmp_pa
     missing = sum(each.required for each in record.missing)
     assert {each.item for each in record.missing} >= {"method", "signatories", "customer_name", "expired"}
     first, _, rest = said.partition("Limits of the specification")
-    assert f"ISO/IEC 17025 requires {missing} items more" in first
+    assert f"ISO/IEC 17025 requires {missing} more items" in first
     assert "2026-01-01: expired" in rest
     assert "Accredited as D-K" not in said
     assert b"<rdf:li>Example Laboratory</rdf:li>" in (tmp_path / "all.pdf").read_bytes(), "the author of a certificate"

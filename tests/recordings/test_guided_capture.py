@@ -49,7 +49,7 @@ def test_a_replayed_file_is_guided_to_what_was_asked_for(log, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "rest 4: enough; undetermined: accel_bias" in said
     assert "point up" in said
-    assert "all that was asked for is reached" in said
+    assert "all requested uncertainties are reached" in said
     assert "next: imubayes new" in said
     campaign = imubayes.load_campaign(folder)
     assert campaign.runs[0].tumble is not None

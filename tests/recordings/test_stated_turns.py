@@ -98,7 +98,7 @@ def test_a_run_without_turns_states_no_uncertainty_of_them(tmp_path: Path) -> No
     folder = convert([file], tmp_path / "unit", turn_deg=360.0)
     text = (folder / "campaign.toml").read_text().replace('"rate_table"', '"static_record"', 1)
     (folder / "campaign.toml").write_text(text)
-    with pytest.raises(InputError, match="states the uncertainty of turns, and has none"):
+    with pytest.raises(InputError, match="states turn_uncertainty_deg, but has no turns"):
         imubayes.load_campaign(folder)
 
 

@@ -122,14 +122,14 @@ class AgreeingInput(Record):
 
 
 class Disagreement(Record):
-    """A run, or one row of it, whose record is wrong in the likeliest explanation.
+    """A run, or one row of it, whose record is wrong in the most probable explanation.
 
     Attributes
     ----------
     run : its name; empty of a prior.
     row : counts from 1; None for the run as a whole.
-    log_odds : natural logarithm of the odds against the likeliest explanation with the record as it is.
-    causes : what would make it agree, the likeliest first; those that the runs do not distinguish.
+    log_odds : natural logarithm of the odds against the most probable explanation with the record as it is.
+    causes : what would make it agree, the most probable first; those that the runs do not distinguish.
     instead : runs and rows with a cause that explains the same, in place of this one.
     """
 
@@ -146,7 +146,7 @@ class DoubtedRun(Record):
     Attributes
     ----------
     p : chance of what it adds to the others, for all runs together.
-    causes : what in its record would make it agree, the likeliest first; empty where nothing that was weighed does.
+    causes : what in its record would make it agree, the most probable first; empty where nothing that was weighed does.
     """
 
     run: str

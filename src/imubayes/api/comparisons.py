@@ -27,8 +27,8 @@ def predict(
     ----------
     result : a result, or its folder; its campaign is read again.
     campaign : runs of the same unit, or their folder; runs that were fitted are left out.
-    changed : tables and mountings that bear the name of one of the fit and are another one, such as a seat on which
-        the unit was mounted anew.
+    changed : tables and mountings that have the name of one of the fit but are different equipment, such as a seat
+        on which the unit was mounted anew.
     any_unit : whether the campaign may be of another unit.
     progress : called with a short text as the work goes on.
 
@@ -65,8 +65,8 @@ def repeatability(
     Parameters
     ----------
     first, second : results, or their folders; their campaigns are read again.
-    changed : tables and mountings that bear one name in both and are another one, such as a seat on which the unit was
-        mounted anew.
+    changed : tables and mountings that have the same name in both but are different equipment, such as a seat on which
+        the unit was mounted anew.
     any_unit : whether they may be of two units.
     limits : a specification, as of `imubayes report`: when the next calibration is due by it.
     progress : called with a short text as the work goes on.

@@ -139,8 +139,8 @@ class TableEntry(_Entry):
     name: Name
     """by which runs refer to the table"""
     azimuth_deg: Degrees | Literal["unknown"] = 0.0
-    """of the rotation axis, clockwise from North; "unknown" where nobody knows where North is: without
-    axis_uncertainty_arcsec a bench that is level to 1 deg"""
+    """of the rotation axis, clockwise from North; "unknown" if it is not known: without axis_uncertainty_arcsec a
+    bench that is level to 1 deg"""
     elevation_deg: float = Field(ge=-90, le=90)
     """of the rotation axis: 90 a rate table, 0 a dividing head, the latitude a polar axis"""
     zero_angle_deg: Degrees = Field(
@@ -155,9 +155,9 @@ class TableEntry(_Entry):
     axis_uncertainty_arcsec: Arcseconds | None = None
     """of the direction of the rotation axis, about each of two axes across it"""
     azimuth_uncertainty_arcsec: Arcseconds | None = None
-    """of azimuth_deg, where it differs from axis_uncertainty_arcsec: north is known worse"""
+    """of azimuth_deg, if it differs from axis_uncertainty_arcsec: north is known less well"""
     elevation_uncertainty_arcsec: Arcseconds | None = None
-    """of elevation_deg, where it differs from axis_uncertainty_arcsec: a level tells it"""
+    """of elevation_deg, if it differs from axis_uncertainty_arcsec: a level determines it"""
     rate_uncertainty_ppm: Millionths | None = None
     """of the commanded or measured rate"""
     angle_uncertainty_arcsec: Arcseconds | None = None

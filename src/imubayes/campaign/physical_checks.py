@@ -40,8 +40,8 @@ def check_gravity(site: Site, where: str) -> list[Finding]:
         Finding(
             "gravity_improbable", "warning", "",
             f"gravity is stated as {site.gravity:.5f} m/s², and normal gravity at {site.latitude / DEGREE:.4g} deg and "
-            f"{site.height:g} m is {normal:.5f} m/s²: scale factors of accelerometers carry a relative error of "
-            f"{abs(site.gravity / normal - 1) * 1e6:.3g} ppm if it is wrong",
+            f"{site.height:g} m is {normal:.5f} m/s². If the stated value is wrong, the scale factors of the "
+            f"accelerometers have a relative error of {abs(site.gravity / normal - 1) * 1e6:.3g} ppm",
             where, f"normal gravity to {LARGEST_ANOMALY * 1e5:.0f} mGal: anomalies seldom exceed 300 mGal",
             "correct latitude_deg, height_m or gravity_m_s2; leave gravity_m_s2 out for normal gravity",
         )

@@ -101,9 +101,9 @@ def unfounded_uncertainties(entry: RunEntry, run: Run, where: str) -> list[Findi
     return [
         Finding(
             "unfounded_uncertainty", "error", entry.name,
-            f"{name}_uncertainty_degC is stated, and there is no {name}_degC that it could be of",
+            f"{name}_uncertainty_degC is stated without {name}_degC",
             f"{where}, header", f"{name}_degC of the run, or a column of that name with values",
-            f"state {name}_degC, or take {name}_uncertainty_degC out",
+            f"state {name}_degC, or remove {name}_uncertainty_degC",
         )
         for name, uncertainty in stated.items()
         if uncertainty and name not in run.covariates
@@ -284,7 +284,7 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
         _refuse_transitions(source, entry, reduction, survey)
     if entry.turn_uncertainty_deg is not None and (reduction is not Reduction.CONSTANT or not source.layout.reduced):
         raise input_error(
-            f"run '{entry.name}' states the uncertainty of turns, and has none",
+            f"run '{entry.name}' states turn_uncertainty_deg, but has no turns",
             str(source.file), "turn_uncertainty_deg for rows of a rate table, each a turn or a rest", "remove the key",
         )  # fmt: skip
     if reduction.by_hand:

@@ -42,8 +42,8 @@ def without_counts(run: str, deviations: Sequence[str], where: str) -> list[Find
     return [
         Finding(
             "samples_missing", "warning", run,
-            f"column '{deviations[0]}' holds deviations of raw samples, and no column says how many: each row counts "
-            "as one sample of a raw log",
+            f"column '{deviations[0]}' holds standard deviations of raw samples, but no column 'samples' states their "
+            "number: each row counts as one sample of a raw log",
             f"{where}, column 'samples'", "the number of raw samples of each row beside '…_sd'",
             "add the column 'samples', or leave out '…_sd'",
         )

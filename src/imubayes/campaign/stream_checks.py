@@ -312,11 +312,11 @@ class Monitor:
     def _cell_findings(self) -> list[Finding]:
         found = []
         for name, tally in self._not_finite.items():
-            what = f"{_count(tally, 'cell')} of '{name}' NaN, infinite or beyond {ABSURD:g}"
+            what = f"'{name}' has {_count(tally, 'cell')} with NaN, infinity or a value beyond {ABSURD:g}"
             allowed = "a number that the instrument can read, or an empty cell for a missing value"
             found += self._at("nan_values", tally, name, what, allowed, "empty or correct the cell")
         for name, tally in self._empty.items():
-            what = f"{_count(tally, 'cell')} of '{name}' empty"
+            what = f"'{name}' has {_count(tally, 'empty cell')}"
             allowed = f"a number in every row of '{name}'"
             found += self._at("missing_values", tally, name, what, allowed, "fill the cell, or remove the row")
         for name, tally in self._kelvin.items():

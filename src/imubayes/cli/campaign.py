@@ -190,7 +190,7 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None, trust: Trust = F
     seed
         Random seed; by default that of the plan.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax()

@@ -42,7 +42,7 @@ def classical(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with progress() as tell:
         trusting(result, trust)
@@ -72,6 +72,10 @@ def classical(
         comparison = comparison.with_causes(causes_of(result, residuals, summary))
     show(lambda: classical_json(comparison), lambda: classical_report(comparison), as_json)
     return 0 if comparison.estimates else 1
+
+
+_FOR_ONE = "these options draw pictures of one result, but two are named"
+_FOR_TWO = "these options compare two results, but only one is named"
 
 
 def compare(
@@ -107,9 +111,9 @@ def compare(
     every
         Draw all figures; by default the five that matter most are drawn, and those asked for.
     changed
-        Of two calibrations: tables and mountings that bear one name in both and are another one.
+        Of two calibrations: tables and mountings that have the same name in both but are different equipment.
     any_unit
-        Of two calibrations: compare them though their serial numbers differ.
+        Of two calibrations: compare them even if their serial numbers differ.
     limits
         Of two calibrations: a specification, as of report; says when the next calibration is due.
     as_json
@@ -117,11 +121,11 @@ def compare(
     verbose
         Of two calibrations: print every quantity.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     of_one, of_two = parameters or runs or every, changed or any_unit or limits or as_json or verbose
     if of_one if other is not None else of_two:
-        fault = "pictures are drawn of one result" if other is not None else "options of two results, and one is named"
+        fault = _FOR_ONE if other is not None else _FOR_TWO
         raise input_error(fault, "command line", "the options that --help lists for it", "leave them out")
     if other is not None:
         given = {"changed": split(changed) or [], "any_unit": any_unit, "limits": limits}
@@ -173,8 +177,8 @@ def predict(
     out
         Folder to write: pictures as of compare, their page, residuals, and the result as JSON.
     changed
-        Tables and mountings that bear the name of one of the fit and are another one, such as a seat on which the unit
-        was mounted anew.
+        Tables and mountings that have the name of one of the fit but are different equipment, such as a seat on which
+        the unit was mounted anew.
     any_unit
         Predict runs of another unit as well.
     as_json
@@ -182,7 +186,7 @@ def predict(
     verbose
         Print a line for each run and channel, and every estimate.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax("predict")
@@ -234,7 +238,7 @@ def fit(
     replace
         Replace a sampled result in the result folder.
     until_digits
-        Sample until every standard uncertainty deserves so many significant digits (JCGM 101, 7.9.4).
+        Sample until the draws support this many significant digits of every standard uncertainty (JCGM 101, 7.9.4).
     population
         Results folder of `imubayes batch`: the population of its units is the prior of this one.
     as_json
@@ -242,7 +246,7 @@ def fit(
     verbose
         Print every table: all parameters with intervals, runs, combinations, contributions of procedures.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with ExitStack() as held:
         recorded = _read(campaign, held, out, resume, replace)

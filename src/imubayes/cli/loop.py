@@ -37,7 +37,7 @@ class _HowRefitted:
     verbose
         List the residual rms of every channel and run, also where it did not change.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
 
     sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False
@@ -120,7 +120,7 @@ def diagnose(
     verbose
         Print every table: all effects, noise, outliers, formulas and undetectable effects.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax("diagnose")
@@ -265,7 +265,7 @@ def plant(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax()

@@ -32,7 +32,7 @@ class ScreenedEffect(Record):
     channels : channels, mountings or tables of its coefficients.
     probability : of a member of a slot, its share; of a line of the ranking, that it is missing.
     delta_chi2 : predicted drop of χ² if the effect were added, at the noise known beforehand.
-    shape : scanned parameters, such as a time constant, at their likeliest value.
+    shape : scanned parameters, such as a time constant, at their most probable value.
     coefficients : with their posterior standard deviations.
     """
 
@@ -71,7 +71,7 @@ class UntypicalSize(Record):
 
 
 class EffectGroup(Record):
-    """A missing effect, and those that these runs cannot distinguish from it, the likeliest first.
+    """A missing effect, and those that these runs cannot distinguish from it, the most probable first.
 
     Attributes
     ----------
@@ -141,22 +141,22 @@ class Diagnosis(Presented, Record):
 
     Attributes
     ----------
-    verdict : the likeliest kind of explanation; about one effect, the answer.
+    verdict : the most probable kind of explanation; about one effect, the answer.
     message : why the fit, or the sampling about its mode, did not converge.
     result : folder of the result that was diagnosed.
     explanations : how probable each explanation is; None of a fit without a mode.
-    groups : the effects of the likeliest explanation with what the runs cannot distinguish from them, the strongest
+    groups : the effects of the most probable explanation with what the runs cannot distinguish from them, the strongest
         first.
     delta_chi2 : predicted drop of χ² by the first of every group together, at the noise known beforehand.
-    ranking : every effect that the runs can show, the likeliest first.
+    ranking : every effect that the runs can show, the most probable first.
     formulas : of the residual, where a cause outside the catalogue leads.
-    disagreeing : the run or row whose record is wrong in the likeliest explanation.
+    disagreeing : the run or row whose record is wrong in the most probable explanation.
     undetectable : effects that the runs cannot show.
-    outliers : rows far from the likeliest explanation.
+    outliers : rows far from the most probable explanation.
     suggested : the simplest explanation: effects, or noise, to add next.
     all_that_fit : the same with everything that the runs cannot distinguish from it; None where that is the same.
     recorded_noise : white noise of each channel, as fitted and as known beforehand.
-    contradicted : noise scales of the fit that contradict what is known of them, the least probable first.
+    contradicted : noise scales of the fit that contradict the knowledge of them, the least probable first.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
     asked : the effect that was asked about, where one was.
 

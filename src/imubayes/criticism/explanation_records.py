@@ -67,7 +67,7 @@ Explanation = Literal["nothing", "noise", "effects", "input", "outside"]
 
 
 class ProbableExplanation(Record):
-    """A kind of explanation: its probability, and the log odds of its likeliest against the likeliest of all.
+    """A kind of explanation: its probability, and the log odds of its most probable form against the best of all.
 
     `log_odds` is a natural logarithm; None where no explanation of the kind was evaluated.
     """
@@ -90,7 +90,7 @@ class EffectSlot(Record):
 
     Attributes
     ----------
-    candidates : effects with their shares, the likeliest first, until 95 % are told.
+    candidates : effects with their shares, the most probable first, until 95 % are listed.
     gain : natural logarithm of the evidence for it.
     probability : that one of them is missing.
     """
@@ -101,7 +101,7 @@ class EffectSlot(Record):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Channels, mountings or tables of the likeliest."""
+        """Channels, mountings or tables of the most probable one."""
         return self.candidates[0].channels
 
 
@@ -119,7 +119,7 @@ class FoundStep(Record):
 
 
 class FoundForm(Record):
-    """A form outside the catalogue, or a wrong input, of the likeliest explanation that has one.
+    """A form outside the catalogue, or a wrong input, of the most probable explanation that has one.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class FoundForm(Record):
     channels : on which.
     covariates : columns of the covariates that it depends on.
     run, row : of a step or a wrong input; the row counts from 1.
-    log_odds : against the likeliest explanation without one.
+    log_odds : against the most probable explanation without one.
     wrong : whether it is a wrong input.
     step : of a step of the outputs: how large, and where.
     """
@@ -143,7 +143,7 @@ class FoundForm(Record):
 
 
 class FoundNoise(Record):
-    """Noise other than stated in the likeliest explanation.
+    """Noise other than stated in the most probable explanation.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ class Evidence(Record):
     explanations : every kind of explanation.
     slots : effects of the leading explanation, the strongest first.
     inclusion : effects by their inclusion probability.
-    form : the likeliest form or wrong input; None where none is near.
+    form : the most probable form or wrong input; None where none is near.
     noise : noise other than stated, in the leading explanation.
     noise_known : standard deviation of the logarithm of the worst known noise scale.
     hypotheses : how many were evaluated.
@@ -180,7 +180,7 @@ class Evidence(Record):
 
     @property
     def leading(self) -> ProbableExplanation:
-        """The kind of explanation that is likeliest."""
+        """The most probable kind of explanation."""
         return max(self.explanations, key=lambda each: each.probability)
 
     def of(self, kind: Explanation) -> ProbableExplanation:

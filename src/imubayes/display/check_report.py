@@ -144,7 +144,7 @@ def _grade_lines(campaign: Campaign) -> list[str]:
     if all(found.grade == "tactical" and not found.stated for found in grades):
         return []
     each = ", ".join(f"{found.kind}s {found.grade}" for found in grades)
-    origin = "as stated" if grades[0].stated else "from the noise of the channels; 'grade' under [unit] states it"
+    origin = "as stated" if grades[0].stated else "from the noise of the channels; 'grade' under [unit] overrides it"
     return [f"grade of the default priors: {each} ({origin})"]
 
 
@@ -164,7 +164,7 @@ def check_report(
     count = sum(finding.severity == "warning" for finding in inspection.findings)
     lines = [
         f"{campaign.name}: {counted(count, 'warning') if count else 'no findings'}",
-        f"{counted(len(campaign.runs), 'run')}, {len(names)} channels ({listed(names, 8)}), "
+        f"{counted(len(campaign.runs), 'run')}, {counted(len(names), 'channel')} ({listed(names, 8)}), "
         f"latitude {np.degrees(site.latitude):.4f} deg, gravity {site.gravity:.5f} m/s²",
     ]
     if model is not None:
@@ -175,8 +175,8 @@ def check_report(
         if model.untold:
             lines.append(
                 "more parameters than measured values: these runs supply less than 10 % of the information on "
-                f"{', '.join(model.untold)}, and the fit would return the prior; leave negligible effects out of the "
-                "model, or record more"
+                f"{', '.join(model.untold)}, so that the fit would return the prior. Leave negligible effects out of "
+                "the model, or record more runs"
             )
         lines += left_out_lines(model.left_out)
     lines += [*_grade_lines(campaign), *warnings, *([f"next: {command}"] if command else [])]

@@ -63,7 +63,7 @@ def contradiction_text(contradicted: Sequence[NoiseComparison]) -> str:
     own = [each for each in contradicted if each.parameter == worst]
     factors = " and ".join(_factor(each) for each in own if each.excessive or each.ratio > 1)
     where = "between runs" if own[0].between_runs else "from row to row"
-    meaning = f"scatter {where} makes up for something that the model lacks"
+    meaning = f"scatter {where} absorbs something that the model lacks"
     if own[0].source == "samples":
         meaning += ", an effect or noise slower than a row"
     elif not any(each.excessive and each.source == "sisters" for each in own):
@@ -121,9 +121,9 @@ def next_command(summary: Summary, campaign: str, folder: str) -> str:
 
 
 _SAMPLING_REMEDY = (
-    "`imubayes diagnose` and `add` need no draws: they use the mode. If weights or ensembles disagree, give "
-    "what is weakly determined a tighter prior, leave its effect out of the model, or take the run that determines it. "
-    "If only the effective sample sizes are too small, continue with `fit --resume`."
+    "`imubayes diagnose` and `add` need no draws: they use the mode. If weights or ensembles disagree, give the weakly "
+    "determined parameters a tighter prior, leave their effects out of the model, or make the run that determines "
+    "them. If only the effective sample sizes are too small, continue with `fit --resume`."
 )
 _FAILED_REMEDY = (
     "The usual cause is a mistake in the set-up: run `imubayes check`, and compare mountings, table angles, units, "
@@ -154,9 +154,9 @@ def _implausible(found: ImplausibleEstimate) -> str:
 def _undescribed(found: UnexplainedOutput) -> str:
     unit = pretty(found.unit)
     return (
-        f"The outputs of {found.channel} differ from the model by {significant(found.residual, 2)} {unit} rms, "
-        f"{significant(found.residual / found.noise, 2)} times their recorded noise, of {significant(found.output, 2)} "
-        f"{unit} in all."
+        f"The residuals of {found.channel} are {significant(found.residual, 2)} {unit} rms, "
+        f"{significant(found.residual / found.noise, 2)} times the recorded noise; the outputs are "
+        f"{significant(found.output, 2)} {unit} rms."
     )
 
 
@@ -174,7 +174,7 @@ def _of_population(summary: Summary) -> tuple[str, ...]:
     source = summary.provenance.priors_from if summary.provenance is not None else ""
     if not source:
         return ()
-    unlike = [f"{each.name} lies {each.distance:.1f} sd apart" for each in summary.prior_conflicts]
+    unlike = [f"{each.name} is {each.distance:.1f} sd from its prior" for each in summary.prior_conflicts]
     conflict = (f"The unit differs from the units that its priors come from: {listed(unlike, 3)}.",) if unlike else ()
     return (*conflict, f"Priors are from {source}.")
 
@@ -189,8 +189,8 @@ def set_aside_text(found: SetAside) -> str:
 def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:
     """Return what a campaign of one run cannot tell of its channels, a line for each effect."""
     return tuple(
-        f"{each.effect} is left out, with one run of {listed(each.channels, 4)}: uncertainties hold within that run "
-        "and do not include repeatability from run to run, which needs more runs or a prior in the model."
+        f"{each.effect} is left out, with one run of {listed(each.channels, 4)}: the uncertainties are those within "
+        "that run. Repeatability from run to run requires more runs, or a prior in the model."
         for each in found
     )
 
@@ -212,8 +212,8 @@ def exact_lines(summary: Summary) -> tuple[str, ...]:
     if not known:
         return ()
     return (
-        f"No uncertainty above includes {exact_text(known)}, taken as exact by the model; those of `imubayes report`, "
-        f"`export` and `apply` do.{effect}",
+        f"The uncertainties above do not include {exact_text(known)}, taken as exact by the model; those of "
+        f"`imubayes report`, `export` and `apply` do.{effect}",
     )
 
 
@@ -230,7 +230,10 @@ def _gravity_text(summary: Summary) -> str:
     if not scales or whole <= _MATTERS * own:
         return ""
     own, whole = (significant(each, 2) for each in (own, whole))
-    return f" {name} has {own} ppm here, and {whole} ppm with it if determined from gravity."
+    return (
+        f" The standard uncertainty of {name} is {own} ppm here, and {whole} ppm with that of gravity if gravity "
+        "determines it."
+    )
 
 
 def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
@@ -244,7 +247,8 @@ def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
     causes = [agreement_text(each) for each in doubted[0].causes[:_MOST_NAMED]]
     if causes:
         return (
-            f"{said}. It would agree with {'; or with '.join(causes)}: `{command}` compares this with missing effects.",
+            f"{said}. Run {doubted[0].run} would agree with {'; or with '.join(causes)}: `{command}` compares this "
+            "with missing effects.",
         )
     return (
         f"{said} (p {relation(doubted[0].p)}): `{command}` names the entry of the record that would make it agree.",
@@ -285,8 +289,9 @@ def _rests_on_prior(found: PriorScatter) -> str:
     more = " and others" if len(found.parameters) > _MOST_NAMED else ""
     return (
         f"{found.scale} is known mostly from its prior ({percent(found.from_data)} from the data), and the "
-        f"intervals of {names}{more} depend on it: the sd is {significant(found.factor)} times larger at the upper end "
-        "of that prior than at the lower. More runs, or a prior from earlier units, would determine it."
+        f"intervals of {names}{more} depend on it: the sd of {found.parameters[0]} is "
+        f"{significant(found.factor)} times as large at the upper end of that prior as at the lower end. More runs, or "
+        "a prior from earlier units, would determine it."
     )
 
 

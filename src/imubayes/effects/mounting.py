@@ -34,7 +34,7 @@ class TumbleHeading(MotionEffect):
 
 
 class UnknownHeading(MotionEffect):
-    """Direction of north where nobody stated it: level Earth rate Ω cos L · (e, 1 + n), of the nominal (0, 1).
+    """Direction of north that is not stated: level Earth rate Ω cos L · (e, 1 + n), of the nominal (0, 1).
 
     The components have the mean and the covariance of a direction that may be any, ½ each: what is linear in them is
     right to second moments whatever the direction is, and no angle of ±180° has to be found.
@@ -58,7 +58,7 @@ class UnknownHeading(MotionEffect):
 
 
 class UnknownLevel(MotionEffect):
-    """Level of a bench that nobody stated: gravity g · (e, n, 1 + d); Earth rate Ω sin L · (e, n, d) + m Ω cos L up.
+    """Level of a bench that is not stated: gravity g · (e, n, 1 + d); Earth rate Ω sin L · (e, n, d) + m Ω cos L up.
 
     d and m stand for what tilts e, n of standard deviation σ make of second order: −(e² + n²)/2, of mean −σ² and
     standard deviation σ², and the part of the level Earth rate of any heading along the tilted vertical, of standard
@@ -195,7 +195,7 @@ class LeverArm(PlaceEffect):
 class RotationCentre(PlaceEffect):
     """Acceleration Ω×(Ω×r) + Ω̇×r + 2 ω_E×(Ω×r) at r, body axes, from the axis of a drill or a wheel.
 
-    All accelerometers have it in common, and each run another: nobody knows where the unit sits on the wheel.  The
+    All accelerometers have it in common, and each run another: the place of the unit on the wheel is unknown.  The
     component of r along the axis has no effect.  At one turn a second, 1 cm is 40 mg.
     """
 

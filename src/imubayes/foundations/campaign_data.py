@@ -72,7 +72,7 @@ class Site:
 
     @property
     def has_normal_gravity(self) -> bool:
-        """Whether gravity is that of the ellipsoid at latitude and height, which nobody measured at the site."""
+        """Whether gravity is that of the ellipsoid at latitude and height, not measured at the site."""
         return self.gravity == normal_gravity(self.latitude, self.height)
 
 

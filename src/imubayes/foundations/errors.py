@@ -49,7 +49,7 @@ class InputError(Exception):
     ...     imubayes.load_model("hidden-efects")
     ... except imubayes.InputError as error:
     ...     print(error.issues[0].what)
-    there is no model 'hidden-efects', neither a file nor a shipped one
+    there is no model 'hidden-efects': neither a file nor a shipped model has this name
     """
 
     def __init__(self, issues: Issue | Iterable[Issue], written: str = ""):

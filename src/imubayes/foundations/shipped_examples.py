@@ -92,7 +92,7 @@ def model_file(model: str | Path) -> Path:
     named = shipped(Path("models", f"{file}.toml"))
     if file.name not in model_names():
         known = closest_first(file.name, model_names(), 40)
-        fault = f"there is no model '{file}', neither a file nor a shipped one"
+        fault = f"there is no model '{file}': neither a file nor a shipped model has this name"
         raise input_error(fault, str(file), f"the path of a model file, or one of {known}", "correct the name")
     return named
 

@@ -1,7 +1,7 @@
 """Static record: the unit at rest for hours, for its noise, its drift and the Earth rate (IEEE Std 952 and 1293).
 
 The noise itself is evaluated from the raw samples (`imubayes noise`).  Here the record is a run of block means: the
-input is constant, and what is left is bias.  The Earth rate along and across the vertical checks the gyros
+input is constant, and the remainder is bias.  The Earth rate along and across the vertical checks the gyros
 (gyrocompassing): its length and both parts are known, its direction about the vertical is not.  Without a table and a
 mounting the body axis z is up, and north is not known.
 """

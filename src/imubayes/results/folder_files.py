@@ -89,7 +89,8 @@ def missing(folder: Path) -> list[Issue]:
         parent = folder.parent if folder.parent.is_dir() else Path()
         near = sorted(path.parent.name for path in parent.glob(f"*/{SUMMARY}"))
         listed = f"{allowed}; in the same place: {closest_first(folder.name, near)}" if near else allowed
-        return [Issue("there is no such result folder", str(folder), listed, "name the folder given to --out")]
+        remedy = "give the folder that a fit wrote (--out)"
+        return [Issue("there is no such result folder", str(folder), listed, remedy)]
     if not folder.is_dir():
         return [Issue("this is a file, not a result folder", str(folder), allowed, "name the folder it lies in")]
     if _only_begun(folder):

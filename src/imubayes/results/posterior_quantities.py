@@ -122,7 +122,7 @@ def fit_until_digits(
     resume: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Fit:
-    """Fit a model and sample until every quantity deserves so many digits of its standard uncertainty.
+    """Fit a model and sample until the draws support so many digits of the standard uncertainty of every quantity.
 
     It ends earlier where the fit does not converge or the most draws are reached; a quantity that then deserves fewer
     digits is stated with these, or withheld.

@@ -213,15 +213,15 @@ class Summary(Record):
     ----------
     provenance : unit, dates, hashes, seed and software; None in results of earlier versions.
     implausible, unexplained : why a fit that reached a mode failed all the same; empty otherwise.
-    intervals_valid : whether the fit converged and its noise is what the model assumes, and what is known of it.
+    intervals_valid : whether the fit converged, and its noise agrees with the model and with the knowledge of it.
     noise_violations : how the noise is not, the clearest first.
     noise_suspected : how the noise may not be, although it may be chance; intervals count as valid.
-    noise_contradicted : comparisons of the noise scales that contradict what is known of them, the clearest first.
+    noise_contradicted : comparisons of the noise scales that contradict the knowledge of them, the clearest first.
     known_noise : goodness of fit at the noise known beforehand, what the fit let its noise take up included; None where
         the fit has no mode, and in results of earlier versions.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
     doubted_runs : runs that the others do not predict at the noise known before the fit.
-    left_out : effects between runs that one run of a channel cannot tell: not in the model, nor in the intervals.
+    left_out : effects between runs that one run of a channel cannot determine: not in the model, nor in the intervals.
     exact : what the campaign says is not exact of site and equipment, and the model takes as exact: in no interval.
     set_aside : readings that the model leaves out.
     combinations : what is determined of the members of weak directions.

@@ -57,7 +57,7 @@ class Subject(Record):
     Attributes
     ----------
     gravity_m_s2 : the unit g of this report.
-    gravity_is_normal : whether it is that of the ellipsoid at latitude and height, which nobody measured at the site.
+    gravity_is_normal : whether it is that of the ellipsoid at latitude and height, not measured at the site.
     gravity_uncertainty_ug : its standard uncertainty; None where the campaign states none.
     """
 

@@ -57,7 +57,7 @@ def apply(
     along_axes
         Treat every channel alone: there was no input across its axis.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     trusting(result, trust)
     stated = {"temperature": temperature, "converter_temperature": converter_temperature}
@@ -178,7 +178,7 @@ def export(
     accept_loss
         Leave out the terms that the format cannot hold; the file lists them with their size.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     start_jax()
     trusting(result, trust)
@@ -240,7 +240,7 @@ def mission(
     as_json
         Print one JSON object on standard output.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with progress("propagating"):
         start_jax()
@@ -284,7 +284,7 @@ def report(
     Parameters
     ----------
     result
-        Result folder of a fit; `imubayes diagnose` should have seen it.
+        Result folder of a fit that `imubayes diagnose` has examined.
     out
         Files to write, by their endings: .html, .pdf, .json; .xml for a digital calibration certificate (DCC), .csv for
         the covariance of the quantities (GTC, METAS UncLib).
@@ -297,7 +297,7 @@ def report(
         Annexes of page and PDF: results, budgets, evidence, all or none. Without it a page has all of them, and a PDF
         file the results. The JSON record has everything.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     with progress() as tell:
         start_jax()

@@ -39,7 +39,7 @@ def capture(
     patience
         Seconds without a line after which a file has ended.
     column
-        COLUMN=SOURCE, once for each column whose name is another, as of convert.
+        COLUMN=SOURCE, once for each column that has a different name, as of convert.
     """
     from imubayes_recordings.api.capture import capture as guided
 

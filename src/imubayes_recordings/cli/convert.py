@@ -51,8 +51,8 @@ def convert(
     mapping
         mapping.toml of an earlier conversion, for a recording of the same kind.
     column
-        COLUMN=SOURCE, once for each column whose name is another; SOURCE is a name or a number from 1, with a minus
-        sign before it for an axis that points the other way.
+        COLUMN=SOURCE, once for each column that has a different name; SOURCE is a name or a number from 1, with a
+        minus sign before it for an axis that points the other way.
     """
     given = stated(options, column)
     if files and str(files[0]) in _FORMER_KINDS and not files[0].exists():
@@ -91,7 +91,7 @@ def new(
     mapping
         mapping.toml of an earlier conversion, for a recording of the same kind.
     column
-        COLUMN=SOURCE, once for each column whose name is another, as of convert.
+        COLUMN=SOURCE, once for each column that has a different name, as of convert.
     """
     given = stated(options, column)
     if files:

@@ -47,7 +47,8 @@ class ConvertOptions:
     """recorded: times as they are; even: samples evenly spaced at the mean rate; by default even where they arrive in
     packets."""
     rows: str = ""
-    """samples: a raw log; means: each row is the mean of one pose at rest; by default told by the numbers."""
+    """samples: a raw log; means: each row is the mean of one pose at rest; by default determined from the
+    numbers."""
     samples: float | None = None
     """Samples in each row of a table of means that does not record their number."""
     columns: Mapping[str, str | int] = field(default_factory=dict)

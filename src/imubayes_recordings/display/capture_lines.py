@@ -31,7 +31,7 @@ def rest_line(step: Guidance, wanted: Sequence[Wanted]) -> str:
 
 def _reached(largest: Mapping[str, float], open_ones: Sequence[Wanted], done: bool) -> str:
     if not open_ones:
-        return "; all that was asked for is reached" + (
+        return "; all requested uncertainties are reached" + (
             "" if done else ", with too few poses to recognise a disturbed one"
         )
     size = {each: largest[each.effect] / each.value for each in open_ones}

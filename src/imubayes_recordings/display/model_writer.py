@@ -22,11 +22,11 @@ _OF_CAMPAIGN = {
         "height_m": "above the ellipsoid",
         "gravity_m_s2": "measured or assumed; every scale factor of an accelerometer refers to it",
     },
-    "unit": {"serial": "`compare` and `predict` hold calibrations of one unit against each other"},
+    "unit": {"serial": "`compare` and `predict` compare calibrations of the same unit"},
     "channel": {
         "input_axis": "in body axes",
         "scale": "nominal: output = offset + scale · input",
-        "per": "of what input",
+        "per": "unit of the input",
         "offset": "output at zero input",
     },
     "table": {
@@ -133,7 +133,7 @@ def _entry(effect: ProposedEffect) -> Iterator[str]:
     if effect.shares is not None:
         least, most = (percent(share) for share in effect.shares)
         told = most if least == most else f"{least} to {most}"
-        comment += f"; the runs tell {told} of it"
+        comment += f"; the runs supply {told} of the information on it"
     yield f"name = {tomlkit.item(spec.name).as_string()}" + (f"  # {comment}" if comment else "")
     if spec.channels is not None:
         yield f"channels = {tomlkit.item(list(spec.channels)).as_string()}"
@@ -151,9 +151,10 @@ def _declared(name: str):
 def _left_out(proposal: EffectProposal) -> Iterator[str]:
     if proposal.undetermined:
         yield ""
-        yield "# Shown by these runs, and not determined by them beside what stands above:"
+        yield "# These runs show the following effects, but do not determine them beside those above:"
         for name, share in proposal.undetermined.items():
-            yield f"#   {name}: they tell {percent(share)} of its best known coefficient at most"
+            most = percent(share)
+            yield f"#   {name}: the runs supply at most {most} of the information on its best-known coefficient"
     if proposal.missing:
         yield ""
         yield "# Effects that no run shows, and the input that each needs:"

@@ -233,8 +233,9 @@ def _not_as_described(noise: ChannelNoise) -> Iterator[str]:
     yield from (_gap_text(gap) for gap in noise.gaps if gap.cause is not Cause.FILTER)
     if noise.unequal_levels > 1:
         yield (
-            f"the level of noise scatters {noise.unequal_levels:.2g} times as much over the record as Gaussian noise "
-            "of one level does: it changes, or has heavy tails. The interval of N is as much wider."
+            f"over the record the noise level varies {noise.unequal_levels:.2g} times as much as that of Gaussian "
+            "noise with a constant level: the level changes, or the noise has heavy tails. The interval of N is "
+            "widened by the same factor."
         )
     share = noise.rounding_share
     if share >= _COARSE and not noise.of(NoiseTerm.QUANTISATION).determined:
@@ -277,10 +278,10 @@ def noise_report(noise: StaticNoise) -> Report:
         f"{channel.channel} in {channel.run}: {told}" for channel in noise.channels for told in _warnings(channel)
     ]
     closing = (
-        f"Intervals are {percent} profile-likelihood intervals, of a ramp posterior intervals; upper limits are "
-        f"one-sided {percent} limits, of a ramp the farther end of its interval. A term is "
-        "determined if the record needs it in addition to all others; of records without a term, 1 to 2 % show as much "
-        "evidence for it. As in IEEE Std 952 and 1293, N is white noise of the output, B flicker noise (the floor "
+        f"Intervals are {percent} profile-likelihood intervals (for a ramp, posterior intervals). Upper limits are "
+        f"one-sided {percent} limits (for a ramp, the farther end of its interval). A term is determined if the record "
+        "needs it in addition to all others. Of records without a term, 1 to 2 % show as much evidence for it. "
+        "As in IEEE Std 952 and 1293, N is white noise of the output, B flicker noise (the floor "
         "of its Allan deviation is 0.664 B) and K a random walk; Gauss–Markov noise of a correlation time beyond "
         "the record looks the same.",
     )

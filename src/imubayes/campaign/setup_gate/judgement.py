@@ -195,9 +195,8 @@ def _rival(found: Explanation) -> str:
 
 def _unexplained(run: str, misfit: float, where: str) -> Finding:
     what = (
-        f"the outputs differ from those that the set-up predicts by about {math.sqrt(misfit):.2g} times as much as "
-        f"errors of "
-        "unit and equipment allow; no single mistake in the set-up explains it"
+        f"the outputs differ from the prediction of the set-up by about {math.sqrt(misfit):.2g} times the amount that "
+        "errors of unit and equipment allow, and no single mistake in the set-up explains this"
     )
     remedy = "check mounting, table, units and files of the run"
     return Finding("setup_disagrees", "warning", run, what, where, "outputs that follow the nominal input", remedy)

@@ -293,7 +293,7 @@ def _time(campaign: Campaign, found: Explanation, places: Places) -> Issue:
         seconds = f" ({abs(size) * float(np.median(np.diff(run.covariates['time']))):.3g} s)"
     sense = "later" if found.size > 0 else "earlier"
     return Issue(
-        f"the outputs stand {abs(size):g} rows{seconds} {sense} than the columns of the table {subject}",
+        f"the outputs are {abs(size):g} rows{seconds} {sense} than the columns of the table {subject}",
         places.column(found.mistake, "time_s"),
         "outputs and table recorded on one clock",
         f"shift the outputs by {-size:+g} rows{seconds} against the columns of the table {subject}",

@@ -50,7 +50,7 @@ def moved_sheet(change: ModelChange) -> Sheet:
             before, after = (" ± ".join(numbers.value_and_sd(*pair)) for pair in pairs)
             moved = numbers.significant(each.in_sd, 2).replace("-", "−")
             rows.append(cells(each.name, before, after, numbers.pretty(each.unit), moved))
-    note = "Change in the smaller of the two standard uncertainties, before and after." if rows else ""
+    note = "Change: in units of the smaller of the standard uncertainties before and after." if rows else ""
     head = ("estimate", "before", "after", "unit", "change / sd")
     return Sheet("Estimates that moved", head, rows, (0, 3), note=note).with_few(0, 2, 3, 4)
 
@@ -136,7 +136,7 @@ _LEAST_CHANGE = math.log(1 + LEAST_PERCENT / 100)
 
 _VERDICTS = {
     "helps": "the addition improves the prediction of {by}s that were left out",
-    "unclear": "whether the {step} the prediction of {by}s that were left out is unclear",
+    "unclear": "it is unclear whether the {step} the prediction of {by}s that were left out",
     "not": "THE ADDITION DOES NOT IMPROVE the prediction of {by}s that were left out",
     "costs": "THE REMOVAL WORSENS the prediction of {by}s that were left out",
     "spares": "the removal does not worsen the prediction of {by}s that were left out",
@@ -167,11 +167,11 @@ def _run_lines(change: ModelChange) -> list[str]:
     """Return how many runs and channels changed, and the largest changes."""
     changed, count = _changed(change.runs), len(change.runs)
     if not changed:
-        return [f"By run and channel, none of {count} residual rms changed by {LEAST_PERCENT} % or more."]
+        return [f"None of the {count} residual rms values by run and channel changed by {LEAST_PERCENT} % or more."]
     each = ", ".join(f"{one.name} {one.channel} {share(one)}" for one in changed[:_MOST_CHANGES])
     return [
-        f"By run and channel, {len(changed)} of {count} changed by {LEAST_PERCENT} % or more: {each}"
-        f"{', …' if len(changed) > _MOST_CHANGES else ''} (all: --verbose)."
+        f"Of the residual rms values by run and channel, {len(changed)} of {count} changed by {LEAST_PERCENT} % or "
+        f"more: {each}{', …' if len(changed) > _MOST_CHANGES else ''} (all: --verbose)."
     ]
 
 

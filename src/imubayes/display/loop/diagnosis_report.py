@@ -42,12 +42,12 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         rows.append(cells(name, numbers.listed(shown.channels, 3), coefficient_text(shown), drop, odds, likely, mark))
         slim.append(cells(name, coefficient_text(shown, short=True), drop, likely, mark))
     before = _more(len(found.ranking) - len(rows)) + (
-        "Coefficient: the most significant one, at the most probable shape, such as a time constant; Δχ²: predicted "
-        "drop if the effect is added alone, at the noise known beforehand; "
+        "Coefficient: the most significant one; a shape parameter, such as a time constant, has its most probable "
+        "value. Δχ²: predicted drop at the noise known beforehand if the effect alone is added. "
     )
-    odds = "log odds: natural logarithm of the odds of the effect alone against nothing missing; "
+    odds = "Log odds: natural logarithm of the odds of the effect alone against nothing missing. "
     after = (
-        "probability: that it is missing, of all explanations that contain it. These runs cannot distinguish the "
+        "Probability: the sum over all explanations that contain the effect. These runs cannot distinguish the "
         "effects of one group."
     )
     head = ("effect", "on", "coefficient", "Δχ²", "log odds", "probability", "group")
@@ -286,7 +286,7 @@ def next_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
     lines = [*(f"picture: {picture}" for picture in pictures), *([f"next: {command}"] if command else [])]
     if other is not None:
         whole = add_command(other.effects, other.channels, found.result, f"{found.result}-all")
-        lines.append(f"or, with all that fit as well: {whole}")
+        lines.append(f"or, with every effect that fits equally well: {whole}")
     return lines
 
 

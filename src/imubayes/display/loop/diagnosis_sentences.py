@@ -199,7 +199,7 @@ def _beside_the_finding(found: diagnosis.Diagnosis) -> Iterator[str]:
         worst, rest = max(apart, key=lambda each: abs(math.log(each.ratio))), len(apart) - 1
         yield f"The fitted noise of {worst.channel} is {noise_ratio(worst)} times the known noise ({_both(worst)})."
         if rest:
-            yield f"{rest} more {'channel disagrees' if rest == 1 else 'channels disagree'}."
+            yield f"It also differs in {rest} other {'channel' if rest == 1 else 'channels'}."
     disagreeing = {(each.run, each.row) for each in found.disagreeing}
     outliers = [each for each in found.outliers if (each.run, each.row) not in disagreeing]
     if outliers:
@@ -241,7 +241,7 @@ def _beside_form(found: diagnosis.Diagnosis) -> str:
     if not found.groups:
         return ""
     each = [f"{' or '.join(group.effects[:2])} on {listed(group.channels)}" for group in found.groups]
-    return f" Beside it {' and '.join(each)} fit the rest: missing as well, or a part of that cause."
+    return f" The remaining residual fits {' and '.join(each)}: missing as well, or a part of that cause."
 
 
 def _adequate_sentence(found: diagnosis.Diagnosis) -> str:
@@ -312,9 +312,9 @@ def omitted_text(found: diagnosis.Diagnosis) -> str:
     worst = found.neglected[0]
     effects = listed([each.effect for each in found.neglected])
     return (
-        f"No interval includes {effects}, which the model takes as exact: the uncertainty that the campaign states of "
-        f"{worst.parameter}, {significant(worst.value)} {pretty(worst.unit)}, shifts {worst.shifts} by "
-        f"{significant(worst.in_sd)} times its sd."
+        f"No interval includes {effects}, which the model takes as exact: the stated uncertainty of {worst.parameter}, "
+        f"{significant(worst.value)} {pretty(worst.unit)}, shifts {worst.shifts} by {significant(worst.in_sd)} times "
+        "its sd."
     )
 
 
@@ -333,7 +333,7 @@ def bias_clause(bias: ParameterBias) -> str:
     """Return what an effect that the runs cannot show would do to the parameter that it biases most."""
     size = f"{significant(bias.size)} {pretty(bias.size_unit)}"
     return (
-        f"{bias.coefficient} of {size}, the largest typical size, would bias {bias.parameter} by "
+        f"at its largest typical size, {size}, {bias.coefficient} would bias {bias.parameter} by "
         f"{significant(abs(bias.in_sd))} times its sd"
     )
 
@@ -359,8 +359,8 @@ def _asked_sentence(found: diagnosis.Diagnosis) -> str:
             chance = f"probability {probability(missing)}"
             return f"{asked.effect} may be missing ({chance}); {size} would be detected with a probability of 80 %."
         return (
-            f"{asked.effect} is absent down to {size}, the size that is detected with a probability of 80 %; that it "
-            f"is missing has probability {probability(missing)}."
+            f"{asked.effect} is absent down to {size}, the size that is detected with a probability of 80 %. The "
+            f"probability that it is missing is {probability(missing)}."
         )
     hidden = found.undetectable[0]
     absorbed = ", ".join(f"{percent(each.share)} in {each.parameter}" for each in hidden.absorbed_by[:3])

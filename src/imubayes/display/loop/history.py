@@ -47,9 +47,9 @@ def history_sheet(tree: Tree) -> Sheet:
     rows = [_row(tree.nodes[place], depth, place, scales) for depth, place in ordered]
     head = ("model", "χ²/dof", "Δχ²", *_heads("residual / ", scales), "Δ elpd", "folder")
     note = (
-        "● selected, the model that is exported; ✕ not taken; + added, − removed. χ², its drop Δχ² and the residual, "
-        "rms over the channels of one unit, are at the noise known beforehand, offsets of runs included; Δ elpd: rise "
-        "of the log predictive density in cross-validation."
+        "●: selected, the model that is exported. ✕: not taken. +: added. −: removed. χ², its drop Δχ² and the "
+        "residual (rms over the channels with the same unit of measurement) are at the noise known beforehand and "
+        "include the offsets of runs. Δ elpd: rise of the log predictive density in cross-validation."
     )
     dividers = frozenset(index for index, (depth, _) in enumerate(ordered) if index and depth == 0)
     slim = [_slim_row(row, tree.nodes[place]) for row, (_, place) in zip(rows, ordered, strict=True)]
@@ -108,8 +108,8 @@ def gain_text(node: Node) -> str:
 def offsets_moved_text(channels: Sequence[str]) -> str:
     """Return why the residual rms of channels rose although χ² fell."""
     return (
-        f"The residual rms of {numbers.listed(channels)} rises because the offsets of runs, which parameters took up "
-        "before, move into it; within runs it does not rise."
+        f"The residual rms of {numbers.listed(channels)} rises because it now contains offsets of runs that "
+        "parameters absorbed before. Within runs it does not rise."
     )
 
 

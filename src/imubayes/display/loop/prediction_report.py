@@ -225,9 +225,10 @@ def _common(quantities: Sequence[ComparedQuantity]) -> Iterator[str]:
         _, alone = value_and_sd(apart, apart)
         _, sd = value_and_sd(most.difference, most.difference_sd)
         yield (
-            f"Most of the uncertainty of {listed([each.name for each in shared], 3)} is common to both (equipment that "
-            f"stayed, or a prior), and no difference shows it: {most.name} may differ by ±{sd}, not by ±{alone}, and "
-            f"both may be wrong together by ±{value_and_sd(most.first, most.first_sd)[1]} {pretty(most.unit)}."
+            f"Most of the uncertainty of {listed([each.name for each in shared], 3)} is common to both calibrations "
+            f"(unchanged equipment, or a prior) and does not show in a difference: {most.name} may differ by ±{sd}, "
+            f"not by ±{alone}. Both may be wrong by the same ±{value_and_sd(most.first, most.first_sd)[1]} "
+            f"{pretty(most.unit)}."
         )
 
 

@@ -179,7 +179,10 @@ def _traceability(report: QualificationReport, found: certificates.Certificate) 
         yield "The results are metrologically traceable to the SI through the standards used."
     untraced = [_USED.get(each.of, each.of) for each in report.missing if each.item in ("untraced", "normal_gravity")]
     if untraced:
-        yield f"No standard traces: {', '.join(untraced)}. Results that depend on these are not shown to be traceable."
+        yield (
+            f"No standard provides traceability for {', '.join(untraced)}. The traceability of results that depend on "
+            "these is not shown."
+        )
 
 
 def _floors(report: QualificationReport) -> Iterator[str]:

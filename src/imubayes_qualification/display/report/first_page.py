@@ -80,10 +80,8 @@ def _incomplete(report: record.QualificationReport) -> list[str]:
     others = len(report.missing) - required
     found = []
     if required:
-        named = counted(required, "item")
-        found.append(
-            f"No certificate of an accredited laboratory: ISO/IEC 17025 requires {named} more, listed at the end."
-        )
+        named = counted(required, "more item")
+        found.append(f"No certificate of an accredited laboratory: ISO/IEC 17025 requires {named}, listed at the end.")
     if others:
         found.append(f"Not in order: {counted(others, 'item')}, listed at the end.")
     return found
@@ -155,10 +153,11 @@ def limits_table(
         rows,
         (0, 1, 2, 3, 5, 7, 9),
         note="y ± U: estimate with expanded uncertainty U = k u of 95 % coverage, at the temperature of the range at "
-        "which the quantity is worst; if the posterior is not symmetric, estimate [95 % interval]. Of a direction "
-        "error Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a range "
-        "y contains hysteresis and lag, U the scatter between runs; at T_ref both are of the mean over the "
-        f"runs. {BESIDE}: the factor by which contributions that it omits would multiply it, at the same temperature. "
+        "which the quantity is worst; if the posterior is not symmetric, estimate [95 % interval]. For a direction "
+        "error Θ or δ: the length of the mean vector, its shortest 95 % interval, and the two components. Over a "
+        "range, y contains hysteresis and lag, and U contains the scatter between runs. At T_ref, y and U are those of "
+        f"the mean over the runs. {BESIDE}: the factor by which contributions that it omits would multiply it, at the "
+        "same temperature. "
         "p_c: conformance probability over the whole range (JCGM 106). "
         f"{words.digits_text(limits)}",
     )

@@ -100,7 +100,7 @@ def adequacy_section(adequacy: record.Adequacy) -> Iterator[Block]:
             f"the same as absent: {enumerated(adequacy.undetectable, 40)}."
         )
     if adequacy.most_biasing is not None:
-        yield Paragraph(f"No interval includes one of its largest typical size: {bias_clause(adequacy.most_biasing)}.")
+        yield Paragraph(f"No interval includes any of them: {bias_clause(adequacy.most_biasing)}.")
     if adequacy.chi2 is not None:
         ratio = numbers.ratio_text(adequacy.chi2 / adequacy.dof) if adequacy.dof else numbers.NO_NUMBER
         yield Paragraph(

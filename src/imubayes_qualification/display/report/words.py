@@ -45,7 +45,7 @@ VERDICTS: dict[Verdict, str] = {
 NO_DECISION: dict[NoDecision, str] = {
     "probability": "a probability that the rule needs is withheld",
     "not_determined": "less than half of the information came from the data",
-    "taken_as_exact": "what the model takes as exact of the equipment could put it beyond the limit",
+    "taken_as_exact": "uncertainties of the equipment that the model takes as exact could put it beyond the limit",
     "obstacle": "see above",
 }
 WITHHELD: dict[Withheld, str] = {
