@@ -39,7 +39,7 @@ def explore(
     no_browser
         Print the address only, and open no browser.
     trust
-        Trust the effect files that come with the input: they are code, and run, now and later, only if trusted.
+        Trust the effect files that come with the input: they are code, which runs only if trusted.
     """
     with progress():
         trusting(model or place, trust)

@@ -244,7 +244,8 @@ class Tumble:
     carried_back : shape (n,); True where its pose is that at the end of the transition.
     first_gyros : shape (7, 6); first estimate of bias, rad/s, and scale factor error of the gyros along the body axes,
         from which a fit begins, then its information matrix; empty where all rows are static.
-    waved : whether each row is a window in motion with a pose of its own, as nothing carries the attitude on.
+    waved : shape (R,), whether a row is a window in motion with a pose of its own, as nothing carries the attitude on;
+        empty where all rows are static or carried.
     """
 
     pose: np.ndarray
@@ -261,7 +262,7 @@ class Tumble:
     carried_step: np.ndarray = field(default_factory=_no_places)
     carried_back: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     first_gyros: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
-    waved: bool = False
+    waved: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     @property
     def carried(self) -> bool:
@@ -271,7 +272,7 @@ class Tumble:
     @property
     def in_motion(self) -> bool:
         """Whether rows are windows in motion."""
-        return self.carried or self.waved
+        return self.carried or bool(np.any(self.waved))
 
     @property
     def row_seconds(self) -> np.ndarray:

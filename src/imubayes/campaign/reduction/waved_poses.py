@@ -98,7 +98,7 @@ def reduce_waved(
         )
     return ReducedTumble(
         _rows(numbers, recording, windows, readings, channels, chosen),
-        replace(poses, waved=True),
+        replace(poses, waved=np.ones(len(chosen), dtype=bool)),
         tuple(notes),
         tuple(wrong_acceleration_unit(force, gravity, file)),
     )
