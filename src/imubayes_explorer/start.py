@@ -73,21 +73,17 @@ class Exploration:
         while self._thread.is_alive():
             self._thread.join(0.5)
 
-    def stop(self, patience: float = _STEP) -> bool:
+    def stop(self, patience: float = _STEP) -> None:
         """Stop serving, and end what is at work at its next step; what was accepted is in its folders.
 
         Parameters
         ----------
-        patience : seconds that the step at work may take.
-
-        Returns
-        -------
-        ended : False where it took longer, and is still at work.
+        patience : seconds that the step at work may take; a longer one goes on to its end.
         """
         self.session.close()
         self._server.should_exit = True
         self._thread.join(_PATIENCE)
-        return self.session.worker.stop(patience)
+        self.session.worker.stop(patience)
 
     def __repr__(self) -> str:
         return f"<Exploration of {self.session.root} at {self.address}>"
