@@ -122,7 +122,7 @@ def test_the_prior_of_correlated_parameters_is_that_of_a_normal_distribution(wit
     ("names", "matrix", "what"),
     [
         (("white_noise.sigma[gx]", "flicker.b[gx]"), ((1, 0.5), (0.5, 1)), "no noise parameter 'flicker.b[gx]'"),
-        (("white_noise.sigma[gx]", "flicker_noise.b[gx]"), ((1, 1.5), (1.5, 1)), "no correlation matrix"),
+        (("white_noise.sigma[gx]", "flicker_noise.b[gx]"), ((1, 1.5), (1.5, 1)), "not a correlation matrix"),
         (("white_noise.sigma[gx]", "flicker_noise.b[gx]"), ((1, 0.5),), "does not suit"),
         (("white_noise.sigma[gx]", "white_noise.sigma[gx]"), ((1, 0.5), (0.5, 1)), "listed twice"),
     ],
