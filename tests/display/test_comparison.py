@@ -137,7 +137,7 @@ def test_the_covariate_that_the_diagnosis_names_is_drawn_first(tmp_path: Path):
         assert most_telling_first(list(figures), summary, residuals, [], named)[1] == file
         drawn = figures[file]()
         assert_readable(drawn)
-        shown = {axes.get_title() for axes in drawn.axes}
+        shown = {axes.get_title(loc="left") for axes in drawn.axes}
         assert ("ax" in shown) == (name == "time_s")
     for nothing in (None, "rate_o"):
         named_by(nothing, folder)

@@ -15,6 +15,7 @@ from imubayes.foundations.covariates import Covariate
 
 # Ratio of the largest to the smallest rate beyond which a linear axis would crowd the small ones.
 _WIDE = 30.0
+_MOST_DECADES = 6  # of a logarithmic axis: Earth rate beside 1000 deg/s; smaller values are about its zero
 _MOST_LEVELS, _LEAST = 26, 4
 _POINTS = 4000
 
@@ -52,8 +53,9 @@ def set_abscissa(axes: Axes, values: np.ndarray, covariate: Covariate) -> None:
     low, high = float(finite.min(initial=np.inf)), float(finite.max(initial=-np.inf))
     sizes = np.abs(finite[finite != 0])
     if covariate.unit == "deg/s" and sizes.size and sizes.max() > _WIDE * sizes.min():
-        smallest = 10.0 ** np.floor(np.log10(sizes.min()) + 1e-9)
-        set_symlog(axes, "x", smallest)
+        least, most = np.floor(np.log10(sizes.min()) + 1e-9), np.ceil(np.log10(sizes.max()))
+        smallest = 10.0 ** max(least, most - _MOST_DECADES)
+        set_symlog(axes, "x", smallest, 9 if most - least < _MOST_DECADES else 6)
         edge = 1.6
         axes.set_xlim(low * edge if low < 0 else low - smallest / 2, high * edge if high > 0 else high + smallest / 2)
         return
