@@ -175,7 +175,7 @@ def test_an_effect_of_this_session_is_fitted_and_not_kept(campaign, tmp_path):
         ("bench.toml", "imubayes.load_model"),
         ({"name": "bench"}, "has no 'effect'"),
         ({"name": "bench", "effect": [{"name": "accel_bias", "prior": {"bias": "norm(0, 1 mg)"}}]}, "is not a prior"),
-        ({"name": "bench", "effect": [int]}, "the class int is no effect"),
+        ({"name": "bench", "effect": [int]}, "the class int is not an effect"),
         ({"name": "bench", "effect": ["acel_bias"]}, "there is no effect 'acel_bias'"),
     ],
 )
