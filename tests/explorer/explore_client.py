@@ -12,7 +12,7 @@ import numpy as np
 
 from imubayes_explorer.start import Exploration
 
-PATIENCE = 1200.0
+PATIENCE = 300.0
 """Seconds; a fit that compiles takes a minute of an idle machine."""
 
 

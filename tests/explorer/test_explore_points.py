@@ -239,6 +239,7 @@ def test_another_result_is_told_and_shown_when_asked(fresh):
     fresh.wait("asked.includes('reload') && !document.querySelector('#replaced') && document.querySelector('.cell')")
 
 
+@pytest.mark.slow  # by itself: the tests before it leave the session that they share in another state
 def test_the_saved_page_says_a_reading_with_its_noise_and_drops_a_preview_that_it_cannot_make(
     fresh, explored, first, client, tmp_path
 ):
