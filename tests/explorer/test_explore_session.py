@@ -49,6 +49,7 @@ def test_a_result_whose_diagnosis_cannot_be_kept_is_opened(explored, first, monk
     def refused(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
+    wait_for(lambda: explored.session.require(first).linear is not None)  # it may have been opened anew
     model = explored.session.require(first)
     monkeypatch.setattr("imubayes_explorer.open_model.write_diagnosis", refused)
     monkeypatch.setattr("imubayes_explorer.open_model.explained_fit", lambda *_: model.view.explained)
