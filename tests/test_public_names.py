@@ -5,6 +5,7 @@ import inspect
 import re
 import subprocess
 import sys
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -14,9 +15,20 @@ import imubayes
 STUB = Path(imubayes.__file__).with_suffix(".pyi")
 
 
+def names_of_kernel() -> list[str]:
+    """Return the names that the stub of the kernel exports, each of which it imports."""
+    body = ast.parse(STUB.with_name("kernel_names.pyi").read_text(encoding="utf-8")).body
+    exported = next(ast.literal_eval(node.value) for node in body if isinstance(node, ast.Assign))
+    imports = [node for node in body if isinstance(node, ast.ImportFrom)]
+    assert sorted(exported) == sorted(alias.name for node in imports for alias in node.names)
+    return exported
+
+
 def test_type_checkers_see_every_name():
     imports = [node for node in ast.parse(STUB.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)]
-    assert sorted(alias.asname or "" for node in imports for alias in node.names) == sorted(imubayes.__all__)
+    *beside, kernel = [[alias.asname or alias.name for alias in node.names] for node in imports]
+    assert kernel == ["*"]
+    assert sorted([*chain(*beside), *names_of_kernel()]) == sorted(imubayes.__all__)
     assert set(imubayes.__all__) <= set(dir(imubayes))
 
 

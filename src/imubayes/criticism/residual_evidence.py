@@ -15,13 +15,13 @@ from imubayes.criticism.evidence.linear_problem import ChannelRows
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, SlotMember
 from imubayes.criticism.evidence.proposals import base_columns
 from imubayes.foundations.campaign_data import INPUT_UNIT, Kind
-from imubayes.foundations.covariates import COVARIATES
+from imubayes.foundations.covariates import COVARIATES, INPUTS
 from imubayes.foundations.numerics import group_means
 from imubayes.foundations.records import Record
 from imubayes.foundations.units import to_si
 from imubayes.model.bind import Model
 from imubayes.responses.candidate_effects import Responses
-from imubayes.responses.residual_covariates import INPUTS, MEMORY, ResidualCovariate, as_read, covariates_of
+from imubayes.responses.residual_covariates import MEMORY, ResidualCovariate, as_read, covariates_of
 
 COVARIATE_SHARE = 0.9
 """Share of the squares of what an effect explains that a polynomial of a covariate gives, to be said to follow it."""

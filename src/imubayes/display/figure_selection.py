@@ -11,9 +11,9 @@ from imubayes.display.figure_style import MOST_PANELS, Picture, covariates_of, n
 from imubayes.display.figures.panels import neighbour_means
 from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.fit_cautions import worst_first
-from imubayes.display.named_covariate import INPUTS, OBSERVED
+from imubayes.display.named_covariate import OBSERVED
 from imubayes.foundations.campaign_data import Campaign
-from imubayes.foundations.covariates import Covariate
+from imubayes.foundations.covariates import INPUTS, Covariate
 from imubayes.foundations.quantity_names import MOUNTING_ANGLE, SCALE_FACTOR, QuantityName, family_of, name_of
 from imubayes.results.summary import Quantity, Summary
 from imubayes.results.temperature_range import ThermalModel
@@ -136,7 +136,7 @@ def _against(covariate: Covariate) -> str:
 def _channels_with(residuals: pl.DataFrame, covariate: Covariate) -> list[str]:
     """Return the channels whose rows have a covariate that varies; closing rotations lack most."""
     if covariate.column == OBSERVED:
-        residuals = residuals.filter(pl.col("kind") == INPUTS[covariate.name])
+        residuals = residuals.filter(pl.col("kind").replace_strict(INPUTS, default=None) == covariate.name)
     names = ordered(residuals, "channel")
     return [name for name in names if varies(numbers(residuals.filter(pl.col("channel") == name), covariate.column))]
 

@@ -9,13 +9,11 @@ from pathlib import Path
 import polars as pl
 
 from imubayes.display.figure_style import covariates_of
-from imubayes.foundations.covariates import COVARIATES, Covariate
+from imubayes.foundations.covariates import COVARIATES, INPUTS, Covariate
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.records import Record
 from imubayes.results.folder_files import DIAGNOSIS, added
 
-INPUTS = {"rate_i": "gyro", "force_i": "accelerometer"}
-"""The inputs of channels, which a diagnosis may name → the kind of channel that has them."""
 OBSERVED = "input_observed"
 """The column of residual tables that holds the input of the channel of a row."""
 
@@ -45,6 +43,6 @@ def named_covariate(folder: Path, residuals: pl.DataFrame) -> Covariate | None:
     except (InputError, OSError, ValueError):
         return None
     name = next((group.covariate.name for group in said.groups if group.covariate is not None), "")
-    if name in INPUTS and {OBSERVED, "kind"} <= set(residuals.columns):
+    if name in INPUTS.values() and {OBSERVED, "kind"} <= set(residuals.columns):
         return replace(COVARIATES[name], column=OBSERVED)
     return next((each for each in covariates_of(residuals) if each.column == name), None)

@@ -208,6 +208,8 @@ def regressors() -> tuple[Covariate, ...]:
     return tuple(sorted(chosen, key=lambda covariate: (order[covariate.origin], covariate.si != "degC")))
 
 
+INPUTS: dict[str, str] = {"gyro": "rate_i", "accelerometer": "force_i"}
+"""Kind of channel → the covariate that its signal follows."""
 CONDITIONS: dict[str, str] = {
     "turning": "a run that turns",
     "acceleration": "table_acceleration_deg_s2 that is not 0",

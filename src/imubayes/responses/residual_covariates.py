@@ -16,7 +16,7 @@ import numpy as np
 from imubayes.compiled.in_numpy import in_numpy
 from imubayes.effects.base import RecordEffect, SignalEffect
 from imubayes.foundations.arrays import Array
-from imubayes.foundations.covariates import COVARIATES, Covariate, ambient_names, regressors
+from imubayes.foundations.covariates import COVARIATES, INPUTS, Covariate, ambient_names, regressors
 from imubayes.foundations.signal_path_state import Ambient, Sample
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.problem import Problem, row_means, signal_path, values_of
@@ -140,8 +140,6 @@ def _node_rows(fitted: Fit) -> np.ndarray:
     return nodes.row_of[np.repeat(np.arange(len(sizes)), sizes)]
 
 
-INPUTS: Mapping[str, str] = {"gyro": "rate_i", "accelerometer": "force_i"}
-"""The covariate that the signal of a kind of channel follows."""
 MEMORY = "memory"
 _GENERIC = np.random.default_rng(952).uniform(0.5, 2.0, 64)
 _CHANGED = 1e-9

@@ -354,22 +354,43 @@ def _tumble(
 def _rows(
     numbers: Mapping[str, np.ndarray], log: MotionLog, windows: Windows, channels: Sequence[Channel], kept: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the columns of the windows; the gyros have none, since their outputs carry the attitude."""
+    """Return the columns of the windows that are kept, (T, L)."""
     turn, place = np.nonzero(kept)
     per = log.division.per_window
-    start = log.first[turn] + per * place
-    inside = start[:, None] + np.arange(per + 1)
+    inside = (log.first[turn] + per * place)[:, None] + np.arange(per + 1)
+    return columns_of_windows(numbers, channels, log.readings, inside, windows.readings[turn, place], float(per))
+
+
+def columns_of_windows(
+    numbers: Mapping[str, np.ndarray],
+    channels: Sequence[Channel],
+    readings: np.ndarray,
+    inside: np.ndarray,
+    values: np.ndarray,
+    samples: float,
+) -> dict[str, np.ndarray]:
+    """Return the columns of n windows in motion; the gyros have none, since the unit turns.
+
+    Parameters
+    ----------
+    numbers : column → shape (N,), in the units of the file; rows that lack a channel are not counted below.
+    channels : all channels of the campaign (C).
+    readings : shape (N, C), output units.
+    inside : shape (n, S), the samples of each window.
+    values : shape (n, C), the reading of each window.
+    samples : the number of samples whose mean is as uncertain as that reading.
+    """
     present = np.stack([np.isfinite(numbers[c.name]) for c in channels if c.name in numbers]).all(axis=0)
-    rows = {"samples": np.full(len(start), float(per))}
+    rows = {"samples": np.full(len(inside), samples)}
     for name in recorded_columns():
         if name in numbers and not name.startswith("table_"):
             rows[name] = np.nanmean(numbers[name][present][inside], axis=1)
     for index, channel in enumerate(channels):
-        if channel.kind != "accelerometer":
-            rows[channel.name] = rows[f"{channel.name}_sd"] = np.full(len(start), np.nan)
-            continue
-        rows[channel.name] = windows.readings[turn, place, index]
-        rows[f"{channel.name}_sd"] = scatter_of_samples(log.readings[:, index][inside])
+        if channel.kind == "accelerometer":
+            rows[channel.name] = values[:, index]
+            rows[f"{channel.name}_sd"] = scatter_of_samples(readings[:, index][inside])
+        else:
+            rows[channel.name] = rows[f"{channel.name}_sd"] = np.full(len(inside), np.nan)
     return rows
 
 

@@ -15,13 +15,12 @@ import numpy as np
 
 from imubayes.campaign.reduction import Limits
 from imubayes.campaign.reduction import static_poses as static
-from imubayes.campaign.reduction.carried_rows import refuse_short, scatter_of_samples
+from imubayes.campaign.reduction.carried_rows import columns_of_windows, refuse_short
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, one_axis_note, unturned, wrong_acceleration_unit
 from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, fit_magnitude
 from imubayes.campaign.reduction.motion_windows import contiguous
 from imubayes.campaign.reduction.pose_table import MOST_POSES, refuse_one_attitude, spread_over_the_sphere
 from imubayes.foundations.campaign_data import Channel
-from imubayes.foundations.covariates import recorded_columns
 from imubayes.foundations.errors import input_error
 
 LONGEST, WINDOW_ANGLE = 0.8, 0.5  # s, and rad by which the force turns within a window
@@ -43,6 +42,11 @@ class _Windows:
     def places(self) -> np.ndarray:
         """The samples of each window, (n, S)."""
         return self.first[:, None] + np.arange(self.samples)
+
+    @property
+    def worth(self) -> float:
+        """The samples whose mean is as uncertain as a reading at the centre: 4/9 of them, by a parabola."""
+        return float(max(1, int(1 / np.sum(self.weight**2))))
 
     def at_centre(self, values: np.ndarray) -> np.ndarray:
         """Return the values, (N, …), at the centre of each window, (n, …)."""
@@ -97,7 +101,9 @@ def reduce_waved(
             f"uncertainties are about {np.sqrt(len(good) / len(chosen)):.2g} times as large as with all"
         )
     return ReducedTumble(
-        _rows(numbers, recording, windows, readings, channels, chosen),
+        columns_of_windows(
+            numbers, channels, recording.readings, windows.places[chosen], readings[chosen], windows.worth
+        ),
         replace(poses, waved=np.ones(len(chosen), dtype=bool)),
         tuple(notes),
         tuple(wrong_acceleration_unit(force, gravity, file)),
@@ -147,29 +153,3 @@ def _turning(recording: static.Recording, parts: Sequence[tuple[int, int]]) -> f
         found.append(static.angle_between(mean[1:], mean[:-1]) / (size * recording.interval))
     angles = np.concatenate(found)
     return float(np.quantile(angles, _FAST)) if len(angles) else 0.0
-
-
-def _rows(
-    numbers: Mapping[str, np.ndarray],
-    recording: static.Recording,
-    windows: _Windows,
-    readings: np.ndarray,
-    channels: Sequence[Channel],
-    chosen: np.ndarray,
-) -> dict[str, np.ndarray]:
-    """Return the columns of the windows; the gyros have none, since the unit turns.
-
-    The value at the centre of a parabola is as uncertain as a mean over 4/9 of the samples.
-    """
-    present = np.stack([np.isfinite(numbers[c.name]) for c in channels if c.name in numbers]).all(axis=0)
-    inside = windows.places[chosen]
-    rows = {"samples": np.full(len(chosen), float(max(1, int(1 / np.sum(windows.weight**2)))))}
-    for name in recorded_columns():
-        if name in numbers and not name.startswith("table_"):
-            rows[name] = np.nanmean(numbers[name][present][inside], axis=1)
-    for index, channel in enumerate(channels):
-        rows[channel.name] = rows[f"{channel.name}_sd"] = np.full(len(chosen), np.nan)
-        if channel.kind == "accelerometer":
-            rows[channel.name] = readings[chosen, index]
-            rows[f"{channel.name}_sd"] = scatter_of_samples(recording.readings[:, index][inside])
-    return rows

@@ -21,8 +21,8 @@ from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
 from imubayes.display import figure_style as style
 from imubayes.display.figures.panels import draw_means, limit_of, set_range, thinned
 from imubayes.display.numbers_and_labels import pretty, readable, shortened, significant, value_and_sd
-from imubayes.foundations.covariates import Covariate, shown
-from imubayes.responses.residual_covariates import INPUTS, ResidualCovariate
+from imubayes.foundations.covariates import INPUTS, Covariate, shown
+from imubayes.responses.residual_covariates import ResidualCovariate
 from imubayes.results.folder_files import DIAGNOSIS_PICTURE, FIGURES, NOISE_PICTURE, RESIDUALS
 
 _LEGEND = 2.05
