@@ -39,6 +39,7 @@ class Covariate:
     needs : what a run must supply for it; its own name where None.
     source : what brings it into a run, where the column alone does not.
     periodic : whether it is an angle, which enters formulas by harmonics.
+    relative : whether it acts by its change, not by its distance from zero, which is arbitrary.
     symmetric : whether it acts alike in both directions, so that a resonance lies at its magnitude.
     instrument : what a standard for its readings is called among the equipment of a certificate; empty where the table,
         the reference or the current source of a run supplies it, or the model.
@@ -61,6 +62,7 @@ class Covariate:
     needs: tuple[str, ...] | None = None
     source: str = ""
     periodic: bool = False
+    relative: bool = False
     symmetric: bool = False
     absent: str = ""
     instrument: str = ""
@@ -116,14 +118,14 @@ _ARTICLE = {"outer": "an", "middle": "a"}
 _KELVIN_PER_SECOND = "degC/s"
 _CLOCK = "time"
 _ENTRIES = (
-    Covariate("time", "time_s", "s", "s", "time since the start of the run", symbol="t", instrument=_CLOCK),
+    Covariate("time", "time_s", "s", "s", "time since the start of the run", symbol="t", relative=True, instrument=_CLOCK),
     Covariate(
         "campaign_time", "campaign_time_h", "h", "s", "time since the first run", "derived", shown=False,
-        source="time_s, and 'start' of the run if other runs have it", instrument=_CLOCK,
+        source="time_s, and 'start' of the run if other runs have it", relative=True, instrument=_CLOCK,
     ),
     Covariate(
         "power_on", "power_on_s", "s", "s", "time since power-on", symbol="t_on", absent="long since on",
-        instrument=_CLOCK,
+        relative=True, instrument=_CLOCK,
     ),
     Covariate(
         "table_rate", "table_rate_deg_s", "deg/s", "rad/s", "table rate", regressor=False, absent="a table at rest"
@@ -142,7 +144,7 @@ _ENTRIES = (
     ),
     *_outer_axes(),
     Covariate(
-        "temperature", "temperature_degC", "degC", "degC", "temperature", symbol="ΔT", centre=25.0,
+        "temperature", "temperature_degC", "degC", "degC", "temperature", symbol="ΔT", centre=25.0, relative=True,
         source="temperature_degC, as a column or for the whole run", instrument="temperature",
     ),
     Covariate(
@@ -153,7 +155,7 @@ _ENTRIES = (
     ),
     Covariate(
         "converter_temperature", "converter_temperature_degC", "degC", "degC", "converter temperature", symbol="ΔT_c",
-        centre=25.0, instrument="converter_temperature",
+        centre=25.0, relative=True, instrument="converter_temperature",
         source="converter_temperature_degC, as a column or for the whole run",
     ),
     Covariate(

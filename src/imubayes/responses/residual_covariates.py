@@ -34,6 +34,7 @@ class ResidualCovariate:
     values : shape (E,), NaN where the run does not say.
     phrase : for a sentence: "… changes with <phrase>".
     periodic : whether it is an angle.
+    relative : whether it acts by its change, not by its distance from zero.
     """
 
     name: str
@@ -41,6 +42,7 @@ class ResidualCovariate:
     values: np.ndarray
     phrase: str
     periodic: bool = False
+    relative: bool = False
 
 
 def covariates(fitted: Fit) -> list[ResidualCovariate]:
@@ -51,7 +53,8 @@ def covariates(fitted: Fit) -> list[ResidualCovariate]:
     for entry in regressors():
         known = values[entry.origin](entry) / entry.factor(gravity)
         if _varies(known):
-            found.append(ResidualCovariate(entry.column, entry.unit, known, entry.phrase, entry.periodic))
+            facts = entry.column, entry.unit, known, entry.phrase, entry.periodic, entry.relative
+            found.append(ResidualCovariate(*facts))
     return found
 
 

@@ -43,8 +43,6 @@ _LEAST_ROWS = 8
 """Rows for a free function of a covariate."""
 _POWERS = tuple((p, q) for p in range(1, HIGHEST_POWER) for q in range(1, HIGHEST_POWER - p))
 _VECTORS = {"rate": "angular rate, as a vector", "force": "specific force, as a vector"}
-_MEAN_FREE = ("temperature_degC", "campaign_time_h", "time_s", "power_on_s")
-"""Covariates that act by their change, not by their distance from zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,7 +325,7 @@ def _scaled(covariate: ResidualCovariate, places: Mapping[int, _Place]) -> dict[
     if not seen:
         return {}
     every = np.concatenate(list(seen.values()))
-    centre = float(every.mean()) if covariate.name in _MEAN_FREE else 0.0
+    centre = float(every.mean()) if covariate.relative else 0.0
     size = float(np.abs(every - centre).max()) or 1.0
     return {k: (x - centre) / size for k, x in seen.items()}
 
