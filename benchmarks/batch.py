@@ -22,10 +22,10 @@ from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
-from imubayes_archive.batch.batch_folder import BatchSettings
-from imubayes_archive.batch.fit_unit import posterior_of, posteriors
-from imubayes_archive.batch.group_moments import grouped_misfit, grouped_model, marginal_slope, normal_equations
-from imubayes_archive.batch.lanes import (
+from imubayes_archive.unit_fits.batch_folder import BatchSettings
+from imubayes_archive.unit_fits.fit_unit import posterior_of, posteriors
+from imubayes_archive.unit_fits.group_moments import grouped_misfit, grouped_model, marginal_slope, normal_equations
+from imubayes_archive.unit_fits.lanes import (
     LANES,
     Climb,
     LaneMode,
@@ -36,7 +36,7 @@ from imubayes_archive.batch.lanes import (
     find_modes,
     first_curvature,
 )
-from imubayes_archive.batch.posterior_table import UnitIdentity
+from imubayes_archive.unit_fits.posterior_table import UnitIdentity
 
 NUMERIC_BAR, EXACT_BAR, UNITS, SAMPLE = 25.0, 5.0, 1000, 20
 

@@ -30,9 +30,9 @@ seconds = {}
 monitoring.register_event_duration_secs_listener(
     lambda event, taken, **_: seconds.__setitem__(event, seconds.get(event, 0.0) + taken))
 from dataclasses import replace
-from imubayes_archive.batch.fit_chunk import fit_chunk, in_process
-from imubayes_archive.batch.run_batch import run_batch
-from imubayes_archive.batch.batch_folder import unread
+from imubayes_archive.unit_fits.fit_chunk import fit_chunk, in_process
+from imubayes_archive.unit_fits.run_batch import run_batch
+from imubayes_archive.unit_fits.batch_folder import unread
 def copied(tasks):
     known = None
     for task in tasks:

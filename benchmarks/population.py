@@ -12,7 +12,8 @@ import emcee
 import numpy as np
 from common import Report
 
-from imubayes_archive.batch.posterior_table import (
+from imubayes_archive.population.parameter_population import populations
+from imubayes_archive.unit_fits.posterior_table import (
     Outcome,
     Quantities,
     UnitIdentity,
@@ -20,7 +21,6 @@ from imubayes_archive.batch.posterior_table import (
     parameter_table,
     unit_table,
 )
-from imubayes_archive.population.parameter_population import populations
 
 PARAMETERS, NOISE, PRIOR, UNITS, BAR = 6, 0.5, 50.0, (30, 100, 300, 1000), 1.2
 _DRAWS, _WALKERS, _AUTOCORRELATION, _WIDEST = 1000, 40, 60.0, 8.0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from imubayes.foundations.covariates import CONDITIONS, COVARIATES, remedy
+from imubayes.foundations.covariates import CONDITIONS, COVARIATES, regressors, remedy
 from imubayes.model.effect_registry import Registry
 
 # Axes of labels that every campaign has, and kinds of channels that only noise acts on.
@@ -18,3 +18,12 @@ def test_what_an_effect_needs_has_words(member):
 
 def test_a_name_is_a_covariate_or_a_condition():
     assert not COVARIATES.keys() & CONDITIONS.keys()
+
+
+def test_temperatures_and_times_act_by_their_change():
+    """Their zeros are conventions; those of rates, forces and currents are not."""
+    assert {each.name for each in regressors() if each.relative} == {
+        each.name
+        for each in regressors()
+        if each.si == "degC" or (each.si == "s" and each.name.endswith(("time", "on")))
+    }

@@ -107,5 +107,5 @@ def test_guests_take_no_more_from_within_the_kernel():
 
 def test_a_name_from_within_is_seen():
     text = "from imubayes.inference.run_fit import joint_fit\nfrom imubayes.foundations.units import to_si"
-    found = taken_from_within({"imubayes_archive.batch.new": text})
+    found = taken_from_within({"imubayes_archive.unit_fits.new": text})
     assert found["imubayes_archive"] == {"imubayes.inference.run_fit.joint_fit"}

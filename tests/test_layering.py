@@ -33,7 +33,7 @@ GUESTS = {
     "imubayes_qualification": (
         ("evaluation",), ("budgets",), ("certificate", "onboard"), ("display",), ("api",), ("cli",), ("",),
     ),
-    "imubayes_archive": (("dataset",), ("batch",), ("population",), ("display",), ("api",), ("cli",), ("",)),
+    "imubayes_archive": (("dataset",), ("unit_fits",), ("population",), ("display",), ("api",), ("cli",), ("",)),
     "imubayes_explorer": (),
 }  # fmt: skip
 PACKAGES = {"imubayes": KERNEL, **GUESTS}
@@ -159,9 +159,9 @@ def test_the_sources_keep_the_rules():
             "is a cycle",
         ),
         ({"imubayes.novelty": ""}, "stands on no floor"),
-        ({"imubayes.api.fitting": "import imubayes_archive.batch.run_batch"}, "is above it"),
-        ({"imubayes_archive.batch.run_batch": "import imubayes_explorer.start"}, "is above it"),
-        ({"imubayes_archive.batch.run_batch": "import imubayes_archive.population.changes"}, "is above it"),
+        ({"imubayes.api.fitting": "import imubayes_archive.unit_fits.run_batch"}, "is above it"),
+        ({"imubayes_archive.unit_fits.run_batch": "import imubayes_explorer.start"}, "is above it"),
+        ({"imubayes_archive.unit_fits.run_batch": "import imubayes_archive.population.changes"}, "is above it"),
     ],
 )
 def test_a_planted_fault_is_found(sources, complaint):
@@ -175,7 +175,7 @@ def test_a_planted_fault_is_found(sources, complaint):
         {"imubayes.effects.a": "from imubayes.effects.base import Effect\nimport jax"},
         {"imubayes.effects.a": "from imubayes.effects.shared_formulas import ConstantBias"},
         {"imubayes.model.signal_path": "from imubayes.foundations.arrays import compose"},
-        {"imubayes_archive.batch.run_batch": "from imubayes.model.bind import bind"},
+        {"imubayes_archive.unit_fits.run_batch": "from imubayes.model.bind import bind"},
     ],
 )
 def test_what_is_allowed_passes(sources):

@@ -22,7 +22,7 @@ Public names, in four groups; everything else is private.
   calibrations.
 - Results: `load`, `read_result`, `Result`, `report`, `ReportSection`, `apply`, `CalibratedInputs`, `correct`,
   `CorrectedRecording`, `onboard_constants`, `export_constants`, `navigation_impact`, `NavigationImpact`; an archive of
-  units: `fit_archive`, `load_archive_fit`, `ArchiveFit`; an equation of one's own: `propagate`, `Propagated`,
+  units: `batch`, `load_batch`, `BatchResult`; an equation of one's own: `propagate`, `Propagated`,
   `InputQuantity`, `budget`, `GumBudget`, `conformity`, `ConformityStatement`; `selftest`, `KnownAnswer` for the known
   answers that an installation reproduces.
 """

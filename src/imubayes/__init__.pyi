@@ -1,13 +1,13 @@
 """For type checkers: the names of the kernel, and those that the packages beside it add."""
 
 from imubayes_archive import (
-    ArchiveFit as ArchiveFit,
+    BatchResult as BatchResult,
 )
 from imubayes_archive import (
-    fit_archive as fit_archive,
+    batch as batch,
 )
 from imubayes_archive import (
-    load_archive_fit as load_archive_fit,
+    load_batch as load_batch,
 )
 from imubayes_explorer import (
     explore as explore,

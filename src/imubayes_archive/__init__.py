@@ -1,7 +1,8 @@
 """Many units: archives of campaigns, batches of fits, and the populations that the units are drawn from.
 
-`dataset` is one Parquet file per campaign, partitioned by unit; `batch` fits each with one model; `population` answers
-what no single unit can: mean and spread, lots, steps and trends.  It builds on model and inference of `imubayes`.
+`dataset` is one Parquet file per campaign, partitioned by unit; `unit_fits` fits each with one model; `population`
+answers what no single unit can: mean and spread, lots, steps and trends.  It builds on model and inference of
+`imubayes`.
 """
 
 import lazy_loader

@@ -1,7 +1,7 @@
-from .api.archives import ArchiveFit, fit_archive, load_archive_fit
+from .api.archives import BatchResult, batch, load_batch
 
 __all__ = [
-    "ArchiveFit",
-    "fit_archive",
-    "load_archive_fit",
+    "BatchResult",
+    "batch",
+    "load_batch",
 ]

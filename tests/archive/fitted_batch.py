@@ -2,8 +2,8 @@
 
 import sys
 
-from imubayes_archive.batch.fit_chunk import in_process
-from imubayes_archive.batch.run_batch import run_batch
+from imubayes_archive.unit_fits.fit_chunk import in_process
+from imubayes_archive.unit_fits.run_batch import run_batch
 
 
 def announced(tasks):

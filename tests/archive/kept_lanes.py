@@ -12,9 +12,9 @@ import numpy as np
 from imubayes.campaign import load_campaign
 from imubayes.compiled import kept_programs
 from imubayes.model.model_file import read_model
-from imubayes_archive.batch.fit_unit import bound_to
-from imubayes_archive.batch.group_moments import grouped_model
-from imubayes_archive.batch.lanes import LANES, LaneStructure
+from imubayes_archive.unit_fits.fit_unit import bound_to
+from imubayes_archive.unit_fits.group_moments import grouped_model
+from imubayes_archive.unit_fits.lanes import LANES, LaneStructure
 
 ROOT = Path(__file__).parents[2]
 

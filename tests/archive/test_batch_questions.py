@@ -8,7 +8,11 @@ import pytest
 
 from imubayes.foundations.errors import InputError
 from imubayes.model.model_file import EffectSpec, ModelSpec, read_model
-from imubayes_archive.batch.posterior_table import (
+from imubayes_archive.population.archive_covariates import serial_number
+from imubayes_archive.population.changes import compare_models, regression, trends
+from imubayes_archive.population.parameter_population import populations
+from imubayes_archive.population.population_priors import KnownPrior, next_unit_model, with_priors
+from imubayes_archive.unit_fits.posterior_table import (
     Outcome,
     Quantities,
     UnitIdentity,
@@ -16,10 +20,6 @@ from imubayes_archive.batch.posterior_table import (
     parameter_table,
     unit_table,
 )
-from imubayes_archive.population.archive_covariates import serial_number
-from imubayes_archive.population.changes import compare_models, regression, trends
-from imubayes_archive.population.parameter_population import populations
-from imubayes_archive.population.population_priors import KnownPrior, next_unit_model, with_priors
 
 Z = np.array([-1.96, -0.674, 0.0, 0.674, 1.96])
 WIDE = 1000.0

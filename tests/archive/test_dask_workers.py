@@ -17,10 +17,10 @@ from small_units import MODEL, make_units
 from test_run_batch import assert_same_tables, toy_executor
 
 from imubayes.foundations.errors import InputError
-from imubayes_archive.batch.fit_chunk import fit_chunk, in_process
-from imubayes_archive.batch.posterior_table import read_parameters, read_units
-from imubayes_archive.batch.run_batch import ChunkTask, FittedChunk, run_batch
-from imubayes_archive.batch.workers import cluster_workers, local_workers, on_client
+from imubayes_archive.unit_fits.fit_chunk import fit_chunk, in_process
+from imubayes_archive.unit_fits.posterior_table import read_parameters, read_units
+from imubayes_archive.unit_fits.run_batch import ChunkTask, FittedChunk, run_batch
+from imubayes_archive.unit_fits.workers import cluster_workers, local_workers, on_client
 
 HERE = Path(__file__).parent
 

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes_archive.batch.posterior_table import (
+from imubayes_archive.unit_fits.posterior_table import (
     Outcome,
     Quantities,
     UnitIdentity,

@@ -5,14 +5,14 @@ import pytest
 from scipy.stats import norm
 from small_units import MODEL, make_units
 
-import imubayes_archive.batch.fit_unit as doubtful
-import imubayes_archive.batch.fit_unit as fit_unit
+import imubayes_archive.unit_fits.fit_unit as doubtful
+import imubayes_archive.unit_fits.fit_unit as fit_unit
 from imubayes.inference.laplace_proposal import pareto_k
 from imubayes.model.model_file import read_model
-from imubayes_archive.batch.batch_folder import BatchSettings, sources_of
-from imubayes_archive.batch.fit_chunk import fit_chunk
-from imubayes_archive.batch.fit_unit import WeightShape
-from imubayes_archive.batch.run_batch import ChunkTask
+from imubayes_archive.unit_fits.batch_folder import BatchSettings, sources_of
+from imubayes_archive.unit_fits.fit_chunk import fit_chunk
+from imubayes_archive.unit_fits.fit_unit import WeightShape
+from imubayes_archive.unit_fits.run_batch import ChunkTask
 
 
 def of_standard_normal_draws(mean: float, width: float, seed: int, size: int = 20) -> WeightShape:

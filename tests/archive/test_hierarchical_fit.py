@@ -10,7 +10,7 @@ from accelerometer_archive import Archive, write_archive
 import imubayes
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError
-from imubayes_archive.api.archives import ArchiveFit
+from imubayes_archive.api.archives import BatchResult
 from imubayes_archive.display.figures.population import population_picture
 from imubayes_archive.population.hierarchical_fit import hierarchical_fit, scale_priors
 from imubayes_archive.population.unit_populations import unit_populations
@@ -23,7 +23,7 @@ ARCHIVE = Archive(units=12, lot=5, shift=40.0, run_scatter=0.2)
 def fitted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("archive")
     truth = write_archive(folder, ARCHIVE, 7)
-    return folder, truth, imubayes.fit_archive(folder / "units", folder / "model.toml", folder / "out")
+    return folder, truth, imubayes.batch(folder / "units", folder / "model.toml", folder / "out")
 
 
 def scores(table: pl.DataFrame, truth: dict, parameter: str, key: str, value: str, sd: str) -> np.ndarray:
@@ -95,7 +95,7 @@ def test_what_is_kept_is_not_fitted_again_and_damage_is_refused(fitted, tmp_path
         content[len(content) // 2] ^= 4
         place.write_bytes(content)
         with pytest.raises(InputError, match="was altered since it was written"):
-            ArchiveFit(copy, fits.model).population()
+            BatchResult(copy, fits.model).population()
         content[len(content) // 2] ^= 4
         place.write_bytes(content)
     assert hierarchical_fit(copy, fits.model, refuses).fitted == 12
@@ -136,7 +136,7 @@ def test_units_given_their_population_are_within_their_uncertainty(tmp_path):
     for seed in range(24):
         folder = tmp_path / str(seed)
         truth = write_archive(folder, Archive(lot=4, run_scatter=(0.05, 0.2, 0.5)[seed % 3]), 500 + seed)
-        fits = imubayes.fit_archive(folder / "units", folder / "model.toml", folder / "out")
+        fits = imubayes.batch(folder / "units", folder / "model.toml", folder / "out")
         table = fits.given_population()
         for key, parameter in (("bias", BIAS), ("slope", SLOPE)):
             errors[key].extend(scores(table, truth, parameter, key, "shrunk", "shrunk_sd"))
@@ -152,9 +152,7 @@ def test_units_given_their_population_are_within_their_uncertainty(tmp_path):
 def test_campaigns_and_models_in_memory_are_fitted_as_their_files(fitted, tmp_path):
     folder, _, fits = fitted
     campaigns = [imubayes.load_campaign(folder / "units" / unit) for unit in ("U001", "U002")]
-    found = imubayes.fit_archive(campaigns, imubayes.load_model(folder / "model.toml"), tmp_path / "out")
+    found = imubayes.batch(campaigns, imubayes.load_model(folder / "model.toml"), tmp_path / "out")
     known = fits.parameters.filter(pl.col("unit").is_in(["U001", "U002"]))
     assert np.allclose(found.parameters["mean"].to_numpy(), known["mean"].to_numpy())
-    assert (
-        imubayes.fit_archive(campaigns, imubayes.load_model(folder / "model.toml"), tmp_path / "out").units.height == 2
-    )
+    assert imubayes.batch(campaigns, imubayes.load_model(folder / "model.toml"), tmp_path / "out").units.height == 2

@@ -6,7 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes_archive.batch.posterior_table import (
+from imubayes_archive.population.joint_population import JointPopulation, JointUnits
+from imubayes_archive.population.parameter_population import populations
+from imubayes_archive.unit_fits.posterior_table import (
     Outcome,
     Quantities,
     UnitIdentity,
@@ -14,8 +16,6 @@ from imubayes_archive.batch.posterior_table import (
     parameter_table,
     unit_table,
 )
-from imubayes_archive.population.joint_population import JointPopulation, JointUnits
-from imubayes_archive.population.parameter_population import populations
 
 PRIOR = np.array([100.0, 80.0, 5.0])
 MEAN, SPREAD = np.array([40.0, -30.0, 1.0]), np.array([12.0, 9.0, 0.8])

@@ -11,7 +11,7 @@ from killed_process import kill_after
 from polars.testing import assert_frame_equal
 from small_units import DAMAGE, MODEL, make_units
 
-from imubayes_archive.batch.posterior_table import read_parameters, read_units
+from imubayes_archive.unit_fits.posterior_table import read_parameters, read_units
 
 UNITS, KILLS = 200, 20
 BATCH = Path(__file__).parent / "fitted_batch.py"

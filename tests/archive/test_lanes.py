@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from small_units import DATA, MODELS, change_readings, edit, make_units
 
-import imubayes_archive.batch.fit_chunk as chunks
+import imubayes_archive.unit_fits.fit_chunk as chunks
 from imubayes.campaign import load_campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model
 from imubayes.model.model_file import read_model
-from imubayes_archive.batch.batch_folder import BatchSettings, sources_of
-from imubayes_archive.batch.fit_chunk import fit_chunk, padded_count, padded_entries
-from imubayes_archive.batch.fit_unit import (
+from imubayes_archive.unit_fits.batch_folder import BatchSettings, sources_of
+from imubayes_archive.unit_fits.fit_chunk import fit_chunk, padded_count, padded_entries
+from imubayes_archive.unit_fits.fit_unit import (
     bound_to,
     fit_alone,
     joint_normal_vectors,
@@ -27,10 +27,10 @@ from imubayes_archive.batch.fit_unit import (
     posterior_of,
     posteriors,
 )
-from imubayes_archive.batch.group_moments import grouped_model, log_marginal_of, marginal_slope
-from imubayes_archive.batch.lanes import LANES, LaneStructure, find_modes, structure_key
-from imubayes_archive.batch.posterior_table import UnitIdentity, UnitPosterior
-from imubayes_archive.batch.run_batch import ChunkTask
+from imubayes_archive.unit_fits.group_moments import grouped_model, log_marginal_of, marginal_slope
+from imubayes_archive.unit_fits.lanes import LANES, LaneStructure, find_modes, structure_key
+from imubayes_archive.unit_fits.posterior_table import UnitIdentity, UnitPosterior
+from imubayes_archive.unit_fits.run_batch import ChunkTask
 
 
 def model_of(folder: Path, name: str = "polar-tumble") -> Model:

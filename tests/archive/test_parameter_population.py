@@ -6,7 +6,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes_archive.batch.posterior_table import (
+from imubayes_archive.population.parameter_population import populations
+from imubayes_archive.unit_fits.posterior_table import (
     Outcome,
     Quantities,
     UnitIdentity,
@@ -14,7 +15,6 @@ from imubayes_archive.batch.posterior_table import (
     parameter_table,
     unit_table,
 )
-from imubayes_archive.population.parameter_population import populations
 
 UNITS = 60
 
@@ -72,3 +72,6 @@ def test_an_outlying_unit_is_named():
     assert [each.unit for each in bias.outlying] == ["U07"]
     assert abs(bias.outlying[0].distance) > 4
     assert units.filter(pl.col("outlying"))["unit"].to_list() == ["U07"]
+    table = found.to_polars()
+    assert table["outlying"].to_list() == [["U07"], []]
+    assert table["mean"].to_list() == [each.mean for each in found.parameters]

@@ -8,10 +8,10 @@ import pytest
 
 from imubayes.foundations.errors import InputError
 from imubayes.results.folder_files import seal
-from imubayes_archive.batch.pooled_discovery import pooled_discovery
-from imubayes_archive.batch.pooled_evidence import effect_in_units, law_tables, pooled_scores, unit_gains
-from imubayes_archive.batch.posterior_table import packed
-from imubayes_archive.batch.unit_scores import SCORES, CandidateKey, read_unit_scores
+from imubayes_archive.unit_fits.pooled_discovery import pooled_discovery
+from imubayes_archive.unit_fits.pooled_evidence import effect_in_units, law_tables, pooled_scores, unit_gains
+from imubayes_archive.unit_fits.posterior_table import packed
+from imubayes_archive.unit_fits.unit_scores import SCORES, CandidateKey, read_unit_scores
 
 EFFECTS = ("quadratic", "twin", "drift", "pair", "width")
 ROWS, UNITS, SIZE = 40, 100, 50.0

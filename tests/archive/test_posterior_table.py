@@ -8,8 +8,8 @@ import pytest
 
 from imubayes.foundations.errors import InputError
 from imubayes.results.folder_files import seal
-from imubayes_archive.batch.fit_unit import QUANTILES, quantiles_of
-from imubayes_archive.batch.posterior_table import (
+from imubayes_archive.unit_fits.fit_unit import QUANTILES, quantiles_of
+from imubayes_archive.unit_fits.posterior_table import (
     PARAMETERS,
     UNITS,
     Outcome,

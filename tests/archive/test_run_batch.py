@@ -19,8 +19,8 @@ from imubayes.foundations.errors import InputError
 from imubayes.model import model_file
 from imubayes.model.model_file import PriorCorrelation, read_carried_model, read_model
 from imubayes.results.folder_files import trust
-from imubayes_archive.batch.batch_folder import BatchSettings, PartFiles, batch_key, sources_of, unread
-from imubayes_archive.batch.posterior_table import (
+from imubayes_archive.unit_fits.batch_folder import BatchSettings, PartFiles, batch_key, sources_of, unread
+from imubayes_archive.unit_fits.posterior_table import (
     Outcome,
     Quantities,
     UnitPosterior,
@@ -29,7 +29,7 @@ from imubayes_archive.batch.posterior_table import (
     read_parameters,
     read_units,
 )
-from imubayes_archive.batch.run_batch import BatchProgress, ChunkTask, run_batch
+from imubayes_archive.unit_fits.run_batch import BatchProgress, ChunkTask, run_batch
 
 TOY = Path(__file__).parent / "toy_executor.py"
 
@@ -294,7 +294,7 @@ def test_questions_asked_of_a_batch_with_an_effect_of_the_users_own(own, tmp_pat
         status, text = said(*words)
         assert (status, "'mine.py' is Python code that came along" in text) == (2, True)
     assert not following.exists()
-    monkeypatch.setattr("imubayes_archive.batch.unit_scores.replacing", _full)
+    monkeypatch.setattr("imubayes_archive.unit_fits.unit_scores.replacing", _full)
     status, text = said("diagnose", out, "--trust")
     assert status == 0, text
     assert "6 campaigns of 6 units" in text

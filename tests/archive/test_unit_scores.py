@@ -10,9 +10,9 @@ from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProble
 from imubayes.parameters.declarations import Parameter
 from imubayes.parameters.priors import Normal
 from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
-from imubayes_archive.batch.pooled_discovery import pooled_discovery
-from imubayes_archive.batch.pooled_evidence import PooledScores, pooled_scores
-from imubayes_archive.batch.unit_scores import CandidateKey, scores_of
+from imubayes_archive.unit_fits.pooled_discovery import pooled_discovery
+from imubayes_archive.unit_fits.pooled_evidence import PooledScores, pooled_scores
+from imubayes_archive.unit_fits.unit_scores import CandidateKey, scores_of
 
 ROWS, RUNS, OWN, UNITS = 60, 6, 2, 12
 RATE = np.tile(np.linspace(-1.0, 1.0, ROWS // RUNS), RUNS)

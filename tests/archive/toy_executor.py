@@ -4,7 +4,7 @@ import sys
 
 from test_run_batch import toy_executor
 
-from imubayes_archive.batch.run_batch import run_batch
+from imubayes_archive.unit_fits.run_batch import run_batch
 
 
 def announced(tasks):

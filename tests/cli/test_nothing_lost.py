@@ -295,7 +295,7 @@ def test_an_interrupted_batch_says_what_is_kept_of_it(monkeypatch, capsys, tmp_p
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("imubayes_archive.api.archives.fit_archive", interrupt)
+    monkeypatch.setattr("imubayes_archive.api.archives.batch", interrupt)
     archive = str(ROOT / "data" / "unit-archive")
     assert run(["batch", archive, "--model", "accel-channel", "--out", str(tmp_path / "units")]) == 130
     assert "the units fitted so far are kept" in capsys.readouterr().err

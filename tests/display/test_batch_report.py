@@ -7,9 +7,9 @@ import polars as pl
 import pytest
 
 from imubayes.display.layout import report_text
-from imubayes_archive.batch.run_batch import BatchProgress
 from imubayes_archive.display.batch_report import batch_report
 from imubayes_archive.display.figures.batch import campaign_names
+from imubayes_archive.unit_fits.run_batch import BatchProgress
 
 REASON = "line 14 of runs.csv: the temperature is not a number"
 FILE = "/archive/2024/units/QA202-2024-05-03.imb"

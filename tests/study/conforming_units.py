@@ -25,8 +25,8 @@ from imubayes.inference.marginal import Marginal
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import EffectSpec, ModelSpec
-from imubayes_archive.batch.fit_unit import posteriors
-from imubayes_archive.batch.lanes import LANES, LaneStructure, find_modes
+from imubayes_archive.unit_fits.fit_unit import posteriors
+from imubayes_archive.unit_fits.lanes import LANES, LaneStructure, find_modes
 from imubayes_qualification.evaluation.decision_rules import (
     DecisionRule,
     MeasuredValue,

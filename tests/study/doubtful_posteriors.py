@@ -22,7 +22,7 @@ from imubayes.campaign import load_campaign
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.model_file import read_model
-from imubayes_archive.batch.fit_unit import WeightShape, bound_to, joint_normal_vectors, weight_shape
+from imubayes_archive.unit_fits.fit_unit import WeightShape, bound_to, joint_normal_vectors, weight_shape
 
 REPORT = Path(__file__).parents[2] / "benchmarks" / "results" / "doubtful_posteriors.md"
 UNITS, STATED, TIMES = 200, 4e-4, (0.0, 10.0, 100.0)

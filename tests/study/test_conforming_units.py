@@ -11,7 +11,7 @@ from conforming_units import MODEL, UNITS, Shares, fitted_units, marginals_of, s
 
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
-from imubayes_archive.batch.fit_unit import joint_normal_vectors
+from imubayes_archive.unit_fits.fit_unit import joint_normal_vectors
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ import polars as pl
 import pytest
 
 from imubayes.cli.main import run
-from imubayes_archive.batch.fit_chunk import in_process
-from imubayes_archive.batch.pooled_discovery import pooled_discovery
-from imubayes_archive.batch.posterior_table import read_parameters, read_units
-from imubayes_archive.batch.run_batch import run_batch
-from imubayes_archive.batch.unit_scores import complete_scores, read_unit_scores
 from imubayes_archive.dataset import campaign_folders, pack
 from imubayes_archive.population.parameter_population import populations
+from imubayes_archive.unit_fits.fit_chunk import in_process
+from imubayes_archive.unit_fits.pooled_discovery import pooled_discovery
+from imubayes_archive.unit_fits.posterior_table import read_parameters, read_units
+from imubayes_archive.unit_fits.run_batch import run_batch
+from imubayes_archive.unit_fits.unit_scores import complete_scores, read_unit_scores
 
 unit_archive = import_module("unit_archive")
 ROOT = Path(__file__).parents[2]

@@ -118,7 +118,9 @@ _ARTICLE = {"outer": "an", "middle": "a"}
 _KELVIN_PER_SECOND = "degC/s"
 _CLOCK = "time"
 _ENTRIES = (
-    Covariate("time", "time_s", "s", "s", "time since the start of the run", symbol="t", relative=True, instrument=_CLOCK),
+    Covariate(
+        "time", "time_s", "s", "s", "time since the start of the run", symbol="t", relative=True, instrument=_CLOCK
+    ),
     Covariate(
         "campaign_time", "campaign_time_h", "h", "s", "time since the first run", "derived", shown=False,
         source="time_s, and 'start' of the run if other runs have it", relative=True, instrument=_CLOCK,

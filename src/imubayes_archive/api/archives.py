@@ -11,22 +11,22 @@ from imubayes.display.progress import progress_of
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.model.model_file import ModelSpec
 from imubayes.results.result_folder import write_model
-from imubayes_archive.batch.batch_folder import BatchSettings, Sampling
-from imubayes_archive.batch.pooled_discovery import PooledDiscovery, pooled_discovery
-from imubayes_archive.batch.posterior_table import chosen_model, read_parameters, read_units
-from imubayes_archive.batch.run_batch import BatchProgress, run_batch
-from imubayes_archive.batch.unit_scores import complete_scores
-from imubayes_archive.batch.workers import executor_of
 from imubayes_archive.dataset.store import pack_campaigns
 from imubayes_archive.display.batch_report import progress_text
 from imubayes_archive.population.changes import Trends, trends
 from imubayes_archive.population.hierarchical_fit import HierarchicalFit, hierarchical_fit
 from imubayes_archive.population.parameter_population import Populations, populations
 from imubayes_archive.population.units_in_doubt import UnitInDoubt, units_in_doubt
+from imubayes_archive.unit_fits.batch_folder import BatchSettings, Sampling
+from imubayes_archive.unit_fits.pooled_discovery import PooledDiscovery, pooled_discovery
+from imubayes_archive.unit_fits.posterior_table import chosen_model, read_parameters, read_units
+from imubayes_archive.unit_fits.run_batch import BatchProgress, run_batch
+from imubayes_archive.unit_fits.unit_scores import complete_scores
+from imubayes_archive.unit_fits.workers import executor_of
 
 
 @dataclass(frozen=True)
-class ArchiveFit:
+class BatchResult:
     """The fits of all units of an archive, as a results folder keeps them.
 
     Attributes
@@ -38,7 +38,7 @@ class ArchiveFit:
     Examples
     --------
     >>> import imubayes
-    >>> fits = imubayes.fit_archive("campaigns", "accel-channel", "results/units")
+    >>> fits = imubayes.batch("campaigns", "accel-channel", "results/units")
     >>> fits.parameters.filter(parameter="converter_gain_drift.slope[ax]")["unit"].len()
     1
     """
@@ -94,7 +94,7 @@ class ArchiveFit:
             return pooled_discovery(scores.table, self.units)
 
 
-def fit_archive(
+def batch(
     archive: str | Path | Sequence[Campaign],
     model: str | Path | ModelSpec,
     out: str | Path,
@@ -106,7 +106,7 @@ def fit_archive(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[str], None] | None = None,
-) -> ArchiveFit:
+) -> BatchResult:
     """Fit every campaign of an archive, or of a folder of campaigns, that has no result yet.
 
     An interrupted batch goes on when it is called again.  A campaign that cannot be fitted is a row with its reason.
@@ -133,7 +133,7 @@ def fit_archive(
     Examples
     --------
     >>> import imubayes
-    >>> fits = imubayes.fit_archive("campaigns", "accel-channel", "results/units")
+    >>> fits = imubayes.batch("campaigns", "accel-channel", "results/units")
     >>> fits.units["status"].to_list()
     ['fitted']
     """
@@ -145,7 +145,7 @@ def fit_archive(
         state = run_batch(
             place, file, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
         )
-    return ArchiveFit(Path(out), state.key, state)
+    return BatchResult(Path(out), state.key, state)
 
 
 _CAMPAIGNS, _MODEL = "campaigns", "model.toml"
@@ -157,12 +157,12 @@ def _written(model: ModelSpec, file: Path) -> Path:
     return file
 
 
-def load_archive_fit(folder: str | Path, model: str | None = None) -> ArchiveFit:
+def load_batch(folder: str | Path, model: str | None = None) -> BatchResult:
     """Return the fits that a results folder of a batch holds.
 
     Parameters
     ----------
-    folder : as written by `fit_archive` or `imubayes batch`.
+    folder : as written by `batch` or `imubayes batch`.
     model : hash of the model, or its beginning; the only one where None.
 
     Raises
@@ -173,9 +173,9 @@ def load_archive_fit(folder: str | Path, model: str | None = None) -> ArchiveFit
     Examples
     --------
     >>> import imubayes
-    >>> imubayes.fit_archive("campaigns", "accel-channel", "results/units").units.height
+    >>> imubayes.batch("campaigns", "accel-channel", "results/units").units.height
     1
-    >>> imubayes.load_archive_fit("results/units").units.height
+    >>> imubayes.load_batch("results/units").units.height
     1
     """
-    return ArchiveFit(Path(folder), chosen_model(folder, model))
+    return BatchResult(Path(folder), chosen_model(folder, model))

@@ -71,11 +71,11 @@ def fit_all(
         Print one JSON object on standard output.
     """
     start_jax()
-    from imubayes_archive.api.archives import fit_archive
+    from imubayes_archive.api.archives import batch
     from imubayes_archive.display.batch_report import batch_json, batch_report
 
     with progress() as tell:
-        fits = fit_archive(
+        fits = batch(
             archive, model, out, sample=sample, diagnose=diagnose, seed=seed, retry=retry, workers=workers,
             scheduler=scheduler, progress=tell,
         )  # fmt: skip
@@ -95,7 +95,7 @@ def _of_one_model(results: Path, model_hash: str | None) -> tuple[Path, str | No
 
 def _tables(results: Path, model_hash: str | None) -> tuple["pl.DataFrame", "pl.DataFrame"]:
     """Return the tables of parameters and of units."""
-    from imubayes_archive.batch.posterior_table import read_parameters, read_units
+    from imubayes_archive.unit_fits.posterior_table import read_parameters, read_units
 
     results, model_hash = _of_one_model(results, model_hash)
     return read_parameters(results, model_hash), read_units(results, model_hash)
@@ -166,8 +166,8 @@ def population(
 def _hierarchical(results: Path, model_hash: str | None, trust: bool) -> "HierarchicalFit":
     """Return the hierarchical fit of a batch, made where it is not kept."""
     start_jax()
-    from imubayes_archive.batch.posterior_table import kept_model
     from imubayes_archive.population.hierarchical_fit import hierarchical_fit
+    from imubayes_archive.unit_fits.posterior_table import kept_model
 
     with progress() as tell:
         results, model_hash = _of_one_model(results, model_hash)
@@ -210,9 +210,9 @@ def prior(
     from imubayes.foundations.files import refuse_existing
     from imubayes.model.model_file import read_carried_model
     from imubayes.results.result_folder import write_model
-    from imubayes_archive.batch.posterior_table import kept_model
     from imubayes_archive.display.population_report import prior_report
     from imubayes_archive.population.population_priors import next_unit_model
+    from imubayes_archive.unit_fits.posterior_table import kept_model
 
     found = _hierarchical(results, model_hash, trust).populations
     kept = kept_model(_of_one_model(results, model_hash)[0], found.model)
@@ -252,10 +252,10 @@ def diagnose(
         Trust, and remember, the effect files that come with the input: they are code, which runs only if trusted.
     """
     start_jax()
-    from imubayes_archive.batch.pooled_discovery import pooled_discovery
-    from imubayes_archive.batch.posterior_table import kept_model, read_units
-    from imubayes_archive.batch.unit_scores import complete_scores
     from imubayes_archive.display.batch_report import discovery_report
+    from imubayes_archive.unit_fits.pooled_discovery import pooled_discovery
+    from imubayes_archive.unit_fits.posterior_table import kept_model, read_units
+    from imubayes_archive.unit_fits.unit_scores import complete_scores
 
     results, model_hash = _of_one_model(results, model_hash)
     with progress() as tell:

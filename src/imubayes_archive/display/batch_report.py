@@ -17,12 +17,12 @@ from imubayes.display.layout import Cell, Report, Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import probability
 from imubayes.display.numbers_and_labels import chance_text, concise, counted, listed
 from imubayes.foundations.errors import Issue
-from imubayes_archive.batch.pooled_discovery import PooledCandidate, PooledDiscovery, PooledFinding
-from imubayes_archive.batch.posterior_table import MODEL_FILE, model_folder
-from imubayes_archive.batch.run_batch import BatchProgress
 from imubayes_archive.population.changes import Drift, ModelComparison, ParameterChange, Trend, Trends
 from imubayes_archive.population.population import LEAST_UNITS
 from imubayes_archive.population.units_in_doubt import UnitInDoubt
+from imubayes_archive.unit_fits.pooled_discovery import PooledCandidate, PooledDiscovery, PooledFinding
+from imubayes_archive.unit_fits.posterior_table import MODEL_FILE, model_folder
+from imubayes_archive.unit_fits.run_batch import BatchProgress
 
 # Trends and drifts that are not significant, shown beside those that are.
 _MOST_OTHERS = 5

@@ -267,7 +267,7 @@ def trends(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Trends, pl.Da
 
     Parameters
     ----------
-    parameters, units : as `imubayes_archive.batch.posterior_table.read_parameters` and `read_units` return them.
+    parameters, units : as `imubayes_archive.unit_fits.posterior_table.read_parameters` and `read_units` return them.
     """
     lines, drifts = [], [DRIFTS.to_frame()]
     scales: dict[str, Literal["linear", "log"]] = {}

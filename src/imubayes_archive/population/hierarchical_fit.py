@@ -22,13 +22,13 @@ from imubayes.foundations.files import new_folder, remove
 from imubayes.foundations.records import Record
 from imubayes.model.model_file import ModelSpec, read_carried_model
 from imubayes.results.folder_files import seal, unbroken
-from imubayes_archive.batch import posterior_table as tables
-from imubayes_archive.batch.batch_folder import BatchSettings, UnitSource
-from imubayes_archive.batch.fit_chunk import in_process
-from imubayes_archive.batch.run_batch import ChunkTask, Executor, chunks_of
 from imubayes_archive.population.parameter_population import SHRUNK, Populations, estimates_alone, populations
 from imubayes_archive.population.population_priors import KnownPrior, with_priors
 from imubayes_archive.population.unit_populations import UnitPopulation, unit_populations
+from imubayes_archive.unit_fits import posterior_table as tables
+from imubayes_archive.unit_fits.batch_folder import BatchSettings, UnitSource
+from imubayes_archive.unit_fits.fit_chunk import in_process
+from imubayes_archive.unit_fits.run_batch import ChunkTask, Executor, chunks_of
 
 _PREFIX, _DIGITS = "population-", 16
 _REMEDY = "remove that folder and run `imubayes batch population` again"

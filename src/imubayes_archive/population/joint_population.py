@@ -26,8 +26,8 @@ from functools import cached_property
 import numpy as np
 import polars as pl
 
-from imubayes_archive.batch.posterior_table import unpacked
 from imubayes_archive.population.population import LEAST_FROM_DATA, UnitPosteriors
+from imubayes_archive.unit_fits.posterior_table import unpacked
 
 # Least variance of a population, in units of the prior: smaller ones lose digits in the quotient of precisions.
 _LEAST_VARIANCE = 1e-10

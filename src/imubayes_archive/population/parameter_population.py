@@ -18,7 +18,6 @@ import numpy as np
 import polars as pl
 
 from imubayes.foundations.records import Record, finite
-from imubayes_archive.batch.posterior_table import doubted
 from imubayes_archive.population.population import ShrunkUnits, UnitPosteriors
 from imubayes_archive.population.population_findings import PopulationLaws, laws_of
 from imubayes_archive.population.unit_populations import (
@@ -29,6 +28,7 @@ from imubayes_archive.population.unit_populations import (
     posteriors_of,
     unit_populations,
 )
+from imubayes_archive.unit_fits.posterior_table import doubted
 
 LEAST_OF_SCALES = 0.5
 """Share of the information on a noise scale that must come from a unit's data for its own estimate to be one."""
@@ -111,13 +111,38 @@ class Populations(Record):
     left_out: int
     parameters: tuple[ParameterPopulation, ...]
 
+    def to_polars(self) -> pl.DataFrame:
+        """Return one row per parameter (schema `POPULATIONS`): population, laws that were found, outlying units."""
+        return pl.DataFrame([_row(each) for each in self.parameters], schema=POPULATIONS, orient="row")
+
+
+POPULATIONS = pl.Schema(
+    {
+        "parameter": pl.String, "unit_of_measure": pl.String, "scale": pl.String, "units": pl.Int64,
+        "informative": pl.Int64, "reason": pl.String, "law": pl.String, "mean": pl.Float64, "mean_sd": pl.Float64,
+        "spread": pl.Float64, "spread_sd": pl.Float64, "next_mean": pl.Float64, "predictive_sd": pl.Float64,
+        "found": pl.List(pl.String), "probability": pl.List(pl.Float64), "outlying": pl.List(pl.String),
+    }
+)  # fmt: skip
+"""One row per parameter: as in `ParameterPopulation`; `found` holds groups, steps, trends and covariates by name."""
+
+
+def _row(each: ParameterPopulation) -> tuple[object, ...]:
+    findings = each.laws.findings if each.laws is not None else ()
+    return (
+        each.parameter, each.unit_of_measure, each.scale, each.units, each.informative, each.reason, each.law,
+        each.mean, each.mean_sd, each.spread, each.spread_sd, each.next_mean, each.predictive_sd,
+        [" ".join(filter(None, (found.kind, found.covariate, found.at))) for found in findings],
+        [found.probability for found in findings], [unit.unit for unit in each.outlying],
+    )  # fmt: skip
+
 
 def populations(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Populations, pl.DataFrame]:
     """Return the population of every parameter, and the units with it as prior (schema `SHRUNK`).
 
     Parameters
     ----------
-    parameters, units : as `imubayes_archive.batch.posterior_table.read_parameters` and `read_units` return them.
+    parameters, units : as `imubayes_archive.unit_fits.posterior_table.read_parameters` and `read_units` return them.
     """
     found, frames, doubts = [], [SHRUNK.to_frame()], doubted(units)["digest"].to_list()
     for each in unit_populations(parameters, units):

@@ -10,10 +10,10 @@ from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import input_error
 from imubayes.model.bind import bind
 from imubayes.model.model_file import ModelSpec
-from imubayes_archive.batch.posterior_table import chosen_model, read_outcomes
 from imubayes_archive.dataset.campaign_file import unit_of
 from imubayes_archive.population.hierarchical_fit import hierarchical_fit
 from imubayes_archive.population.population_priors import known_priors, with_priors
+from imubayes_archive.unit_fits.posterior_table import chosen_model, read_outcomes
 
 
 def given_archive(

@@ -62,7 +62,7 @@ def unit_populations(parameters: pl.DataFrame, units: pl.DataFrame) -> Iterator[
 
     Parameters
     ----------
-    parameters, units : as `imubayes_archive.batch.posterior_table.read_parameters` and `read_units` return them.
+    parameters, units : as `imubayes_archive.unit_fits.posterior_table.read_parameters` and `read_units` return them.
     """
     by_digest = units.unique("digest", keep="first")
     tables = latest_tables(parameters)

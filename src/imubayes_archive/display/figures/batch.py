@@ -9,7 +9,7 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
 from imubayes.display import figure_style as style
 from imubayes.display.numbers_and_labels import pretty
-from imubayes_archive.batch.pooled_discovery import PooledDiscovery, PooledFinding
+from imubayes_archive.unit_fits.pooled_discovery import PooledDiscovery, PooledFinding
 
 _MOST_ROWS, _MOST_PANELS, _MOST_UNITS = 20, 6, 60
 # Standard uncertainties above so many times the median do not set the limits of an axis.
@@ -85,7 +85,7 @@ def evidence_picture(found: PooledDiscovery, units: pl.DataFrame) -> style.Pictu
 
     Parameters
     ----------
-    units : as `imubayes_archive.batch.posterior_table.read_units` returns them.
+    units : as `imubayes_archive.unit_fits.posterior_table.read_units` returns them.
     """
     rows = max(1, len(found.findings))
     figure = style.picture(11.0, 2.4 * rows + 0.3, "Pooled evidence by campaign", _EVIDENCE)

@@ -21,8 +21,8 @@ import polars as pl
 from scipy import special
 
 from imubayes.criticism.evidence.effect_variants import SEEN, SHOWN, EffectVariant, gain_of_coefficients
-from imubayes_archive.batch.posterior_table import unpacked
-from imubayes_archive.batch.unit_scores import CandidateKey
+from imubayes_archive.unit_fits.posterior_table import unpacked
+from imubayes_archive.unit_fits.unit_scores import CandidateKey
 
 _RANK = 1e-8
 """Information, in units of what each coefficient had at first, below which it is rounding."""
@@ -115,7 +115,7 @@ def pooled_scores(scores: pl.DataFrame) -> PooledScores:
 
     Parameters
     ----------
-    scores : schema `imubayes_archive.batch.unit_scores.SCORES`.
+    scores : schema `imubayes_archive.unit_fits.unit_scores.SCORES`.
     """
     whole = scores.filter(pl.col("effect").is_null()).sort("digest")
     names = tuple(sorted({name for row in whole["coefficients"] for name in row}))

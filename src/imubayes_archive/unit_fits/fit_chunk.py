@@ -25,11 +25,11 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem
 from imubayes.noise.components import EntryNoise
-from imubayes_archive.batch.batch_folder import UnitSource, identity_of, unread
-from imubayes_archive.batch.fit_unit import bound_to, failure, fit_alone, posteriors, sampled_where_in_doubt
-from imubayes_archive.batch.lanes import LANES, LaneStructure, find_modes, structure_key
-from imubayes_archive.batch.posterior_table import UnitIdentity, UnitPosterior
-from imubayes_archive.batch.run_batch import ChunkTask, FittedChunk
+from imubayes_archive.unit_fits.batch_folder import UnitSource, identity_of, unread
+from imubayes_archive.unit_fits.fit_unit import bound_to, failure, fit_alone, posteriors, sampled_where_in_doubt
+from imubayes_archive.unit_fits.lanes import LANES, LaneStructure, find_modes, structure_key
+from imubayes_archive.unit_fits.posterior_table import UnitIdentity, UnitPosterior
+from imubayes_archive.unit_fits.run_batch import ChunkTask, FittedChunk
 
 _STEPS_AN_OCTAVE, _LEAST_STEP = 16, 16
 

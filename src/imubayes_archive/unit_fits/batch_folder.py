@@ -33,9 +33,9 @@ from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import new_folder, only_writer, replacing
 from imubayes.model.model_file import ModelSpec
 from imubayes.results.folder_files import seal
-from imubayes_archive.batch import posterior_table as tables
 from imubayes_archive.dataset.campaign_file import date_of, read_campaign, unit_of
 from imubayes_archive.dataset.store import Archive, campaign_folders, folder_digest
+from imubayes_archive.unit_fits import posterior_table as tables
 
 Sampling = Literal["all", "flagged", "none"]
 """Which units are sampled by emcee: all, those whose Laplace approximation is in doubt, or none."""

@@ -16,10 +16,10 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from imubayes.foundations.errors import ExtraPackage, InputError, input_error
-from imubayes_archive.batch import batch_folder
-from imubayes_archive.batch.fit_chunk import fit_chunk, in_process
-from imubayes_archive.batch.posterior_table import Outcome, UnitPosterior
-from imubayes_archive.batch.run_batch import ChunkTask, Executor, FittedChunk
+from imubayes_archive.unit_fits import batch_folder
+from imubayes_archive.unit_fits.fit_chunk import fit_chunk, in_process
+from imubayes_archive.unit_fits.posterior_table import Outcome, UnitPosterior
+from imubayes_archive.unit_fits.run_batch import ChunkTask, Executor, FittedChunk
 
 if TYPE_CHECKING:
     from distributed import Client, Future, KilledWorker

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from imubayes.model.model_file import ModelSpec, read_model
-from imubayes_archive.batch import batch_folder
-from imubayes_archive.batch.posterior_table import UnitPosterior
+from imubayes_archive.unit_fits import batch_folder
+from imubayes_archive.unit_fits.posterior_table import UnitPosterior
 
 CHUNK = 32
 """Units of a chunk: what is lost by a kill, at most, for each worker."""

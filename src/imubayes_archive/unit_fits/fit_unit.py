@@ -49,10 +49,17 @@ from imubayes.model.likelihood import whitened
 from imubayes.model.model_file import ModelSpec
 from imubayes.model.problem import Problem
 from imubayes.results.summary import is_constant
-from imubayes_archive.batch import group_moments as moments
-from imubayes_archive.batch.batch_folder import BatchSettings, UnitSource
-from imubayes_archive.batch.lanes import LANES, LaneMode, LaneStructure, Stacked, of_lane
-from imubayes_archive.batch.posterior_table import Kind, Logarithms, Outcome, Quantities, UnitIdentity, UnitPosterior
+from imubayes_archive.unit_fits import group_moments as moments
+from imubayes_archive.unit_fits.batch_folder import BatchSettings, UnitSource
+from imubayes_archive.unit_fits.lanes import LANES, LaneMode, LaneStructure, Stacked, of_lane
+from imubayes_archive.unit_fits.posterior_table import (
+    Kind,
+    Logarithms,
+    Outcome,
+    Quantities,
+    UnitIdentity,
+    UnitPosterior,
+)
 
 # Draws weighed, and those of a block.  Effort: weighted moments are known to 0.03 standard deviations.
 _DRAWS, _BATCH = 1000, 64

@@ -18,7 +18,7 @@ from imubayes.criticism.evidence.effect_variants import EXPECTED
 from imubayes.criticism.explanation_records import NAMED
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.records import Record, finite
-from imubayes_archive.batch import pooled_evidence as pooled
+from imubayes_archive.unit_fits import pooled_evidence as pooled
 
 Equipment = Literal["table", "mounting", "year"]
 
@@ -172,8 +172,8 @@ def pooled_discovery(scores: pl.DataFrame, units: pl.DataFrame) -> PooledDiscove
 
     Parameters
     ----------
-    scores : schema `imubayes_archive.batch.unit_scores.SCORES`.
-    units : as `imubayes_archive.batch.posterior_table.read_units` returns them.
+    scores : schema `imubayes_archive.unit_fits.unit_scores.SCORES`.
+    units : as `imubayes_archive.unit_fits.posterior_table.read_units` returns them.
 
     Raises
     ------

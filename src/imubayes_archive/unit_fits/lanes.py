@@ -27,7 +27,7 @@ from imubayes.compiled.kept_programs import run_bound
 from imubayes.foundations.arrays import Array, Bool, Float, Int, Scalar, on_device
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem
-from imubayes_archive.batch import group_moments as moments
+from imubayes_archive.unit_fits import group_moments as moments
 
 LANES = 4
 """Units side by side: with more the arrays leave the cache of a core."""

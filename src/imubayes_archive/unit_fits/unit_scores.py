@@ -37,9 +37,9 @@ from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.model_file import ModelSpec, read_carried_model
 from imubayes.responses.candidate_effects import Response, candidate_responses
 from imubayes.results.folder_files import seal
-from imubayes_archive.batch.batch_folder import UnitSource
-from imubayes_archive.batch.fit_unit import bound_to
-from imubayes_archive.batch.posterior_table import (
+from imubayes_archive.unit_fits.batch_folder import UnitSource
+from imubayes_archive.unit_fits.fit_unit import bound_to
+from imubayes_archive.unit_fits.posterior_table import (
     chosen_model,
     kept_model,
     model_folder,
