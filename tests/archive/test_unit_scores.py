@@ -116,3 +116,11 @@ def test_one_unit_alone_is_found_and_named():
     residuals = [noise(n) + (8.0 * RATE**3 if n == 4 else 0) for n in range(UNITS)]
     (first,) = discovered(residuals).findings
     assert (first.effects, first.evidence.law, first.named) == (("cubic",), "some", ("U4",))
+
+
+def test_an_effect_in_one_unit_does_not_hide_behind_the_scatter_that_it_makes():
+    quiet, shown = (pooled(linear(noise(5) + size * RATE**3)) for size in (0.0, 12.0))
+    place = shown.candidates[CandidateKey("cubic", "", "gyro")].places[0]
+    assert shown.information[0, place, place] > 0.8 * quiet.information[0, place, place]
+    (first,) = discovered([noise(n) + (4.0 * RATE**3 if n == 4 else 0) for n in range(UNITS)]).findings
+    assert (first.effects, first.named) == (("cubic",), ("U4",))

@@ -10,7 +10,8 @@ every unit, and over a hundred units as strong evidence: what the parameters abs
 were flat.
 
 The noise of a channel is that known beforehand, drawn towards the scatter of its rows as far as it is not known well.
-Where the rows scatter more than that, it is what they say: a unit with a gross error must not outvote all others.
+Where the rows scatter more than that, it is what they say: a unit with a gross error must not outvote all others.  The
+scatter is what the likeliest effect leaves over, if one explains the rows of the unit: it would hide itself otherwise.
 
 Scores are computed for every fitted campaign from the estimates of the batch, a chunk of campaigns at a time, and kept
 beside its parts.  Each file appears as a whole or not at all, and a campaign that has scores is not computed again.
@@ -128,15 +129,50 @@ def _past_own(of: EvidenceOf, noise: Hypothesis) -> tuple[np.ndarray, np.ndarray
     Coefficients of which nothing is left are 0 in both.
     """
     columns, channel = _whitened_rows(of, noise)
-    own = of.problem.own
-    basis, scale = _scaled_basis(of.problem, columns, channel)
-    free = columns[:, own:] / scale[channel, None]
+    own, problem = of.problem.own, of.problem
+    scale = _scatter(problem, columns[:, :own], columns[:, -1], channel)
+    left = _left_over(columns, own, scale[channel])
+    explaining = _explaining(of, left, channel)
+    if explaining:
+        jacobian = columns[:, [*range(own), *(own + place for place in explaining)]]
+        scale = _scatter(problem, jacobian, columns[:, -1], channel)
+        left = _left_over(columns, own, scale[channel])
+    products = left.T @ left
+    return products[:-1, -1], products[:-1, :-1]
+
+
+def _left_over(columns: np.ndarray, own: int, scale: np.ndarray) -> np.ndarray:
+    """Return the columns [X r] over the scale (n,) of each row, past the own parameters of the model; rounding is 0."""
+    basis, free = _span(columns[:, :own] / scale[:, None]), columns[:, own:] / scale[:, None]
     left = free - basis @ (basis.T @ free)
     kept = np.sum(left**2, axis=0) > _RETAINED * np.sum(free**2, axis=0)
     kept[-1] = True
-    left *= kept
-    products = left.T @ left
-    return products[:-1, -1], products[:-1, :-1]
+    return left * kept
+
+
+def _explaining(of: EvidenceOf, left: np.ndarray, channel: np.ndarray) -> tuple[int, ...]:
+    """Return the coefficients of the effect that explains the scatter of a unit best; empty if none does.
+
+    Noise scales are taken as unknown: the evidence is that of the sums of squares before and after (Schwarz 1978).
+
+    Parameters
+    ----------
+    left : shape (n, C + 1), what the model's own parameters leave of [X r].
+    """
+    groups = [np.flatnonzero(channel == k) for k in np.unique(channel)]
+
+    def logarithms(rest: np.ndarray) -> float:
+        return sum(0.5 * len(rows) * math.log(max(float(rest[rows] @ rest[rows]), 1e-12)) for rows in groups)
+
+    best, found, before = 0.0, tuple[int, ...](), logarithms(left[:, -1])
+    for each in of.variants:
+        places = list(each.places)
+        basis = _span(left[:, places])
+        rest = left[:, -1] - basis @ (basis.T @ left[:, -1])
+        gain = before - logarithms(rest) - 0.5 * len(places) * math.log(len(rest)) + each.log_odds
+        if gain > best:
+            best, found = gain, each.places
+    return found
 
 
 def _whitened_rows(of: EvidenceOf, noise: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
@@ -150,12 +186,12 @@ def _whitened_rows(of: EvidenceOf, noise: Hypothesis) -> tuple[np.ndarray, np.nd
     return columns, channel
 
 
-def _scaled_basis(problem: LinearProblem, columns: np.ndarray, channel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the model's own parameters span, (n, rank), and the noise scale of each channel, (K,)."""
-    scale, basis = np.ones(len(problem.rows)), np.zeros((len(columns), 0))
+def _scatter(problem: LinearProblem, jacobian: np.ndarray, residual: np.ndarray, channel: np.ndarray) -> np.ndarray:
+    """Return the noise scale of each channel, (K,), of a residual (n,) past the columns of a Jacobian (n, P)."""
+    scale = np.ones(len(problem.rows))
     for _ in range(_ROUNDS):
-        basis = _span(columns[:, : problem.own] / scale[channel, None])
-        misfit = columns[:, -1] / scale[channel]
+        basis = _span(jacobian / scale[channel, None])
+        misfit = residual / scale[channel]
         rest, left = misfit - basis @ (basis.T @ misfit), 1 - np.sum(basis**2, axis=1)
         before = scale.copy()
         for k in np.unique(channel):
@@ -165,7 +201,7 @@ def _scaled_basis(problem: LinearProblem, columns: np.ndarray, channel: np.ndarr
             scale[k] = max(math.exp(mode), math.sqrt(square / freedom))
         if np.max(np.abs(np.log(scale / before)), initial=0.0) < _SETTLED:
             break
-    return basis, scale
+    return scale
 
 
 def _span(jacobian: np.ndarray) -> np.ndarray:
