@@ -1,6 +1,7 @@
 """An archive fitted with its population as prior: from campaign folders of an own simulation to lots by name."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -156,3 +157,39 @@ def test_campaigns_and_models_in_memory_are_fitted_as_their_files(fitted, tmp_pa
     known = fits.parameters.filter(pl.col("unit").is_in(["U001", "U002"]))
     assert np.allclose(found.parameters["mean"].to_numpy(), known["mean"].to_numpy())
     assert imubayes.batch(campaigns, imubayes.load_model(folder / "model.toml"), tmp_path / "out").units.height == 2
+
+
+@pytest.mark.slow
+def test_a_test_that_was_not_run_is_predicted_from_the_population(tmp_path):
+    """Units tested cold alone, with the archive as prior: their hot runs are as predicted, 10 units of 2 archives."""
+    squares = readings = 0
+    for seed in (900, 901):
+        folder = tmp_path / str(seed)
+        write_archive(folder, Archive(run_scatter=0.2), seed)
+        fits = imubayes.batch(folder / "units", folder / "model.toml", folder / "out")
+        write_archive(folder / "later", Archive(units=5, run_scatter=0.2), seed + 50)
+        for place in range(1, 6):
+            cold, hot = (later_unit(folder / "later", place, part) for part in ("cold", "hot"))
+            fit = imubayes.fit(cold, folder / "model.toml", sample=False, population=fits.folder)
+            found = imubayes.predict(fit, hot).summary
+            assert found.verdict == "as_predicted"
+            squares += sum(each.chi2 for each in found.runs)
+            readings += sum(each.n for each in found.runs)
+    assert readings == 160
+    assert abs(squares - readings) < 3 * np.sqrt(2 * readings)
+
+
+def later_unit(folder: Path, place: int, part: str) -> Path:
+    """Return a copy of a unit under another name with its rows below 20 or above 40 degrees alone."""
+    source, copy = folder / "units" / f"U{place:03d}", folder / f"{part}-{place}"
+    shutil.copytree(source, copy)
+    text = (copy / "campaign.toml").read_text().replace(f"U{place:03d}", f"N{place}")
+    (copy / "campaign.toml").write_text(text.replace('"run-', f'"{part}-'))
+    for file in (copy / "runs").iterdir():
+        header, *rows = file.read_text().splitlines()
+        warm = [float(row.split(",")[2]) for row in rows]
+        kept = [
+            row for row, degrees in zip(rows, warm, strict=True) if (degrees < 20 if part == "cold" else degrees > 40)
+        ]
+        file.write_text("\n".join([header, *kept]) + "\n")
+    return copy

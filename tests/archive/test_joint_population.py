@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from imubayes_archive.population.confounded_spreads import log_marginal, spread_slope, taken_by_others
 from imubayes_archive.population.joint_population import JointPopulation, JointUnits
 from imubayes_archive.population.parameter_population import populations
 from imubayes_archive.unit_fits.posterior_table import (
@@ -21,11 +22,13 @@ PRIOR = np.array([100.0, 80.0, 5.0])
 MEAN, SPREAD = np.array([40.0, -30.0, 1.0]), np.array([12.0, 9.0, 0.8])
 
 
-def units_of(seed: int, count: int, rows: np.ndarray, noise: float) -> tuple[np.ndarray, list[UnitPosterior]]:
+def units_of(
+    seed: int, count: int, rows: np.ndarray, noise: float, spread: np.ndarray = SPREAD
+) -> tuple[np.ndarray, list[UnitPosterior]]:
     """Return true values and posteriors of units that measure `rows` (k, 3) of their parameters."""
     random, found, truth = np.random.default_rng(seed), [], []
     for place in range(count):
-        own = random.normal(MEAN, SPREAD)
+        own = random.normal(MEAN, spread)
         data = rows @ own + random.normal(0, noise, len(rows))
         covariance = np.linalg.inv(rows.T @ rows / noise**2 + np.diag(PRIOR**-2.0))
         mean, sd = covariance @ rows.T @ data / noise**2, np.sqrt(np.diag(covariance))
@@ -56,6 +59,7 @@ def test_means_and_units_are_those_of_dense_algebra():
     )  # fmt: skip
     variance, offsets = np.array([0.3, 0.7, 0.05]), random.normal(size=(count, size))
     found = JointPopulation(units, variance, np.ones((count, size)), offsets)
+    check_slopes(found)
     # All unknowns at once: the units, then their mean.
     whole = count * size
     precision, right = np.zeros((whole + size, whole + size)), np.zeros(whole + size)
@@ -75,6 +79,35 @@ def test_means_and_units_are_those_of_dense_algebra():
     np.testing.assert_allclose(found.means[1], covariance[whole:, whole:], rtol=1e-9)
     np.testing.assert_allclose(found.given[0].ravel(), mean[:whole], rtol=1e-9)
     np.testing.assert_allclose(found.given[1].ravel() ** 2, np.diag(covariance)[:whole], rtol=1e-9)
+
+
+def check_slopes(found: JointPopulation) -> None:
+    """The slope by the logarithms of the spreads is that of the marginal likelihood."""
+    slope, step = spread_slope(found), 1e-4
+    for place in range(len(found.variance)):
+        moved = [found.with_spread(place, np.sqrt(found.variance[place]) * np.exp(k * step)) for k in (-1, 1)]
+        low, high = (log_marginal(each) for each in moved)
+        assert slope[place] == pytest.approx((high - low) / (2 * step), abs=1e-6)
+
+
+@pytest.mark.parametrize("spread", [(40.0, 10.0), (10.0, 40.0)])
+def test_spreads_of_a_sum_are_known_together_and_not_apart(spread):
+    """The units measure a + b: the larger spread is either's, and neither is given all of the scatter."""
+    _, units = units_of(310, 20, np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), 0.5, np.array([*spread, 0.8]))
+    a, b, _ = populations(*tables(units))[0].parameters
+    for each, true in zip((a, b), spread, strict=True):
+        assert each.spread_interval[0] < true < each.spread_interval[1]
+    assert a.spread == pytest.approx(b.spread, rel=0.05)
+
+
+def test_spreads_that_each_unit_determines_are_not_confounded():
+    shape = 30, 3
+    units = JointUnits(
+        ("a", "b", "c"), tuple(map(str, range(30))), np.zeros(3), np.ones(3), np.tile(1e4 * np.eye(3), (30, 1, 1)),
+        np.zeros(shape), np.ones(shape, bool), np.full(30, np.inf),
+    )  # fmt: skip
+    apart = JointPopulation(units, np.full(3, 0.1), np.ones(shape), np.zeros(shape))
+    assert taken_by_others(apart) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_sum_that_all_units_measure_leaves_its_parts_as_uncertain_as_their_priors():
@@ -104,6 +137,23 @@ def test_units_given_the_others_are_within_their_uncertainty_whatever_they_measu
             assert of_name["shrunk_sd"].mean() < of_name["estimate_sd"].mean()
     assert 0.9 < np.sqrt(np.mean(np.square(errors))) < 1.1
     assert 0.7 < np.sqrt(np.mean(np.square(means))) < 1.3
+
+
+@pytest.mark.slow
+def test_intervals_of_confounded_spreads_hold_the_truth():
+    """Forty archives of 20 units that measure a sum and little else; the units given the population as well."""
+    held, errors = 0, []
+    for seed in range(40):
+        spread = np.array([*((40.0, 10.0) if seed % 2 else (10.0, 40.0)), 0.8])
+        truth, units = units_of(700 + seed, 20, np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), 8.0, spread)
+        record, given = populations(*tables(units))
+        for place, each in enumerate(record.parameters[:2]):
+            held += each.spread_interval[0] < spread[place] < each.spread_interval[1]
+            of_name = given.filter(pl.col("parameter") == each.parameter)
+            errors.extend((of_name["shrunk"].to_numpy() - truth[:, place]) / of_name["shrunk_sd"].to_numpy())
+    print(f"intervals: {held} of 80; rms of the units: {np.sqrt(np.mean(np.square(errors))):.3f}")
+    assert held >= 68
+    assert np.sqrt(np.mean(np.square(errors))) < 1.2
 
 
 @pytest.mark.slow

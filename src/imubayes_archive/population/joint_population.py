@@ -14,6 +14,7 @@ where eᵢ are the offsets of groups, steps and trends, μ given T is normal wit
 and θᵢ given μ is normal with precision Λᵢ + T⁻¹.  The prior of μ is that of the model.  The spread of one parameter is
 estimated from the units as in `population.population`, its means of the other parameters given: an error that they
 share moves all units alike.  Means and spreads are computed in turn until they settle.
+Spreads that the units determine only together are then integrated over (`confounded_spreads`).
 
 All parameters are in units of the standard deviation of their prior, about its mean, so that the prior of a unit is
 standard normal.  Directions in which a posterior is hardly narrower than that are no information (`LEAST_FROM_DATA`).

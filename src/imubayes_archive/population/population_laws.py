@@ -9,7 +9,7 @@ influence from five on).  Given τ, the normal law leaves μ normal in closed fo
 law, a scale mixture of normal laws, needs two.  Either law may be normalised: its evidence decides between them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -45,6 +45,13 @@ class GridPosterior:
     scale: np.ndarray
     freedom: float
     log_evidence: float
+
+    def in_unit(self, centre: float, width: float) -> "GridPosterior":
+        """Return the posterior of centre + width times the quantity."""
+        return replace(
+            self, centre=centre + width * self.centre, centre_variance=width**2 * self.centre_variance,
+            scale=width * self.scale,
+        )  # fmt: skip
 
     def of_centre(self) -> tuple[float, float]:
         """Return mean and standard deviation of the centre."""

@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 
 from imubayes_archive.population.archive_covariates import covariates_of
+from imubayes_archive.population.confounded_spreads import CONFOUNDED, spread_marginal, taken_by_others
 from imubayes_archive.population.joint_population import JointPopulation, JointUnits
 from imubayes_archive.population.noise_scale_population import ScaleLikelihoods, scale_population
 from imubayes_archive.population.population import (
@@ -123,7 +124,11 @@ def _joint(tables: Sequence[pl.DataFrame], units: pl.DataFrame, by_digest: pl.Da
         spreads = spreads.with_offsets(place, _explained(found, searched.site(place)))
     if any(found is not None and found.findings for found in structures):
         spreads = _settled(spreads)
-    return [_of_joint(spreads, place, together, known, found) for place, found in enumerate(structures)]
+    confounded = taken_by_others(spreads) > CONFOUNDED
+    return [
+        _of_joint(spreads, place, together, known, found, bool(confounded[place]))
+        for place, found in enumerate(structures)
+    ]
 
 
 def _settled(spreads: JointPopulation) -> JointPopulation:
@@ -159,9 +164,19 @@ def _spread(spreads: JointPopulation, place: int, outcome: Population) -> tuple[
 
 
 def _of_joint(
-    spreads: JointPopulation, place: int, together: pl.DataFrame, known: pl.DataFrame, structure: Structure | None
+    spreads: JointPopulation,
+    place: int,
+    together: pl.DataFrame,
+    known: pl.DataFrame,
+    structure: Structure | None,
+    confounded: bool,
 ) -> UnitPopulation:
-    """Return the population of one of the parameters whose means were estimated jointly."""
+    """Return the population of one of the parameters whose means were estimated jointly.
+
+    Parameters
+    ----------
+    confounded : whether the units determine its spread only together with those of other parameters.
+    """
     name, width, centre = spreads.units.names[place], spreads.units.width[place], spreads.units.centre[place]
     rows = together.filter(pl.col("parameter") == name)
     table = known.select("digest").join(rows, on="digest", how="inner", maintain_order="left")
@@ -171,9 +186,16 @@ def _of_joint(
     outcome, alone = population(within), posteriors_of(table, known)[0]
     if outcome.posterior is None:
         return UnitPopulation(table, "linear", site, alone, structure, outcome, None)
-    (mean, covariance), (own, sd) = spreads.means, spreads.given
-    outcome = outcome.with_mean(centre + width * mean[place], width * float(np.sqrt(covariance[place, place])))
-    units = compared(within, outcome, centre + width * own[mine, place], width * sd[mine, place])
+    (mean, covariance), (own, sd) = spreads.means, (each[:, place] for each in spreads.given)
+    # A unit is compared with the scatter that all parameters make together, which is known.
+    held = outcome.with_mean(centre + width * mean[place], width * float(np.sqrt(covariance[place, place])))
+    outcome = held
+    if confounded:
+        marginal = spread_marginal(spreads, place, held.freedom)
+        own, sd = marginal.mean, marginal.sd
+        posterior = marginal.posterior.in_unit(centre, width)
+        outcome = population_of(posterior, held.units, held.informative, held.information_error)
+    units = compared(within, held, centre + width * own[mine], width * sd[mine])
     if structure is not None and structure.findings:
         relies = (spreads.conditional[:, place, place] * spreads.precision[:, place])[mine]
         doubt = np.full(len(relies), float(np.mean(structure.doubt)))
