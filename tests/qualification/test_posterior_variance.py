@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes_qualification.budgets.budget_parts import KnownVariance, variance_of
+from imubayes.inference.posterior_variance import KnownVariance, variance_of
 
 KNOWN = KnownVariance(4.0, 0.0)
 
