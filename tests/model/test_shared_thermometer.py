@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_thermometer_error import SLOPES, measured, rows, thermal
+from test_thermometer_error import RUNS, SLOPES, measured, rows, thermal
 
 from imubayes.foundations.campaign_data import Campaign, Thermometer
 from imubayes.foundations.errors import InputError

@@ -71,7 +71,7 @@ class ConverterThermometerError(TemperatureOffset):
 
 
 class SharedThermometer(UncertainTemperature):
-    """True temperature = reading T + δ + γ (T − 25 °C), the same δ and γ in all runs read by one thermometer.
+    """True temperature = reading T + δ + γ·(T − 25 °C), the same δ and γ in all runs read by one thermometer.
 
     The rate of change of the temperature is larger by γ, too.
     """
@@ -89,7 +89,7 @@ class SharedThermometer(UncertainTemperature):
 
 
 class ThermometerCalibration(SharedThermometer):
-    """True temperature T + δ + γ (T − 25 °C), where T was read, with one δ and γ for all runs of a thermometer.
+    """True temperature T + δ + γ·(T − 25 °C), where T was read, with one δ and γ for all runs of a thermometer.
 
     The priors are normal, with the uncertainties that the `[[thermometer]]` of these runs states; an error without one
     is 0.  A model with effects of temperature has it wherever a thermometer states one, listed or not.  An error of one
@@ -111,7 +111,7 @@ class ThermometerCalibration(SharedThermometer):
 
 
 class ConverterThermometerCalibration(SharedThermometer):
-    """True temperature T_c + δ + γ (T_c − 25 °C) of the converter, one δ and γ for all runs of a thermometer.
+    """True temperature T_c + δ + γ·(T_c − 25 °C) of the converter, one δ and γ for all runs of a thermometer.
 
     The priors are those of the `[[thermometer]]` that runs name as `converter_thermometer`; see
     `thermometer_calibration`.
