@@ -9,13 +9,17 @@ import pytest
 from imubayes.api import Result, fit, load
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.foundations.campaign_data import Instruments, Thermometer
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import whitened_jacobian
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.model.problem import prior_widths
 from imubayes.responses.instrument_errors import instrument_errors
+from imubayes.responses.uncertain_equipment import uncertain_equipment
 from imubayes.results.posterior_quantities import posterior_quantities
 from imubayes_qualification.budgets.report_budgets import unit_with_budgets
+from imubayes_qualification.budgets.taken_as_exact import exact_equipment
 from imubayes_qualification.budgets.uncertainty_budget import BudgetArrays, FunctionOfQuantities, budget_of
 from imubayes_qualification.certificate.conformity import assess
 
@@ -208,7 +212,64 @@ def test_a_thermometer_with_a_stated_uncertainty_is_not_omitted(result):
     plain = {each.effect for each in instrument_errors(result.fit)}
     assert plain >= {"converter_thermometer_error", "output_time_base"}
     stated = {each.effect for each in instrument_errors(replace(result.fit, model=declared))}
-    assert plain - stated == {"converter_thermometer_error"}
+    assert plain - stated == {"converter_thermometer_error", "converter_thermometer_calibration"}
+
+
+def bound_with(result: Result, **changed) -> Fit:
+    """Return the fit with a campaign that states something else."""
+    campaign = replace(result.fit.model.campaign, **changed)
+    return replace(result.fit, model=bind(result.fit.model.spec, campaign))
+
+
+def test_a_thermometer_that_runs_share_has_one_error_for_all(result):
+    """What is not stated of it is omitted as one error, that of two runs alone being the sum of theirs."""
+    campaign = result.fit.model.campaign
+    alone = {each.name: each for each in instrument_errors(result.fit) if each.effect.startswith("converter_")}
+    ramps = [run.name for run in campaign.runs if run.name.startswith("ramp")]
+    runs = tuple(replace(run, converter_thermometer="Pt" if run.name in ramps else None) for run in campaign.runs)
+    fit = bound_with(result, runs=runs, thermometers={"Pt": Thermometer("Pt")})
+    shared = {each.name: each for each in instrument_errors(fit) if each.effect.startswith("converter_")}
+    name = "converter_thermometer_calibration.{}[Pt]"
+    assert shared.keys() - alone.keys() == {name.format("offset"), name.format("gain")}
+    assert alone.keys() - shared.keys() >= {f"converter_thermometer_error.offset[{run}]" for run in ramps}
+    offset = shared[name.format("offset")]
+    summed = sum(alone[f"converter_thermometer_error.offset[{run}]"].column for run in ramps)
+    np.testing.assert_allclose(offset.column, summed, rtol=1e-6, atol=1e-12)
+    assert (offset.size, offset.unit, shared[name.format("gain")].unit) == (1.0, "degC", "%")
+    half = bound_with(result, runs=runs, thermometers={"Pt": Thermometer("Pt", 0.0)})
+    assert name.format("offset") not in {each.name for each in instrument_errors(half)}
+
+
+def test_the_gain_of_a_thermometer_is_about_25_degrees_or_the_mean_of_its_run(result):
+    """The response to a gain is that to an offset, times the distance from there in every row."""
+    campaign, covariate = result.fit.model.campaign, "converter_temperature"
+    place, run = next((k, each) for k, each in enumerate(campaign.runs) if np.ptp(each.covariates[covariate]) > 10)
+    read = run.covariates[covariate]
+    runs = tuple(replace(each, converter_thermometer="Pt") if each is run else each for each in campaign.runs)
+    calibration = "converter_thermometer_calibration"
+    named = bound_with(result, runs=runs, thermometers={"Pt": Thermometer("Pt")})
+    cases = ((result.fit, run.name, read.mean(), "converter_thermometer_error"), (named, "Pt", 25.0, calibration))
+    for each, owner, centre, effect in cases:
+        known, entries = {error.name: error.column for error in instrument_errors(each)}, each.model.entries
+        own = entries.run == place
+        expected = (read[entries.row[own]] - centre) * known[f"{effect}.offset[{owner}]"][own] / 100
+        gain = known[f"{calibration}.gain[{owner}]"][own]
+        np.testing.assert_allclose(gain, expected, rtol=1e-4, atol=1e-5 * np.max(np.abs(expected)))
+
+
+def test_a_stated_uncertainty_of_the_time_base_is_in_u(result):
+    """By hand: pulses of a current that is injected tell its gain, which has the relative error of the time base."""
+    fitted_with = bound_with(result, instruments=Instruments(time_base=20e-6))
+    layout = fitted_with.model.layout
+    gradient = np.where(np.array(layout.names) == SOURCE, layout.parameters[layout.index(SOURCE)].prior_sd, 0.0)
+    inputs = {each.effect: each for each in exact_equipment(fitted_with).found({SOURCE: gradient[None]}).inputs}
+    base = inputs["output_time_base"]
+    assert (base.included, base.stated, base.size) == (True, True, pytest.approx(20.0))
+    assert abs(base.sensitivity(SOURCE)) == pytest.approx(1.0, rel=2e-3), "ppm per ppm"
+    assert base.left == pytest.approx(20.0, rel=0.01)
+    assert "output_time_base.gain[pulse/s]" in {each.parameter for each in uncertain_equipment(fitted_with)}
+    exact = bound_with(result, instruments=Instruments(time_base=0.0))
+    assert "output_time_base" not in {each.effect for each in (*instrument_errors(exact), *uncertain_equipment(exact))}
 
 
 def test_a_quantity_has_one_uncertainty_in_summary_and_budget(accel_channel):

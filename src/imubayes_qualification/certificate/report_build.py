@@ -102,8 +102,22 @@ def subject_of(campaign: Campaign, result: Result) -> subject.Subject:
             subject.ReportedRun(
                 name=run.name, procedure=run.procedure, table=run.table, mounting=run.mounting, start=run.start,
                 rows=run.rows, values_used=used.get(run.name, 0), values_missing=missing[run.name],
+                thermometer=run.thermometer, converter_thermometer=run.converter_thermometer,
             )
             for run in campaign.runs
+        ),
+        thermometers=tuple(
+            subject.ReportedThermometer(
+                name=each.name, offset_uncertainty_degC=each.offset_uncertainty,
+                gain_uncertainty_percent=_in(each.gain_uncertainty, to_si("%")),
+            )
+            for each in campaign.thermometers.values()
+        ),
+        instruments=subject.ReportedInstruments(
+            clock_uncertainty_ppm=_in(campaign.instruments.clock, to_si("ppm")),
+            vibration_uncertainty_percent=_in(campaign.instruments.vibration, to_si("%")),
+            time_base_uncertainty_ppm=_in(campaign.instruments.time_base, to_si("ppm")),
+            meter_uncertainty_ppm=_in(campaign.instruments.meter, to_si("ppm")),
         ),
     )  # fmt: skip
 

@@ -9,13 +9,13 @@ from imubayes.display.fit_quality_tables import weak_text
 from imubayes.display.layout import Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import bias_clause, evidence_text
 from imubayes_qualification.certificate import report_record as record
-from imubayes_qualification.certificate.report_subject import ReportedTable
-from imubayes_qualification.display.report.document import Block, Heading, Items, Paragraph
+from imubayes_qualification.certificate.report_subject import ReportedRun, ReportedTable
+from imubayes_qualification.display.report.document import Block, Heading, Items, Paragraph, without_empty_columns
 from imubayes_qualification.display.report.words import VERDICTS, enumerated, hash_text
 
 
 def equipment_section(subject: record.Subject) -> Iterator[Block]:
-    """Return site, channels, tables, mountings and runs."""
+    """Return site, channels, tables, mountings, instruments and runs."""
     site = (
         f"Latitude {subject.latitude_deg:.6g}°, height {subject.height_m:.6g} m, "
         f"gravity {subject.gravity_m_s2:.6f} m/s²; 1 g in this report is the gravity of the site."
@@ -42,7 +42,7 @@ def equipment_section(subject: record.Subject) -> Iterator[Block]:
     runs = [
         cells(
             run.name, run.procedure.replace("_", " "), run.table or numbers.NO_NUMBER,
-            run.mounting or numbers.NO_NUMBER, (run.start or numbers.NO_NUMBER).replace("T", " "),
+            run.mounting or numbers.NO_NUMBER, _read_by(run), (run.start or numbers.NO_NUMBER).replace("T", " "),
             str(run.rows), str(run.values_used)
         )
         for run in subject.runs
@@ -57,8 +57,39 @@ def equipment_section(subject: record.Subject) -> Iterator[Block]:
     if mountings:
         head = ("mounting", "seat / arcmin")
         yield Sheet("Mountings", head, mountings, (0,), note="Standard uncertainty, each angle.")
-    head = ("run", "procedure", "table", "mounting", "start", "rows", "values")
-    yield Sheet("Runs", head, runs, (0, 1, 2, 3, 4), note="Values: rows times channels that the fit used.")
+    yield from _instruments(subject)
+    head = ("run", "procedure", "table", "mounting", "thermometer", "start", "rows", "values")
+    note = "Values: rows times channels that the fit used."
+    yield without_empty_columns(Sheet("Runs", head, runs, (0, 1, 2, 3, 4, 5), note=note))
+
+
+def _instruments(subject: record.Subject) -> Iterator[Block]:
+    """Yield the thermometers that runs share, and the uncertainties of the other instruments."""
+    thermometers = [
+        cells(each.name, _known(each.offset_uncertainty_degC), _known(each.gain_uncertainty_percent))
+        for each in subject.thermometers
+    ]
+    if thermometers:
+        head = ("thermometer", "at 25 °C / °C", "gain / %")
+        note = "Standard uncertainties as stated, of an error that is common to all runs of the thermometer."
+        yield Sheet("Thermometers", head, thermometers, (0,), note=note)
+    own = subject.instruments
+    stated = [
+        ("clock of the runs", own.clock_uncertainty_ppm, "ppm"),
+        ("vibration sensor", own.vibration_uncertainty_percent, "%"),
+        ("time base of the outputs", own.time_base_uncertainty_ppm, "ppm"),
+        ("meter of the outputs", own.meter_uncertainty_ppm, "ppm"),
+    ]
+    rows = [cells(name, _known(value), unit) for name, value, unit in stated if value is not None]
+    if rows:
+        head = ("instrument", "standard uncertainty", "unit")
+        yield Sheet("Other instruments", head, rows, (0, 2), note="Of the reading, as stated.")
+
+
+def _read_by(run: ReportedRun) -> str:
+    """Return the thermometers of a run."""
+    names = (run.thermometer or "", f"converter: {run.converter_thermometer}" if run.converter_thermometer else "")
+    return ", ".join(filter(None, names))
 
 
 def _vector(axis: tuple[float, float, float]) -> str:
