@@ -18,6 +18,7 @@ from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.foundations.quantity_names import AXIS_ANGLE, QuantityName, family_of
 from imubayes.foundations.units import BIAS_CONVENTION
+from imubayes.foundations.wording import counted
 from imubayes.results.summary import ParameterSummary, Quantity, Summary, channel_units, in_output_units
 
 R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
@@ -98,7 +99,7 @@ def _note(entries: Sequence[Quantity], left_out: int) -> str:
             "data): their estimates are those of the prior. "
         )
     if left_out:
-        note += f"{left_out} nuisance parameters (of single runs and poses) are left out. "
+        note += f"{counted(left_out, 'nuisance parameter')} (of single runs and poses) left out. "
     return note
 
 

@@ -8,6 +8,7 @@ from imubayes.display.fit_cautions import NOISE_WORDS, conflict_sheet, violation
 from imubayes.display.fit_quality_tables import weak_text
 from imubayes.display.layout import Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import bias_clause, evidence_text
+from imubayes.foundations.wording import agreeing, counted
 from imubayes_qualification.certificate import report_record as record
 from imubayes_qualification.certificate.report_subject import ReportedRun, ReportedTable
 from imubayes_qualification.display.report.document import Block, Heading, Items, Paragraph, without_empty_columns
@@ -127,7 +128,8 @@ def adequacy_section(adequacy: record.Adequacy) -> Iterator[Block]:
         yield Paragraph(f"Noise, suspected, although it may be chance: {violation_text(adequacy.noise_suspected)}.")
     if adequacy.undetectable:
         yield Paragraph(
-            f"{len(adequacy.undetectable)} effects of the catalogue are undetectable in these runs, which is not "
+            f"{counted(len(adequacy.undetectable), 'effect')} of the catalogue "
+            f"{agreeing(len(adequacy.undetectable), 'is', 'are')} undetectable in these runs, which is not "
             f"the same as absent: {enumerated(adequacy.undetectable, 40)}."
         )
     if adequacy.most_biasing is not None:
@@ -147,8 +149,8 @@ def _search(adequacy: record.Adequacy) -> str:
     weighed = "" if adequacy.explanations is None else f" {evidence_text(adequacy.explanations)}"
     times = {0: "never", 1: "once", 2: "twice"}.get(adequacy.diagnoses, f"{adequacy.diagnoses} times")
     return (
-        f"The diagnosis weighed {adequacy.candidates} effects that these runs can show.{weighed} A model of this unit "
-        f"was diagnosed {times}, this result included."
+        f"The diagnosis weighed {counted(adequacy.candidates, 'effect')} that these runs can show.{weighed} "
+        f"A model of this unit was diagnosed {times}, this result included."
     )
 
 
@@ -228,15 +230,19 @@ def _decimals(value: float | None, count: int) -> str:
 def left_out_section(found: record.Omissions) -> Iterator[Block]:
     """Return what was left out, and why."""
     items = [
-        f"{each.run}: {each.values} values of {each.channel} are missing in the record." for each in found.channels
+        f"{each.run}: {counted(each.values, 'value')} of {each.channel} missing in the record."
+        for each in found.channels
     ]
     items += list(found.notes)
     if found.outliers:
         items.append(
-            f"{found.outliers} outliers were found by the diagnosis. Its search excludes them, the fit does not."
+            f"The diagnosis found {counted(found.outliers, 'outlier')}. Its search excludes "
+            f"{agreeing(found.outliers, 'it', 'them')}, the fit does not."
         )
     if found.nuisance_parameters:
-        items.append(f"{found.nuisance_parameters} nuisance parameters, such as attitudes of poses, are not listed.")
+        items.append(
+            f"Not listed: {counted(found.nuisance_parameters, 'nuisance parameter')}, such as attitudes of poses."
+        )
     yield Heading("What was left out")
     if not items:
         yield Paragraph("Nothing: every recorded value of every run was used, and every parameter is listed.")
@@ -262,8 +268,8 @@ def scope_section(scope: record.StatisticalScope) -> Iterator[Block]:
         items.append(f"Effects that no run could show, with what a run would have to supply: {named}.")
     if scope.from_priors:
         items.append(
-            f"{len(scope.from_priors)} quantities are known from their priors alone: "
-            f"{enumerated(scope.from_priors, 20)}. Their uncertainty is that of a "
+            f"Known from priors alone: {counted(len(scope.from_priors), 'quantity')}, "
+            f"{enumerated(scope.from_priors, 20)}. The uncertainty is that of a "
             "certificate or an assumption, and no measurement confirmed it."
         )
     weak = [cells(weak_text(each), numbers.percent(each.from_data)) for each in scope.weak_directions]
