@@ -14,7 +14,7 @@ stated: the priors of the errors of thermometers (a gain of 0.3 % is that of cla
 oven, an accelerometer for vibration, a multimeter of six digits.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -96,10 +96,7 @@ def _all(fit: Fit, only: Sequence[str]) -> Iterator[InstrumentError]:
     registry, at = fit.model.registry, _Response(fit)
     effects = [registry.effects[each.name] for each in fit.model.spec.effects]
     read = {need for effect in effects for need in effect.needs}
-    for effect in registry.effects.values():
-        if not issubclass(effect, UncertainTemperature) or effect.name not in only or effect.covariate not in read:
-            continue
-        yield from _of_runs(fit, effect, at) if issubclass(effect, TemperatureOffset) else _shared(fit, effect, at)
+    yield from _of_thermometers(fit, [name for name in only if name in registry.effects], read, at)
     timed = any(issubclass(effect, RecordEffect) for effect in effects) or read & {*_TIMES, *_PER_TIME}
     if CLOCK in only and timed:
         scaled = dict.fromkeys(_TIMES, 1.0) | dict.fromkeys(_PER_TIME, -1.0)
@@ -109,6 +106,15 @@ def _all(fit: Fit, only: Sequence[str]) -> Iterator[InstrumentError]:
         yield _relative(fit, VIBRATION_SENSOR, f"{VIBRATION_SENSOR}.gain[all]", "%", column)
     if {TIME_BASE, METER}.intersection(only):
         yield from _of_outputs(fit, at)
+
+
+def _of_thermometers(
+    fit: Fit, only: Sequence[str], read: Collection[str], at: "_Response"
+) -> Iterator[InstrumentError]:
+    """Yield the errors of temperatures that effects of the model read, `read`, which are not in the model."""
+    for effect in map(fit.model.registry.effects.__getitem__, only):
+        if issubclass(effect, UncertainTemperature) and effect.covariate in read:
+            yield from _of_runs(fit, effect, at) if issubclass(effect, TemperatureOffset) else _shared(fit, effect, at)
 
 
 def _relative(fit: Fit, effect: str, name: str, unit: str, column: np.ndarray) -> InstrumentError:

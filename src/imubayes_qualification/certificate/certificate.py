@@ -51,7 +51,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from imubayes.campaign import file_schemas
 from imubayes.campaign.toml_documents import Ledger, read_document
-from imubayes.foundations.campaign_data import THERMOMETERS, Campaign
+from imubayes.foundations.campaign_data import THERMOMETERS, Campaign, Run
 from imubayes.foundations.covariates import instruments
 from imubayes.foundations.records import Record
 from imubayes.procedures.ambient import instant, starts_of
@@ -365,14 +365,12 @@ def equipment_used(campaign: Campaign, covariates: Collection[str] = ()) -> Equi
     """
     accelerometers = any(channel.kind == "accelerometer" for channel in campaign.channels)
     read, normal = instruments(covariates), campaign.site.has_normal_gravity
-    named = dict(zip(("temperature", "converter_temperature"), THERMOMETERS, strict=True))
     gravity = () if normal else (GRAVITY,)
     needed, recorded = dict[str, Used](), dict[str, Used]()
     for run in campaign.runs:
         own = instruments(run.covariates)
         procedure = run.procedure if run.procedure in _WITH_STANDARD else None
-        # A thermometer with a name is traced by it, as a table is.
-        called = {name: (getattr(run, named[name]) if name in named else None) or name for name in own}
+        called = _called(run, own)
         enters = [run.table, procedure, *(called[name] for name in own if name in read)]
         enters += filter(None, (_READOUTS.get(readout(each.output_unit) or "") for each in campaign.channels))
         beside = [called[name] for name in own if called[name] not in enters]
@@ -381,6 +379,12 @@ def equipment_used(campaign: Campaign, covariates: Collection[str] = ()) -> Equi
             for name in filter(None, names):
                 listed[name] = listed.get(name, Used()).by(run.start)
     return EquipmentUsed(needed, recorded, accelerometers and normal)
+
+
+def _called(run: Run, own: Sequence[str]) -> dict[str, str]:
+    """Return what standards for readings of a run are called: a thermometer with a name is traced by it."""
+    named = dict(zip(("temperature", "converter_temperature"), THERMOMETERS, strict=True))
+    return {name: (getattr(run, named[name]) if name in named else None) or name for name in own}
 
 
 def missing_items(found: Certificate, campaign: Campaign, covariates: Collection[str] = ()) -> tuple[Missing, ...]:

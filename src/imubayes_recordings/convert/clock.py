@@ -238,9 +238,8 @@ def _unwrapped(time: np.ndarray, factor: float) -> tuple[np.ndarray, tuple[str, 
         if len(back) and ((over >= 0) & (over < 50 * usual + 1e-300)).all() and np.ptp(time) > 0.5 * width:
             turns = np.zeros(len(time))
             turns[back] = width
-            return (time + np.cumsum(turns)) * factor, (
-                f"the time wraps round {counted(len(back), 'time')} at {width:.10g}",
-            )
+            note = f"the time wraps round {counted(len(back), 'time')} at {width:.10g}"
+            return (time + np.cumsum(turns)) * factor, (note,)
     return time * factor, ()
 
 
