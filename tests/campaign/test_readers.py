@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from small_files import DEGREE, GRAVITY, MODEL
 
 from imubayes.campaign import inspect_campaign, load_campaign, read_model_file
 from imubayes.campaign.equipment import complete_axes
+from imubayes.campaign.file_schemas import RunEntry, ThermometerEntry
 from imubayes.campaign.toml_documents import key_lines, line_of
 from imubayes.foundations.campaign_data import Instruments, Thermometer
 from imubayes.foundations.errors import InputError
@@ -61,6 +63,13 @@ def test_thermometers_and_instruments(small: Path, edit: Callable[[str, str, str
     assert campaign.thermometers == {"Pt": Thermometer("Pt", 0.1, 0.2 * to_si("%"))}
     assert campaign.instruments == Instruments(meter=8 * to_si("ppm"))
     assert [run.thermometer for run in campaign.runs] == ["Pt", None, None, None]
+
+
+def test_the_example_of_the_page_on_temperatures_is_read() -> None:
+    page = (Path(__file__).parents[2] / "src" / "docs" / "how-to" / "temperature.md").read_text(encoding="utf-8")
+    content = tomllib.loads(page.partition("```toml\n")[2].partition("```")[0])
+    assert ThermometerEntry.model_validate(content["thermometer"][0]).gain_uncertainty_percent == 0.05
+    assert {RunEntry.model_validate(run).thermometer for run in content["run"]} == {"Pt100 No. 7"}
 
 
 def test_noise_comes_from_scatter_within_means(small: Path) -> None:

@@ -90,14 +90,7 @@ def subject_of(campaign: Campaign, result: Result) -> subject.Subject:
             )
             for table in campaign.tables.values()
         ),
-        mountings=tuple(
-            subject.ReportedMounting(
-                name=mounting.name,
-                body_to_table=tuple(_triple(row) for row in mounting.body_to_table),
-                uncertainty_arcmin=_in(mounting.uncertainty, math.radians(1 / 60)),
-            )
-            for mounting in campaign.mountings.values()
-        ),
+        mountings=_mountings(campaign),
         runs=tuple(
             subject.ReportedRun(
                 name=run.name, procedure=run.procedure, table=run.table, mounting=run.mounting, start=run.start,
@@ -109,6 +102,17 @@ def subject_of(campaign: Campaign, result: Result) -> subject.Subject:
         thermometers=_thermometers(campaign),
         instruments=_instruments(campaign.instruments),
     )  # fmt: skip
+
+
+def _mountings(campaign: Campaign) -> tuple[subject.ReportedMounting, ...]:
+    return tuple(
+        subject.ReportedMounting(
+            name=mounting.name,
+            body_to_table=tuple(_triple(row) for row in mounting.body_to_table),
+            uncertainty_arcmin=_in(mounting.uncertainty, math.radians(1 / 60)),
+        )
+        for mounting in campaign.mountings.values()
+    )
 
 
 def _thermometers(campaign: Campaign) -> tuple[subject.ReportedThermometer, ...]:
