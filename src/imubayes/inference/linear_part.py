@@ -128,8 +128,12 @@ def thinned_scales(h: np.ndarray, parameters: int) -> np.ndarray:
     """Return the draws of the noise scales, out of h (S, H), over which variances of quantities are averaged.
 
     A budget averages over the same ones, so that its contributions and the uncertainty have no difference by chance.
+    Which they are does not depend on the order of the draws, which is another one in a result folder.  They are evenly
+    spaced in the order of their first scale.
     """
     per_draw = 3.5 * parameters**3  # a model has about 1.6 quantities for each parameter
+    if h.shape[1]:
+        h = h[np.argsort(h[:, 0], kind="stable")]
     return evenly(h, max(_LEAST_DRAWS, int(CONDITIONING_WORK / max(per_draw, 1.0))))
 
 
