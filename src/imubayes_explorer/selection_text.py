@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from imubayes.criticism.formula_search import ResidualFormula
 from imubayes.display.loop.diagnosis_sentences import probability
-from imubayes.display.numbers_and_labels import counted, listed, percent, relation, significant
+from imubayes.display.numbers_and_labels import listed, percent, relation, significant
+from imubayes.foundations.wording import counted
 from imubayes_explorer.drawn_shape import DrawnFormula
 
 _EXPLAINS = 0.5

@@ -9,6 +9,7 @@ import pytest
 from beartype.roar import BeartypeCallHintViolation
 
 from imubayes.campaign import load_campaign
+from imubayes.foundations.campaign_data import Instruments, Thermometer
 from imubayes.foundations.errors import InputError
 from imubayes_archive.dataset import campaign_file
 from imubayes_archive.dataset.campaign_file import content_checksum, read_campaign, read_head, write_campaign
@@ -81,6 +82,17 @@ def test_the_uncertainty_of_a_temperature_is_kept(tmp_path):
     found = read_campaign(tmp_path / "campaign.parquet")
     assert (found.runs[0].temperature_uncertainty, found.runs[0].converter_temperature_uncertainty) == (0.5, 2.0)
     assert differences(found, stated) == []
+    assert content_checksum(stated) != content_checksum(campaign)
+
+
+def test_thermometers_and_instruments_are_kept(tmp_path):
+    campaign = load_campaign(DATA / "polar-tumble")
+    first = dataclasses.replace(campaign.runs[0], thermometer="Pt")
+    known = {"thermometers": {"Pt": Thermometer("Pt", 0.1, None)}, "instruments": Instruments(time_base=1e-6)}
+    stated = dataclasses.replace(campaign, runs=(first, *campaign.runs[1:]), **known)
+    write_campaign(stated, tmp_path / "campaign.parquet")
+    found = read_campaign(tmp_path / "campaign.parquet")
+    assert (found.runs[0].thermometer, found.thermometers, found.instruments) == ("Pt", *known.values())
     assert content_checksum(stated) != content_checksum(campaign)
 
 

@@ -31,6 +31,14 @@ def toml(old: str, new: str) -> Spoil:
     return swap("campaign.toml", old, new)
 
 
+def with_thermometer(old: str, new: str) -> Spoil:
+    def spoil(folder: Path) -> None:
+        for spoilt in (toml("[unit]", '[[thermometer]]\nname = "Pt"\n[unit]'), toml(old, new)):
+            spoilt(folder)
+
+    return spoil
+
+
 def column(file: str, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Spoil:
     def spoil(folder: Path) -> None:
         table = pacsv.read_csv(folder / file)
@@ -159,6 +167,24 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "uncertainty of no temperature": (
         toml("temperature_degC = 25.0", "converter_temperature_uncertainty_degC = 0.5"),
         "is stated without converter_temperature_degC", r"rates\.csv, header", "a column of that name",
+    ),
+    "thermometer that is not defined": (
+        toml("temperature_degC = 25.0", 'temperature_degC = 25.0\nthermometer = "Pt 7"'),
+        "refers to the thermometer 'Pt 7'", r"run\[0\]\.thermometer", "add a [[thermometer]]",
+    ),
+    "thermometer of no temperature": (
+        with_thermometer("temperature_degC = 25.0", 'converter_thermometer = "Pt"'),
+        "converter_thermometer is stated without converter_temperature_degC", r"rates\.csv, header", "a column of that name",
+    ),
+    "thermometer of sensors and converter": (
+        with_thermometer("temperature_degC = 25.0",
+             'temperature_degC = 25.0\nconverter_temperature_degC = 25.0\nthermometer = "Pt"\nconverter_thermometer = "Pt"'),
+        "'Pt' is the converter_thermometer of run 'rates', and the thermometer of run 'rates'",
+        r"run\[0\]\.converter_thermometer", "either the temperature of the sensors or that of the converter",
+    ),
+    "time base known to no part": (
+        toml("[unit]", "[instruments]\ntime_base_uncertainty_ppm = -1\n[unit]"),
+        "-1", r"instruments\.time_base_uncertainty_ppm", "at least 0",
     ),
     "table twice": (toml('name = "head"', 'name = "rate"'), "given twice", r"table\[1\]\.name", "not yet used"),
     "singular mounting": (toml("[[1, 0, 0], [0, 1, 0]", "[[1, 0, 0], [1, 0, 0]"), "singular", r"mounting\[0\]", "orthonormal"),

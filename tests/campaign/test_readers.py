@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,8 +15,11 @@ from small_files import DEGREE, GRAVITY, MODEL
 
 from imubayes.campaign import inspect_campaign, load_campaign, read_model_file
 from imubayes.campaign.equipment import complete_axes
+from imubayes.campaign.file_schemas import RunEntry, ThermometerEntry
 from imubayes.campaign.toml_documents import key_lines, line_of
+from imubayes.foundations.campaign_data import Instruments, Thermometer
 from imubayes.foundations.errors import InputError
+from imubayes.foundations.units import to_si
 from imubayes.procedures import PROCEDURES
 
 
@@ -49,6 +53,23 @@ def test_covariates(small: Path) -> None:
     assert ramp.covariates["converter_temperature"][0] == pytest.approx(20.1, abs=0.03)
     assert "temperature" not in ramp.covariates
     assert np.isnan(positions.sample_sd).all()
+
+
+def test_thermometers_and_instruments(small: Path, edit: Callable[[str, str, str], None]) -> None:
+    stated = '[[thermometer]]\nname = "Pt"\noffset_uncertainty_degC = 0.1\ngain_uncertainty_percent = 0.2\n'
+    edit("campaign.toml", "[unit]", f"{stated}\n[instruments]\nmeter_uncertainty_ppm = 8\n\n[unit]")
+    edit("campaign.toml", "temperature_degC = 25.0", 'temperature_degC = 25.0\nthermometer = "Pt"')
+    campaign = load_campaign(small)
+    assert campaign.thermometers == {"Pt": Thermometer("Pt", 0.1, 0.2 * to_si("%"))}
+    assert campaign.instruments == Instruments(meter=8 * to_si("ppm"))
+    assert [run.thermometer for run in campaign.runs] == ["Pt", None, None, None]
+
+
+def test_the_example_of_the_page_on_temperatures_is_read() -> None:
+    page = (Path(__file__).parents[2] / "src" / "docs" / "how-to" / "temperature.md").read_text(encoding="utf-8")
+    content = tomllib.loads(page.partition("```toml\n")[2].partition("```")[0])
+    assert ThermometerEntry.model_validate(content["thermometer"][0]).gain_uncertainty_percent == 0.05
+    assert {RunEntry.model_validate(run).thermometer for run in content["run"]} == {"Pt100 No. 7"}
 
 
 def test_noise_comes_from_scatter_within_means(small: Path) -> None:

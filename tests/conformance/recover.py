@@ -11,7 +11,8 @@ import numpy as np
 
 import imubayes
 from imubayes.effects.base import AmbientEffect
-from imubayes.foundations.campaign_data import Campaign
+from imubayes.effects.thermometer import SharedThermometer
+from imubayes.foundations.campaign_data import Campaign, Thermometer
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model, bind
 from imubayes.model.bound_effects import Observability, observability
@@ -89,7 +90,7 @@ def shown_by(member: type) -> Campaign:
         if need in member.needs:
             return among()
     if issubclass(member, AmbientEffect):
-        return uncertain_campaign()
+        return read_campaign() if issubclass(member, SharedThermometer) else uncertain_campaign()
     if member.nuisance:
         return tumble_campaign()
     # A skew shows in rows of known angle that turn, and there are none but in the wide campaign.
@@ -103,6 +104,14 @@ def uncertain_campaign() -> Campaign:
     known = campaign()
     stated = {"temperature_uncertainty": 2.0, "converter_temperature_uncertainty": 3.0}
     return replace(known, runs=tuple(replace(run, **stated) for run in known.runs))
+
+
+def read_campaign() -> Campaign:
+    """Return the campaign with temperatures read by one thermometer for the sensors, and one for the converter."""
+    known = uncertain_campaign()
+    read = {"thermometer": "Pt", "converter_thermometer": "Pc", "temperature_uncertainty": None}
+    runs = tuple(replace(run, **read, converter_temperature_uncertainty=None) for run in known.runs)
+    return replace(known, runs=runs, thermometers={name: Thermometer(name, 2.0, 0.03) for name in ("Pt", "Pc")})
 
 
 def _missing(name: str) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from imubayes.effects.base import AmbientEffect, Effect, MotionEffect, RecordEffect
+from imubayes.effects.thermometer import SharedThermometer
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES, ambient_names
 from imubayes.foundations.errors import InputError
@@ -92,7 +93,15 @@ def test_an_effect_reads_no_covariate_that_it_does_not_declare(name):
             found = [apply(ambient, ambient, jnp.asarray(1.0)) for ambient, _ in (plain, moved)]
         else:
             found = [apply(*state) for _, state in (plain, moved)]
-        if issubclass(member, AmbientEffect):  # it hands on all circumstances, and has to change its own alike
+        if issubclass(member, AmbientEffect):
+            # It hands on all circumstances, and has to change its own alike.  A gain multiplies the rate of change of
+            # its own as well, which 0 stands for where there is none.
+            rate = f"{member.covariate}_rate"
+            if issubclass(member, SharedThermometer):
+                found = [
+                    each.updated(**{rate: state[0].values[rate]})
+                    for each, (_, state) in zip(found, (plain, moved), strict=True)
+                ]
             found = [
                 jax.tree.map(lambda after, before: jnp.round(after - before, 9), each, state[0])
                 for each, (_, state) in zip(found, (plain, moved), strict=True)

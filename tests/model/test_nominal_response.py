@@ -46,7 +46,8 @@ def test_only_what_was_not_recorded_or_is_not_felt_is_missing():
     assert missing <= {"reference_bias", "reference_scale_factor", "reference_alignment", "reference_noise",
                        "servo_start", "station_heading", "station_level", "tumble_heading", "unknown_heading",
                        "unknown_level", "pose_attitude", "rotation_closure", "thermometer_error",
-                       "converter_thermometer_error", "hand_acceleration", "hand_velocity", "carried_closure",
+                       "converter_thermometer_error", "thermometer_calibration",
+                       "converter_thermometer_calibration", "hand_acceleration", "hand_velocity", "carried_closure",
                        "rotation_centre", *SERIAL}  # fmt: skip
 
 

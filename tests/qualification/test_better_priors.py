@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes_qualification.budgets.linear_part import BetterPriors, LinearGivenScales
+from imubayes_qualification.budgets.better_priors import BetterPriors, LinearGivenScales
 
 # Four run means about bias + slope · input, with a scatter between runs: its prior is log-normal.
 INPUTS = np.array([-1.0, -0.3, 0.4, 1.0])

@@ -343,6 +343,23 @@ def test_what_is_read_beside_the_outputs_needs_its_standard(tmp_path):
     }
 
 
+def test_a_thermometer_with_a_name_is_traced_by_it(tmp_path):
+    campaign = campaign_of()
+    first, *others = (replace(run, covariates={"temperature": np.zeros(1)}) for run in campaign.runs)
+    campaign = replace(campaign, runs=(replace(first, thermometer="Pt 7"), *others))
+    named = WHOLE.replace('equipment = ["rate"]', 'equipment = ["rate", "Pt 7"]')
+    for runs, text, missing in (
+        (campaign.runs[:1], named, set()),
+        (campaign.runs[:1], WHOLE, {("untraced", "Pt 7")}),
+        (campaign.runs[:1], WHOLE.replace('equipment = ["rate"]', 'equipment = ["rate", "temperature"]'),
+         {("untraced", "Pt 7"), ("unused", "rate table: temperature")}),
+        (campaign.runs, named, {("untraced", "temperature")}),
+    ):  # fmt: skip
+        block, _ = read_certificate(written(tmp_path, text))
+        found = missing_items(block, replace(campaign, runs=runs), ("temperature",))
+        assert {(each.item, each.of) for each in found} == missing
+
+
 def test_accelerometers_need_a_traced_gravity_and_an_accreditation_its_capabilities(tmp_path):
     block, _ = read_certificate(written(tmp_path, WHOLE))
     accelerometers = replace(campaign_of(), channels=digital())

@@ -70,8 +70,8 @@ def test_what_a_row_lacks_or_exceeds_is_told_of_single_channels_as_well(result):
     assert found.incomplete == 2
     assert found.table["ax_sd_g"].is_null().to_list() == [False, True, True, False]
     said = inputs_lines(found, True)
-    assert "1 rows exceed the largest specific force" in said[1]
-    assert "2 rows lack" in said[0]
+    assert "1 row beyond the largest specific force" in said[1]
+    assert "2 rows without an output" in said[0]
     for value in (np.nan, np.inf, -300.0):
         with pytest.raises(InputError, match="a temperature of"):
             apply(result, table, temperatures={"converter_temperature": value})

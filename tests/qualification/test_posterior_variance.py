@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from imubayes_qualification.budgets.budget_parts import KnownVariance, variance_of
+from imubayes.inference.linear_part import thinned_scales
+from imubayes.inference.posterior_variance import KnownVariance, variance_of
 
 KNOWN = KnownVariance(4.0, 0.0)
 
@@ -24,6 +25,17 @@ def test_unbiased_with_the_error_that_is_stated():
     # Five times sharper than the sample variance.
     assert errors.mean() < 0.5 * true * np.sqrt(2 / 4000)
     assert slopes.mean() == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_draws_that_are_averaged_over_do_not_depend_on_their_order():
+    """A result folder keeps chain after chain, and the fit has their points side by side."""
+    rng = np.random.default_rng(1)
+    h = rng.standard_normal((50_000, 3))
+    found, other = thinned_scales(h, 120), thinned_scales(rng.permutation(h), 120)
+    assert 40 < len(found) < 1000
+    np.testing.assert_array_equal(found, other)
+    assert len(thinned_scales(h, 5)) == len(h)
+    assert thinned_scales(np.zeros((100, 0)), 5).shape == (1, 0)
 
 
 def test_a_linear_part_of_another_width_is_scaled():

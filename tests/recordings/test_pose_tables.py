@@ -123,7 +123,7 @@ def test_of_thousands_of_poses_those_are_used_that_fill_the_directions(tmp_path:
     convert([tmp_path / "means.csv"], tmp_path / "unit", rows="means", accel_unit="g", gravity_m_s2=9.81)
     run = load_campaign(tmp_path / "unit").runs[0]
     assert run.rows == MOST_POSES
-    assert sum("2850 poses left out, evenly over their directions" in note for note in run.notes) == 1
+    assert sum("2850 poses left out, evenly over directions" in note for note in run.notes) == 1
     used = run.observed / np.linalg.norm(run.observed, axis=1)[:, None]
     # Evenly: each octant has an eighth, but for the readings that there are.
     octants = np.bincount((used > 0) @ [1, 2, 4], minlength=8) / MOST_POSES

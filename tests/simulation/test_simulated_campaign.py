@@ -178,7 +178,12 @@ def test_the_uncertainty_of_a_temperature_is_written_back_and_has_a_truth(plan: 
     truth = tomllib.loads((folder / "truth.toml").read_text())["parameters"]
     (offset,) = (value for name, value in truth.items() if name.startswith("converter_thermometer_error"))
     assert 0 < abs(offset) < 12
-    edit("converter_temperature_uncertainty_degC = 3.0", "converter_temperature_uncertainty_degC = -3.0")
+    edit("converter_temperature_uncertainty_degC = 3.0", 'converter_thermometer = "Pt"')
+    edit("[[run]]", '[[thermometer]]\nname = "Pt"\noffset_uncertainty_degC = 3.0\n\n[[run]]')
+    read = load_campaign(simulate_plan(plan, plan.parent / "read"))
+    assert (read.runs[0].converter_thermometer, read.thermometers["Pt"].offset_uncertainty) == ("Pt", 3.0)
+    assert "converter_thermometer_calibration.offset[Pt]" in (plan.parent / "read" / "truth.toml").read_text()
+    edit('converter_thermometer = "Pt"', "converter_temperature_uncertainty_degC = -3.0")
     with pytest.raises(InputError, match="converter_temperature_uncertainty_degC"):
         read_plan(plan)
 

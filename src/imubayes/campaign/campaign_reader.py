@@ -16,6 +16,12 @@ import numpy as np
 
 from imubayes.campaign import equipment as stated
 from imubayes.campaign.file_schemas import CampaignFile, Draft, ModelFile, RunEntry, draft_of
+from imubayes.campaign.instruments import (
+    build_instruments,
+    build_thermometers,
+    check_thermometers,
+    refuse_two_readings,
+)
 from imubayes.campaign.physical_checks import check_gravity, check_rows
 from imubayes.campaign.repeated_data import check_repeats
 from imubayes.campaign.run_reader import Equipment, Loaded, judge_rows, load_run
@@ -323,6 +329,7 @@ def _equipment(draft: Draft, ledger: Ledger) -> Equipment:
         stated.build_tables(draft.tables, ledger),
         stated.build_mountings(draft.mountings, ledger),
         stated.build_benches(draft.tables),
+        build_thermometers(draft.thermometers, ledger),
     )
 
 
@@ -346,6 +353,8 @@ def _campaign(
         entry.unit.grade,
         None if (percent := entry.evaluation.delta_k_threshold_percent) is None else percent / 100,
         labels=entry.unit.labels,
+        thermometers=equipment.thermometers,
+        instruments=build_instruments(entry.instruments),
     )
 
 
@@ -365,7 +374,9 @@ def _check_runs(draft: Draft, tables: Tables, ledger: Ledger) -> None:
                 "use one of the allowed procedures",
             )
         stated.check_references(run, index, draft.names, ledger)
+        check_thermometers(run, index, draft.names["thermometer"], ledger)
         tables.check(run, index, ledger)
+    refuse_two_readings(draft.runs, ledger)
     _check_gyros(draft, ledger)
     injected = [index for index, run in draft.runs.items() if procedure_named(run.procedure).injected]
     # An invalid channel entry may be the one with the key.

@@ -45,6 +45,7 @@ Positive = Annotated[float, Field(gt=0)]
 Arcseconds = Annotated[float, Field(ge=0, le=648_000)]
 Arcminutes = Annotated[float, Field(ge=0, le=10_800)]
 Millionths = Annotated[float, Field(ge=0, le=1e6)]
+Percent = Annotated[float, Field(ge=0, le=100)]
 Micrometres = Annotated[float, Field(ge=0, le=1e8)]
 _LEAST_LENGTH = 1e-9
 ABSURD = 1e30  # no instrument reads as much, and squares of more than 1e154 overflow
@@ -206,6 +207,30 @@ class MountingEntry(_Entry):
         return self
 
 
+class ThermometerEntry(_Entry):
+    """A thermometer that several runs share: its error is common to all of them; an uncertainty of 0 means exact."""
+
+    name: Name
+    """by which runs refer to it"""
+    offset_uncertainty_degC: TemperatureUncertainty | None = None
+    """standard uncertainty of its error at 25 degC; by default unknown"""
+    gain_uncertainty_percent: Percent | None = None
+    """standard uncertainty of the error that grows with the distance from 25 degC, of that distance"""
+
+
+class InstrumentsEntry(_Entry):
+    """Standard uncertainties of other instruments, relative to their readings; 0 means exact, by default unknown."""
+
+    clock_uncertainty_ppm: Millionths | None = None
+    """of the clock of time_s, power_on_s and rates of temperature"""
+    vibration_uncertainty_percent: Percent | None = None
+    """of vibration_g_rms"""
+    time_base_uncertainty_ppm: Millionths | None = None
+    """of the time base of outputs that are counted per second"""
+    meter_uncertainty_ppm: Millionths | None = None
+    """of the meter of outputs in volts and amperes"""
+
+
 class RunEntry(_Entry):
     """One run: procedure, equipment and the file of its run table."""
 
@@ -219,14 +244,18 @@ class RunEntry(_Entry):
     """name of a [[table]]"""
     mounting: str | None = None
     """name of a [[mounting]]"""
+    thermometer: str | None = None
+    """name of the [[thermometer]] of temperature_degC"""
+    converter_thermometer: str | None = None
+    """name of the [[thermometer]] of converter_temperature_degC"""
     temperature_degC: float | None = Field(default=None, ge=-150, le=150)
     """of all rows, where the file has no column of that name"""
     converter_temperature_degC: float | None = Field(default=None, ge=-150, le=150)
     """of all rows, where the file has no column of that name"""
     temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
         default=None,
-        description="standard uncertainty of temperature_degC, stated or recorded, common to all rows: the prior of "
-        "thermometer_error; exact where absent",
+        description="standard uncertainty of temperature_degC, stated or recorded, common to all rows and of no "
+        "other run: the prior of thermometer_error; exact where absent",
     )
     converter_temperature_uncertainty_degC: TemperatureUncertainty | None = None
     """the same of converter_temperature_degC: the prior of converter_thermometer_error"""
@@ -273,6 +302,10 @@ class CampaignFile(_Entry):
     """rate tables, dividing heads, polar axes, centrifuges"""
     mounting: list[MountingEntry] = []
     """how the unit sat on a table"""
+    thermometer: list[ThermometerEntry] = []
+    """those that several runs share"""
+    instruments: InstrumentsEntry = InstrumentsEntry()
+    """clock, vibration sensor, time base and meter of outputs"""
     run: list[RunEntry] = Field(min_length=1)
     """one for each recording"""
 
@@ -397,6 +430,7 @@ FORMS = {
     "site": "a table [site]",
     "unit": "a table [unit]",
     "evaluation": "a table [evaluation]",
+    "instruments": "a table [instruments]",
     "optional": "true or false, without quotes",
 }
 """Key → form of its value, where the type alone does not describe it."""
@@ -409,7 +443,7 @@ class Draft:
     Attributes
     ----------
     site : None if missing or invalid.
-    channels, tables, mountings, runs : index in the file → entry.
+    channels, tables, mountings, thermometers, runs : index in the file → entry.
     names : section → all names in it, including those of invalid entries.
     """
 
@@ -417,18 +451,20 @@ class Draft:
     channels: Mapping[int, ChannelEntry]
     tables: Mapping[int, TableEntry]
     mountings: Mapping[int, MountingEntry]
+    thermometers: Mapping[int, ThermometerEntry]
     runs: Mapping[int, RunEntry]
     names: Mapping[str, list[str]]
 
 
 def draft_of(content: Mapping[str, Any]) -> Draft:
     """Return the valid entries in the content of a campaign file."""
-    sections = ("channel", "table", "mounting", "run")
+    sections = ("channel", "table", "mounting", "thermometer", "run")
     return Draft(
         _validated(content.get("site"), SiteEntry),
         _entries(content, "channel", ChannelEntry),
         _entries(content, "table", TableEntry),
         _entries(content, "mounting", MountingEntry),
+        _entries(content, "thermometer", ThermometerEntry),
         _entries(content, "run", RunEntry),
         {section: _names(content, section) for section in sections},
     )

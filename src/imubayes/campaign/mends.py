@@ -18,6 +18,7 @@ from imubayes.campaign.file_schemas import CampaignFile
 from imubayes.foundations.covariates import COVARIATES, recorded_columns
 from imubayes.foundations.errors import input_error
 from imubayes.foundations.files import new_folder, refuse_occupied
+from imubayes.foundations.wording import counted
 
 _TIME = COVARIATES["time"].column
 
@@ -106,7 +107,7 @@ def _of_table(table: Path, channels: Sequence[str], where: str) -> Iterator[str]
     mends = [f"{where}: column '{old}' → '{new}'" for old, new in zip(names, right, strict=True) if old != new]
     if _TIME in right:
         lines, late = _in_order(lines, right.index(_TIME))
-        mends += [f"{where}: {late} steps back in time, rows put in order of {_TIME}"] if late else []
+        mends += [f"{where}: {counted(late, 'step')} back in time, rows put in order of {_TIME}"] if late else []
     if mends:
         table.write_text("\n".join([",".join(right), *lines]) + "\n", encoding="utf-8")
     yield from mends

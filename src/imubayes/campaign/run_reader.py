@@ -29,7 +29,7 @@ from imubayes.campaign.run_tables import (
 )
 from imubayes.campaign.sample_checks import without_counts
 from imubayes.campaign.stream_checks import UNIT_FINDINGS, Finding, Monitor
-from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table, Tumble
+from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table, Thermometer, Tumble
 from imubayes.foundations.covariates import recorded
 from imubayes.foundations.errors import InputError, Issue, input_error
 from imubayes.procedures import PROCEDURES, Procedure, Reduction, procedure_named
@@ -77,6 +77,8 @@ def build_run(
         entry.temperature_uncertainty_degC,
         entry.converter_temperature_uncertainty_degC,
         None if entry.turn_uncertainty_deg is None else float(np.radians(entry.turn_uncertainty_deg)),
+        entry.thermometer,
+        entry.converter_thermometer,
     )
 
 
@@ -93,20 +95,24 @@ def unused_columns(layout: ColumnLayout, procedure: Procedure, run: str, where: 
 
 
 def unfounded_uncertainties(entry: RunEntry, run: Run, where: str) -> list[Finding]:
-    """Return an error for each stated uncertainty of a temperature that the run neither states nor records."""
+    """Return an error for each uncertainty or thermometer of a temperature that the run neither states nor records."""
     stated = {
-        "temperature": entry.temperature_uncertainty_degC,
-        "converter_temperature": entry.converter_temperature_uncertainty_degC,
-    }
+        "temperature_uncertainty_degC": ("temperature", entry.temperature_uncertainty_degC),
+        "converter_temperature_uncertainty_degC": (
+            "converter_temperature", entry.converter_temperature_uncertainty_degC,
+        ),
+        "thermometer": ("temperature", entry.thermometer),
+        "converter_thermometer": ("converter_temperature", entry.converter_thermometer),
+    }  # fmt: skip
     return [
         Finding(
             "unfounded_uncertainty", "error", entry.name,
-            f"{name}_uncertainty_degC is stated without {name}_degC",
+            f"{key} is stated without {name}_degC",
             f"{where}, header", f"{name}_degC of the run, or a column of that name with values",
-            f"state {name}_degC, or remove {name}_uncertainty_degC",
+            f"state {name}_degC, or remove {key}",
         )
-        for name, uncertainty in stated.items()
-        if uncertainty and name not in run.covariates
+        for key, (name, value) in stated.items()
+        if value and name not in run.covariates
     ]  # fmt: skip
 
 
@@ -174,6 +180,7 @@ class Equipment:
     tables: dict[str, Table]
     mountings: dict[str, Mounting]
     benches: dict[str, reduce.BenchSettings]
+    thermometers: dict[str, Thermometer]
 
 
 @dataclass

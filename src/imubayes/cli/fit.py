@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from imubayes.cli.session import Flag, Json, Names, Trust, progress, show, split, start_jax, trusting
 from imubayes.foundations.errors import input_error
-from imubayes.foundations.extensions import extensions
 
 if TYPE_CHECKING:
     from imubayes.foundations.campaign_data import Campaign
@@ -266,9 +265,7 @@ def _shown(result: "Result", campaign: Path, out: Path, as_json: bool, verbose: 
     from imubayes.display.fit_cautions import next_command
     from imubayes.display.fit_report import summary_report
 
-    entry = extensions("options").get("fit.stated") if result.summary.sampled else None  # of others nothing is kept
-    stated = result.summary if entry is None else entry.load()(result)
-    show(lambda: result.summary, lambda: summary_report(stated, verbose=verbose), as_json)
+    show(lambda: result.summary, lambda: summary_report(result.summary, verbose=verbose), as_json)
     if not as_json:
         print(f"\nresult in {out}; next: {next_command(result.summary, str(campaign), str(out))}")
     return 0 if result.converged else 1

@@ -14,10 +14,11 @@ from imubayes.campaign import Inspection
 from imubayes.campaign.equipment import grade_of
 from imubayes.display.fit_cautions import left_out_lines
 from imubayes.display.layout import Report, Sheet, cells
-from imubayes.display.numbers_and_labels import counted, listed
+from imubayes.display.numbers_and_labels import listed
 from imubayes.foundations.campaign_data import Campaign, Grade, Run
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.records import Record
+from imubayes.foundations.wording import counted
 from imubayes.model.model_file import SingleRunEffect
 
 _CHANGING = re.compile(r"'[^']*'|\"[^\"]*\"|(?<![\w.])\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?!\w)")
@@ -169,8 +170,8 @@ def check_report(
     ]
     if model is not None:
         lines.append(
-            f"model '{model.name}' can be fitted to this campaign: {model.parameters} parameters, "
-            f"{model.noise_parameters} of noise, {model.measured_values} measured values"
+            f"model '{model.name}' can be fitted to this campaign: {counted(model.parameters, 'parameter')}, "
+            f"{model.noise_parameters} of noise, {counted(model.measured_values, 'measured value')}"
         )
         if model.untold:
             lines.append(

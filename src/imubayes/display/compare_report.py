@@ -35,6 +35,7 @@ from imubayes.display.loop.kept_causes import causes_of
 from imubayes.display.named_covariate import named_covariate
 from imubayes.display.progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
+from imubayes.foundations import wording
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, kept_if_possible, refuse
 from imubayes.foundations.files import write_json, write_text
 from imubayes.foundations.progress import Tell, counted
@@ -135,7 +136,8 @@ class Comparison:
         yield self.runs
         if self.pictures:
             yield from self.notes
-            yield f"{len(self.pictures)} figures in {self.folder / FIGURES}; look at these first: {self.page}"
+            count = wording.counted(len(self.pictures), "figure")
+            yield f"{count} in {self.folder / FIGURES}; look at these first: {self.page}"
 
     def _repr_html_(self) -> str:
         return summary_html(self.summary)
@@ -331,7 +333,7 @@ def _draws(file: Path, names: Sequence[str], asked: bool) -> Mapping[str, Any]:
 def _notes(residuals: pl.DataFrame, draws: Mapping[str, Any], chosen: Sequence[str]) -> Iterator[str]:
     runs = ordered(residuals, "run")
     if len(chosen) < len(runs):
-        yield f"{len(chosen)} of {len(runs)} runs have a figure of their own; others: --runs NAME, or --runs all."
+        yield f"{len(chosen)} of {len(runs)} runs with a figure of its own; others: --runs NAME, or --runs all."
     if not draws:
         yield "No corner plot: the result holds no posterior draws."
 
@@ -347,8 +349,8 @@ def print_comparison(comparison: Comparison) -> None:
     for line in disagreement_lines(comparison.summary, str(comparison.folder)):
         console.print(line, highlight=False, soft_wrap=True)
     if comparison.pictures:
-        count = len(comparison.pictures)
-        console.print(f"{count} figures in {comparison.folder / FIGURES}", highlight=False, soft_wrap=True)
+        count = wording.counted(len(comparison.pictures), "figure")
+        console.print(f"{count} in {comparison.folder / FIGURES}", highlight=False, soft_wrap=True)
         console.print(f"look at these first: {comparison.page}", highlight=False, soft_wrap=True)
 
 

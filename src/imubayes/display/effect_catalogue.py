@@ -12,6 +12,7 @@ from imubayes.effects.shared_formulas import Sensor
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import remedy
 from imubayes.foundations.units import BIAS_CONVENTION
+from imubayes.foundations.wording import counted
 from imubayes.model.bound_effects import observability
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.parameters.declarations import declared_options, declared_parameters
@@ -39,7 +40,8 @@ def print_observable(campaign: Campaign) -> None:
         runs = f"{len(effect.runs)} of {len(campaign.runs)}"
         grid.add_row(effect.effect_class.name, _acts_on(effect.effect_class), runs)
     console = Console()
-    console.print(f"[bold]{campaign.name}[/bold] could show {len(shown)} of {len(found)} effects:\n", highlight=False)
+    many = counted(len(found), "effect")
+    console.print(f"[bold]{campaign.name}[/bold] could show {len(shown)} of {many}:\n", highlight=False)
     console.print(grid)
     if len(shown) == len(found):
         return

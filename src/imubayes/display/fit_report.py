@@ -15,6 +15,7 @@ from imubayes.display.classical_comparison import (
 from imubayes.display.layout import Report, Sheet, render
 from imubayes.display.loop.history import provenance_line
 from imubayes.display.numbers_and_labels import listed, percent
+from imubayes.foundations.wording import counted
 from imubayes.results.summary import Summary
 
 _FEW_COMBINATIONS = 8
@@ -84,7 +85,7 @@ def weak_lines(summary: Summary) -> tuple[str, ...]:
             f"Next run: {quality.run_design_text(first.run)} ({first.quantity}: sd {quality.narrowing_text(first)})."
         )
     said += [quantities.sampling_note(summary.parameters).strip()] if summary.sampled else []
-    where = f"For all {len(summary.parameters)} parameters and every table: --verbose."
+    where = f"For {counted(len(summary.parameters), 'parameter')} and every table: --verbose."
     return (" ".join([*filter(None, said), where]),)
 
 
@@ -98,7 +99,7 @@ def _outcome(summary: Summary) -> str:
         return "Converged, but the intervals cannot be trusted; the first line says why."
     count = len(summary.parameters)
     determined = count - sum(map(quantities.is_undetermined, summary.parameters))
-    share = "every parameter" if determined == count else f"{determined} of {count} parameters"
+    share = "every parameter" if determined == count else f"{determined} of {counted(count, 'parameter')}"
     return f"Converged. The data determined {share}."
 
 

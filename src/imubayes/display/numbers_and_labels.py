@@ -81,11 +81,6 @@ def shortened(name: str, most: int) -> str:
     return f"{name[:head]}…{name[len(name) - (most - 1 - head) :]}"
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural where it has to be."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
 def listed(names: Sequence[str], most: int = 6) -> str:
     """Return names as a phrase: `a, b and 3 more`."""
     if len(names) <= most:

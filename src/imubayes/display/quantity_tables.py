@@ -18,10 +18,14 @@ from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.foundations.campaign_data import channel_of_component
 from imubayes.foundations.quantity_names import AXIS_ANGLE, QuantityName, family_of
 from imubayes.foundations.units import BIAS_CONVENTION
+from imubayes.foundations.wording import counted
 from imubayes.results.summary import ParameterSummary, Quantity, Summary, channel_units, in_output_units
 
 R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
-_TEMPERATURES = ("thermometer_error.", "converter_thermometer_error.")
+_TEMPERATURES = (
+    "thermometer_error.", "converter_thermometer_error.", "thermometer_calibration.",
+    "converter_thermometer_calibration.",
+)  # fmt: skip
 _MEANING = "sd: standard uncertainty. from data: 1 − (sd/prior sd)² on the scale on which the prior is normal. "
 
 
@@ -78,7 +82,8 @@ def _quantities(
 def is_nuisance(entry: Quantity) -> bool:
     """Tell whether a quantity is of no interest in itself, such as the attitude of a pose.
 
-    The temperature of a run is of interest where the data tell it better than the campaign states it.
+    The temperature of a run and the error of a thermometer are of interest where the data tell them better than the
+    campaign states them.
     """
     if not isinstance(entry, ParameterSummary) or not entry.nuisance:
         return False
@@ -94,7 +99,7 @@ def _note(entries: Sequence[Quantity], left_out: int) -> str:
             "data): their estimates are those of the prior. "
         )
     if left_out:
-        note += f"{left_out} nuisance parameters (of single runs and poses) are left out. "
+        note += f"{counted(left_out, 'nuisance parameter')} (of single runs and poses) left out. "
     return note
 
 

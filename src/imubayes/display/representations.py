@@ -15,6 +15,7 @@ from imubayes.display.loop.prediction_report import prediction_report, repeatabi
 from imubayes.display.numbers_and_labels import significant
 from imubayes.display.shown_records import shown_as
 from imubayes.foundations.records import html_of
+from imubayes.foundations.wording import counted
 from imubayes.loop.injection_recovery import Trials
 from imubayes.loop.model_history import Tree
 from imubayes.results.change_records import ModelChange
@@ -31,8 +32,8 @@ def result_headline(result: Result) -> str:
     state = "converged" if summary.converged else "NOT CONVERGED"
     how = "sampled" if summary.sampled else "Laplace approximation"
     where = f", in {result.folder}" if result.folder is not None else ""
-    count = len(summary.parameters)
-    return f"<Result {summary.campaign}, model {summary.model}: {state}{fit}, {count} parameters, {how}{where}>"
+    count = counted(len(summary.parameters), "parameter")
+    return f"<Result {summary.campaign}, model {summary.model}: {state}{fit}, {count}, {how}{where}>"
 
 
 def diagnosis_headline(found: Diagnosis) -> str:
@@ -52,7 +53,9 @@ def change_headline(change: ModelChange) -> str:
 
 def tree_headline(tree: Tree) -> str:
     """Return how many models were tried and which is selected."""
-    return f"<Tree {len(tree.nodes)} models, selected: {', '.join(map(shown_place, tree.selected)) or 'none'}>"
+    return (
+        f"<Tree {counted(len(tree.nodes), 'model')}, selected: {', '.join(map(shown_place, tree.selected)) or 'none'}>"
+    )
 
 
 def trials_headline(trials: Trials) -> str:

@@ -4,14 +4,15 @@ from typing import ClassVar
 
 from imubayes.effects.base import AmbientEffect, Order, Stage
 from imubayes.foundations.arrays import Scalar
+from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.signal_path_state import Ambient
 from imubayes.parameters.declarations import parameter
 
 
-class TemperatureOffset(AmbientEffect):
-    """True temperature = stated or recorded one + δ, the same δ in all rows of a run.
+class UncertainTemperature(AmbientEffect):
+    """An error of a temperature that runs state or record.
 
-    Rates of temperature and thermal memories follow changes of temperature and stay as they are.
+    Thermal memories follow changes of the recorded temperature and stay as they are.
 
     Attributes
     ----------
@@ -19,10 +20,18 @@ class TemperatureOffset(AmbientEffect):
     """
 
     stage, order = Stage.TABLE, Order.CIRCUMSTANCES
-    per = ("run",)
     nuisance = True
-    reference = "JCGM 100 (GUM) § 4.3 and F.2.4.5, uncorrected temperature of the test; 0.1 … 20 °C"
     covariate: ClassVar[str]
+
+
+class TemperatureOffset(UncertainTemperature):
+    """True temperature = stated or recorded one + δ, the same δ in all rows of a run.
+
+    Rates of temperature follow changes of temperature and stay as they are.
+    """
+
+    per = ("run",)
+    reference = "JCGM 100 (GUM) § 4.3 and F.2.4.5, uncorrected temperature of the test; 0.1 … 20 °C"
     offset: Scalar
 
     def true_ambient(self, ambient: Ambient) -> Ambient:
@@ -58,4 +67,66 @@ class ConverterThermometerError(TemperatureOffset):
     offset: Scalar = parameter(
         "degC", "normal(0, 1 degC)", (0.1, 20), "the excess of true over stated temperature of the converter",
         "converter_temperature",
+    )  # fmt: skip
+
+
+class SharedThermometer(UncertainTemperature):
+    """True temperature = reading T + δ + γ·(T − 25 °C), the same δ and γ in all runs read by one thermometer.
+
+    The rate of change of the temperature is larger by γ, too.
+    """
+
+    reference = "JCGM 100 (GUM) § 4.3 and F.1.2.3, one instrument for several readings; IEC 60751, tolerance classes"
+    offset: Scalar
+    gain: Scalar
+
+    def true_ambient(self, ambient: Ambient) -> Ambient:
+        reading, rate = getattr(ambient, self.covariate), f"{self.covariate}_rate"
+        changed = {self.covariate: reading + self.offset + self.gain * (reading - COVARIATES[self.covariate].centre)}
+        if rate in ambient.values:
+            changed[rate] = getattr(ambient, rate) * (1 + self.gain)
+        return ambient.updated(**changed)
+
+
+class ThermometerCalibration(SharedThermometer):
+    """True temperature T + δ + γ·(T − 25 °C), where T was read, with one δ and γ for all runs of a thermometer.
+
+    The priors are normal, with the uncertainties that the `[[thermometer]]` of these runs states; an error without one
+    is 0.  A model with effects of temperature has it wherever a thermometer states one, listed or not.  An error of one
+    run alone is that of `thermometer_error`, which is beside it.
+    """
+
+    name = "thermometer_calibration"
+    needs = ("temperature",)
+    per = ("thermometer",)
+    covariate = "temperature"
+    confused_with = "gyro_bias and accel_bias times their temperature coefficients, as an offset shifts T_ref"
+    offset: Scalar = parameter(
+        "degC", "normal(0, 1 degC)", (0.01, 5), "the excess of true over read temperature at 25 °C",
+        "thermometer offset",
+    )  # fmt: skip
+    gain: Scalar = parameter(
+        "%", "normal(0, 0.3 %)", (0.01, 2), "the excess of true over read changes of temperature", "thermometer gain"
+    )
+
+
+class ConverterThermometerCalibration(SharedThermometer):
+    """True temperature T_c + δ + γ·(T_c − 25 °C) of the converter, one δ and γ for all runs of a thermometer.
+
+    The priors are those of the `[[thermometer]]` that runs name as `converter_thermometer`; see
+    `thermometer_calibration`.
+    """
+
+    name = "converter_thermometer_calibration"
+    needs = ("converter_temperature",)
+    per = ("converter_thermometer",)
+    covariate = "converter_temperature"
+    confused_with = "thermometer_calibration if gain or offset of one channel alone depends on temperature"
+    offset: Scalar = parameter(
+        "degC", "normal(0, 1 degC)", (0.01, 5), "the excess of true over read temperature of the converter at 25 °C",
+        "converter_thermometer offset",
+    )  # fmt: skip
+    gain: Scalar = parameter(
+        "%", "normal(0, 0.3 %)", (0.01, 2), "the excess of true over read changes of temperature of the converter",
+        "converter_thermometer gain",
     )  # fmt: skip

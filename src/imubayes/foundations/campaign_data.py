@@ -217,6 +217,41 @@ class Mounting:
     uncertainty: float | None = None
 
 
+@dataclass(frozen=True)
+class Thermometer:
+    """A thermometer whose error is common to all runs that name it.
+
+    Attributes
+    ----------
+    offset_uncertainty : standard uncertainty of its error at 25 °C, °C; None where the campaign states none.
+    gain_uncertainty : of the error that grows with the distance from 25 °C, a ratio; None likewise.
+    """
+
+    name: str
+    offset_uncertainty: float | None = None
+    gain_uncertainty: float | None = None
+
+
+THERMOMETERS = ("thermometer", "converter_thermometer")
+"""Names of the fields of a run that name a thermometer: of the sensors, and of the converter."""
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Relative standard uncertainties of instruments beside thermometers; None where the campaign states none.
+
+    Attributes
+    ----------
+    clock, vibration : of the clock of the runs and of the vibration sensor.
+    time_base, meter : of what outputs are counted or measured by.
+    """
+
+    clock: float | None = None
+    vibration: float | None = None
+    time_base: float | None = None
+    meter: float | None = None
+
+
 def _no_places() -> np.ndarray:
     return np.zeros(0, dtype=int)
 
@@ -307,7 +342,8 @@ class Run:
     attitude : shape (R, 3, 3), body → local level of each row, where the record names directions instead of angles.
     notes : what the reduction did and what it left out, one sentence each.
     temperature_uncertainty, converter_temperature_uncertainty : standard uncertainty of what all rows have in common of
-        these temperatures, °C; None or 0 where they are exact.
+        these temperatures, and no other run has, °C; None or 0 where there is no such error.
+    thermometer, converter_thermometer : names of the thermometers of these temperatures; None for one of the run alone.
     turn_uncertainty : standard uncertainty of the angle of each row that turns, rad, where it is a turn from rest to
         rest; None where rows are at constant rates.
 
@@ -335,6 +371,8 @@ class Run:
     temperature_uncertainty: float | None = None
     converter_temperature_uncertainty: float | None = None
     turn_uncertainty: float | None = None
+    thermometer: str | None = None
+    converter_thermometer: str | None = None
 
     @property
     def rows(self) -> int:
@@ -387,6 +425,8 @@ class Campaign:
     delta_k_threshold: float | None = None
     set_aside: tuple[SetAside, ...] = ()
     labels: Mapping[str, str] = field(default_factory=dict)
+    thermometers: Mapping[str, Thermometer] = field(default_factory=dict)
+    instruments: Instruments = Instruments()
 
     def of_kind(self, kind: str) -> list[Channel]:
         """Return the channels of a kind, in order."""

@@ -4,6 +4,7 @@ The next run is one that would determine what the data did not.
 """
 
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from typing import Literal
@@ -204,7 +205,14 @@ def _empty_run(
     return Run(
         name, procedure, table, mounting, usual | covariates, observed, np.full(count, samples),
         np.full_like(observed, np.nan), start=_next_day(campaign),
+        thermometer=_usual("thermometer", campaign), converter_thermometer=_usual("converter_thermometer", campaign),
     )  # fmt: skip
+
+
+def _usual(key: str, campaign: Campaign) -> str | None:
+    """Return the thermometer that most runs name, under one of its keys; None where no run does."""
+    named = Counter(filter(None, (getattr(run, key) for run in campaign.runs)))
+    return named.most_common(1)[0][0] if named else None
 
 
 def _usual_temperatures(campaign: Campaign) -> dict[str, float]:

@@ -116,6 +116,7 @@ def joined_campaign(
     new = _new_runs(known, campaign)
     tables, renamed_tables = _beside(known.tables, campaign.tables, changed)
     mountings, renamed_mountings = _beside(known.mountings, campaign.mountings, changed)
+    thermometers, renamed_thermometers = _beside(known.thermometers, campaign.thermometers, changed)
     taken = {run.name for run in known.runs}
     runs = [
         replace(
@@ -123,6 +124,8 @@ def joined_campaign(
             name=run.name + (_NEW if run.name in taken else ""),
             table=renamed_tables.get(run.table or "", run.table),
             mounting=renamed_mountings.get(run.mounting or "", run.mounting),
+            thermometer=renamed_thermometers.get(run.thermometer or "", run.thermometer),
+            converter_thermometer=renamed_thermometers.get(run.converter_thermometer or "", run.converter_thermometer),
         )
         for run in new
     ]
@@ -132,6 +135,7 @@ def joined_campaign(
         channels=channels,
         tables=tables,
         mountings=mountings,
+        thermometers=thermometers,
         runs=(*(_over(run, known.channels, channels) for run in known.runs), *runs),
         digest="",
     )
@@ -139,7 +143,7 @@ def joined_campaign(
         campaign=together,
         runs=tuple(run.name for run in runs),
         fitted=tuple(run.name for run in campaign.runs if not any(run is other for other in new)),
-        changed=(*renamed_tables, *renamed_mountings),
+        changed=(*renamed_tables, *renamed_mountings, *renamed_thermometers),
         elsewhere=campaign.site != known.site,
     )
 
@@ -168,13 +172,13 @@ def _refuse_other_unit(known: Campaign, campaign: Campaign, any_unit: bool) -> N
 
 
 def _refuse_unknown_names(campaign: Campaign, changed: Sequence[str]) -> None:
-    equipment = [*campaign.tables, *campaign.mountings]
+    equipment = [*campaign.tables, *campaign.mountings, *campaign.thermometers]
     refuse(
         Issue(
-            f"'{name}' is neither a table nor a mounting of the campaign",
+            f"'{name}' is no table, mounting or thermometer of the campaign",
             "--changed",
             closest_first(name, equipment),
-            "name tables and mountings of the new runs",
+            "name tables, mountings and thermometers of the new runs",
         )
         for name in changed
         if name not in equipment

@@ -14,7 +14,7 @@ import numpy as np
 
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.explanation_records import CoefficientEstimate
-from imubayes.effects.thermometer import TemperatureOffset
+from imubayes.effects.thermometer import UncertainTemperature
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error
 from imubayes.foundations.quantity_names import QuantityName
 from imubayes.inference.fitted_model import Fit
@@ -243,7 +243,7 @@ def _users(covariate: str, entries: Sequence[EffectSpec], registry: Registry) ->
 def _covariate_of(name: str, registry: Registry) -> str | None:
     """Return the temperature that an effect is the error of; None for any other effect."""
     member = registry.effects[name]
-    return member.covariate if issubclass(member, TemperatureOffset) else None
+    return member.covariate if issubclass(member, UncertainTemperature) else None
 
 
 def _among(block: PriorCorrelation, names: Collection[str]) -> PriorCorrelation | None:

@@ -17,9 +17,9 @@ import polars as pl
 
 from imubayes.compiled.jax_settings import clear_if_crowded, prepare_jax
 from imubayes.effects.base import MotionEffect, Stage
-from imubayes.effects.thermometer import TemperatureOffset
+from imubayes.effects.thermometer import UncertainTemperature
 from imubayes.foundations.arrays import Array, Float, Scalar
-from imubayes.foundations.campaign_data import Campaign, Tumble
+from imubayes.foundations.campaign_data import THERMOMETERS, Campaign, Tumble
 from imubayes.foundations.errors import InputError, Issue, closest_first, input_error, refuse
 from imubayes.foundations.quantity_names import name_of
 from imubayes.model import bound_effects as binding
@@ -45,7 +45,7 @@ from imubayes.model.problem import (
 )
 from imubayes.model.set_aside import without
 from imubayes.noise.components import Entry, EntryNoise, Noise, SlowNoise
-from imubayes.parameters.declarations import Layout, Priors
+from imubayes.parameters.declarations import Layout, Priors, declared_parameters
 from imubayes.procedures import PROCEDURES
 
 
@@ -430,10 +430,18 @@ def _temperature_errors(listed: Collection[str], campaign: Campaign, registry: R
     return [
         member.name
         for member in registry.effects.values()
-        if issubclass(member, TemperatureOffset)
-        and member.covariate in needed
-        and any(stated_uncertainty(member.covariate, {"run": run.name}, campaign) for run in campaign.runs)
+        if issubclass(member, UncertainTemperature) and member.covariate in needed and _states_any(member, campaign)
     ]
+
+
+def _states_any(member: type[UncertainTemperature], campaign: Campaign) -> bool:
+    """Return whether the campaign states an uncertainty above 0 of an error of temperatures."""
+    facts = [declared.equipment for declared in declared_parameters(member).values()]
+    labels = [
+        {axis: name for axis in THERMOMETERS if (name := getattr(run, axis)) is not None} | {"run": run.name}
+        for run in campaign.runs
+    ]
+    return any(stated_uncertainty(fact, label, campaign) for fact in facts for label in labels)
 
 
 def _conflicts(effects: Sequence[binding.BoundEffect]) -> Iterator[Issue]:

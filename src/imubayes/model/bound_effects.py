@@ -30,7 +30,6 @@ _GATES = (
 )  # fmt: skip
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
-_AMBIENT_SHARING = {"run": ("run",)}  # a run states the uncertainty of its own temperature
 _WITH_UNCERTAINTY = ("temperature", "converter_temperature")
 
 
@@ -225,6 +224,7 @@ def _without_single_runs(
 def _refuse_exact(spec: EffectSpec, effect_class: EffectClass, made: Mapping[str, list[Parameter]]) -> None:
     if made and not any(made.values()):
         of_runs = issubclass(effect_class, AmbientEffect)
+        owners = effect_class.needs if effect_class.per == ("run",) else effect_class.per
         raise ExactEquipmentError(
             Issue(
                 f"the campaign states that '{spec.name}' is zero: an uncertainty of 0 means exact",
@@ -232,7 +232,7 @@ def _refuse_exact(spec: EffectSpec, effect_class: EffectClass, made: Mapping[str
                 "an uncertainty above 0 in campaign.toml, or a prior in the model",
                 "leave the effect out, or state the uncertainty",
             ),
-            tuple(f"{need} uncertainty" for need in effect_class.needs) if of_runs else (),
+            tuple(f"{owner} uncertainty" for owner in owners) if of_runs else (),
         )
 
 
@@ -334,7 +334,9 @@ class _Settings:
     def sharing(self) -> tuple[str, ...]:
         """Return the axes by which the values are labelled."""
         per = self.spec.per
-        of_unit = _AMBIENT_SHARING if issubclass(self.effect_class, AmbientEffect) else _MOTION_SHARING
+        # What states the uncertainty of a temperature has its error: the run, or its thermometer.
+        of_ambient = {axis: (axis,) for axis in self.effect_class.per}
+        of_unit = of_ambient if issubclass(self.effect_class, AmbientEffect) else _MOTION_SHARING
         allowed = of_unit if issubclass(self.effect_class, MotionEffect) else _SHARING
         if per is not None and per not in allowed:
             what = f"'{self.spec.name}' cannot have one value per {per}"
@@ -455,5 +457,12 @@ def _shown_in(bound: BoundEffect, campaign: Campaign) -> tuple[str, ...]:
     """Return the names of the runs that respond; of an error in what they state, of those that state one."""
     names = [campaign.runs[run].name for run in sorted(bound.shown_in)]
     if issubclass(bound.effect_class, AmbientEffect):
-        names = [name for name in names if any(parameter.label == (name,) for parameter in bound.parameters)]
+        grouping = {run.name: run for run in campaign.runs}
+        stated = {parameter.label for parameter in bound.parameters}
+        names = [name for name in names if tuple(_owner(grouping[name], axis) for axis in bound.sharing) in stated]
     return tuple(names)
+
+
+def _owner(run: Run, axis: str) -> str | None:
+    """Return what an error of a temperature of a run belongs to: the run, or one of its thermometers."""
+    return run.name if axis == "run" else getattr(run, axis)

@@ -12,12 +12,12 @@ from itertools import product
 
 import numpy as np
 
-from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.campaign_data import THERMOMETERS, Campaign
 from imubayes.model.nodes_and_entries import Entries, NodeTable
 from imubayes.model.nominal_response import NominalSamples, Probe, nominal_samples, responding_runs
 
 Label = tuple[str, ...]
-RUN_AXES = ("run", "mounting", "table", "stand")
+RUN_AXES = ("run", "mounting", "table", "stand", *THERMOMETERS)
 
 
 def _natural(label: Label) -> Label:
@@ -55,7 +55,7 @@ class Grouping:
         return len(set(self.entries.run[(self.entries.channel == place) & ~self.entries.closing].tolist()))
 
     def label_of_run(self, axis: str, run: int) -> str | None:
-        """Return the run's own name, or its mounting or table; None where it has none.
+        """Return the run's own name, or its mounting, table or thermometer; None where it has none.
 
         It stands on its table in its mounting, which turns it about the vertical as well; without them, where it was
         put for itself.
@@ -63,7 +63,7 @@ class Grouping:
         recorded = self.campaign.runs[run]
         stand = "/".join(name for name in (recorded.table, recorded.mounting) if name) or recorded.name
         names = {"run": recorded.name, "mounting": recorded.mounting, "table": recorded.table, "stand": stand}
-        return names[axis]
+        return names[axis] if axis in names else getattr(recorded, axis)
 
     def labels(self, per: Sequence[str], channels: Sequence[str], runs: Iterable[int]) -> list[Label]:
         """Return the labels of an effect that acts on some channels in some runs, by channel, then by the other names.

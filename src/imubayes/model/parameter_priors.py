@@ -15,7 +15,7 @@ import numpy as np
 
 from imubayes.campaign.equipment import grade_of
 from imubayes.foundations.arrays import Array, Float, Scalars, cho_solve, namespace, solve_lower
-from imubayes.foundations.campaign_data import Campaign, Channel, Run, Table
+from imubayes.foundations.campaign_data import THERMOMETERS, Campaign, Channel, Run, Table, Thermometer
 from imubayes.foundations.errors import Issue, closest_first, input_error, refuse
 from imubayes.foundations.units import to_si
 from imubayes.model.effect_registry import EffectClass
@@ -114,6 +114,17 @@ _OF_RUNS: dict[str, Callable[[Run], float | None]] = {
     "converter_temperature": lambda run: run.converter_temperature_uncertainty,
 }
 """Equipment fact of a run → the uncertainty that the campaign states of it; exact where it states none."""
+_OF_THERMOMETERS: dict[str, tuple[str, Callable[[Thermometer], float | None]]] = {
+    f"{key} {error}": (key, uncertainty)
+    for key in THERMOMETERS
+    for error, uncertainty in (
+        ("offset", lambda thermometer: thermometer.offset_uncertainty),
+        ("gain", lambda thermometer: thermometer.gain_uncertainty),
+    )
+}
+"""Equipment fact of a thermometer → the key by which runs name it, and the uncertainty that the campaign states of it;
+exact where it states none.
+"""
 
 
 def hyper_fields(effect_class: EffectClass) -> set[str]:
@@ -273,4 +284,6 @@ def stated_uncertainty(fact: str, label: dict[str, str], campaign: Campaign) -> 
         stated = _OF_TABLES[fact](campaign.tables[label["table"]])
     elif fact in _OF_RUNS and "run" in label:
         stated = next(_OF_RUNS[fact](run) or 0.0 for run in campaign.runs if run.name == label["run"])
+    elif fact in _OF_THERMOMETERS and (key := _OF_THERMOMETERS[fact][0]) in label:
+        stated = _OF_THERMOMETERS[fact][1](campaign.thermometers[label[key]]) or 0.0
     return stated

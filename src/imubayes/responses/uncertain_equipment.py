@@ -1,7 +1,8 @@
 """Equipment that the campaign itself says is not exact, and that the model of a fit takes as exact.
 
-The campaign says so by a stated uncertainty, and by gravity that is normal gravity: that of the ellipsoid, which nobody
-measured at the site.  No uncertainty of the fit contains it.  Report, export and corrected recordings do.
+The campaign says so by a stated uncertainty, of instruments such as the clock as well, and by gravity that is normal
+gravity: that of the ellipsoid, which nobody measured at the site.  No uncertainty of the fit contains it.  Report,
+export and corrected recordings do.
 """
 
 from imubayes.inference.fitted_model import Fit
@@ -10,6 +11,7 @@ from imubayes.model.model_file import GRAVITY, UncertainEquipment
 from imubayes.model.parameter_priors import stated_uncertainty
 from imubayes.parameters.declarations import declared_parameters
 from imubayes.responses.candidate_effects import Coefficient, coefficients_of, lacking_effects
+from imubayes.responses.instrument_errors import instrument_errors, stated_instruments
 
 
 def uncertain_equipment(fit: Fit) -> tuple[UncertainEquipment, ...]:
@@ -27,6 +29,11 @@ def uncertain_equipment(fit: Fit) -> tuple[UncertainEquipment, ...]:
                         stated=stated is not None,
                     )
                 )  # fmt: skip
+    instruments = instrument_errors(fit, tuple(stated)) if (stated := stated_instruments(model.campaign)) else ()
+    found += [
+        UncertainEquipment(effect=each.effect, parameter=each.name, unit=each.unit, size=each.size, stated=True)
+        for each in instruments
+    ]
     return tuple(found)
 
 

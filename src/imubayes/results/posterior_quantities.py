@@ -23,6 +23,7 @@ from imubayes.inference.marginal import Digits, Marginal, draws_needed
 from imubayes.inference.run_fit import LAPLACE_DRAWS, joint_fit, redrawn
 from imubayes.model.bind import Model
 from imubayes.results.result import Result, result_of
+from imubayes.results.standard_uncertainties import effective_size, least_effective
 from imubayes.results.summary import CombinationSummary, ParameterSummary, Quantity, is_constant
 
 
@@ -62,8 +63,8 @@ def posterior_quantities(result: Result) -> PosteriorQuantities:
     lines = (*summary.parameters, *summary.derived)
     entries = {line.name: line for line in lines if not (isinstance(line, ParameterSummary) and line.nuisance)}
     draws = {name: result.draws[name] for name in entries if name in result.draws}
-    least = min((_sampled_size(line) for line in summary.parameters), default=math.inf)
-    sizes = {name: _effective(entries[name], draws[name], least) for name in draws}
+    least = least_effective(summary.parameters)
+    sizes = {name: effective_size(entries[name], draws[name], least) for name in draws}
     return PosteriorQuantities({name: entries[name] for name in draws}, draws, sizes)
 
 
@@ -78,32 +79,6 @@ def with_combinations(known: PosteriorQuantities, combinations: Sequence[Combina
         draws[found.name] = combined(found.weights, found.constant, members)
         effective[found.name] = min(known.effective[name] for name in found.quantities)
     return PosteriorQuantities(entries, draws, effective)
-
-
-def slopes(found: CombinationSummary, members: Sequence[np.ndarray]) -> tuple[float, ...]:
-    """Return the derivatives of a combination by its members, at the means of their draws."""
-    if found.weights is not None:
-        return found.weights
-    scale, angle = (float(np.nanmean(each)) for each in members)
-    return float(np.cos(np.radians(angle))), float(-scale * np.sin(np.radians(angle)) * np.pi / 180)
-
-
-def _sampled_size(line: ParameterSummary) -> float:
-    """Return the smaller effective size of a parameter; infinite for independent draws."""
-    return min((size for size in (line.ess_bulk, line.ess_tail) if size is not None), default=math.inf)
-
-
-def _effective(line: Quantity, draws: np.ndarray, least: float) -> float:
-    """Return the effective number of draws.
-
-    A derived quantity is computed for some of the draws, so that its error has two parts: that of all draws, which is
-    taken from the parameter sampled worst, and that of the selection.
-    """
-    own = _sampled_size(line) if isinstance(line, ParameterSummary) else least
-    finite = int(np.isfinite(draws).sum())
-    if finite == len(draws):
-        return float(min(own, finite))
-    return 1 / (1 / own + 1 / finite)
 
 
 # Rounds of sampling: the first tells how many draws are needed, the second mostly is the last.

@@ -9,7 +9,6 @@ suggests, and another prior gives another interval.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,16 +43,8 @@ from imubayes.procedures.fitted_terms import written
 from imubayes.responses.uncertain_equipment import uncertain_equipment
 from imubayes.results import summary as records
 from imubayes.results.fit_file import provenance
+from imubayes.results.standard_uncertainties import EstimatedCombination, standard_uncertainties, with_stated
 from imubayes.results.stored_tables import Residuals
-
-
-@dataclass(frozen=True)
-class EstimatedCombination:
-    """A determined combination with draws of its posterior and of its prior, (S,) each, in its unit."""
-
-    summary: records.CombinationSummary
-    posterior: np.ndarray
-    prior: np.ndarray
 
 
 def combinations(fit: Fit, precision: np.ndarray | None) -> tuple[EstimatedCombination, ...]:
@@ -149,8 +140,8 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
     entries = int(np.sum(model.problem.observations.weight))
     dof = entries - (identifiability.effective_parameters(precision) if precision is not None else len(model.layout))
     weak = _weak(fit, precision) if precision is not None else []
-    parameters, derived = _parameters(fit), _derived(fit)
-    found = combinations(fit, precision)
+    parameters, derived, found = _parameters(fit), _derived(fit), combinations(fit, precision)
+    stated = standard_uncertainties(fit, (*parameters, *derived), found)
     shares = {quantity.name: quantity.from_data for quantity in (*derived, *parameters)}
     chains = fit.posterior.chains if fit.posterior is not None else None
     noise, contradicted, known = _noise(fit)
@@ -175,14 +166,14 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         left_out=model.left_out,
         exact=uncertain_equipment(fit),
         set_aside=model.spec.set_aside,
-        parameters=parameters,
-        derived=derived,
+        parameters=with_stated(parameters, stated),
+        derived=with_stated(derived, stated),
         runs=residuals.by_run_and_channel(),
         chi2=finite(residuals.chi2),
         dof=round(dof, 1),
         log_evidence=log_evidence(mode) if usable else None,
         weak_directions=tuple(weak),
-        combinations=tuple(each.summary for each in found),
+        combinations=with_stated([each.summary for each in found], stated),
         prior_conflicts=prior_conflicts(model, fit.z, precision) if precision is not None else (),
         next_runs=next_runs(fit, weak, shares) if usable else (),
         contributions=_contributions(fit, found),

@@ -263,7 +263,8 @@ def _campaign_document(plan: Plan, seed: int) -> dict[str, Any]:
     document: dict[str, Any] = {"format": 1, "name": file.name, "notes": [*file.notes, note]}
     for section in ("site", "unit"):
         document[section] = getattr(file, section).model_dump(exclude_unset=True, exclude_none=True)
-    for section, entries in (("channel", file.channel), ("table", file.table), ("mounting", file.mounting)):
+    for section, entries in (("channel", file.channel), ("table", file.table), ("mounting", file.mounting),
+                             ("thermometer", file.thermometer)):  # fmt: skip
         document[section] = [entry.model_dump(exclude_unset=True, exclude_none=True) for entry in entries]
     document["run"] = [entry.model_dump(exclude_defaults=True, exclude_none=True) for entry in plan.entries]
     return {key: value for key, value in document.items() if value}

@@ -29,7 +29,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from imubayes.campaign import equipment
+from imubayes.campaign import equipment, instruments
 from imubayes.campaign import file_schemas as schemas
 from imubayes.campaign.run_reader import build_run
 from imubayes.campaign.toml_documents import Ledger, read_document
@@ -49,6 +49,10 @@ class PlannedRun(base.PlannedSteps):
     """name of a [[table]]"""
     mounting: str | None = None
     """name of a [[mounting]]"""
+    thermometer: str | None = None
+    """name of a [[thermometer]]"""
+    converter_thermometer: str | None = None
+    """name of a [[thermometer]]"""
     temperature_degC: base.Temperature | None = None
     """of all rows"""
     temperature_uncertainty_degC: schemas.TemperatureUncertainty | None = None
@@ -86,6 +90,8 @@ class PlanFile(BaseModel):
     """as in campaign.toml"""
     mounting: list[schemas.MountingEntry] = []
     """as in campaign.toml"""
+    thermometer: list[schemas.ThermometerEntry] = []
+    """as in campaign.toml; the truth has errors of these sizes"""
     run: list[PlannedRun] = Field(min_length=1)
     """the steps of each run"""
 
@@ -196,6 +202,7 @@ def read_plan(path: str | Path) -> Plan:
     channels = equipment.build_channels(dict(enumerate(file.channel)), site.gravity, ledger)
     tables = equipment.build_tables(dict(enumerate(file.table)), ledger)
     mountings = equipment.build_mountings(dict(enumerate(file.mounting)), ledger)
+    thermometers = instruments.build_thermometers(dict(enumerate(file.thermometer)), ledger)
     _check_channels(file, ledger)
     _check_runs(file, ledger)
     ledger.stop_if_any()
@@ -211,7 +218,8 @@ def read_plan(path: str | Path) -> Plan:
     )  # fmt: skip
     channels, runs = equipment.with_angles(channels, runs, tables)
     unit = file.unit
-    campaign = Campaign(file.name, site, channels, tables, mountings, runs, unit.serial, grade=unit.grade)
+    campaign = Campaign(file.name, site, channels, tables, mountings, runs, unit.serial, grade=unit.grade,
+        thermometers=thermometers)  # fmt: skip
     return Plan(file, path, path.parent / file.model, campaign, entries, columns)
 
 
@@ -268,6 +276,7 @@ def _check_channels(file: PlanFile, ledger: Ledger) -> None:
 
 
 def _check_runs(file: PlanFile, ledger: Ledger) -> None:
+    instruments.refuse_two_readings(dict(enumerate(file.run)), ledger)
     equipment.refuse_repeats({place: run.name for place, run in enumerate(file.run)}, "run", ledger)
     names = {"table": [table.name for table in file.table], "mounting": [seat.name for seat in file.mounting]}
     plannable = [procedure.name for procedure in PROCEDURES.values() if procedure.plan]
@@ -283,5 +292,6 @@ def _check_runs(file: PlanFile, ledger: Ledger) -> None:
         else:
             judge_steps(run, procedure.plan, place, ledger)
         equipment.check_references(run, place, names, ledger)
+        instruments.check_thermometers(run, place, [each.name for each in file.thermometer], ledger)
         if procedure.injected:
             equipment.require_current_scale(file.channel, place, ledger)

@@ -20,11 +20,22 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from imubayes.foundations.campaign_data import Campaign, Channel, Mounting, Run, Site, Table, Tumble
+from imubayes.foundations.campaign_data import (
+    Campaign,
+    Channel,
+    Instruments,
+    Mounting,
+    Run,
+    Site,
+    Table,
+    Thermometer,
+    Tumble,
+)
 from imubayes.foundations.errors import InputError, input_error
 
 SCHEMA_VERSION = 1
 _KEY = b"imubayes"
+_EQUIPMENT = ((Table, "tables"), (Mounting, "mountings"), (Thermometer, "thermometers"))
 _TUMBLE = "tumble_"
 _OF_ROWS = ("covariates", "observed", "samples", "sample_sd")
 
@@ -126,11 +137,11 @@ def _stated(campaign: Campaign, stored: StoredFields = MappingProxyType({})) -> 
 def _stored_fields(campaign: Mapping[str, Any]) -> StoredFields:
     """Return the fields that a campaign holds as it is encoded; those of later versions are not among them."""
     runs = [(Run, {**run, **dict.fromkeys(_OF_ROWS)}) for run in campaign["runs"]]
-    tables, mountings = ([(kind, each) for each in campaign[name].values()] for kind, name in (
-        (Table, "tables"), (Mounting, "mountings")))  # fmt: skip
+    equipment = [(kind, each) for kind, name in _EQUIPMENT for each in campaign.get(name, {}).values()]
+    equipment += [(Instruments, campaign["instruments"])] if "instruments" in campaign else []
     channels = [(Channel, each) for each in campaign["channels"]]
     tumbles = [(Tumble, each) for run in campaign["runs"] if (each := _of_tumble(run["arrays"]))]
-    records = [(Campaign, campaign), (Site, campaign["site"]), *channels, *tables, *mountings, *runs, *tumbles]
+    records = [(Campaign, campaign), (Site, campaign["site"]), *channels, *equipment, *runs, *tumbles]
     return {kind: frozenset(each) for kind, each in records}
 
 
@@ -274,8 +285,10 @@ def _campaign(head: dict[str, Any], table: pa.Table) -> Campaign:
     plain = {key: _decoded(value) for key, value in head.items() if key != "runs"}
     plain["site"] = Site(**plain["site"])
     plain["channels"] = tuple(Channel(**each) for each in plain["channels"])
-    plain["tables"] = {name: Table(**each) for name, each in plain["tables"].items()}
-    plain["mountings"] = {name: Mounting(**each) for name, each in plain["mountings"].items()}
+    for kind, section in _EQUIPMENT:
+        plain[section] = {name: kind(**each) for name, each in plain.get(section, {}).items()}
+    if "instruments" in plain:
+        plain["instruments"] = Instruments(**plain["instruments"])
     columns = _numbers(table)
     names, start, runs = [channel.name for channel in plain["channels"]], 0, []
     for each in head["runs"]:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from imubayes.display.layout import Report, Sheet, cells
-from imubayes.display.numbers_and_labels import counted
 from imubayes.foundations.errors import Issue
+from imubayes.foundations.wording import counted
 from imubayes_archive.dataset import ArchivedCampaign, Packed
 
 

@@ -15,8 +15,9 @@ import polars as pl
 from imubayes.display.fit_cautions import NOISE_WORDS
 from imubayes.display.layout import Cell, Report, Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import probability
-from imubayes.display.numbers_and_labels import chance_text, concise, counted, listed
+from imubayes.display.numbers_and_labels import chance_text, concise, listed
 from imubayes.foundations.errors import Issue
+from imubayes.foundations.wording import counted
 from imubayes_archive.population.changes import Drift, ModelComparison, ParameterChange, Trend, Trends
 from imubayes_archive.population.population import LEAST_UNITS
 from imubayes_archive.population.units_in_doubt import UnitInDoubt
@@ -33,7 +34,7 @@ def comparison_report(found: ModelComparison) -> Report:
     alone = f"{found.only_old} in {found.old} alone, {found.only_new} in {found.new} alone"
     said = [f"{counted(found.campaigns, 'campaign')} in both, {alone}"]
     if found.delta_log_evidence is not None:
-        said.append(f"log evidence {found.delta_log_evidence:+.1f}, higher in {found.better} campaigns")
+        said.append(f"log evidence {found.delta_log_evidence:+.1f}, higher in {counted(found.better, 'campaign')}")
     for word, names in (("new", found.added), ("dropped", found.removed)):
         if names:
             said.append(f"{word} parameters: {', '.join(names)}")
@@ -213,7 +214,8 @@ _LAWS = {
 
 def discovery_report(found: PooledDiscovery, issues: Sequence[Issue] = ()) -> Report:
     """Return what the units show together, and the units that speak for it and against it."""
-    looked = f"{counted(found.campaigns, 'campaign')} of {counted(found.units, 'unit')}, {found.candidates} candidates"
+    of, candidates = counted(found.units, "unit"), counted(found.candidates, "candidate")
+    looked = f"{counted(found.campaigns, 'campaign')} of {of}, {candidates}"
     lines = [text for each in found.findings for text in _finding_lines(each)]
     lines.append(_nothing_line(found))
     lines.append(f"{looked}; {found.expected:g} missing effect expected before the data")

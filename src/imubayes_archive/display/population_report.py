@@ -6,7 +6,8 @@ from pathlib import Path
 
 from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop.diagnosis_sentences import probability
-from imubayes.display.numbers_and_labels import concise, counted, listed, significant, value_and_sd
+from imubayes.display.numbers_and_labels import concise, listed, significant, value_and_sd
+from imubayes.foundations.wording import counted
 from imubayes_archive.population.hierarchical_fit import HierarchicalFit
 from imubayes_archive.population.parameter_population import ParameterPopulation, Populations
 from imubayes_archive.population.population_findings import PopulationFinding, PopulationGroup

@@ -12,20 +12,7 @@ so its variance is Σ (W C g)² + Σ (C g)²/s² = gᵀ C (WᵀW + diag s⁻²) 
 up to the posterior variance exactly.  A prior that becomes exact, or noise that is halved, changes the weights of all
 other inputs too; what is then left follows from updates of C.
 
-The posterior variance itself is found by control variates.  The variance of some thousand draws is known to two per
-cent, which is what a budget has to add up to.  The linear part u of q has a variance V that is known
-(`budgets.linear_part`), so V + (s²(q) − s²(u)), both sample variances of the same draws, has the Monte
-Carlo error of the difference alone: that of the nonlinear part.  V is the variance of u under the nested Laplace
-approximation.  Two findings end that:
-
-- The sampled u hold what is not q.  A sum that is known a thousand times better than its members has a u with what is
-  left of their bend beyond the second order.  The regression of u on q then has the slope 1, and that of q on u less;
-  where it is q that bends, it is the other way round.  If the draws of q have the variance V, as they do if q is linear
-  in what the data tell, V stands, with the Monte Carlo error of the draws that confirm it.
-- The sampled u contradict V by more than their Monte Carlo error allows.  Then the posterior is not that of the
-  approximation and the sample variance itself is taken: the curvature that Gauss–Newton neglects, for one, changes
-  widths by some per cent.
-
+The posterior variance itself is found by control variates (`imubayes.inference.posterior_variance`).
 The slope of q on u, 1 where q is linear, holds what odd orders add to the linear part (statistical linearisation).
 What is left is regressed on the second-order part likewise: that of a function of quantities is taken from its members,
 and the length of a vector, say, bends otherwise than they do.
@@ -40,9 +27,10 @@ import numpy as np
 from imubayes.foundations.records import Record
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.laplace_marginal import inverse_of_precision
-from imubayes_qualification.budgets.linear_part import LinearPart, QuantityDerivatives, second_order, unbent
+from imubayes.inference.linear_part import LinearPart
+from imubayes.inference.posterior_variance import KnownVariance, variance_of
+from imubayes_qualification.budgets.better_priors import QuantityDerivatives, second_order
 from imubayes_qualification.evaluation.coverage import IntervalShape
-from imubayes_qualification.evaluation.decision_rules import CONTRADICTION_ERRORS, MOST_WIDENED
 
 
 @dataclass(frozen=True)
@@ -242,12 +230,6 @@ class UncertaintyBudgets(Record):
     correlation: CorrelationMatrix
 
 
-# Share of a sampled linear part that is not the quantity's, from which on it matters: half of what a budget may miss.
-_LEFT = 0.01
-# Relative spread below which a quantity does not vary.
-_ROUNDING = 1e-13
-
-
 @dataclass(frozen=True)
 class PosteriorDraws:
     """Posterior draws.
@@ -306,7 +288,7 @@ def posterior_variances(
     known, known_error : shapes (Q,), variance of the linear part, and its error.
     draws : of the posterior.
     """
-    delta, w = unbent(part, draws.z)
+    delta, w = part.unbent(draws.z)
     linear = delta @ derivatives.gradient.T
     found = []
     for place, (name, values) in enumerate(draws.values.items()):
@@ -326,52 +308,3 @@ def _explained(rest: np.ndarray, part: np.ndarray) -> float:
     about, along = (each[finite] - each[finite].mean() for each in (rest, part))
     square = float(along @ along)
     return float(about @ along) ** 2 / square / max(len(along), 1) if square > 0 else 0.0
-
-
-@dataclass(frozen=True)
-class KnownVariance:
-    """The variance of a linear part, and its error: it is an average over draws of the noise scales."""
-
-    value: float
-    error: float
-
-
-@dataclass(frozen=True)
-class PosteriorVariance:
-    """Variance of a quantity, its Monte Carlo error, its slope on the sampled linear part, and the widening of that.
-
-    `follows` is whether that linear part is the quantity's own; if not, nothing is regressed on it.
-    """
-
-    value: float
-    error: float
-    slope: float = 1.0
-    widened: float = 1.0
-    follows: bool = True
-
-
-def variance_of(values: np.ndarray, linear: np.ndarray, known: KnownVariance, effective: float) -> PosteriorVariance:
-    """Return the variance of draws (S,); their linear part, (S,), serves as control variate where it has that known."""
-    finite = np.isfinite(values)
-    if not values[finite].std() > _ROUNDING * np.max(np.abs(values[finite])):
-        return PosteriorVariance(0.0, 0.0)
-    about, along = (each[finite] - each[finite].mean() for each in (values, linear))
-    q, u = about**2, along**2
-    effective = min(effective, float(len(q)))
-    errors = {"plain": q.std(), "linear": u.std(), "difference": (q - u).std()}
-    plain, of_linear, of_difference = (float(error) / np.sqrt(effective) for error in errors.values())
-    # Slopes of the quantity on its linear part, and the other way round.
-    product = float(np.mean(about * along))
-    slope, back = (product / max(float(square.mean()), np.finfo(float).tiny) for square in (u, q))
-    confirmed = float(np.hypot(plain, known.error))
-    confirms = abs(float(q.mean()) - known.value) <= CONTRADICTION_ERRORS * confirmed
-    if confirms and 1 - slope > max(_LEFT, abs(back - 1)):
-        return PosteriorVariance(known.value, confirmed, follows=False)
-    agrees = abs(float(u.mean()) - known.value) <= CONTRADICTION_ERRORS * np.hypot(of_linear, known.error)
-    if agrees and of_difference < plain:
-        value = known.value + float((q - u).mean())
-        return PosteriorVariance(value, float(np.hypot(of_difference, known.error)), slope)
-    widened = float(np.sqrt(u.mean() / known.value)) if not agrees and known.value > 0 else 1.0
-    if max(widened, 1 / max(widened, _ROUNDING)) > MOST_WIDENED:
-        widened = 1.0
-    return PosteriorVariance(float(q.mean()), plain, slope if widened != 1.0 else 1.0, widened)

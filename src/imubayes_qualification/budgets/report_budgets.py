@@ -16,10 +16,11 @@ from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import expected_deviations
 from imubayes.parameters.declarations import Parameter
 from imubayes.results.folder_files import BUDGETS, add_to, added
-from imubayes.results.posterior_quantities import posterior_quantities, slopes
+from imubayes.results.posterior_quantities import posterior_quantities
 from imubayes.results.result import Result
+from imubayes.results.standard_uncertainties import slopes
 from imubayes.results.stored_tables import complete
-from imubayes.results.summary import Quantity, Summary, is_constant
+from imubayes.results.summary import is_constant
 from imubayes.results.temperature_range import thermal_quantities
 from imubayes_qualification.budgets import budget_parts
 from imubayes_qualification.budgets import uncertainty_budget as budget
@@ -30,7 +31,7 @@ from imubayes_qualification.evaluation.coverage import KnownUncertainty, coverag
 from imubayes_qualification.evaluation.decision_rules import LEAST_SHARE, USEFUL_RUN
 
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
-_METHOD = 14
+_METHOD = 15
 _MOST_HALVED = 3
 # Decimals of a correlation: two scale factors that share the error of gravity differ from 1 in the fifth.
 _DECIMALS = 8
@@ -85,24 +86,6 @@ def keep_budgets(result: Result) -> None:
     """
     if result.converged and result.folder is not None:
         unit_with_budgets(result)
-
-
-def stated_summary(result: Result) -> Summary:
-    """Return the summary of a result with the standard uncertainties that its report states, where its folder has them.
-
-    Those of draws have a Monte Carlo error, which those of budgets do not.  What the model takes as exact is in none.
-    """
-    kept = None if result.folder is None else _kept(result.folder)
-    if kept is None or kept.method != _METHOD:
-        return result.summary
-    known = {each.name: math.sqrt(max(_own_variance(each), 0.0)) for each in kept.budgets.quantities}
-
-    def stated[L: Quantity](lines: tuple[L, ...]) -> tuple[L, ...]:
-        return tuple(line.model_copy(update={"sd": known[line.name]}) if line.name in known else line for line in lines)
-
-    summary = result.summary
-    update = {name: stated(getattr(summary, name)) for name in ("parameters", "derived", "combinations")}
-    return summary.model_copy(update=update)
 
 
 def _own_variance(found: budget_parts.QuantityBudget) -> float:

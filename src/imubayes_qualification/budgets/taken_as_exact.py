@@ -10,7 +10,8 @@ the whitened response to c, C = (JᵀJ + diag w⁻²)⁻¹ and g the gradient of
 jointly for several such parameters: the change of the estimate that is due to c.  An estimate that is corrected for c
 changes by as much the other way, which is the sensitivity coefficient of a budget.  The variance (∂q/∂c)² Var(c) is
 what the estimate of q has beside its own.  It is *included* in every uncertainty of a report where the campaign itself
-says that the parameter is not exact: by a stated uncertainty, and by normal gravity, which nobody measured.  The others
+says that the parameter is not exact: by a stated uncertainty, that of a clock or meter included, and by normal gravity,
+which nobody measured.  The others
 are listed with what they would do, and no unit passes on a quantity that all of them together could put beyond its
 limit.  Errors of thermometers, clock and meters, of which the campaign states no uncertainty, are among them
 (`imubayes.responses.instrument_errors`).
@@ -224,7 +225,7 @@ def exact_equipment(fit: Fit, effects: Sequence[str] = tuple(SOURCES)) -> ExactE
     responses = candidate_responses(fit, only=tuple(effects))
     listed = [each for response in _first_shapes(responses.candidates) for each in _parameters(fit, response)]
     listed += [
-        (ExactParameter(each.effect, each.name, each.unit, each.size, stated=False), each.column)
+        (ExactParameter(each.effect, each.name, each.unit, each.size, each.stated), each.column)
         for each in instrument_errors(fit, effects)
     ]
     columns = [column for _, column in listed]

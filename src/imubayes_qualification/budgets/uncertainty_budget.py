@@ -18,6 +18,12 @@ import numpy as np
 from imubayes.inference.experiment_design import NEAR, Components, components_near_zero
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_jacobian
+from imubayes.inference.linear_part import (
+    LinearPart,
+    evenly,
+    linear_part,
+    thinned_scales,
+)
 from imubayes.inference.parameter_fit import Linearised, linearise
 from imubayes.model.problem import Problem
 from imubayes.parameters.declarations import Layout, Parameter
@@ -25,18 +31,15 @@ from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUni
 from imubayes.responses.instrument_errors import INSTRUMENTS
 from imubayes.results.posterior_quantities import posterior_quantities
 from imubayes.results.result import Result
+from imubayes.results.summary import Summary
 from imubayes_qualification.budgets import budget_parts as parts
-from imubayes_qualification.budgets.linear_part import (
+from imubayes_qualification.budgets.better_priors import (
     ConditionalMoments,
-    LinearPart,
     QuantityDerivatives,
     conditional_moments,
-    conditionals,
     derivatives_of,
-    linear_part,
-    stretched,
 )
-from imubayes_qualification.evaluation.decision_rules import CONDITIONING_WORK, SPLIT_DRAWS
+from imubayes_qualification.evaluation.decision_rules import SPLIT_DRAWS
 
 SOURCES: dict[str, parts.Source] = {
     "mounting_error": "fixture", "pose_attitude": "fixture", "lever_arm": "fixture",
@@ -62,7 +65,7 @@ class Improvements:
     """Standard deviations of Q quantities at the mode of the noise scales, as they are and if one input were better.
 
     What a better prior leaves is the share of `at_mode` that it leaves of the variance with the noise scales unknown
-    (`budgets.linear_part`).
+    (`budgets.better_priors`).
 
     Attributes
     ----------
@@ -198,20 +201,21 @@ def budget_of(
     problem, campaign = fit.model.problem, fit.model.campaign
     about = fit.mode.about if fit.mode is not None else linearise(problem, np.asarray(fit.z))
     whitened, part = np.asarray(whitened_jacobian(problem, about, np.asarray(fit.h))), linear_part(fit, about)
-    widths = conditionals(part, problem, fit.h[None]).widths[0]
+    widths = part.conditionals(problem, fit.h[None]).widths[0]
     covariance = parts.posterior_covariance(whitened, widths)
     derivatives = _with_slopes(derivatives_of(fit, part, list(quantities.values)), slopes)
     components = components_near_zero(fit, list(draws.values), covariance)
     components |= _short_lengths(functions or {}, draws, derivatives.gradient, covariance)
     own = [components.get(name, _itself(derivatives.gradient[[q]])) for q, name in enumerate(draws.values)]
-    rows = _rows([each.gradient for each in own], len(fit.z), partial(stretched, part, problem, fit.h))
+    rows = _rows([each.gradient for each in own], len(fit.z), partial(part.stretched, problem, fit.h))
     member = _members(fit)
-    h = _evenly(draws.h, _most_draws(*rows.gradient.shape))
+    h = thinned_scales(draws.h, len(fit.z))
     moments = conditional_moments(part, problem, rows.gradient, h)
-    split = rows.summed(_over_runs(problem, about, part, member, rows.gradient, _evenly(h, SPLIT_DRAWS)))
+    split = rows.summed(_over_runs(problem, about, part, member, rows.gradient, evenly(h, SPLIT_DRAWS)))
     type_b, linear = rows.summed(moments.type_b), rows.summed(moments.variance.mean(axis=0))
     scales = rows.summed(moments.mean.var(axis=0))
     variances = parts.posterior_variances(part, derivatives, linear + scales, rows.summed(moments.spread), draws)
+    variances = replace(variances, posterior=_stated(result.summary, tuple(draws.values), variances.posterior))
     at_zero = np.isin(list(draws.values), list(components))
     factor = np.where(at_zero, _ratio(variances.posterior, linear + scales), variances.scale)[:, None]
     type_a = split.mean(axis=2)
@@ -236,15 +240,19 @@ def budget_of(
     )
 
 
+def _stated(summary: Summary, names: Sequence[str], posterior: np.ndarray) -> np.ndarray:
+    """Return posterior variances (Q,), those of the summary of quantities that are in it.
+
+    They are the same but for the rounding of draws that were stored.
+    """
+    lines = (*summary.parameters, *summary.derived, *summary.combinations)
+    known = {line.name: line.sd**2 for line in lines if line.sd is not None}
+    return np.array([known.get(name, float(own)) for name, own in zip(names, posterior, strict=True)])
+
+
 def _itself(gradient: np.ndarray) -> Components:
     """Return a quantity with the gradient (1, P) as its only component."""
     return Components(np.zeros(1), gradient)
-
-
-def _most_draws(quantities: int, parameters: int) -> int:
-    """Return the number of draws of the noise scales whose conditional moments are affordable."""
-    per_draw = (parameters / 3 + 2 * quantities) * parameters**2
-    return max(SPLIT_DRAWS, int(CONDITIONING_WORK / per_draw))
 
 
 def _members(fit: Fit) -> np.ndarray:
@@ -357,12 +365,6 @@ def _rows(gradients: Sequence[np.ndarray], size: int, stretched: Callable[[np.nd
     return _Rows(stretched(np.concatenate([np.zeros((0, size)), *gradients])), owner, len(gradients))
 
 
-def _evenly(draws: np.ndarray, most: int) -> np.ndarray:
-    """Return at most so many draws, evenly spaced; a single one of what has no columns."""
-    count = min(most, len(draws)) if draws.shape[1] else 1
-    return draws[np.linspace(0, len(draws) - 1, count).astype(int)]
-
-
 def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
     return np.divide(above, below, out=np.zeros_like(above), where=np.broadcast_to(below > 0, above.shape))
 
@@ -372,7 +374,7 @@ def _over_runs(
 ) -> np.ndarray:
     """Return the contributions of the runs, (R, G, n), at draws of the noise scales, (n, H)."""
     found = []
-    for scales, precision in zip(h, conditionals(part, problem, h).precision, strict=True):
+    for scales, precision in zip(h, part.conditionals(problem, h).precision, strict=True):
         whitened = np.asarray(whitened_jacobian(problem, about, np.asarray(scales)))
         found.append(parts.type_a_contributions(gradients @ inverse_of_precision(precision), whitened, member))
     return np.stack(found, axis=2)

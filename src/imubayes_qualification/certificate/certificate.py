@@ -32,9 +32,10 @@ beside it: standards of equipment that no run used or that had expired, dates in
 
 Equipment is what the runs used: tables by name; ``reference_gyro`` and ``current_injection``, procedures with a
 standard of their own; ``gravity``, of accelerometers; and the instruments of what was read beside the outputs and
-enters the results, ``temperature``, ``converter_temperature``, ``time`` and ``vibration``; outputs that are counted
-per second have the standard ``time`` as well, and voltages and currents ``meter``.  A claim is held against
-what was used: no standard of gravity was, if the campaign has the formula of normal gravity.
+enters the results, ``time``, ``vibration``, and for temperatures the thermometers that runs name, or ``temperature``
+and ``converter_temperature``.  Outputs that are counted per second have the standard ``time`` as well, and voltages and
+currents ``meter``.  A claim is held against what was used: no standard of gravity was, if the campaign has the formula
+of normal gravity.
 """
 
 import datetime
@@ -50,7 +51,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from imubayes.campaign import file_schemas
 from imubayes.campaign.toml_documents import Ledger, read_document
-from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.campaign_data import THERMOMETERS, Campaign, Run
 from imubayes.foundations.covariates import instruments
 from imubayes.foundations.records import Record
 from imubayes.procedures.ambient import instant, starts_of
@@ -144,8 +145,8 @@ class MeasurementStandard(_CertificatePart):
     name: Identity = Field(description="what it is: rate table, dividing head, gravity, thermometer")
     equipment: tuple[Text, ...] = Field(
         default=(),
-        description="that it is or traces: tables by name, reference_gyro, current_injection, gravity, temperature, "
-        "converter_temperature, time, vibration, meter",
+        description="that it is or traces: tables and thermometers by name, reference_gyro, current_injection, "
+        "gravity, temperature, converter_temperature, time, vibration, meter",
     )
     serial: Identity | None = Field(default=None, description="its serial number")
     certificate: Identity | None = Field(default=None, description="number of its calibration certificate")
@@ -369,14 +370,21 @@ def equipment_used(campaign: Campaign, covariates: Collection[str] = ()) -> Equi
     for run in campaign.runs:
         own = instruments(run.covariates)
         procedure = run.procedure if run.procedure in _WITH_STANDARD else None
-        enters = [run.table, procedure, *(name for name in own if name in read)]
+        called = _called(run, own)
+        enters = [run.table, procedure, *(called[name] for name in own if name in read)]
         enters += filter(None, (_READOUTS.get(readout(each.output_unit) or "") for each in campaign.channels))
-        beside = [name for name in own if name not in enters]
+        beside = [called[name] for name in own if called[name] not in enters]
         (enters if accelerometers else beside).extend(gravity)
         for listed, names in ((needed, enters), (recorded, beside)):
             for name in filter(None, names):
                 listed[name] = listed.get(name, Used()).by(run.start)
     return EquipmentUsed(needed, recorded, accelerometers and normal)
+
+
+def _called(run: Run, own: Sequence[str]) -> dict[str, str]:
+    """Return what standards for readings of a run are called: a thermometer with a name is traced by it."""
+    named = dict(zip(("temperature", "converter_temperature"), THERMOMETERS, strict=True))
+    return {name: (getattr(run, named[name]) if name in named else None) or name for name in own}
 
 
 def missing_items(found: Certificate, campaign: Campaign, covariates: Collection[str] = ()) -> tuple[Missing, ...]:

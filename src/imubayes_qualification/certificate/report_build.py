@@ -14,7 +14,7 @@ import polars as pl
 
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.foundations.campaign_data import Campaign
+from imubayes.foundations.campaign_data import Campaign, Instruments
 from imubayes.foundations.covariates import shown
 from imubayes.foundations.units import to_si
 from imubayes.loop.model_history import Tree
@@ -90,22 +90,48 @@ def subject_of(campaign: Campaign, result: Result) -> subject.Subject:
             )
             for table in campaign.tables.values()
         ),
-        mountings=tuple(
-            subject.ReportedMounting(
-                name=mounting.name,
-                body_to_table=tuple(_triple(row) for row in mounting.body_to_table),
-                uncertainty_arcmin=_in(mounting.uncertainty, math.radians(1 / 60)),
-            )
-            for mounting in campaign.mountings.values()
-        ),
+        mountings=_mountings(campaign),
         runs=tuple(
             subject.ReportedRun(
                 name=run.name, procedure=run.procedure, table=run.table, mounting=run.mounting, start=run.start,
                 rows=run.rows, values_used=used.get(run.name, 0), values_missing=missing[run.name],
+                thermometer=run.thermometer, converter_thermometer=run.converter_thermometer,
             )
             for run in campaign.runs
         ),
+        thermometers=_thermometers(campaign),
+        instruments=_instruments(campaign.instruments),
     )  # fmt: skip
+
+
+def _mountings(campaign: Campaign) -> tuple[subject.ReportedMounting, ...]:
+    return tuple(
+        subject.ReportedMounting(
+            name=mounting.name,
+            body_to_table=tuple(_triple(row) for row in mounting.body_to_table),
+            uncertainty_arcmin=_in(mounting.uncertainty, math.radians(1 / 60)),
+        )
+        for mounting in campaign.mountings.values()
+    )
+
+
+def _thermometers(campaign: Campaign) -> tuple[subject.ReportedThermometer, ...]:
+    return tuple(
+        subject.ReportedThermometer(
+            name=each.name, offset_uncertainty_degC=each.offset_uncertainty,
+            gain_uncertainty_percent=_in(each.gain_uncertainty, to_si("%")),
+        )
+        for each in campaign.thermometers.values()
+    )  # fmt: skip
+
+
+def _instruments(own: Instruments) -> subject.ReportedInstruments:
+    return subject.ReportedInstruments(
+        clock_uncertainty_ppm=_in(own.clock, to_si("ppm")),
+        vibration_uncertainty_percent=_in(own.vibration, to_si("%")),
+        time_base_uncertainty_ppm=_in(own.time_base, to_si("ppm")),
+        meter_uncertainty_ppm=_in(own.meter, to_si("ppm")),
+    )
 
 
 def _in(value: float | None, unit: float) -> float | None:

@@ -38,6 +38,23 @@ class ReportedMounting(Record):
     uncertainty_arcmin: float | None
 
 
+class ReportedThermometer(Record):
+    """A thermometer that runs share, with its stated standard uncertainties; None where the campaign states none."""
+
+    name: str
+    offset_uncertainty_degC: float | None
+    gain_uncertainty_percent: float | None
+
+
+class ReportedInstruments(Record):
+    """Stated standard uncertainties of other instruments, of their readings; None where the campaign states none."""
+
+    clock_uncertainty_ppm: float | None = None
+    vibration_uncertainty_percent: float | None = None
+    time_base_uncertainty_ppm: float | None = None
+    meter_uncertainty_ppm: float | None = None
+
+
 class ReportedRun(Record):
     """A run: what it was, where, when, and how many values of it were used of how many rows and channels."""
 
@@ -49,6 +66,8 @@ class ReportedRun(Record):
     rows: int
     values_used: int
     values_missing: int
+    thermometer: str | None = None
+    converter_thermometer: str | None = None
 
 
 class Subject(Record):
@@ -73,6 +92,8 @@ class Subject(Record):
     tables: tuple[ReportedTable, ...]
     mountings: tuple[ReportedMounting, ...]
     runs: tuple[ReportedRun, ...]
+    thermometers: tuple[ReportedThermometer, ...] = ()
+    instruments: ReportedInstruments = ReportedInstruments()
 
 
 class ReportedEffect(Record):

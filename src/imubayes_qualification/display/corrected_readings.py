@@ -18,6 +18,7 @@ from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.earth import earth_rate
 from imubayes.foundations.errors import closest_first, input_error
 from imubayes.foundations.files import write_text
+from imubayes.foundations.wording import counted
 from imubayes.model.model_file import UncertainEquipment
 from imubayes.procedures.rotation_modulation import attenuation
 from imubayes_qualification.display.modulation_figure import modulation_figure
@@ -48,8 +49,8 @@ def left_in_lines(left_in: Iterable[UnexpressedEffect], uncertainty: str) -> Ite
 
 def incomplete_lines(rows: int) -> list[str]:
     """Return that rows have empty cells, as a line; none where all are complete."""
-    said = "lack an output, a temperature or a number of samples; their cells are empty"
-    return [f"note: {rows} rows {said}"] * bool(rows)
+    said = "without an output, a temperature or a number of samples; the cells are empty"
+    return [f"note: {counted(rows, 'row')} {said}"] * bool(rows)
 
 
 def taken_as_exact_lines(exact: Sequence[UncertainEquipment], uncertainty: str) -> list[str]:
@@ -62,11 +63,11 @@ def beyond_lines(beyond: Mapping[str, int], ranges: Mapping[str, tuple[float, fl
     for name, rows in beyond.items():
         if rows and name in _INPUTS:
             largest = f"{ranges[name][1]:.4g} {_UNITS[name]}"
-            yield f"note: {rows} rows exceed the largest {_INPUTS[name]} of the runs that were fitted, {largest}"
+            yield f"note: {counted(rows, 'row')} beyond the largest {_INPUTS[name]} of the fitted runs, {largest}"
         elif rows:
             low, high = ranges[name]
             yield (
-                f"note: {rows} rows are outside the calibrated range of {COVARIATES[name].column}, "
+                f"note: {counted(rows, 'row')} outside the calibrated range of {COVARIATES[name].column}, "
                 f"{low:.4g} … {high:.4g} °C"
             )
 
@@ -76,7 +77,7 @@ def correction_lines(found: CorrectedRecording) -> list[str]:
     solved = " and ".join(_WORDS[kind] for kind in sorted(found.kinds, reverse=True))
     tally = found.tally
     lines = [
-        f"{tally.rows} rows: {solved}, in body axes.",
+        f"{counted(tally.rows, 'row')}: {solved}, in body axes.",
         "The systematic uncertainty is the same for all rows; the random one averages over rows.",
     ]
     for kind, words in _INPUTS.items():
@@ -84,7 +85,7 @@ def correction_lines(found: CorrectedRecording) -> list[str]:
             lines.append(f"note: there is no {words}: the recording lacks {', '.join(names)}")
     lines += incomplete_lines(tally.incomplete)
     if tally.unsolved:
-        lines.append(f"note: {tally.unsolved} rows are outside the range of the model; their cells are empty")
+        lines.append(f"note: {counted(tally.unsolved, 'row')} outside the range of the model; the cells are empty")
     lines += beyond_lines(tally.beyond, found.ranges)
     if found.slow_noise:
         lines.append(f"note: {', '.join(found.slow_noise)} is in neither uncertainty")

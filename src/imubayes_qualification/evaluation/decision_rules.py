@@ -79,29 +79,6 @@ Origin: a change by a hundredth is the least that two significant digits show.  
 narrows a quantity; a larger value proposes runs that narrow nothing visibly.
 """
 
-CONTRADICTION_ERRORS = 4.0
-"""Monte Carlo errors by which the sampled variance of a linear part may differ from the one that is known.
-
-Origin: 4 standard deviations, exceeded by chance once in 16 000 quantities.  A smaller value gives up the sharper
-estimate for the sampled one more often; a larger one overlooks a posterior that is not its approximation.
-"""
-
-MOST_WIDENED = 1.25
-"""Factor by which a sampled standard deviation may contradict the approximation and its contributions be scaled.
-
-Origin: Gauss–Newton neglects the curvature of the model, which changed one width of full-qualification by 3.5 %; shares
-of contributions still hold then.  Beyond it the approximation is another distribution, and the difference stays in the
-remainder, where the report names it.
-"""
-
-CONDITIONING_WORK = 2e9
-"""Multiplications spent on averaging the contributions of a budget over draws of the noise scales.
-
-Origin: a quarter of a second on one core.  Variances scatter over draws by 30 % where a scale is known, which the 600
-draws of a large budget average to 1.2 %, 0.6 % of the standard uncertainty; where a scatter between runs is known from
-its prior alone they scatter by several times themselves, so a small budget takes all draws.
-"""
-
 SPLIT_DRAWS = 40
 """Draws of the noise scales over which the contributions of the data are divided among the runs.
 

@@ -14,6 +14,7 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.reduction.log_survey import MOST_HZ, USUAL_HZ
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.wording import counted
 from imubayes_recordings.convert.column_choice import ChosenTable
 from imubayes_recordings.convert.column_names import CLOCK, COUNTER, DATE, SIX, TIME, TIME_UNITS
 from imubayes_recordings.convert.options import ConvertOptions
@@ -84,9 +85,8 @@ def read_clock(
         note = f"the logger repeats each sample {times:.3g} times on average: {int(again.sum())} rows are left out"
         return _without(clock, again, f"{note}, {remain} samples at {rate:.4g} Hz remain")
     if (frozen := _frozen(again)).any():
-        note = (
-            f"{int(frozen.sum())} rows in stretches of the same readings are left out: the logger had lost its sensor"
-        )
+        many = counted(int(frozen.sum()), "row")
+        note = f"{many} in stretches of the same readings left out: the logger had lost its sensor"
         return _without(clock, frozen, note)
     return clock
 
@@ -174,9 +174,9 @@ def _clock(
     keep[np.flatnonzero(keep)[repeated]] = False
     time, notes = time[~repeated], list(wrapped)
     if late.any():
-        notes.append(f"{int(late.sum())} samples out of order are left out")
+        notes.append(f"{counted(int(late.sum()), 'sample')} out of order left out")
     if (repeated & ~late).any():
-        notes.append(f"{int((repeated & ~late).sum())} repeated samples are left out")
+        notes.append(f"{counted(int((repeated & ~late).sum()), 'repeated sample')} left out")
     time, found = _mended(time, options)
     return Clock(time, keep, unit, guess, (*notes, *found, *lost))
 
@@ -238,7 +238,8 @@ def _unwrapped(time: np.ndarray, factor: float) -> tuple[np.ndarray, tuple[str, 
         if len(back) and ((over >= 0) & (over < 50 * usual + 1e-300)).all() and np.ptp(time) > 0.5 * width:
             turns = np.zeros(len(time))
             turns[back] = width
-            return (time + np.cumsum(turns)) * factor, (f"the time wraps round {len(back)} times at {width:.10g}",)
+            note = f"the time wraps round {counted(len(back), 'time')} at {width:.10g}"
+            return (time + np.cumsum(turns)) * factor, (note,)
     return time * factor, ()
 
 
@@ -362,4 +363,4 @@ def _dropped(counter: np.ndarray | None, filled: np.ndarray) -> tuple[str, ...]:
     jumps = step[step > 1] - 1
     if not len(step) or not len(jumps) or np.mean(step == 1) < 0.9:
         return ()
-    return (f"the counter misses {int(jumps.sum())} samples in {len(jumps)} places",)
+    return (f"the counter misses {counted(int(jumps.sum()), 'sample')} in {counted(len(jumps), 'place')}",)

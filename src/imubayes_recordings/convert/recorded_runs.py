@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.wording import counted
 from imubayes_recordings.convert.clock import Clock, read_clock
 from imubayes_recordings.convert.column_choice import ChosenTable, values_of
 from imubayes_recordings.convert.column_names import (
@@ -135,7 +136,9 @@ def _filled(values: Columns) -> tuple[np.ndarray, tuple[str, ...]]:
     if len(channels) < len(SIX) or not 0 < void.sum() <= _MOST_VOID * filled.sum():
         return filled, ()
     word = f"{channels[0][np.flatnonzero(void)[0]]:.6g}"
-    return filled & ~void, (f"{int(void.sum())} rows in which all six channels read the same ({word}) are left out",)
+    return filled & ~void, (
+        f"{counted(int(void.sum()), 'row')} in which all six channels read the same ({word}) left out",
+    )
 
 
 def _beside(others: Columns, keep: np.ndarray, units: dict[str, str]) -> tuple[Columns, list[str]]:

@@ -7,8 +7,9 @@ import tomlkit
 from tomlkit.items import AoT
 
 from imubayes.display.layout import Report
-from imubayes.display.numbers_and_labels import counted, listed, percent
+from imubayes.display.numbers_and_labels import listed, percent
 from imubayes.foundations.covariates import remedy
+from imubayes.foundations.wording import counted
 from imubayes.inference.linear_information import STATION, of_equipment
 from imubayes.model.effect_registry import Registry
 from imubayes.model.model_file import EffectSpec

@@ -337,7 +337,7 @@ def _notes(
         f"first {seconds:.3g} s), {len(tumble.start)} transitions between the {int((~flagged).sum())} undisturbed ones",
         f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²"
         if fit.judges
-        else f"{len(flagged)} poses are too few to recognise a disturbed one by |f| = g: {LEAST_TO_JUDGE} are needed",
+        else f"too few poses ({len(flagged)}) to recognise a disturbed one by |f| = g: {LEAST_TO_JUDGE} are needed",
     ]
     notes += one_axis_note(static.pose_means(recording.force, detection.poses))
     for pose in np.flatnonzero(flagged):

@@ -13,6 +13,7 @@ from imubayes.campaign.reduction.magnitude_calibration import LEAST_TO_JUDGE, Ma
 from imubayes.campaign.reduction.static_poses import angle_between, body_vectors
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.wording import counted
 
 LEAST_MEANS = 4
 # About the median of the rows, which takes a bias out: far beyond Earth rate and what g-sensitivity leaves, rad/s.
@@ -88,7 +89,7 @@ def reduce_means(
     notes = [f"{rows} static poses given as means, {len(kept)} of them used: each has |f| = g, its attitude is unknown"]
     if left_out := int(np.sum(~flagged)) - len(kept):
         notes.append(
-            f"{left_out} poses left out, evenly over their directions, since each has an attitude of its own: "
+            f"{counted(left_out, 'pose')} left out, evenly over directions, since each has an attitude of its own: "
             f"standard uncertainties are about {np.sqrt(1 + left_out / len(kept)):.2g} times as large as with all"
         )
     notes += _calibration_notes(fit, np.flatnonzero(complete), force)
@@ -102,7 +103,7 @@ def reduce_means(
 
 def _calibration_notes(fit: MagnitudeFit, rows: np.ndarray, force: np.ndarray) -> list[str]:
     """Return notes on the calibration by |f| = g of poses, the rows (n,) of a table, and on those that it excludes."""
-    notes = [f"{len(rows)} poses are too few to recognise a disturbed one by |f| = g: {LEAST_TO_JUDGE} are needed"]
+    notes = [f"too few poses ({len(rows)}) to recognise a disturbed one by |f| = g: {LEAST_TO_JUDGE} are needed"]
     if fit.judges:
         notes = [f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²"]
     return [

@@ -22,6 +22,7 @@ from imubayes.campaign.reduction.motion_windows import contiguous
 from imubayes.campaign.reduction.pose_table import MOST_POSES, refuse_one_attitude, spread_over_the_sphere
 from imubayes.foundations.campaign_data import Channel
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.wording import counted
 
 LONGEST, WINDOW_ANGLE = 0.8, 0.5  # s, and rad by which the force turns within a window
 LEAST_SAMPLES = 8  # of a window: three coefficients, and a scatter that is known to a third
@@ -94,11 +95,11 @@ def reduce_waved(
         size = fit.spread / _MILLI_G
         notes.append(f"|f| of the windows scatters by {size:.3g} mg, which is the acceleration of the hand")
     if knocked := int(fit.outliers.sum()):
-        notes.append(f"{knocked} windows left out: their |f| is far from g, the unit was knocked")
+        notes.append(f"{counted(knocked, 'window')} left out: |f| is far from g, the unit was knocked")
     if left := len(good) - len(chosen):
         notes.append(
-            f"{left} windows left out, evenly over their directions, since each has an attitude of its own: standard "
-            f"uncertainties are about {np.sqrt(len(good) / len(chosen)):.2g} times as large as with all"
+            f"{counted(left, 'window')} left out, evenly over directions, since each has an attitude of its own: "
+            f"standard uncertainties are about {np.sqrt(len(good) / len(chosen)):.2g} times as large as with all"
         )
     return ReducedTumble(
         columns_of_windows(

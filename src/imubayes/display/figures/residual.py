@@ -16,6 +16,7 @@ from imubayes.display import numbers_and_labels as numbers
 from imubayes.display.figures import panels
 from imubayes.display.numbers_and_labels import covariate as covariate_of
 from imubayes.foundations.covariates import Covariate
+from imubayes.foundations.wording import counted
 from imubayes.results.summary import Summary
 
 _WIDTH, _LEGEND = 13.0, 2.05
@@ -147,8 +148,8 @@ def _mark_runs(axes: Axes, against: Covariate, counted: pl.DataFrame) -> None:
 def _absent(against: Covariate, without: int, count: int) -> str:
     if not without:
         return ""
-    reason = "are means over whole turns or have no angle" if against.name == "table_angle" else "lack it"
-    return f"{without} of {count} values {reason} and are left out."
+    reason = "means over whole turns or without an angle" if against.name == "table_angle" else "without it"
+    return f"{without} of {counted(count, 'value')} left out: {reason}."
 
 
 _MOST_RUNS, _MOST_CHANNELS = 40, 12

@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from imubayes.display import figure_style as style
 from imubayes.display.numbers_and_labels import shortened
 from imubayes.foundations.campaign_data import Campaign, Run, Table
+from imubayes.foundations.wording import counted
 from imubayes.procedures.ambient import instant
 
 _LEGEND, _LINE = 2.05, 0.24
@@ -45,7 +46,7 @@ def campaign_timeline_figure(campaign: Campaign) -> style.Picture:
     hues = {name: style.HUES[place % len(style.HUES)] for place, name in enumerate(mountings)}
     height = _LINE * len(kinds) + 2.6
     left_out = len(campaign.runs) - len(runs)
-    missing = f" {left_out} of {len(campaign.runs)} runs state no start and are left out." if left_out else ""
+    missing = f" {left_out} of {counted(len(campaign.runs), 'run')} left out: no start is stated." if left_out else ""
     figure = style.picture(11.5, height, f"Runs of {campaign.name}", _CAPTION + missing)
     upper, lower = style.panels(figure, 2, 1, (1.6, 0.5, _LEGEND, 0.1), (0.85, 0.3), share_x=True)[:, 0]
     lower.xaxis.set_visible(True)

@@ -15,6 +15,7 @@ from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop.diagnosis_report import add_command
 from imubayes.display.loop.diagnosis_sentences import probability, sentence
 from imubayes.display.loop.history import offsets_moved_text
+from imubayes.foundations.wording import counted
 from imubayes.loop.injection_recovery import Trial, Trials
 from imubayes.loop.model_history import CrossValidation
 from imubayes.loop.refit import NotDistinguished
@@ -268,15 +269,15 @@ def injection_report(trials: Trials) -> Report:
 def injection_lines(trials: Trials) -> list[str]:
     """Return the outcome in sentences."""
     lines = [
-        f"{numbers.counted(len(trials.trials), 'effect')} injected one by one into simulated data of "
+        f"{counted(len(trials.trials), 'effect')} injected one by one into simulated data of "
         f"'{trials.campaign}', {_size(trials)}: {trials.detected} detected, the right group first for "
         f"{trials.group_first}."
     ]
     if trials.nulls:
-        rate, count = trials.false_alarms / len(trials.nulls), numbers.counted(len(trials.nulls), "draw")
+        rate, count = trials.false_alarms / len(trials.nulls), counted(len(trials.nulls), "draw")
         rate, low, high = map(numbers.percent, (rate, *trials.false_alarm_interval))
         lines.append(
-            f"Without injection: {numbers.counted(trials.false_alarms, 'false alarm')} in {count}, a rate of {rate} "
+            f"Without injection: {counted(trials.false_alarms, 'false alarm')} in {count}, a rate of {rate} "
             f"(95 % interval {low} to {high})."
         )
     missed = [trial.effect for trial in trials.trials if not trial.detected]

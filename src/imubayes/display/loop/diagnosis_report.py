@@ -20,6 +20,7 @@ from imubayes.display.layout import Cell, Report, Sheet, cells
 from imubayes.display.loop import diagnosis_sentences as sentences
 from imubayes.display.numbers_and_labels import command_line
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.wording import counted
 
 _MOST_RANKED, _MOST_OUTLIERS = 10, 8
 # A bias below this share of a posterior standard deviation is not worth a word.
@@ -247,7 +248,7 @@ def leading_sheets(found: Diagnosis) -> list[Sheet]:
 def _omitted(found: Diagnosis) -> list[str]:
     """Return what the tables that are left out hold, in one line."""
     lists = {"effect": found.ranking, "outlier": found.outliers, "undetectable effect": found.undetectable}
-    each = [numbers.counted(len(lines), name) for name, lines in lists.items() if lines]
+    each = [counted(len(lines), name) for name, lines in lists.items() if lines]
     return [f"All tables: {', '.join(each)}: {command_line('diagnose', found.result, '--verbose')}"] if each else []
 
 

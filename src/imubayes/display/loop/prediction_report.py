@@ -16,7 +16,6 @@ from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
 from imubayes.display.layout import Cell, Report, Sheet, cells, report_html
 from imubayes.display.numbers_and_labels import (
-    counted,
     listed,
     pretty,
     ratio_text,
@@ -29,6 +28,7 @@ from imubayes.foundations.files import refuse_occupied, write_text
 from imubayes.foundations.progress import Tell
 from imubayes.foundations.quantity_names import family_of
 from imubayes.foundations.units import DAYS_PER_YEAR
+from imubayes.foundations.wording import counted
 from imubayes.loop.predicted_runs import ShiftedEstimate
 from imubayes.results.folder_files import RESIDUALS
 from imubayes.results.prediction import LEAST_CHANCE, RunPrediction

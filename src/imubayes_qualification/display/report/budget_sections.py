@@ -5,6 +5,7 @@ from collections.abc import Collection, Iterator, Sequence
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.layout import Cell, Sheet, cells
 from imubayes.display.numbers_and_labels import NO_NUMBER, listed, pretty, significant
+from imubayes.foundations.wording import counted
 from imubayes_qualification.budgets import budget_parts as parts
 from imubayes_qualification.certificate.report_record import QualificationReport, ReportedEstimate
 from imubayes_qualification.display.report import words
@@ -101,8 +102,8 @@ def _sum_text(budgets: parts.UncertaintyBudgets) -> str:
     largest = max((abs(each.remainder) for each in budgets.quantities), default=0.0)
     if not off:
         return (
-            f"The contributions of all {len(budgets.quantities)} quantities add up to their posterior variances within "
-            f"{100 * ADDS_UP:g} %; the largest remainder is {100 * largest:.1f} %."
+            f"The contributions to {counted(len(budgets.quantities), 'quantity')} add up to the posterior variances "
+            f"within {100 * ADDS_UP:g} %; the largest remainder is {100 * largest:.1f} %."
         )
     named = listed([f"{each.name} ({100 * each.remainder:+.0f} %)" for each in off])
     return (

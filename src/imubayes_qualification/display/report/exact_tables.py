@@ -177,10 +177,10 @@ def omitted_table(found: Sequence[Omission]) -> Sheet | None:
         "Known contributions that no u and no U of this document contains, from site and equipment that the model "
         "takes as exact: all of them together, if they widen U by a twentieth or more. The campaign states no "
         "size; a plausible standard uncertainty is used. State it in the campaign (0 if exact), or add the effect to "
-        "the model. The campaign has no keys for clocks, time bases, meters and vibration sensors; other sizes act in "
-        "proportion (annex A). Factors are of values at T_ref; that of a limit over a range of "
-        "temperatures is beside the limit. A limit passes only if all of these together could not carry the value "
-        "across it."
+        "the model, which is the way for wobble and encoder harmonics of a table. Other sizes act in proportion "
+        "(annex A). Factors are of values at T_ref; that of a limit over a range of temperatures is beside the "
+        "limit. A limit passes only if all of these together could not carry the "
+        "value across it."
     )
     return Sheet("Contributions that U omits", head, rows, (0, 1, 3, 4), note=note)
 

@@ -3,8 +3,9 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from imubayes.display.layout import Cell, Sheet, cells
-from imubayes.display.numbers_and_labels import counted, pretty, significant
+from imubayes.display.numbers_and_labels import pretty, significant
 from imubayes.foundations.quantity_names import family_of
+from imubayes.foundations.wording import counted
 from imubayes_qualification.certificate import report_record as record
 from imubayes_qualification.display.report import words
 from imubayes_qualification.display.report.document import Banner, without_empty_columns
@@ -46,7 +47,7 @@ def _sentence(found: record.Conformity) -> str:
         if undecided := [limit.name for limit in found.limits if limit.withheld == reason]:
             limits += f" There is no decision on {words.enumerated(undecided, 4)}: {why}."
     conditional = sum(limit.outcome.startswith("conditional") for limit in found.limits)
-    return limits + (f" {conditional} results are conditional: within U of the limit." if conditional else "")
+    return limits + (f" {counted(conditional, 'result')} conditional: within U of the limit." if conditional else "")
 
 
 def alarms(report: record.QualificationReport) -> list[str]:
@@ -99,10 +100,10 @@ def facts(report: record.QualificationReport) -> list[tuple[str, str]]:
     verdict = report.adequacy.verdict
     return [
         ("Unit", (subject.serial or "no serial number") + (f", {subject.grade} grade" if subject.grade else "")),
-        ("Campaign", f"{subject.campaign}: {len(subject.runs)} runs, {when}"),
+        ("Campaign", f"{subject.campaign}: {counted(len(subject.runs), 'run')}, {when}"),
         ("Procedures", ", ".join(name.replace("_", " ") for name in procedures)),
         ("Channels", ", ".join(f"{channel.name} ({channel.kind})" for channel in subject.channels)),
-        ("Model", f"{report.provenance.model}, {len(report.provenance.effects)} effects"),
+        ("Model", f"{report.provenance.model}, {counted(len(report.provenance.effects), 'effect')}"),
         ("Evaluation", "".join([_evaluation(report.convergence, method), *versions])),
         ("Converged", "yes" if report.convergence.converged else "NO"),
         ("Model adequacy", words.VERDICTS[verdict] if verdict is not None else "NOT DIAGNOSED"),

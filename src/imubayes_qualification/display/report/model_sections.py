@@ -8,14 +8,15 @@ from imubayes.display.fit_cautions import NOISE_WORDS, conflict_sheet, violation
 from imubayes.display.fit_quality_tables import weak_text
 from imubayes.display.layout import Sheet, cells, of_columns
 from imubayes.display.loop.diagnosis_sentences import bias_clause, evidence_text
+from imubayes.foundations.wording import agreeing, counted
 from imubayes_qualification.certificate import report_record as record
-from imubayes_qualification.certificate.report_subject import ReportedTable
-from imubayes_qualification.display.report.document import Block, Heading, Items, Paragraph
+from imubayes_qualification.certificate.report_subject import ReportedRun, ReportedTable
+from imubayes_qualification.display.report.document import Block, Heading, Items, Paragraph, without_empty_columns
 from imubayes_qualification.display.report.words import VERDICTS, enumerated, hash_text
 
 
 def equipment_section(subject: record.Subject) -> Iterator[Block]:
-    """Return site, channels, tables, mountings and runs."""
+    """Return site, channels, tables, mountings, instruments and runs."""
     site = (
         f"Latitude {subject.latitude_deg:.6g}°, height {subject.height_m:.6g} m, "
         f"gravity {subject.gravity_m_s2:.6f} m/s²; 1 g in this report is the gravity of the site."
@@ -42,7 +43,7 @@ def equipment_section(subject: record.Subject) -> Iterator[Block]:
     runs = [
         cells(
             run.name, run.procedure.replace("_", " "), run.table or numbers.NO_NUMBER,
-            run.mounting or numbers.NO_NUMBER, (run.start or numbers.NO_NUMBER).replace("T", " "),
+            run.mounting or numbers.NO_NUMBER, _read_by(run), (run.start or numbers.NO_NUMBER).replace("T", " "),
             str(run.rows), str(run.values_used)
         )
         for run in subject.runs
@@ -57,8 +58,39 @@ def equipment_section(subject: record.Subject) -> Iterator[Block]:
     if mountings:
         head = ("mounting", "seat / arcmin")
         yield Sheet("Mountings", head, mountings, (0,), note="Standard uncertainty, each angle.")
-    head = ("run", "procedure", "table", "mounting", "start", "rows", "values")
-    yield Sheet("Runs", head, runs, (0, 1, 2, 3, 4), note="Values: rows times channels that the fit used.")
+    yield from _instruments(subject)
+    head = ("run", "procedure", "table", "mounting", "thermometer", "start", "rows", "values")
+    note = "Values: rows times channels that the fit used."
+    yield without_empty_columns(Sheet("Runs", head, runs, (0, 1, 2, 3, 4, 5), note=note))
+
+
+def _instruments(subject: record.Subject) -> Iterator[Block]:
+    """Yield the thermometers that runs share, and the uncertainties of the other instruments."""
+    thermometers = [
+        cells(each.name, _known(each.offset_uncertainty_degC), _known(each.gain_uncertainty_percent))
+        for each in subject.thermometers
+    ]
+    if thermometers:
+        head = ("thermometer", "at 25 °C / °C", "gain / %")
+        note = "Standard uncertainties as stated, of an error that is common to all runs of the thermometer."
+        yield Sheet("Thermometers", head, thermometers, (0,), note=note)
+    own = subject.instruments
+    stated = [
+        ("clock of the runs", own.clock_uncertainty_ppm, "ppm"),
+        ("vibration sensor", own.vibration_uncertainty_percent, "%"),
+        ("time base of the outputs", own.time_base_uncertainty_ppm, "ppm"),
+        ("meter of the outputs", own.meter_uncertainty_ppm, "ppm"),
+    ]
+    rows = [cells(name, _known(value), unit) for name, value, unit in stated if value is not None]
+    if rows:
+        head = ("instrument", "standard uncertainty", "unit")
+        yield Sheet("Other instruments", head, rows, (0, 2), note="Of the reading, as stated.")
+
+
+def _read_by(run: ReportedRun) -> str:
+    """Return the thermometers of a run."""
+    names = (run.thermometer or "", f"converter: {run.converter_thermometer}" if run.converter_thermometer else "")
+    return ", ".join(filter(None, names))
 
 
 def _vector(axis: tuple[float, float, float]) -> str:
@@ -96,7 +128,8 @@ def adequacy_section(adequacy: record.Adequacy) -> Iterator[Block]:
         yield Paragraph(f"Noise, suspected, although it may be chance: {violation_text(adequacy.noise_suspected)}.")
     if adequacy.undetectable:
         yield Paragraph(
-            f"{len(adequacy.undetectable)} effects of the catalogue are undetectable in these runs, which is not "
+            f"{counted(len(adequacy.undetectable), 'effect')} of the catalogue "
+            f"{agreeing(len(adequacy.undetectable), 'is', 'are')} undetectable in these runs, which is not "
             f"the same as absent: {enumerated(adequacy.undetectable, 40)}."
         )
     if adequacy.most_biasing is not None:
@@ -116,8 +149,8 @@ def _search(adequacy: record.Adequacy) -> str:
     weighed = "" if adequacy.explanations is None else f" {evidence_text(adequacy.explanations)}"
     times = {0: "never", 1: "once", 2: "twice"}.get(adequacy.diagnoses, f"{adequacy.diagnoses} times")
     return (
-        f"The diagnosis weighed {adequacy.candidates} effects that these runs can show.{weighed} A model of this unit "
-        f"was diagnosed {times}, this result included."
+        f"The diagnosis weighed {counted(adequacy.candidates, 'effect')} that these runs can show.{weighed} "
+        f"A model of this unit was diagnosed {times}, this result included."
     )
 
 
@@ -197,15 +230,19 @@ def _decimals(value: float | None, count: int) -> str:
 def left_out_section(found: record.Omissions) -> Iterator[Block]:
     """Return what was left out, and why."""
     items = [
-        f"{each.run}: {each.values} values of {each.channel} are missing in the record." for each in found.channels
+        f"{each.run}: {counted(each.values, 'value')} of {each.channel} missing in the record."
+        for each in found.channels
     ]
     items += list(found.notes)
     if found.outliers:
         items.append(
-            f"{found.outliers} outliers were found by the diagnosis. Its search excludes them, the fit does not."
+            f"The diagnosis found {counted(found.outliers, 'outlier')}. Its search excludes "
+            f"{agreeing(found.outliers, 'it', 'them')}, the fit does not."
         )
     if found.nuisance_parameters:
-        items.append(f"{found.nuisance_parameters} nuisance parameters, such as attitudes of poses, are not listed.")
+        items.append(
+            f"Not listed: {counted(found.nuisance_parameters, 'nuisance parameter')}, such as attitudes of poses."
+        )
     yield Heading("What was left out")
     if not items:
         yield Paragraph("Nothing: every recorded value of every run was used, and every parameter is listed.")
@@ -231,8 +268,8 @@ def scope_section(scope: record.StatisticalScope) -> Iterator[Block]:
         items.append(f"Effects that no run could show, with what a run would have to supply: {named}.")
     if scope.from_priors:
         items.append(
-            f"{len(scope.from_priors)} quantities are known from their priors alone: "
-            f"{enumerated(scope.from_priors, 20)}. Their uncertainty is that of a "
+            f"Known from priors alone: {counted(len(scope.from_priors), 'quantity')}, "
+            f"{enumerated(scope.from_priors, 20)}. The uncertainty is that of a "
             "certificate or an assumption, and no measurement confirmed it."
         )
     weak = [cells(weak_text(each), numbers.percent(each.from_data)) for each in scope.weak_directions]

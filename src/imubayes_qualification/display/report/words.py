@@ -5,8 +5,9 @@ from collections.abc import Sequence
 
 from imubayes.criticism.explanation_records import Verdict
 from imubayes.display.layout import Cell
-from imubayes.display.numbers_and_labels import NO_NUMBER, counted, listed, pretty, rounded, significant
+from imubayes.display.numbers_and_labels import NO_NUMBER, listed, pretty, rounded, significant
 from imubayes.foundations.covariates import REFERENCE_TEMPERATURE
+from imubayes.foundations.wording import counted
 from imubayes.inference.marginal import last_digit
 from imubayes_qualification.certificate import report_record as record
 from imubayes_qualification.certificate.conformity import Obstacle

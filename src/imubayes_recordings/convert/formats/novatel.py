@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from imubayes.foundations.wording import counted
 from imubayes_recordings.convert.recording import BLOCK_ROWS, SourceColumn, SourceRecording, Topic
 
 MAGICS = (b"%RAWIMU", b"#RAWIMU")
@@ -45,7 +46,7 @@ class RawImuLog(SourceRecording):
 
     def notes(self) -> tuple[str, ...]:
         """Return how many lines were left out."""
-        return (f"{self.file.name}: {self._damaged} damaged lines are left out",) if self._damaged else ()
+        return (f"{self.file.name}: {counted(self._damaged, 'damaged line')} left out",) if self._damaged else ()
 
     def _row(self, line: str) -> list[float]:
         cells = line.partition(";")[2].partition("*")[0].split(",")

@@ -1,10 +1,7 @@
-"""The linear part of a posterior, whose variance has no Monte Carlo error, the second-order part, and better priors.
+"""What better priors would leave of a variance, and the second-order part of a quantity.
 
-The nested Laplace approximation (`imubayes.inference.nested_laplace`) writes θ = θ̂ + δ + ½ Σ_ij w_i w_j A_ij.  Given
-the noise scales h, δ is normal but for the marginals that are tabulated, and the bend follows from its weak coordinates
-w.  The bend does not change w, so every posterior draw gives back its δ by subtraction.  A quantity q has the linear
-part u = gᵀδ with the variance E_h[gᵀC(h)g] + Var_h[gᵀm(h)], where g is stretched along tabulated directions to their
-widths, and the second-order part ½ wᵀBw, B from the bend and from the curvature of q itself.
+The linear part of a quantity is that of `imubayes.inference.linear_part`, whose symbols are used here.  The
+second-order part is ½ wᵀBw, B from the bend and from the curvature of the quantity itself.
 
 A better prior shows what would be left of a variance, noise scales unknown.  It is one more reading x of its parameter
 θ_j, of variance r: r = 0 makes the prior exact, r = s²/3 halves its width s.  Given h everything is normal, and with C
@@ -26,16 +23,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.compiled.kept_programs import kept
-from imubayes.foundations.arrays import Array, Float, on_host
-from imubayes.inference.conditional_precision import Conditional, conditional, conditional_precision
+from imubayes.foundations.arrays import Array, Float
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.laplace_marginal import Curvature, inverse_of_precision
-from imubayes.inference.nested_laplace import weak_directions
-from imubayes.inference.parameter_fit import Linearised
-from imubayes.inference.posterior_mode import Mode
-from imubayes.inference.tabulated_directions import TabulatedDirections
+from imubayes.inference.laplace_marginal import inverse_of_precision
+from imubayes.inference.linear_part import LinearMoments, LinearPart
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
-from imubayes.model.problem import Problem, prior_widths
+from imubayes.model.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -83,10 +76,6 @@ class BetterPriors:
         return np.maximum(self._variance / self._weight + self._square / self._weight - mean**2, 0.0)
 
 
-# Draws of the noise scales taken at once, and draws bent back at once.
-AT_ONCE, _BENT_AT_ONCE = 40, 500
-
-
 @dataclass(frozen=True)
 class QuantityDerivatives:
     """Derivatives of Q quantities at the mode, in their units, by the parameters in z.
@@ -102,96 +91,27 @@ class QuantityDerivatives:
 
 
 @dataclass(frozen=True)
-class ConditionalMoments:
-    """Moments of Q linear quantities given each of n draws of the noise scales.
+class ConditionalMoments(LinearMoments):
+    """Moments of Q linear quantities given each of n draws of the noise scales, with what priors contribute.
 
     Attributes
     ----------
-    variance, mean : shape (n, Q); the mean from the mode.
     type_b : shape (Q, P), contribution of each prior, averaged over the draws.
     sensitivity : shape (Q, P), ∂q/∂(prior mean), averaged likewise.
     exact_prior, halved_prior : shape (Q, P), variance with one prior exact, or half as wide.
     """
 
-    variance: np.ndarray
-    mean: np.ndarray
     type_b: np.ndarray
     sensitivity: np.ndarray
     exact_prior: np.ndarray
     halved_prior: np.ndarray
-
-    @property
-    def spread(self) -> np.ndarray:
-        """Standard error of the average of the variances over the draws, shape (Q,)."""
-        return self.variance.std(axis=0) / np.sqrt(len(self.variance))
-
-
-@dataclass(frozen=True)
-class LinearPart:
-    """What bends and spreads θ about its mode.
-
-    Attributes
-    ----------
-    z : shape (P,), the mode.
-    weak : shape (P, K), orthonormal weak directions.
-    bend : shape (K, K, P), acceleration along pairs of them.
-    blocks : precision of θ given the noise scales.
-    shape : marginals of weak directions that are not normal; None where all are.
-    """
-
-    z: np.ndarray
-    weak: np.ndarray
-    bend: np.ndarray
-    blocks: Conditional
-    shape: TabulatedDirections | None
-
-
-def linear_part(fit: Fit, about: Linearised) -> LinearPart:
-    """Return the linear part of the posterior of a fit, linearised about its mode.
-
-    That of its approximation where the fit was made in this process; of a fit read from a result folder it is made
-    again, which costs two predictions for each pair of weak directions.
-    """
-    if fit.posterior is not None:
-        known = fit.posterior.approximation
-        weak, bend = np.asarray(known.weak), np.asarray(known.bend)
-        return LinearPart(np.asarray(known.z), weak, bend, known.blocks, known.shape)
-    problem, size = fit.model.problem, len(fit.h)
-    unasked = Curvature(0.0, np.zeros(size), np.eye(size))
-    mode = Mode(np.asarray(about.z), np.asarray(fit.h), 0.0, on_host(about), unasked, 0, True, True)
-    weak, bend, shape = weak_directions(problem, mode)
-    return LinearPart(
-        np.asarray(fit.z), np.asarray(weak), np.asarray(bend), conditional_precision(problem, mode), shape
-    )
-
-
-@dataclass(frozen=True)
-class Conditionals:
-    """The distribution of θ given each of n draws of the noise scales, linear about the mode.
-
-    Attributes
-    ----------
-    precision : shape (n, P, P).
-    slope : shape (n, P), gradient of the log density at the mode.
-    widths : shape (n, P), of the priors.
-    """
-
-    precision: np.ndarray
-    slope: np.ndarray
-    widths: np.ndarray
-
-
-def conditionals(part: LinearPart, problem: Problem, h: np.ndarray) -> Conditionals:
-    """Return the distributions of θ given noise scales h, (n, H)."""
-    return Conditionals(*conditional(part.blocks, problem, h), prior_widths(problem, h))
 
 
 def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarray, h: np.ndarray) -> ConditionalMoments:
     """Return the moments of linear quantities with gradients (Q, P) given noise scales h, (n, H)."""
     variances, means, sums = [], [], np.zeros((2, *gradients.shape))
     exact, halved = BetterPriors(gradients.shape), BetterPriors(gradients.shape)
-    for start in range(0, len(h), AT_ONCE):
-        given = conditionals(part, problem, h[start : start + AT_ONCE])
+    for given in part.in_blocks(problem, h):
         for precision, slope, widths in zip(given.precision, given.slope, given.widths, strict=True):
             covariance = inverse_of_precision(precision)
             along, shift = gradients @ covariance, covariance @ slope
@@ -207,35 +127,6 @@ def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarra
     return ConditionalMoments(
         np.array(variances), np.array(means), type_b, sensitivity, exact.variance, halved.variance
     )
-
-
-def conditional_covariance(part: LinearPart, problem: Problem, h: np.ndarray) -> np.ndarray:
-    """Return the covariance of θ given noise scales h, (H,); shape (P, P)."""
-    return inverse_of_precision(conditionals(part, problem, h[None]).precision[0])
-
-
-def stretched(part: LinearPart, problem: Problem, h: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-    """Return gradients (Q, P) by normal steps about the mode, from those by δ: as δ has the widths of its tables.
-
-    The map is that at the noise scales of the mode, h (H,): what the data leave to the prior hardly depends on these.
-    """
-    if part.shape is None:
-        return gradients
-    precision = conditionals(part, problem, h[None]).precision[0]
-    return gradients @ part.shape.stretch(np.linalg.cholesky(precision))
-
-
-def unbent(part: LinearPart, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return δ, (S, P), and its weak coordinates w, (S, K), of points z, (S, P)."""
-    bent = z - part.z
-    w = bent @ part.weak
-    flat = part.bend.reshape(-1, part.bend.shape[-1])
-    parts = []
-    for start in range(0, len(z), _BENT_AT_ONCE):
-        chosen = w[start : start + _BENT_AT_ONCE]
-        products = (chosen[:, :, None] * chosen[:, None, :]).reshape(len(chosen), len(flat))
-        parts.append(bent[start : start + _BENT_AT_ONCE] - 0.5 * products @ flat)
-    return np.concatenate(parts), w
 
 
 def second_order(part: LinearPart, derivatives: QuantityDerivatives, place: int, w: np.ndarray) -> np.ndarray:
@@ -254,7 +145,7 @@ def derivatives_of(fit: Fit, part: LinearPart, names: Sequence[str]) -> Quantity
     wanted = [quantity.name for quantity in fit.derived.names if quantity.name in names]
     if wanted:
         gradient = derived_jacobian(fit.derived.derivation, problem, fit.z)
-        covariance = weak.T @ conditional_covariance(part, problem, fit.h) @ weak
+        covariance = weak.T @ part.conditional_covariance(problem, fit.h) @ weak
         curvature = _derived_curvature(fit, weak, np.sqrt(np.diagonal(covariance)))
         for place, quantity in enumerate(fit.derived.names):
             known[quantity.name], own[quantity.name] = gradient[place], curvature[place]
