@@ -7,7 +7,7 @@ same.  What windows are told is one record, which counts its changes.
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from glob import escape
 from operator import methodcaller
@@ -42,7 +42,7 @@ from imubayes_explorer.messages import (
     PreviewFacts,
     PreviewWanted,
 )
-from imubayes_explorer.open_model import OpenModel, Stamp, opened, shown, stamp_of, weighed
+from imubayes_explorer.open_model import OpenModel, Stamp, opened, ready, shown, stamp_of, told, weighed
 from imubayes_explorer.point_table import PointTable
 from imubayes_explorer.refit_ahead import Ahead
 from imubayes_explorer.selection_text import fitted_text
@@ -148,7 +148,10 @@ class Session:
         if now != marks:
             replaced = model.replaced()
             self._looked[model.id] = now, replaced
-        return OpenState(id=model.id, stage=model.stage, identity=model.result.identity, replaced=replaced)
+        so_far = model.so_far if model.stage == "read" else None
+        return OpenState(
+            id=model.id, stage=model.stage, identity=model.result.identity, replaced=replaced, so_far=so_far
+        )
 
     def tree(self) -> Tree | None:
         """Return the tree of models; None before there is a first one.
@@ -220,8 +223,11 @@ class Session:
         found = opened(name, result, tell)
         self._hold(found)
         self.worker.say(lines, name)  # shown at once, while its explanations are weighed
-        self._hold(weighed(found, tell))
+        explained = weighed(found, tell, lambda so_far: self._hold(replace(found, so_far=so_far)))
+        diagnosed = told(found, explained)
+        self._hold(diagnosed)
         self.keep(command_line("diagnose", found.place))
+        self._hold(ready(diagnosed, explained, tell))
         return TaskOutcome(name, lines)
 
     def _hold(self, model: OpenModel) -> None:
@@ -258,8 +264,8 @@ class Session:
         """Return what causes would do together, with the command that adds them, or what a change does."""
         found, (ahead, what) = self.require(wanted.model), self._ahead_of(wanted)
         out = self.folder_for(found, wanted.effects[0]) if wanted.effects else found.folder
-        told = found.preview(wanted.effects, shown(out), ahead, what, self._table_of(found, ahead))
-        return told.model_copy(update={"task": wanted.task})
+        facts = found.preview(wanted.effects, shown(out), ahead, what, self._table_of(found, ahead))
+        return facts.model_copy(update={"task": wanted.task})
 
     def calibration(self, wanted: ModelWanted) -> CalibrationFacts:
         """Return the estimates of a model, beside those of the one that it was made from where that is at hand."""

@@ -1,12 +1,13 @@
 // The page: what changes leads to what is asked, and what is told leads to what is drawn. State flows one way.
 
 import { asideDialog, drawBelow, drawTab, noteDialog, parentOf } from "./below.js";
-import { drawCauses, tellWeighing } from "./causes.js";
+import { drawCauses, drawSoFar, tellWeighing } from "./causes.js";
 import { el, fill } from "./dom.js";
 import { formulaDialog } from "./formula.js";
 import { helpDialog, listenToKeys } from "./keys.js";
 import { drawMap } from "./map.js";
 import { ask, latest, listen, points, text } from "./net.js";
+import { kept } from "./offline.js";
 import { drawCharts, drawControls, drawShape, focusRuns, makeCharts, picture, restyle, zoomToSelection } from "./panels.js";
 import { atWork, hear, onChange, previewed, show, tell, told, view } from "./state.js";
 import { drawTasks } from "./tasks.js";
@@ -79,15 +80,15 @@ async function open() {
   const own = chosen.model === facts.id && chosen.x === view.x && !view.brushes.length && !view.between;
   const mine = facts.abscissae.some((axis) => axis.name === view.x) && !own;
   const worst = facts.cells.reduce((one, other) => (other.chi2 / other.n > one.chi2 / one.n ? other : one), facts.cells[0]);
-  const kept = {
+  const here = {
     channel: facts.channels.includes(view.channel) ? view.channel : worst.channel,
     x: mine ? view.x : firstAbscissa(facts),
     colour: facts.labels.some(({ by }) => by === view.colour) ? view.colour : firstColour(facts),
     ticked: facts.stage === "read" ? view.ticked : view.ticked.filter((effect) => facts.causes.some((cause) => cause.effect === effect)),
   };
-  chosen = mine ? { model: "", x: "" } : { model: facts.id, x: kept.x };
+  chosen = mine ? { model: "", x: "" } : { model: facts.id, x: here.x };
   told.facts = facts;
-  show(kept, true);
+  show(here, true);
   tell({ facts });
   await Promise.all([select(), preview(), load(true)]);
 }
@@ -159,10 +160,17 @@ function draw(seen, heard) {
   if (any(heard, "facts", "preview") || any(seen, "brushes", "channel", "model")) drawMap(place("map"));
   if (any(heard, "facts", "selection", "preview", "kept") || any(seen, "brushes", "ticked", "model")) drawCauses(place("causes"), actions);
   if (any(heard, "weighing")) tellWeighing();
+  if (any(heard, "soFar")) drawSoFar();
   if (any(heard, "facts", "kept") || any(seen, "tab", "model")) drawBelow(place("below"), actions);
   drawTab(actions, seen, heard);
   if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between")) drawControls(actions);
   if (any(heard, "session", "fault", "lost", "dismissed", "preview")) drawTasks(place("notice"), actions);
+}
+
+// The selected model; of a saved page one that it holds.
+function firstOf(session) {
+  const held = session.tree.filter((line) => session.opened.some((each) => each.id === line.id)), among = kept && held.length ? held : session.tree;
+  return among.find((line) => line.selected) ?? among[0];
 }
 
 let asked = "";
@@ -179,12 +187,13 @@ function onState(session) {
   const now = session.opened.find((each) => each.id === view.model), key = now && `${now.id} ${now.stage} ${now.identity}`;
   const weighing = told.facts?.stage === "ready" ? "" : session.tasks.find((task) => atWork(task) && (task.of === view.model || task.made === view.model))?.step ?? "";
   if (weighing !== told.weighing) tell({ weighing });
+  if (now?.so_far?.hypotheses !== told.soFar?.hypotheses) tell({ soFar: now?.so_far ?? null });
   if (now && asked !== key && (told.facts?.id !== now.id || told.facts.stage !== now.stage || told.facts.identity !== now.identity)) {
     asked = key;
     open();
   }
   const there = session.tree.some((line) => line.id === view.model);
-  if (!there && session.tree.length) show({ model: (session.tree.find((line) => line.selected) ?? session.tree[0]).id }, true);
+  if (!there && session.tree.length) show({ model: firstOf(session).id }, true);
   else if (!told.facts && there && !session.tasks.some(atWork) && !last) open();
 }
 

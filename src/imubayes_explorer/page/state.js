@@ -5,7 +5,7 @@ const FIRST = { model: "", channel: "", x: "", y: "known", colour: "", only: [],
 export const view = { ...FIRST, ...fromAddress() };
 export const told = {
   session: null, kept: "", facts: null, points: null, selection: null, preview: null, hovered: "", fault: "", lost: false,
-  dismissed: 0, folded: false, weighing: "",
+  dismissed: 0, folded: false, weighing: "", soFar: null,
 };
 
 export function atWork(task) {
