@@ -211,6 +211,33 @@ def test_ticks_have_the_digits_that_tell_them_apart(fresh):
     ]  # fmt: skip
 
 
+def ticks_of_panels(page) -> list[list[str]]:
+    """The labels of both axes of every panel, as the SVG of the panels has them."""
+    return page.driver.execute_async_script(
+        "const done = arguments[0]; import('./page/panels.js').then(async ({ picture }) => {"
+        "const svg = new DOMParser().parseFromString(await (await picture('svg')).text(), 'image/svg+xml');"
+        "done([...svg.querySelectorAll('g:has(> text)')].map((group) =>"
+        "[...group.querySelectorAll(':scope > text')].map((each) => each.textContent))); })"
+    )
+
+
+def test_residuals_with_a_preview_stand_beside_those_of_the_model_on_the_same_axes(fresh):
+    fresh.click(f'[id="tick-{HIDDEN}"]')
+    fresh.wait("document.querySelector('#preview-sentence')")
+    fresh.press("b")
+    fresh.wait(f"document.querySelector('#beside-title').textContent === 'residual with {HIDDEN}'")
+    boxes = [fresh.run(f"document.querySelector('#{each}').getBoundingClientRect().toJSON()")
+             for each in ("residuals", "beside")]  # fmt: skip
+    assert boxes[0]["right"] <= boxes[1]["left"]
+    assert boxes[0]["top"] == boxes[1]["top"]
+    assert abs(boxes[0]["width"] - boxes[1]["width"]) < 2
+    _, model, preview = sorted(ticks_of_panels(fresh), key=lambda each: "residual / known noise" in each)
+    assert model == preview
+    assert len(model) > 6
+    fresh.press("b")
+    fresh.wait("document.querySelector('#beside').hidden")
+
+
 def test_all_estimates_are_listed_with_and_without_a_preview(fresh):
     fresh.press("2")
     fresh.wait("document.querySelectorAll('#calibration tbody tr').length > 40")

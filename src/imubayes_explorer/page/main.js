@@ -111,10 +111,27 @@ async function load(moving = false) {
   };
   const found = await attempt(() => latest("points", (signal) => points(wanted, signal)));
   if (!found) return;
-  if (found.head.refitted) Object.assign(found, { y: found.after, predicted: found.curve });
+  if (found.head.refitted) Object.assign(found, { held: found.y, y: found.after, predicted: found.curve });
   const before = moving || found.head.refitted !== told.points?.head.refitted ? told.points : null;
   told.points = found;
   drawCharts(before);
+  await loadBefore(wanted);
+}
+
+// The residuals of the model before this one, which is opened where it is not.
+async function loadBefore(wanted) {
+  const parent = parentOf(view.model);
+  if (!view.beside || !parent) {
+    told.before = null;
+    return;
+  }
+  const title = told.session.tree.find((line) => line.id === parent).title;
+  const there = await attempt(() => latest("before", (signal) => ask("model", { model: parent }, signal)));
+  if (there === undefined) return;
+  const found = there && await attempt(() => latest("before", (signal) => points({ ...wanted, model: parent, effects: [], task: 0 }, signal)));
+  if (found === undefined || wanted.model !== view.model) return;
+  told.before = found ? { of: view.model, parent, title, points: found } : { waiting: parent };
+  drawCharts();
 }
 
 async function select() {
@@ -149,7 +166,7 @@ onChange((seen, heard) => {
   } else if (told.facts) {
     if (any(seen, "brushes")) select();
     if (any(seen, "ticked") || any(heard, "hovered", "kept")) preview();
-    if (any(seen, "channel", "x", "y", "colour", "only", "brushes", "ticked", "between") || any(heard, "hovered", "kept")) load();
+    if (any(seen, "channel", "x", "y", "colour", "only", "brushes", "ticked", "between", "beside") || any(heard, "hovered", "kept")) load();
     if (any(seen, "after") || any(heard, "selection", "preview")) drawCharts();
   }
   draw(seen, heard);
@@ -163,7 +180,7 @@ function draw(seen, heard) {
   if (any(heard, "soFar")) drawSoFar();
   if (any(heard, "facts", "kept") || any(seen, "tab", "model")) drawBelow(place("below"), actions);
   drawTab(actions, seen, heard);
-  if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between")) drawControls(actions);
+  if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between", "beside")) drawControls(actions);
   if (any(heard, "session", "fault", "lost", "dismissed", "preview")) drawTasks(place("notice"), actions);
 }
 
@@ -192,6 +209,7 @@ function onState(session) {
     asked = key;
     open();
   }
+  if (told.before?.waiting && session.opened.some((each) => each.id === told.before.waiting)) load();
   const there = session.tree.some((line) => line.id === view.model);
   if (!there && session.tree.length) show({ model: firstOf(session).id }, true);
   else if (!told.facts && there && !session.tasks.some(atWork) && !last) open();
@@ -233,7 +251,7 @@ listenToKeys({
   x: () => told.session?.tasks.filter(atWork).forEach((task) => actions.cancel(task.number)),
   n: () => show({ channel: next(channels(), view.channel, 1) }), N: () => show({ channel: next(channels(), view.channel, -1) }),
   v: () => turnX(1), V: () => turnX(-1), y: () => show({ y: next(RESIDUALS, view.y, 1) }), o: focusRuns,
-  f: () => told.facts && actions.formula(view.channel), w: actions.draw, p: () => show({ after: !view.after }), z: zoomToSelection, Z: () => show({ between: null }),
+  f: () => told.facts && actions.formula(view.channel), w: actions.draw, p: () => show({ after: !view.after }), b: () => show({ beside: !view.beside }), z: zoomToSelection, Z: () => show({ between: null }),
   Escape: () => show(view.brushes.length ? { brushes: [], only: [] } : { ticked: [] }),
   1: () => show({ tab: "models" }), 2: () => show({ tab: "estimates" }), 3: () => show({ tab: "knowledge" }), 4: () => show({ tab: "commands" }),
 });
