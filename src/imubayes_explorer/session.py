@@ -15,9 +15,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imubayes.api import add, export, fit, refit, remove
+from imubayes.display.loop import diagnosis_report as report
 from imubayes.display.loop.change_report import change_lines
-from imubayes.display.loop.diagnosis_report import add_command, formula_source
 from imubayes.display.numbers_and_labels import command_line
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, input_error, kept_if_possible
 from imubayes.foundations.files import remove_abandoned, write_text
 from imubayes.foundations.progress import Tell
@@ -248,13 +249,15 @@ class Session:
         if tree is not None:
             self.get(id_of((tree.selected or tree.roots)[0]))
 
-    def fit(self, campaign: Path, model: Path) -> None:
-        """Fit a campaign as the first model."""
-        command = command_line("fit", str(campaign), "--model", str(model), "--out", str(self.root), "--no-sample")
+    def fit(self, campaign: Campaign | Path, model: Path) -> None:
+        """Fit a campaign as the first model; no command does that with one that is in no folder."""
+        given = isinstance(campaign, Path)
+        words = "fit", str(campaign), "--model", str(model), "--out", str(self.root), "--no-sample"
 
         def work(tell: Tell) -> TaskOutcome:
             result = fit(campaign, model, self.root, sample=False, progress=tell)
-            self.keep(command)
+            if given:
+                self.keep(command_line(*words))
             self.worker.say((fitted_text(shown_place(str(self.root.resolve()))),))
             return self._opened(result, tell)
 
@@ -369,7 +372,7 @@ class Session:
         folder, channels = self.folder_for(model, effects[0]), channels or model.channels_for(effects)
         return Change(
             what=f"add {', '.join(effects)}",
-            command=add_command(effects, channels, model.place, shown(folder)),
+            command=report.add_command(effects, channels, model.place, shown(folder)),
             make=lambda tell: add(model.result, effects, folder, channels, diagnosis=model.told, progress=tell),
             predict=lambda: model.ahead_of_adding(effects, channels),
             adding=effects,
@@ -386,12 +389,12 @@ class Session:
         view = model.view
         return Change(
             what=f"add the formula of {channel}",
-            command=add_command([shown(file)], [channel], model.place, shown(folder)),
+            command=report.add_command([shown(file)], [channel], model.place, shown(folder)),
             make=lambda tell: add(
                 model.result, [str(file)], folder, [channel], diagnosis=model.diagnosis, progress=tell
             ),
             predict=lambda: view.ahead(view.fit.model, columns=view.columns_of(found, wanted.drawn)),
-            write=lambda: write_text(file, formula_source(found)),
+            write=lambda: write_text(file, report.formula_source(found)),
             file=file,
         )
 

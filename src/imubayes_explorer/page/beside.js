@@ -1,9 +1,27 @@
 // Two models side by side: the residuals of the model before, or with the preview, on the axes of those that are shown.
 
+import { parentOf } from "./below.js";
 import { Chart } from "./chart.js";
 import { el } from "./dom.js";
 import { drawBand, drawPoints } from "./marks.js";
+import { ask, latest, points } from "./net.js";
 import { told, view } from "./state.js";
+
+// Ask for the residuals of the model before this one, which is opened where it is not; whether there is news.
+export async function loadBefore(wanted, attempt) {
+  const parent = parentOf(view.model);
+  if (!view.beside || !parent) {
+    told.before = null;
+    return false;
+  }
+  const title = told.session.tree.find((line) => line.id === parent).title;
+  const there = await attempt(() => latest("before", (signal) => ask("model", { model: parent }, signal)));
+  if (there === undefined) return false;
+  const found = there && await attempt(() => latest("before", (signal) => points({ ...wanted, model: parent, effects: [], task: 0 }, signal)));
+  if (found === undefined || wanted.model !== view.model) return false;
+  told.before = found ? { of: view.model, parent, title, points: found } : { waiting: parent };
+  return true;
+}
 
 export class Beside {
   constructor(shared) {

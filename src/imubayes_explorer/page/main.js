@@ -1,13 +1,14 @@
 // The page: what changes leads to what is asked, and what is told leads to what is drawn. State flows one way.
 
 import { asideDialog, drawBelow, drawTab, noteDialog, parentOf } from "./below.js";
+import { loadBefore } from "./beside.js";
 import { drawCauses, drawSoFar, tellWeighing } from "./causes.js";
 import { el, fill } from "./dom.js";
+import { firstAbscissa, firstColour, firstModel } from "./first.js";
 import { formulaDialog } from "./formula.js";
 import { helpDialog, listenToKeys } from "./keys.js";
 import { drawMap } from "./map.js";
 import { ask, latest, listen, points, text } from "./net.js";
-import { kept } from "./offline.js";
 import { drawCharts, drawControls, drawShape, focusRuns, makeCharts, picture, restyle, zoomToSelection } from "./panels.js";
 import { atWork, hear, onChange, previewed, show, tell, told, view } from "./state.js";
 import { drawTasks } from "./tasks.js";
@@ -93,16 +94,6 @@ async function open() {
   await Promise.all([select(), preview(), load(true)]);
 }
 
-function firstAbscissa(facts) {
-  const said = facts.abscissae.find((axis) => facts.sentence.includes(`depends on ${axis.phrase}`));
-  return (said ?? facts.abscissae.find((axis) => axis.name === "table_rate_deg_s") ?? facts.abscissae[0]).name;
-}
-
-// Many runs are told apart by their mounting.
-function firstColour(facts) {
-  return facts.runs.length > 8 && facts.labels.some(({ by }) => by === "mounting") ? "mounting" : "run";
-}
-
 async function load(moving = false) {
   if (!told.facts || told.facts.id !== view.model) return;
   const wanted = {
@@ -115,23 +106,7 @@ async function load(moving = false) {
   const before = moving || found.head.refitted !== told.points?.head.refitted ? told.points : null;
   told.points = found;
   drawCharts(before);
-  await loadBefore(wanted);
-}
-
-// The residuals of the model before this one, which is opened where it is not.
-async function loadBefore(wanted) {
-  const parent = parentOf(view.model);
-  if (!view.beside || !parent) {
-    told.before = null;
-    return;
-  }
-  const title = told.session.tree.find((line) => line.id === parent).title;
-  const there = await attempt(() => latest("before", (signal) => ask("model", { model: parent }, signal)));
-  if (there === undefined) return;
-  const found = there && await attempt(() => latest("before", (signal) => points({ ...wanted, model: parent, effects: [], task: 0 }, signal)));
-  if (found === undefined || wanted.model !== view.model) return;
-  told.before = found ? { of: view.model, parent, title, points: found } : { waiting: parent };
-  drawCharts();
+  if (await loadBefore(wanted, attempt)) drawCharts();
 }
 
 async function select() {
@@ -184,12 +159,6 @@ function draw(seen, heard) {
   if (any(heard, "session", "fault", "lost", "dismissed", "preview")) drawTasks(place("notice"), actions);
 }
 
-// The selected model; of a saved page one that it holds.
-function firstOf(session) {
-  const held = session.tree.filter((line) => session.opened.some((each) => each.id === line.id)), among = kept && held.length ? held : session.tree;
-  return among.find((line) => line.selected) ?? among[0];
-}
-
 let asked = "";
 
 // A change that was taken is followed by every window that shows the model it was made from.
@@ -211,7 +180,7 @@ function onState(session) {
   }
   if (told.before?.waiting && session.opened.some((each) => each.id === told.before.waiting)) load();
   const there = session.tree.some((line) => line.id === view.model);
-  if (!there && session.tree.length) show({ model: firstOf(session).id }, true);
+  if (!there && session.tree.length) show({ model: firstModel(session).id }, true);
   else if (!told.facts && there && !session.tasks.some(atWork) && !last) open();
 }
 
