@@ -1,5 +1,6 @@
 """A page of units and the loops that are opened from it; the loops are stand-ins, and nothing is fitted."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,6 +11,11 @@ from imubayes.foundations.errors import input_error
 from imubayes.results.unit_page import UNIT_LINK, UnitPage, UnitToExplore
 from imubayes_explorer import start
 from imubayes_explorer.unit_server import ServedUnits
+
+
+@dataclass
+class Opened:
+    address: str
 
 
 def gone() -> Path:
@@ -30,7 +36,7 @@ def served():
     def opened(unit: UnitToExplore):
         unit.campaign()
         begun.append(unit)
-        return SimpleNamespace(address=f"http://127.0.0.1:1/{len(begun)}/")
+        return Opened(f"http://127.0.0.1:1/{len(begun)}/")
 
     found = ServedUnits(PAGE, opened, lambda loop, seconds: ended.append((loop.address, seconds)), 0)
     found.begin()

@@ -229,7 +229,7 @@ class Picture(Figure):
     def svg(self) -> str:
         """Return the figure as an SVG element, its text as text, artists with an address as links."""
         buffer = StringIO()
-        with mpl.rc_context(STYLE | {"svg.fonttype": "none", "svg.hashsalt": self.caption}):
+        with mpl.rc_context(STYLE), mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": self.caption}):
             self.savefig(buffer, format="svg", metadata={"Date": None})
         return buffer.getvalue()[buffer.getvalue().index("<svg") :]
 
