@@ -13,7 +13,7 @@ from imubayes.foundations.extensions import extensions
 from imubayes.foundations.progress import Tell, silent
 from imubayes.foundations.shipped_examples import example, shipped
 from imubayes.model.model_file import read_model
-from imubayes.results.folder_files import MANIFEST, checked
+from imubayes.results.folder_files import FIT, MANIFEST, checked
 from imubayes.results.result import Result
 from imubayes.results.unit_page import UnitPage, UnitToExplore
 from imubayes_explorer.session import Session
@@ -133,7 +133,8 @@ def explore_units(
     -------
     served : None if no package has a page about this folder.
     """
-    if _MISSING:
+    # What has a campaign or a fit is none of them: the packages with pages are not imported for it.
+    if _MISSING or (place / CAMPAIGN_FILE).is_file() or (place / FIT).is_file():
         return None
     pages = (entry.load()(place, progress) for entry in extensions("pages").values())
     page: UnitPage | None = next((each for each in pages if each is not None), None)
