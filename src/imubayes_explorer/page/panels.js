@@ -71,7 +71,7 @@ export function drawControls(actions) {
     pick("x", "against", facts.abscissae.map((axis) => [axis.name, axis.unit ? `${axis.phrase} / ${axis.unit}` : axis.phrase])),
     pick("y", "residual", [["known", "over known noise"], ["input", "in input units"], ["fitted", "over fitted noise"]]),
     pick("colour", "colour", facts.labels.map(({ by }) => [by, by])),
-    el("label", {}, el("input", { type: "checkbox", "data-key": "only", checked: view.only.length > 0, onchange: focusRuns }), "only selected runs"),
+    view.only.length || told.selection?.n ? el("label", {}, el("input", { type: "checkbox", "data-key": "only", checked: view.only.length > 0, onchange: focusRuns }), "only selected runs") : null,
     el("label", {}, el("input", { type: "checkbox", "data-key": "after", checked: view.after, title: "the residual after the preview; key p", onchange: (event) => show({ after: event.target.checked }) }), "after preview"),
     el("label", {}, el("input", { type: "checkbox", "data-key": "beside", id: "side-by-side", checked: view.beside, title: "the residuals of the model before, or with the preview, on the same axes; key b", onchange: (event) => show({ beside: event.target.checked }) }), "side by side"),
     el("button", { "data-key": "draw", id: "draw", title: "draw the shape that you see, and get its formula; key w", onclick: actions.draw }, "draw a shape"),
