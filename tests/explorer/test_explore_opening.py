@@ -122,7 +122,6 @@ def test_another_result_in_the_folder_is_told_and_opened_when_asked(apart, explo
         assert now["identity"] != model["identity"]
         assert not now["replaced"]
         assert own.json("model", {"model": model["id"]})["campaign"] == "accel-channel"
-        settled(begun)
     finally:
         begun.stop()
 

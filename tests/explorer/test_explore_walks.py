@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from urllib.parse import quote
 
 import jax
 import pytest
@@ -19,7 +20,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
 from imubayes.api import fit
-from imubayes_explorer.start import explore
+from imubayes_explorer.start import Exploration, explore
 
 pytestmark = [
     pytest.mark.slow,  # fits of their own; test_explore_page guards the walk, test_explore_session what is kept
@@ -153,6 +154,18 @@ def p95(times: list[float]) -> float:
     return sorted(times)[round(0.95 * (len(times) - 1))]
 
 
+def root_of(explored: Exploration) -> str:
+    return next(line.id for line in explored.session.state().tree if not line.parent)
+
+
+def at_the_root(explored: Exploration) -> Page:
+    """A window on the first model, whatever was done and selected before; its previews are ready."""
+    view = {"model": root_of(explored), "channel": "gz", "x": "rate_i"}
+    page = Page(f"{explored.address}#{quote(json.dumps(view))}")
+    page.wait("document.querySelector('.tick:not(:disabled)')")
+    return page
+
+
 class Counted:
     """A window whose clicks and drags are counted from the moment that it is there."""
 
@@ -178,10 +191,8 @@ class Counted:
 
 def test_select_fit_and_undo_are_four_gestures(two, capsys):
     """The walk of pintk: drag over residuals, tick what is fitted, Fit, Undo: as many as here."""
-    page = Page(two.address)
+    page, first = at_the_root(two), root_of(two)
     try:
-        page.wait("document.querySelector('.tick:not(:disabled)')")
-        first = page.view()["model"]
         walk = Counted(page)
         walk.drag(-0.49, -0.47, 0.3, 0.9)
         page.wait("document.querySelector('#selection-sentence')")
@@ -204,9 +215,8 @@ def test_select_fit_and_undo_are_four_gestures(two, capsys):
 
 def test_the_next_best_model_is_taken_in_two_clicks_and_seen_beside_the_one_before_by_a_third(two, capsys):
     """The walk of Monolix: the model that is proposed is applied, run, and compared with the one before."""
-    page = Page(two.address)
+    page = at_the_root(two)
     try:
-        page.wait("document.querySelector('.tick:not(:disabled)')")
         walk = Counted(page)
         walk.click("#tick-named")
         page.wait("document.querySelector('#preview-sentence')")
@@ -227,7 +237,7 @@ def test_the_next_best_model_is_taken_in_two_clicks_and_seen_beside_the_one_befo
 
 def test_no_preview_waits_for_a_program_to_compile(two, capsys):
     """Every cause is previewed for the first time, as by pointing at it; what that takes is printed."""
-    client, model = Client(two.address), next(line.id for line in two.session.state().tree if not line.parent)
+    client, model = Client(two.address), root_of(two)
     wait_for(lambda: (found := two.session.get(model)) is not None and found.stage == "ready")
     causes = [cause["effect"] for cause in client.json("model", {"model": model})["causes"]]
     compiled = list[str]()
