@@ -70,7 +70,7 @@ def set_abscissa(axes: Axes, values: np.ndarray, covariate: Covariate) -> None:
 def _name_zero_alone(axes: Axes, smallest: float) -> None:
     """Leave out the labels of the smallest decade: over many decades they would touch that of zero."""
     plain = StrMethodFormatter("{x:g}")
-    axes.xaxis.set_major_formatter(lambda x, place: "" if 0 < abs(x) < 1.1 * smallest else plain(x, place))
+    axes.xaxis.set_major_formatter(lambda x, _: "" if 0 < abs(x) < 1.1 * smallest else plain(x))
 
 
 def set_symlog(axes: Axes, axis: Literal["x", "y"], smallest: float, most: int = 9) -> None:
