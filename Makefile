@@ -16,7 +16,7 @@ export UV_PYTHON_DOWNLOADS := never
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make demo    fit, sample, compare and diagnose a shipped campaign with a hidden effect"
+	@echo "make demo    fit, sample, diagnose and compare a shipped campaign with a hidden effect"
 	@echo "make archive-demo  fit the shipped archive of units and ask what no single unit can answer"
 	@echo "make test    style, types and tests"
 	@echo "make test-fast  tests that compile no model and search no set-up, below a minute"

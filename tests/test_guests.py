@@ -70,7 +70,7 @@ def test_every_guest_adds_a_command_and_a_function():
         assert {entry.module.partition(".")[0] for entry in extensions(group).values()} == set(GUESTS)
 
 
-@pytest.mark.parametrize("group", ["commands", "functions", "options", "results", "schemas"])
+@pytest.mark.parametrize("group", ["commands", "functions", "options", "pages", "results", "schemas"])
 def test_what_is_registered_is_there(group):
     assert extensions(group)
     assert all(entry.load() is not None for entry in extensions(group).values())

@@ -29,7 +29,8 @@ def explore(
     Parameters
     ----------
     place
-        Result folder, or the folder of a campaign with --model; without it the example hidden-gyro.
+        Result folder, the folder of a campaign with --model, or the results of a batch, whose units are shown with
+        their population; without it the example hidden-gyro.
     model
         Model file, or the name of a shipped model; fitted first.
     out
@@ -41,12 +42,16 @@ def explore(
     trust
         Trust the effect files that come with the input: they are code, which runs only if trusted.
     """
-    with progress():
+    with progress() as tell:
         trusting(model or place, trust)
         start_jax("explore")
         from imubayes_explorer.start import explore as begin
+        from imubayes_explorer.start import explore_units
 
-        begun = begin(place, model, out, port=port, browser=not no_browser)
+        units = (
+            None if place is None or model else explore_units(place, port=port, browser=not no_browser, progress=tell)
+        )
+        begun = units or begin(place, model, out, port=port, browser=not no_browser)
     print(f"{begun.address}\nStop with Ctrl-C. Accepted results are kept.", flush=True)
     try:
         with suppress(KeyboardInterrupt):

@@ -37,9 +37,16 @@ def new_token() -> str:
 
 
 class Guard:
-    """Passes on what may be asked, with the path behind the token; refuses all else with 403."""
+    """Passes on what may be asked, with the path behind the token; refuses all else with 403.
 
-    def __init__(self, application: Application, token: str, port: int):
+    Parameters
+    ----------
+    styles : where styles of the page may come from.
+    """
+
+    def __init__(self, application: Application, token: str, port: int, styles: bytes = b"'self'"):
+        policy = _HEADERS[0][1].replace(b"style-src 'self'", b"style-src " + styles)
+        self._headers = ((_HEADERS[0][0], policy), *_HEADERS[1:])
         self._application, self._token = application, token.encode()
         self._hosts = {f"{name}:{port}".encode() for name in _NAMES}
         self._origins = {b"http://" + host for host in self._hosts}
@@ -52,7 +59,7 @@ class Guard:
         refusal = self._refusal(scope) if scope["type"] == "http" else "only HTTP is spoken here"
         if refusal:
             answer = PlainTextResponse(f"refused: {refusal}\n", 403)
-            answer.raw_headers.extend(_HEADERS)
+            answer.raw_headers.extend(self._headers)
             await answer(scope, receive, send)
             return
         token = scope["path"].removeprefix("/").partition("/")[0]
@@ -60,7 +67,7 @@ class Guard:
 
         async def sent(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.start":
-                message = {**message, "headers": [*message.get("headers", ()), *_HEADERS]}
+                message = {**message, "headers": [*message.get("headers", ()), *self._headers]}
             await send(message)
 
         await self._application(inner, receive, sent)

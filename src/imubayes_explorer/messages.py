@@ -9,7 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from imubayes.criticism.diagnosis_record import CovariateLabel
-from imubayes.criticism.explanation_records import ProbableExplanation, Verdict
+from imubayes.criticism.explanation_records import ProbableExplanation, Verdict, WeighedSoFar
 from imubayes.display.layout import Sheet
 from imubayes.foundations.records import Record
 from imubayes_explorer.drawn_shape import DrawnCurve
@@ -264,12 +264,18 @@ class ModelFacts(Record):
 
 
 class OpenState(Record):
-    """Which model is open, how far, of which result, and whether its folder holds another one by now."""
+    """Which model is open, how far, of which result, and whether its folder holds another one by now.
+
+    Attributes
+    ----------
+    so_far : what has been weighed of its explanations, while they are.
+    """
 
     id: str
     stage: Stage
     identity: str
     replaced: bool
+    so_far: WeighedSoFar | None = None
 
 
 class RowsRanking(Record):

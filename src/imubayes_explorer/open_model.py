@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.adequacy.known_noise_fit import KnownNoisePoint
-from imubayes.criticism.diagnose import explained_fit
+from imubayes.criticism.diagnose import ExplainedFit, Heard, explained_fit
 from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
+from imubayes.criticism.explanation_records import WeighedSoFar
 from imubayes.display.fit_cautions import set_aside_text
 from imubayes.display.fit_quality_tables import run_design_text
 from imubayes.display.loop import diagnosis_report as report
@@ -47,6 +48,7 @@ class OpenModel:
     result, readings, table : the result, its fit at the known noise, and its readings.
     stamp : of the files of the campaign when it was opened.
     told : what the diagnosis says: made now, or found in the folder; None before there is one.
+    so_far : what the search at work has weighed of the explanations.
     linear : the linear model with every candidate; None before the explanations are weighed.
     """
 
@@ -56,6 +58,7 @@ class OpenModel:
     table: PointTable
     stamp: Stamp
     told: Diagnosis | None = None
+    so_far: WeighedSoFar | None = None
     linear: LinearView | None = None
 
     @property
@@ -289,28 +292,39 @@ def _kept(result: Result) -> Diagnosis | None:
         return None
 
 
-def weighed(model: OpenModel, tell: Tell) -> OpenModel:
-    """Return an open model with its explanations weighed.
-
-    The diagnosis is kept in its folder where it can be, as `imubayes diagnose` does; one that the folder holds stands.
+def weighed(model: OpenModel, tell: Tell, heard: Heard) -> ExplainedFit:
+    """Return the fit of an open model with its explanations weighed; `heard` is told of them meanwhile.
 
     Raises
     ------
     InputError
         where there is no fit to diagnose.
     """
-    result, folder = model.result, model.folder
-    explained = explained_fit(result.fit, str(folder), tell)
+    explained = explained_fit(model.result.fit, str(model.folder), tell, heard)
     if explained is None:
-        raise nowhere(result.fit, str(folder))
-    found = model.told
-    if found is None:
-        found = explained.diagnosis()
-        with kept_if_possible(folder):
-            write_diagnosis(folder, found, result.identity)
-    view = LinearView(explained, found, result.summary)
+        raise nowhere(model.result.fit, str(model.folder))
+    return explained
+
+
+def told(model: OpenModel, explained: ExplainedFit) -> OpenModel:
+    """Return an open model with what the diagnosis says.
+
+    It is kept in its folder where it can be, as `imubayes diagnose` does; one that the folder holds stands.
+    """
+    if model.told is not None:
+        return model
+    found = explained.diagnosis()
+    with kept_if_possible(model.folder):
+        write_diagnosis(model.folder, found, model.result.identity)
+    return replace(model, told=found)
+
+
+def ready(model: OpenModel, explained: ExplainedFit, tell: Tell) -> OpenModel:
+    """Return an open model that has its diagnosis, ready for previews and selections."""
+    found = model.diagnosis
+    view = LinearView(explained, found, model.result.summary)
     view.prepare(tell)
-    ready = replace(model, told=found, linear=view)
+    ready = replace(model, linear=view)
     effects = found.proposed.effects if found.proposed is not None else tuple(view.variants)[:1]
     ready.ahead_of_adding(effects, ready.channels_for(effects))  # so that the first is as fast as the others
     return ready

@@ -22,7 +22,8 @@ from imubayes_explorer.session_state import SessionState
 
 _MODULES = (
     "dom", "offline", "net", "state", "chart", "verdict", "map", "causes", "geometry", "knowledge", "estimates",
-    "below", "tasks", "formula", "keys", "tour", "picture", "points", "legend", "panels", "main",
+    "below", "tasks", "formula", "keys", "tour", "picture", "points", "legend", "marks", "beside", "panels",
+    "first", "main",
 )  # fmt: skip
 _PREVIEWED, _MOST_NUMBERS = 6, 700_000
 """Causes of each model that are previewed, and numbers of each model that a file has room for."""
@@ -64,9 +65,9 @@ class SavedSession(Record):
 
 
 def saved_model(model: OpenModel, calibration: CalibrationFacts) -> SavedModel:
-    """Return what a saved page needs of a model."""
-    table, view, facts = model.table, model.view, model.facts()
-    likeliest = [cause.effect for cause in facts.causes[:_PREVIEWED]]
+    """Return what a saved page needs of a model; causes are previewed if its explanations are weighed."""
+    table, view, facts = model.table, model.readings, model.facts()
+    likeliest = [cause.effect for cause in facts.causes[:_PREVIEWED]] if facts.stage == "ready" else []
     names = 11 + len(table.columns) + 2 * len(likeliest)
     every = np.flatnonzero(view.entries & np.isin(table.channel, table.channels))
     kept = every[:: -(-len(every) * names // _MOST_NUMBERS)]
@@ -83,7 +84,7 @@ def saved_model(model: OpenModel, calibration: CalibrationFacts) -> SavedModel:
     }
     previews = []
     for effect in likeliest:
-        point = view.with_causes([effect])
+        point = model.view.with_causes([effect])
         after, curve = _base64(view.whitened(point)[kept]), _base64(table.curve(point)[kept])
         found = model.preview([effect], f"{model.place}-{effect}")
         previews.append(SavedPreview(facts=found, after=after, curve=curve))

@@ -119,7 +119,7 @@ class _Answers:
         given: dict[str, Callable[[], Said]] = {
             "state": session.state, "script.sh": session.script, "model.toml": session.exported,
             "session.html": lambda: saved_page(
-                session.state(), [(each, session.calibration_of(each)) for each in session.ready_models], self.files
+                session.state(), [(each, session.calibration_of(each)) for each in session.open_models], self.files
             ),
         }  # fmt: skip
         return [

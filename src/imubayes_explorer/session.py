@@ -7,7 +7,7 @@ same.  What windows are told is one record, which counts its changes.
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from glob import escape
 from operator import methodcaller
@@ -15,9 +15,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imubayes.api import add, export, fit, refit, remove
+from imubayes.display.loop import diagnosis_report as report
 from imubayes.display.loop.change_report import change_lines
-from imubayes.display.loop.diagnosis_report import add_command, formula_source
 from imubayes.display.numbers_and_labels import command_line
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError, input_error, kept_if_possible
 from imubayes.foundations.files import remove_abandoned, write_text
 from imubayes.foundations.progress import Tell
@@ -42,7 +43,7 @@ from imubayes_explorer.messages import (
     PreviewFacts,
     PreviewWanted,
 )
-from imubayes_explorer.open_model import OpenModel, Stamp, opened, shown, stamp_of, weighed
+from imubayes_explorer.open_model import OpenModel, Stamp, opened, ready, shown, stamp_of, told, weighed
 from imubayes_explorer.point_table import PointTable
 from imubayes_explorer.refit_ahead import Ahead
 from imubayes_explorer.selection_text import fitted_text
@@ -148,7 +149,10 @@ class Session:
         if now != marks:
             replaced = model.replaced()
             self._looked[model.id] = now, replaced
-        return OpenState(id=model.id, stage=model.stage, identity=model.result.identity, replaced=replaced)
+        so_far = model.so_far if model.stage == "read" else None
+        return OpenState(
+            id=model.id, stage=model.stage, identity=model.result.identity, replaced=replaced, so_far=so_far
+        )
 
     def tree(self) -> Tree | None:
         """Return the tree of models; None before there is a first one.
@@ -220,8 +224,11 @@ class Session:
         found = opened(name, result, tell)
         self._hold(found)
         self.worker.say(lines, name)  # shown at once, while its explanations are weighed
-        self._hold(weighed(found, tell))
+        explained = weighed(found, tell, lambda so_far: self._hold(replace(found, so_far=so_far)))
+        diagnosed = told(found, explained)
+        self._hold(diagnosed)
         self.keep(command_line("diagnose", found.place))
+        self._hold(ready(diagnosed, explained, tell))
         return TaskOutcome(name, lines)
 
     def _hold(self, model: OpenModel) -> None:
@@ -242,13 +249,15 @@ class Session:
         if tree is not None:
             self.get(id_of((tree.selected or tree.roots)[0]))
 
-    def fit(self, campaign: Path, model: Path) -> None:
-        """Fit a campaign as the first model."""
-        command = command_line("fit", str(campaign), "--model", str(model), "--out", str(self.root), "--no-sample")
+    def fit(self, campaign: Campaign | Path, model: Path) -> None:
+        """Fit a campaign as the first model; no command does that with one that is in no folder."""
+        given = isinstance(campaign, Path)
+        words = "fit", str(campaign), "--model", str(model), "--out", str(self.root), "--no-sample"
 
         def work(tell: Tell) -> TaskOutcome:
             result = fit(campaign, model, self.root, sample=False, progress=tell)
-            self.keep(command)
+            if given:
+                self.keep(command_line(*words))
             self.worker.say((fitted_text(shown_place(str(self.root.resolve()))),))
             return self._opened(result, tell)
 
@@ -258,8 +267,8 @@ class Session:
         """Return what causes would do together, with the command that adds them, or what a change does."""
         found, (ahead, what) = self.require(wanted.model), self._ahead_of(wanted)
         out = self.folder_for(found, wanted.effects[0]) if wanted.effects else found.folder
-        told = found.preview(wanted.effects, shown(out), ahead, what, self._table_of(found, ahead))
-        return told.model_copy(update={"task": wanted.task})
+        facts = found.preview(wanted.effects, shown(out), ahead, what, self._table_of(found, ahead))
+        return facts.model_copy(update={"task": wanted.task})
 
     def calibration(self, wanted: ModelWanted) -> CalibrationFacts:
         """Return the estimates of a model, beside those of the one that it was made from where that is at hand."""
@@ -363,7 +372,7 @@ class Session:
         folder, channels = self.folder_for(model, effects[0]), channels or model.channels_for(effects)
         return Change(
             what=f"add {', '.join(effects)}",
-            command=add_command(effects, channels, model.place, shown(folder)),
+            command=report.add_command(effects, channels, model.place, shown(folder)),
             make=lambda tell: add(model.result, effects, folder, channels, diagnosis=model.told, progress=tell),
             predict=lambda: model.ahead_of_adding(effects, channels),
             adding=effects,
@@ -380,12 +389,12 @@ class Session:
         view = model.view
         return Change(
             what=f"add the formula of {channel}",
-            command=add_command([shown(file)], [channel], model.place, shown(folder)),
+            command=report.add_command([shown(file)], [channel], model.place, shown(folder)),
             make=lambda tell: add(
                 model.result, [str(file)], folder, [channel], diagnosis=model.diagnosis, progress=tell
             ),
             predict=lambda: view.ahead(view.fit.model, columns=view.columns_of(found, wanted.drawn)),
-            write=lambda: write_text(file, formula_source(found)),
+            write=lambda: write_text(file, report.formula_source(found)),
             file=file,
         )
 

@@ -1,8 +1,5 @@
 """A session begun: from a result, or from a campaign with a model; served on this machine until it is stopped."""
 
-import socket
-import threading
-import time
 import webbrowser
 from html import escape
 from importlib.util import find_spec
@@ -12,22 +9,24 @@ from typing import TYPE_CHECKING
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.compiled.jax_settings import prepare_jax
 from imubayes.foundations.errors import input_error
+from imubayes.foundations.extensions import extensions
+from imubayes.foundations.progress import Tell, silent
 from imubayes.foundations.shipped_examples import example, shipped
 from imubayes.model.model_file import read_model
-from imubayes.results.folder_files import MANIFEST, checked
+from imubayes.results.folder_files import FIT, MANIFEST, checked
 from imubayes.results.result import Result
+from imubayes.results.unit_page import UnitPage, UnitToExplore
 from imubayes_explorer.session import Session
 
 # Without the extra the name of the function is still public: `explore` refuses when it is called.
 _MISSING = next((name for name in ("starlette", "uvicorn") if find_spec(name) is None), "")
 if TYPE_CHECKING or not _MISSING:
-    import uvicorn
-
-    from imubayes_explorer.guard import HOST, new_token
+    from imubayes_explorer.served import Served
     from imubayes_explorer.server import application
+    from imubayes_explorer.unit_server import ServedUnits
 
-_PATIENCE, _STEP = 10.0, 120.0
-"""Seconds in which the server starts or ends, and that a step of the work may take, such as a program that compiles."""
+_STEP = 120.0
+"""Seconds that a step of the work may take, such as a program that compiles."""
 SHIPPED = "hidden-gyro"
 """The example that is explored where nothing is named: an effect is hidden in it."""
 
@@ -42,36 +41,18 @@ class Exploration:
     """
 
     def __init__(self, session: Session, port: int = 0):
-        # Bound before anything is said: the port of the address is this server's own.
-        try:
-            bound = socket.create_server((HOST, port))
-        except (OSError, OverflowError) as error:
-            raise input_error(f"the port cannot be opened: "
-                              f"{getattr(error, 'strerror', None) or error}", f"--port {port}",
-                              "a free port, or 0 for any", "choose another one") from error  # fmt: skip
-        token, self.session = new_token(), session
-        self.address = f"http://{HOST}:{bound.getsockname()[1]}/{token}/"
-        served = application(session, token, bound.getsockname()[1])
-        # Given by a factory, which uvicorn need not tell from an application.
-        settings = uvicorn.Config(
-            lambda: served, factory=True, interface="asgi3", ws="none", lifespan="off", proxy_headers=False,
-            server_header=False, log_level="warning", access_log=False, timeout_graceful_shutdown=1,
-        )  # fmt: skip
-        self._server = uvicorn.Server(settings)
-        self._thread = threading.Thread(target=self._server.run, args=([bound],), name="explore-server", daemon=True)
+        self.session = session
+        self._served = Served(lambda token, bound: application(session, token, bound), port)
+        self.address = self._served.address
 
     def start(self) -> "Exploration":
         """Serve in a thread; return itself once the page is there."""
-        self._thread.start()
-        until = time.monotonic() + _PATIENCE
-        while not self._server.started and time.monotonic() < until:
-            time.sleep(0.01)
+        self._served.begin()
         return self
 
     def wait(self) -> None:
         """Serve until the process is interrupted."""
-        while self._thread.is_alive():
-            self._thread.join(0.5)
+        self._served.wait()
 
     def stop(self, patience: float = _STEP) -> None:
         """Stop serving, and end what is at work at its next step; what was accepted is in its folders.
@@ -81,8 +62,7 @@ class Exploration:
         patience : seconds that the step at work may take; a longer one goes on to its end.
         """
         self.session.close()
-        self._server.should_exit = True
-        self._thread.join(_PATIENCE)
+        self._served.end()
         self.session.worker.stop(patience)
 
     def __repr__(self) -> str:
@@ -136,6 +116,46 @@ def explore(
     if browser:
         webbrowser.open(found.address)
     return found
+
+
+def explore_units(
+    place: Path, *, port: int = 0, browser: bool = False, progress: Tell = silent
+) -> "ServedUnits[Exploration] | None":
+    """Serve the page about the fits of many units in a folder, from which the loop of each is opened.
+
+    Parameters
+    ----------
+    place : the folder.
+    port, browser : as of `explore`.
+    progress : called with a short text as the page is made.
+
+    Returns
+    -------
+    served : None if no package has a page about this folder.
+    """
+    # What has a campaign or a fit is none of them: the packages with pages are not imported for it.
+    if _MISSING or (place / CAMPAIGN_FILE).is_file() or (place / FIT).is_file():
+        return None
+    pages = (entry.load()(place, progress) for entry in extensions("pages").values())
+    page: UnitPage | None = next((each for each in pages if each is not None), None)
+    if page is None:
+        return None
+    prepare_jax("explore")
+    found = ServedUnits(page, _of_unit, Exploration.stop, port)
+    found.begin()
+    if browser:
+        webbrowser.open(found.address)
+    return found
+
+
+def _of_unit(unit: UnitToExplore) -> Exploration:
+    """Return the loop of a unit, its first model fitted where that is not done."""
+    campaign = unit.campaign()
+    if isinstance(campaign, Path):
+        return Exploration(_of_folder(campaign, unit.model, unit.out)).start()
+    session = Session(unit.out)
+    session.fit(campaign, unit.model)
+    return Exploration(session).start()
 
 
 def _of_result(result: Result) -> Session:

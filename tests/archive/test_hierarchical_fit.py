@@ -11,8 +11,10 @@ from accelerometer_archive import Archive, write_archive
 import imubayes
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError
+from imubayes.foundations.progress import silent
 from imubayes_archive.api.archives import BatchResult
 from imubayes_archive.display.figures.population import population_picture
+from imubayes_archive.display.population_page import population_page
 from imubayes_archive.population.hierarchical_fit import hierarchical_fit, scale_priors
 from imubayes_archive.population.unit_populations import unit_populations
 
@@ -57,6 +59,26 @@ def test_a_lot_is_listed_with_its_units_by_the_command(fitted, capsys):
     assert finding.groups[1].units == tuple(lot)
     assert finding.groups[1].offset == pytest.approx(ARCHIVE.shift, abs=4 * finding.groups[1].offset_sd)
     assert (folder / "p.png").stat().st_size > 10_000
+
+
+def test_a_page_leads_from_each_unit_to_its_campaign_and_model(fitted, tmp_path):
+    """All parameters with a population, those first whose units deviate; marks and names of units are links."""
+    folder, _, fits = fitted
+    page = population_page(fits.folder, silent)
+    assert page is not None
+    assert len(page.units) == ARCHIVE.units
+    pictures = page.html.split("<figure ")[1:]
+    assert SLOPE in pictures[0]
+    names = [each.parameter for each in fits.population().parameters if each.mean is not None and each.spread]
+    assert names
+    assert all(name in page.html for name in names)
+    for key, unit in page.units.items():
+        assert f'href="unit/{key}"' in pictures[0]
+        assert (unit.campaign() / "campaign.toml").is_file()
+        assert unit.model.is_file()
+        assert fits.folder not in unit.out.parents
+    assert population_page(folder / "units", silent) is None
+    assert population_page(tmp_path, silent) is None
 
 
 def test_every_unit_is_within_its_panel(fitted):

@@ -332,6 +332,22 @@ def test_correlation_in_time_whitens_as_its_covariance_does() -> None:
     assert gram.log_det == pytest.approx(-0.5 * np.linalg.slogdet(own)[1], rel=1e-4)
 
 
+def test_a_search_is_heard_after_each_hypothesis() -> None:
+    """What leads is told long before the search ends, and is not taken back."""
+    counts, told = list[int](), list[str]()
+
+    def heard(search: ModelSearch) -> None:
+        counts.append(len(search.known))
+        told.extend(each.effect for each in posterior_of(search).inclusion[:1])
+
+    found = ModelSearch(problem(drawn(1, {("scale_asymmetry", 0): 1.0})), heard).run()
+    assert counts == sorted(counts)
+    assert counts[-1] == len(found.known)
+    last = posterior_of(found).inclusion[0].effect
+    assert told.index(last) < len(told) / 2
+    assert set(told[len(told) // 2 :]) == {last}
+
+
 @pytest.mark.slow
 def test_gross_outliers_of_a_model_with_heavy_tails_are_no_cause() -> None:
     residual = drawn(10)

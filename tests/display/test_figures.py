@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -332,6 +333,16 @@ def test_rates_are_ticked_in_decades():
     set_abscissa(axes, np.array([-300.0, -1.0, 0.0, 1.0, 300.0]), covariate("table_rate"))
     labels = {axes.xaxis.get_major_formatter()(place) for place in axes.get_xticks()}
     assert labels >= {"−100", "−10", "−1", "0", "1", "10", "100"}
+
+
+def test_labels_of_many_decades_of_rate_do_not_touch():
+    figure = picture(8.0, 2.0, "", "")
+    axes = figure.add_axes((0.1, 0.3, 0.38, 0.6))  # half the width of a figure, as residuals beside whitened ones
+    set_abscissa(axes, np.array([-300.0, -1e-5, 0.0, 0.004, 300.0]), covariate("table_rate"))
+    figure.draw_without_rendering()
+    boxes = sorted((each.get_window_extent() for each in axes.get_xticklabels() if each.get_text()), key=lambda b: b.x0)
+    assert len(boxes) >= 5
+    assert all(one.x1 + 2 < other.x0 for one, other in pairwise(boxes))
 
 
 def test_bias_and_scale_factor_over_temperature():

@@ -28,7 +28,7 @@ class Page:
         self.driver = webdriver.Chrome(options=options, service=Service(DRIVER))
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}  # of what the page has
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        self.address, self.requested = address, set[str]()
+        self.address, self.requested = address.partition("#")[0], set[str]()
         self.open(address)
 
     def open(self, address: str) -> None:

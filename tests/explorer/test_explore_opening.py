@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from explore_client import Client, framed, settled, wait_for
 
+from imubayes.criticism.explanation_records import ProbableEffect, WeighedSoFar
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.foundations.errors import InputError
 from imubayes.results.folder_files import MANIFEST
 from imubayes.results.result import read_result
 from imubayes_explorer.calibration import calibration_facts
-from imubayes_explorer.open_model import opened, weighed
+from imubayes_explorer.open_model import opened, told, weighed
 from imubayes_explorer.start import explore
 
 HIDDEN = "gyro_scale_asymmetry"
@@ -37,7 +38,9 @@ def test_map_and_residuals_are_there_before_the_explanations(apart, explored, fi
     without_diagnosis(apart)
     go, ready = threading.Event(), explored.session.require(first)
 
-    def weigh(*_: object):
+    def weigh(_fit, _folder, _tell, heard):
+        effect = ProbableEffect(effect=HIDDEN, channels=("gz",), probability=0.7)
+        heard(WeighedSoFar(hypotheses=12, inclusion=(effect,)))
         go.wait(60)
         return ready.view.explained
 
@@ -45,9 +48,10 @@ def test_map_and_residuals_are_there_before_the_explanations(apart, explored, fi
     begun = explore(apart)
     own = Client(begun.address)
     try:
-        state = wait_for(lambda: own.json("state") if own.json("state")["opened"] else None)
-        [seen] = state["opened"]
+        [seen] = wait_for(lambda: [each for each in own.json("state")["opened"] if each["so_far"]])
         assert seen["stage"] == "read"
+        assert seen["so_far"]["hypotheses"] == 12
+        assert [each["effect"] for each in seen["so_far"]["inclusion"]] == [HIDDEN]
         facts, later = own.json("model", {"model": seen["id"]}), client.json("model", {"model": first})
         assert facts["verdict"] is None
         assert facts["causes"] == []
@@ -64,9 +68,15 @@ def test_map_and_residuals_are_there_before_the_explanations(apart, explored, fi
         status, said = own.ask("preview", {"model": seen["id"], "effects": [HIDDEN]})
         assert status == 400
         assert b"still being weighed" in said
+        # A page that is saved now holds what is there.
+        saved = own.ask("session.html")[1].decode()
+        [kept] = json.loads(saved.partition('id="kept">')[2].partition("</script>")[0])["models"]
+        assert (kept["facts"]["stage"], kept["previews"]) == ("read", [])
+        assert kept["count"] > 100
         go.set()
         wait_for(lambda: own.json("state")["opened"][0]["stage"] == "ready")
         assert own.json("model", {"model": seen["id"]})["sentence"] == later["sentence"]
+        assert own.json("state")["opened"][0]["so_far"] is None
     finally:
         go.set()
         begun.stop()
@@ -82,7 +92,7 @@ def test_a_diagnosis_that_the_folder_holds_is_shown_and_not_made_again(apart, ex
     explained = ready.view.explained
     monkeypatch.setattr("imubayes_explorer.open_model.explained_fit", lambda *_: explained)
     monkeypatch.setattr(type(explained), "diagnosis", lambda _: pytest.fail("made again"))
-    assert weighed(found, lambda _: None).told is found.told
+    assert told(found, weighed(found, lambda _: None, lambda _: None)).told is found.told
     assert file.stat().st_mtime_ns == before
 
 
@@ -112,7 +122,6 @@ def test_another_result_in_the_folder_is_told_and_opened_when_asked(apart, explo
         assert now["identity"] != model["identity"]
         assert not now["replaced"]
         assert own.json("model", {"model": model["id"]})["campaign"] == "accel-channel"
-        settled(begun)
     finally:
         begun.stop()
 
@@ -129,16 +138,16 @@ def test_windows_are_told_of_another_result_without_being_asked(apart, explored,
         connection.request("GET", f"/{own.token}/events", headers={"Host": own.host})
         answer = connection.getresponse()
 
-        def told():
+        def replaced():
             line = b""
             while not line.startswith(b"data: "):
                 line = answer.readline()
             return json.loads(line[6:])["opened"][0]["replaced"]
 
-        assert not told()
+        assert not replaced()
         shutil.rmtree(apart)
         shutil.copytree(accel_channel, apart)
-        assert told()
+        assert replaced()
         connection.close()
     finally:
         begun.stop()

@@ -7,15 +7,20 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
+from urllib.parse import quote
 
+import jax
 import pytest
 from explore_client import Client, settled, wait_for
 from explore_page import LACKING, Page
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
 from imubayes.api import fit
-from imubayes_explorer.start import explore
+from imubayes_explorer.start import Exploration, explore
 
 pytestmark = [
     pytest.mark.slow,  # fits of their own; test_explore_page guards the walk, test_explore_session what is kept
@@ -143,3 +148,114 @@ def test_a_server_that_is_killed_during_a_fit_loses_nothing_that_was_done(two, t
         assert made in {line["id"] for line in Client(address).json("state")["tree"]}
     finally:
         ended(process)
+
+
+def p95(times: list[float]) -> float:
+    return sorted(times)[round(0.95 * (len(times) - 1))]
+
+
+def root_of(explored: Exploration) -> str:
+    return next(line.id for line in explored.session.state().tree if not line.parent)
+
+
+def at_the_root(explored: Exploration) -> Page:
+    """A window on the first model, whatever was done and selected before; its previews are ready."""
+    view = {"model": root_of(explored), "channel": "gz", "x": "rate_i"}
+    page = Page(f"{explored.address}#{quote(json.dumps(view))}")
+    page.wait("document.querySelector('.tick:not(:disabled)')")
+    return page
+
+
+class Counted:
+    """A window whose clicks and drags are counted from the moment that it is there."""
+
+    def __init__(self, page: Page):
+        self.page, self.clicks, self.began = page, 0, time.monotonic()
+
+    def click(self, selector: str) -> None:
+        self.page.wait(f"document.querySelector({json.dumps(selector)})?.disabled === false")
+        self.page.click(selector)
+        self.clicks += 1
+
+    def drag(self, left: float, top: float, right: float, down: float) -> None:
+        """Drag over the residuals; places are shares of the panel, from its middle."""
+        over = self.page.driver.find_element(By.CSS_SELECTOR, "#residuals .u-over")
+        width, height = over.rect["width"], over.rect["height"]
+        drag = ActionChains(self.page.driver).move_to_element_with_offset(over, int(left * width), int(top * height))
+        drag.click_and_hold().move_by_offset(int(right * width), int(down * height)).release().perform()
+        self.clicks += 1
+
+    def said(self, walk: str) -> str:
+        return f"{walk}: {self.clicks} clicks, {time.monotonic() - self.began:.0f} s"
+
+
+def test_select_fit_and_undo_are_four_gestures(two, capsys):
+    """The walk of pintk: drag over residuals, tick what is fitted, Fit, Undo: as many as here."""
+    page, first = at_the_root(two), root_of(two)
+    try:
+        walk = Counted(page)
+        walk.drag(-0.49, -0.47, 0.3, 0.9)
+        page.wait("document.querySelector('#selection-sentence')")
+        walk.click(".tick:not(:checked)")
+        walk.click("#accept")
+        page.wait("document.querySelector('#refit-sentence')")
+        shown = walk.said("pintk's select, fit: residuals of the refit")
+        page.wait(f"JSON.parse(decodeURIComponent(location.hash.slice(1))).model !== {json.dumps(first)}")
+        fitted = walk.said("with the fit itself")
+        walk.click("#undo")
+        page.wait(f"JSON.parse(decodeURIComponent(location.hash.slice(1))).model === {json.dumps(first)}")
+        with capsys.disabled():
+            print(f"\n{shown}; {fitted}; {walk.said('with undo')}")
+        assert walk.clicks == 4
+        assert page.complaints() == []
+    finally:
+        page.close()
+        settled(two)
+
+
+def test_the_next_best_model_is_taken_in_two_clicks_and_seen_beside_the_one_before_by_a_third(two, capsys):
+    """The walk of Monolix: the model that is proposed is applied, run, and compared with the one before."""
+    page = at_the_root(two)
+    try:
+        walk = Counted(page)
+        walk.click("#tick-named")
+        page.wait("document.querySelector('#preview-sentence')")
+        walk.click("#accept")
+        page.wait("document.querySelector('#refit-sentence')")
+        shown = walk.said("Monolix's next best model: its residuals")
+        page.wait("document.querySelector('#sentence')?.textContent.includes('explains the data')")
+        walk.click("#side-by-side")
+        page.wait("document.querySelector('#beside-title').textContent.startsWith('residual of the model before')")
+        with capsys.disabled():
+            print(f"\n{shown}; {walk.said('fitted, beside the one before')}")
+        assert walk.clicks == 3
+        assert page.complaints() == []
+    finally:
+        page.close()
+        settled(two)
+
+
+def test_no_preview_waits_for_a_program_to_compile(two, capsys):
+    """Every cause is previewed for the first time, as by pointing at it; what that takes is printed."""
+    client, model = Client(two.address), root_of(two)
+    wait_for(lambda: (found := two.session.get(model)) is not None and found.stage == "ready")
+    causes = [cause["effect"] for cause in client.json("model", {"model": model})["causes"]]
+    compiled = list[str]()
+    listen = jax.monitoring.register_event_duration_secs_listener
+    listen(lambda name, seconds, **_: compiled.append(name) if name.endswith("backend_compile_duration") else None)
+
+    def seconds(path: str, wanted: object) -> float:
+        began = time.monotonic()
+        client.json(path, wanted)
+        return time.monotonic() - began
+
+    previews = [seconds("preview", {"model": model, "effects": [effect]}) for effect in causes]
+    brushes = [
+        seconds("selection", {"model": model, "brushes": [{"x": "rate_i", "x_low": low, "x_high": low + 60}]})
+        for low in range(-300, 300, 20)
+    ]
+    with capsys.disabled():
+        print(f"\n{len(previews)} first previews: p95 {p95(previews):.3f} s, longest {max(previews):.3f} s; "
+              f"{len(brushes)} brushes: p95 {p95(brushes):.3f} s, longest {max(brushes):.3f} s")  # fmt: skip
+    assert compiled == []
+    assert len(previews) >= 20

@@ -18,9 +18,9 @@ _SHOWN, _COMPLETE = "hidden-gyro", "trihedral-imu"  # where an effect is missing
 def demo(
     name: str = _SHOWN, *, out: Path = _FOLDER, sample: bool = True, replace: Flag = False
 ) -> int:  # fmt: skip
-    """Copy an example to a folder, fit it, compare it with its measurements, and diagnose it.
+    """Copy an example to a folder, fit it, diagnose it, and compare it with its measurements.
 
-    The default example lacks an effect, which the diagnosis names.
+    The default example lacks an effect, which the diagnosis names; the comparison begins with what it depends on.
 
     Example: imubayes demo --out imubayes-demo
 
@@ -44,10 +44,11 @@ def demo(
     _announce("fit", campaign, "--model", model, "--out", result, *([] if sample else ["--no-sample"]))
     if status := fit(campaign, model=model, out=result, sample=sample, replace=replace):
         return status
-    _announce("compare", result)
-    compare(result)
+    # The comparison draws residuals against the covariate that the diagnosis names.
     _announce("diagnose", result)
     status = diagnose(result)
+    _announce("compare", result)
+    compare(result)
     other = _COMPLETE if name == _SHOWN else _SHOWN
     print(f"\nopen this page: {(result / 'compare.html').resolve()}\nnext:")
     for package, line in (

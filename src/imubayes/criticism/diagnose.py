@@ -5,7 +5,8 @@ groups are its effects, and the next command adds them.  Wrong inputs of the lea
 of the record: what would make the runs agree.
 """
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +21,7 @@ from imubayes.criticism import explanation_records as explanations
 from imubayes.criticism.detectability import AbsorbedResponses, Detectability, discriminating_run
 from imubayes.criticism.evidence.effect_variants import SHOWN
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, EvidenceOf, Hypothesis
-from imubayes.criticism.evidence.model_search import beyond_prior
+from imubayes.criticism.evidence.model_search import ModelSearch, beyond_prior
 from imubayes.criticism.evidence.noise_structures import Family
 from imubayes.criticism.evidence.posterior_summary import ExplanationPosterior, MissingEffect, SlotMember
 from imubayes.criticism.evidence.relinearised_search import explain
@@ -161,17 +162,47 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
     return judged.answer_about(effect) if effect else judged.diagnosis()
 
 
-def explained_fit(fit: Fit, result: str = "RESULT", progress: Tell = silent) -> "ExplainedFit | None":
-    """Return a fit with the posterior over explanations, for questions about it; None of a fit that stands nowhere."""
+Heard = Callable[[explanations.WeighedSoFar], None]
+_HEARD_EVERY = 0.5
+"""Seconds between two reports of a search at work: each sums over all hypotheses."""
+
+
+def explained_fit(
+    fit: Fit, result: str = "RESULT", progress: Tell = silent, heard: Heard = lambda _: None
+) -> "ExplainedFit | None":
+    """Return a fit with the posterior over explanations, for questions about it; None of a fit that stands nowhere.
+
+    `heard` is called with what has been weighed so far while the search is at work.
+    """
     progress("predicting with every effect of the catalogue")
     responses = candidate_responses(fit) if np.isfinite(fit.z).all() else None
     if responses is None or not np.isfinite(responses.misfit).all():
         return None
     progress("weighing the explanations")
     known = covariates(fit)
-    posterior = explain(fit, responses, known)
+    posterior = explain(fit, responses, known, _listener(fit, progress, heard))
     progress("interpreting what was found")
     return ExplainedFit(fit, responses, known, posterior, result)
+
+
+def _listener(fit: Fit, progress: Tell, heard: Heard) -> Callable[[ModelSearch], None]:
+    """Return what counts the hypotheses of a search aloud, and reports what they say from time to time.
+
+    A search about another linearisation begins anew, and the count goes on.
+    """
+    last, before, here = time.monotonic(), 0, 0
+
+    def listen(search: ModelSearch) -> None:
+        nonlocal last, before, here
+        before, here = before + here * (len(search.of.known) < here), len(search.of.known)
+        progress(f"weighing the explanations, {before + here} so far")
+        if time.monotonic() - last > _HEARD_EVERY:
+            found = ExplanationPosterior(search, fit).inclusion
+            if found:
+                heard(explanations.WeighedSoFar(hypotheses=before + here, inclusion=found))
+            last = time.monotonic()
+
+    return listen
 
 
 def _refuse_unknown(effect: str, fit: Fit) -> None:

@@ -85,6 +85,13 @@ class ProbableEffect(Record):
     probability: float
 
 
+class WeighedSoFar(Record):
+    """What a search at work has weighed: how many hypotheses, and the effects of those with their probabilities."""
+
+    hypotheses: int
+    inclusion: tuple[ProbableEffect, ...]
+
+
 class EffectSlot(Record):
     """One missing effect of the leading explanation, and what may stand in its place, the rest held.
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from importlib.resources import files
-from io import BytesIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
@@ -225,6 +225,13 @@ class Picture(Figure):
             # Fast compression: a fifth larger, in a third of the time.
             self.savefig(buffer, format="png", pil_kwargs={"compress_level": 1})
         return buffer.getvalue()
+
+    def svg(self) -> str:
+        """Return the figure as an SVG element, its text as text, artists with an address as links."""
+        buffer = StringIO()
+        with mpl.rc_context(STYLE), mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": self.caption}):
+            self.savefig(buffer, format="svg", metadata={"Date": None})
+        return buffer.getvalue()[buffer.getvalue().index("<svg") :]
 
     def save(self, file: str | Path) -> Path:
         """Write the figure as PNG, replacing the file atomically."""

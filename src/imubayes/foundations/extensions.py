@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from imubayes.foundations.errors import input_error
 
-Group = Literal["commands", "functions", "options", "results", "schemas"]
+Group = Literal["commands", "functions", "options", "pages", "results", "schemas"]
 
 
 @cache
@@ -22,7 +22,8 @@ def extensions(group: Group) -> Mapping[str, EntryPoint]:
     Parameters
     ----------
     group : `commands` of the command line, public `functions`, `options` of functions of the kernel, named
-        `function.option`, functions that keep something of their own in sampled `results`, or `schemas` of files.
+        `function.option`, `pages` about the fits of many units in a folder, functions that keep something of their own
+        in sampled `results`, or `schemas` of files.
     """
     found = sorted(entry_points(group=f"imubayes.{group}"), key=lambda entry: entry.name)
     packages = {entry.module.partition(".")[0] for entry in found}

@@ -1,6 +1,7 @@
 // Ranked causes: of everything by the one evidence, or of the selected readings; ticked ones are previewed, then added.
 
 import { bar, digits, el, fill, minus, odds, probability } from "./dom.js";
+import { kept } from "./offline.js";
 import { atWork, show, tell, told, view } from "./state.js";
 
 const MOST = 14;
@@ -31,17 +32,40 @@ export function drawCauses(place, actions) {
     selection ? other("noise alone", selection.nothing) : null,
     selection && selection.offset !== null ? other("an offset of these readings alone", selection.offset) : null,
     selection && selection.form !== null ? other(selection.form_words || "outside the catalogue", selection.form) : null,
-    ready ? null : el("p", { class: "aside quiet", id: "weighing", role: "status" }, el("progress", { "aria-label": "weighing" }), " ", el("span", { id: "weighing-step" }, told.weighing || "waiting"), ". ",
-      facts.stage === "read" ? "Causes are listed here once they are weighed; map and residuals do not wait for them." : "The diagnosis is the one in the folder; previews and selections are ready shortly."),
+    ready ? null : weighing(facts),
+    ready ? null : el("div", { id: "so-far" }, soFar()),
     lines,
     listed.length > MOST ? el("button", { class: "plain", onclick: () => { every = !every; drawCauses(place, actions); } }, every ? "fewer" : `${listed.length - MOST} more`) : null,
     selection ? el("p", { class: "aside quiet" }, "Each cause is judged by how well it predicts these readings from all others. Mark on the bar: probability from all readings.") : null,
     accept(actions, selection));
 }
 
+function weighing(facts) {
+  if (kept) return el("p", { class: "aside quiet" }, "The page was saved before the explanations of this model were weighed.");
+  return el("p", { class: "aside quiet", id: "weighing", role: "status" }, el("progress", { "aria-label": "weighing" }), " ", el("span", { id: "weighing-step" }, told.weighing || "waiting"), ". ",
+    facts.stage === "read" ? "Map and residuals do not wait for the causes." : "The diagnosis is there; previews and selections are ready shortly.");
+}
+
 export function tellWeighing() {
   const step = document.getElementById("weighing-step");
   if (step) step.textContent = told.weighing || "waiting";
+}
+
+// By thousandths, then by name: what differs by less would change places at every step.
+const bySize = (one, other) => Math.round(1000 * other.probability) - Math.round(1000 * one.probability) || one.effect.localeCompare(other.effect);
+
+// Causes of the search at work: they come one by one, and their probabilities change until all are weighed.
+function soFar() {
+  const found = told.facts?.stage === "read" && told.facts.id === view.model ? told.soFar : null;
+  return found ? [
+    el("p", { class: "aside quiet" }, `In ${found.hypotheses} explanations weighed so far, with probabilities that still change:`),
+    [...found.inclusion].sort(bySize).slice(0, MOST).map((each) => el("div", { class: "cause" }, el("span"), el("span", { class: "name" }, broken(each.effect)), bar(each.probability), el("span", { class: "number" }, probability(each.probability)))),
+  ].flat() : [];
+}
+
+export function drawSoFar() {
+  const place = document.getElementById("so-far");
+  if (place) fill(place, ...soFar());
 }
 
 function other(words, share) {

@@ -33,7 +33,7 @@ export class Chart {
     const axis = { stroke, grid, ticks: { stroke: css("--line"), width: 0.6 }, font: "11px system-ui, sans-serif", labelFont: "11px system-ui, sans-serif", labelSize: 16 };
     const { width, height } = this.size();
     this.plot = new window.uPlot({
-      width, height, legend: { show: false }, padding: [14, 10, 0, 0],
+      width, height, legend: { show: false }, padding: [18, 10, 0, 0],
       cursor: { points: { show: false }, drag: { x: false, y: false, setScale: false }, focus: { prox: -1 } },
       select: { show: true, left: 0, top: 0, width: 0, height: 0 },
       scales: { x: { time: false, range: () => this.ranges.x }, y: { range: () => this.ranges.y } },

@@ -7,7 +7,7 @@ const KEYS = [
   ["r", "to the residuals; ← → move a selection, ⇧ ← → change its width"], ["c", "to the causes; Space ticks, Enter adds what is ticked"],
   ["a", "add what is ticked, and refit"], ["x", "cancel what is at work"], ["u", "undo: back to the model before"],
   ["n", "next channel (N: the one before)"], ["v", "next covariate on the abscissa (V: the one before)"],
-  ["y", "next kind of residual"], ["o", "only selected runs"], ["p", "residual after the preview"], ["f", "formula of the residual of this channel, as an effect to add"],
+  ["y", "next kind of residual"], ["o", "only selected runs"], ["p", "residual after the preview"], ["b", "beside the residuals those of the model before, or with the preview, on the same axes"], ["f", "formula of the residual of this channel, as an effect to add"],
   ["w", "draw a shape over the residuals: arrows move, Space sets a point, Enter gets its formula"], ["g", "the panels as SVG (G: PNG)"], ["s", "set the selected readings aside, with a reason"], ["z", "zoom to the selection (Z: whole range)"], ["Esc", "clear the selection, then the ticks"],
   ["1 … 4", "models, estimates, what is known, commands"], ["e", "export the selected model"], ["d", "light or dark"],
 ];

@@ -1,8 +1,10 @@
 // The page: what changes leads to what is asked, and what is told leads to what is drawn. State flows one way.
 
 import { asideDialog, drawBelow, drawTab, noteDialog, parentOf } from "./below.js";
-import { drawCauses, tellWeighing } from "./causes.js";
+import { loadBefore } from "./beside.js";
+import { drawCauses, drawSoFar, tellWeighing } from "./causes.js";
 import { el, fill } from "./dom.js";
+import { firstAbscissa, firstColour, firstModel } from "./first.js";
 import { formulaDialog } from "./formula.js";
 import { helpDialog, listenToKeys } from "./keys.js";
 import { drawMap } from "./map.js";
@@ -79,27 +81,17 @@ async function open() {
   const own = chosen.model === facts.id && chosen.x === view.x && !view.brushes.length && !view.between;
   const mine = facts.abscissae.some((axis) => axis.name === view.x) && !own;
   const worst = facts.cells.reduce((one, other) => (other.chi2 / other.n > one.chi2 / one.n ? other : one), facts.cells[0]);
-  const kept = {
+  const here = {
     channel: facts.channels.includes(view.channel) ? view.channel : worst.channel,
     x: mine ? view.x : firstAbscissa(facts),
     colour: facts.labels.some(({ by }) => by === view.colour) ? view.colour : firstColour(facts),
     ticked: facts.stage === "read" ? view.ticked : view.ticked.filter((effect) => facts.causes.some((cause) => cause.effect === effect)),
   };
-  chosen = mine ? { model: "", x: "" } : { model: facts.id, x: kept.x };
+  chosen = mine ? { model: "", x: "" } : { model: facts.id, x: here.x };
   told.facts = facts;
-  show(kept, true);
+  show(here, true);
   tell({ facts });
   await Promise.all([select(), preview(), load(true)]);
-}
-
-function firstAbscissa(facts) {
-  const said = facts.abscissae.find((axis) => facts.sentence.includes(`depends on ${axis.phrase}`));
-  return (said ?? facts.abscissae.find((axis) => axis.name === "table_rate_deg_s") ?? facts.abscissae[0]).name;
-}
-
-// Many runs are told apart by their mounting.
-function firstColour(facts) {
-  return facts.runs.length > 8 && facts.labels.some(({ by }) => by === "mounting") ? "mounting" : "run";
 }
 
 async function load(moving = false) {
@@ -110,10 +102,11 @@ async function load(moving = false) {
   };
   const found = await attempt(() => latest("points", (signal) => points(wanted, signal)));
   if (!found) return;
-  if (found.head.refitted) Object.assign(found, { y: found.after, predicted: found.curve });
+  if (found.head.refitted) Object.assign(found, { held: found.y, y: found.after, predicted: found.curve });
   const before = moving || found.head.refitted !== told.points?.head.refitted ? told.points : null;
   told.points = found;
   drawCharts(before);
+  if (await loadBefore(wanted, attempt)) drawCharts();
 }
 
 async function select() {
@@ -148,7 +141,7 @@ onChange((seen, heard) => {
   } else if (told.facts) {
     if (any(seen, "brushes")) select();
     if (any(seen, "ticked") || any(heard, "hovered", "kept")) preview();
-    if (any(seen, "channel", "x", "y", "colour", "only", "brushes", "ticked", "between") || any(heard, "hovered", "kept")) load();
+    if (any(seen, "channel", "x", "y", "colour", "only", "brushes", "ticked", "between", "beside") || any(heard, "hovered", "kept")) load();
     if (any(seen, "after") || any(heard, "selection", "preview")) drawCharts();
   }
   draw(seen, heard);
@@ -159,9 +152,10 @@ function draw(seen, heard) {
   if (any(heard, "facts", "preview") || any(seen, "brushes", "channel", "model")) drawMap(place("map"));
   if (any(heard, "facts", "selection", "preview", "kept") || any(seen, "brushes", "ticked", "model")) drawCauses(place("causes"), actions);
   if (any(heard, "weighing")) tellWeighing();
+  if (any(heard, "soFar")) drawSoFar();
   if (any(heard, "facts", "kept") || any(seen, "tab", "model")) drawBelow(place("below"), actions);
   drawTab(actions, seen, heard);
-  if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between")) drawControls(actions);
+  if (any(heard, "facts", "selection") || any(seen, "channel", "x", "y", "colour", "only", "after", "between", "beside")) drawControls(actions);
   if (any(heard, "session", "fault", "lost", "dismissed", "preview")) drawTasks(place("notice"), actions);
 }
 
@@ -179,12 +173,14 @@ function onState(session) {
   const now = session.opened.find((each) => each.id === view.model), key = now && `${now.id} ${now.stage} ${now.identity}`;
   const weighing = told.facts?.stage === "ready" ? "" : session.tasks.find((task) => atWork(task) && (task.of === view.model || task.made === view.model))?.step ?? "";
   if (weighing !== told.weighing) tell({ weighing });
+  if (now?.so_far?.hypotheses !== told.soFar?.hypotheses) tell({ soFar: now?.so_far ?? null });
   if (now && asked !== key && (told.facts?.id !== now.id || told.facts.stage !== now.stage || told.facts.identity !== now.identity)) {
     asked = key;
     open();
   }
+  if (told.before?.waiting && session.opened.some((each) => each.id === told.before.waiting)) load();
   const there = session.tree.some((line) => line.id === view.model);
-  if (!there && session.tree.length) show({ model: (session.tree.find((line) => line.selected) ?? session.tree[0]).id }, true);
+  if (!there && session.tree.length) show({ model: firstModel(session).id }, true);
   else if (!told.facts && there && !session.tasks.some(atWork) && !last) open();
 }
 
@@ -224,7 +220,7 @@ listenToKeys({
   x: () => told.session?.tasks.filter(atWork).forEach((task) => actions.cancel(task.number)),
   n: () => show({ channel: next(channels(), view.channel, 1) }), N: () => show({ channel: next(channels(), view.channel, -1) }),
   v: () => turnX(1), V: () => turnX(-1), y: () => show({ y: next(RESIDUALS, view.y, 1) }), o: focusRuns,
-  f: () => told.facts && actions.formula(view.channel), w: actions.draw, p: () => show({ after: !view.after }), z: zoomToSelection, Z: () => show({ between: null }),
+  f: () => told.facts && actions.formula(view.channel), w: actions.draw, p: () => show({ after: !view.after }), b: () => show({ beside: !view.beside }), z: zoomToSelection, Z: () => show({ between: null }),
   Escape: () => show(view.brushes.length ? { brushes: [], only: [] } : { ticked: [] }),
   1: () => show({ tab: "models" }), 2: () => show({ tab: "estimates" }), 3: () => show({ tab: "knowledge" }), 4: () => show({ tab: "commands" }),
 });

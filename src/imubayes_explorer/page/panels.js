@@ -1,20 +1,23 @@
 // Measurement with model above, residuals below: the same points, colours and selection in both.
 
-import { Chart, extent, shape } from "./chart.js";
+import { Beside } from "./beside.js";
+import { Chart, extent } from "./chart.js";
 import { css, el, fill, sign } from "./dom.js";
 import { drawLegend } from "./legend.js";
+import { byGroup, dashes, drawBand, drawPoints, quantile } from "./marks.js";
 import { hideReading, pickReading, tellReading } from "./points.js";
 import { asPng, asSvg } from "./picture.js";
 import { show, told, view } from "./state.js";
 
-let measurement, residuals, moving = null, whole = null;
+let measurement, residuals, beside, moving = null, whole = null;
 
 export function makeCharts(place, actions) {
   const controls = el("div", { class: "controls", id: "controls" });
   const above = el("div", { class: "chart", id: "measurement", role: "img", "aria-label": "Measurement and model" });
   const below = el("div", { class: "chart", id: "residuals", role: "img", "aria-label": "Residuals" });
-  place.append(controls, above, below, el("div", { class: "legend", id: "legend", role: "group", tabindex: "0", "aria-label": "Colours" }));
   const shared = (panel) => ({ onBrush: brushed, onZoom: zoomed, onPick: (k, added) => pickReading(actions, k, added), onPoint: (k, left, top) => tellReading(actions, panel, k, left, top) });
+  beside = new Beside(shared);
+  place.append(controls, above, el("div", { class: "pair", id: "pair" }, beside.place, below), el("div", { class: "legend", id: "legend", role: "group", tabindex: "0", "aria-label": "Colours" }));
   measurement = new Chart(above, { ...shared(above), both: false, draw: drawMeasurement, places: () => told.points && { x: told.points.x, y: told.points.observed } });
   residuals = new Chart(below, { ...shared(below), both: true, draw: drawResiduals, places: () => told.points && { x: told.points.x, y: afterShown() ? told.points.after : told.points.y } });
   above.append(el("div", { class: "title" }, "measurement (points) and model (line)"));
@@ -22,12 +25,14 @@ export function makeCharts(place, actions) {
 }
 
 export async function picture(kind) {
-  return kind === "svg" ? asSvg([measurement, residuals]) : asPng([measurement, residuals]);
+  const charts = beside.shown ? [measurement, beside.chart, residuals] : [measurement, residuals];
+  return kind === "svg" ? asSvg(charts) : asPng(charts);
 }
 
 export function restyle() {
   measurement.build();
   residuals.build();
+  beside.build();
   drawCharts();
 }
 
@@ -40,7 +45,7 @@ function zoomed([low, high]) {
   drawCharts(); // those that are here at once, all of the range when they have come
 }
 
-function previewing() {
+export function previewing() {
   return told.preview?.effects.length > 0 && !told.points?.head.refitted;
 }
 
@@ -66,8 +71,9 @@ export function drawControls(actions) {
     pick("x", "against", facts.abscissae.map((axis) => [axis.name, axis.unit ? `${axis.phrase} / ${axis.unit}` : axis.phrase])),
     pick("y", "residual", [["known", "over known noise"], ["input", "in input units"], ["fitted", "over fitted noise"]]),
     pick("colour", "colour", facts.labels.map(({ by }) => [by, by])),
-    el("label", {}, el("input", { type: "checkbox", "data-key": "only", checked: view.only.length > 0, onchange: focusRuns }), "only selected runs"),
+    view.only.length || told.selection?.n ? el("label", {}, el("input", { type: "checkbox", "data-key": "only", checked: view.only.length > 0, onchange: focusRuns }), "only selected runs") : null,
     el("label", {}, el("input", { type: "checkbox", "data-key": "after", checked: view.after, title: "the residual after the preview; key p", onchange: (event) => show({ after: event.target.checked }) }), "after preview"),
+    el("label", {}, el("input", { type: "checkbox", "data-key": "beside", id: "side-by-side", checked: view.beside, title: "the residuals of the model before, or with the preview, on the same axes; key b", onchange: (event) => show({ beside: event.target.checked }) }), "side by side"),
     el("button", { "data-key": "draw", id: "draw", title: "draw the shape that you see, and get its formula; key w", onclick: actions.draw }, "draw a shape"),
     view.between ? el("button", { onclick: () => show({ between: null }) }, "whole range") : null,
     ["svg", "png"].map((kind) => el("button", { class: "plain quiet", "data-key": kind, id: `picture-${kind}`, title: `the panels as ${kind.toUpperCase()}, key ${kind === "svg" ? "g" : "G"}`, onclick: () => actions.picture(kind) }, kind.toUpperCase())));
@@ -120,11 +126,6 @@ export function zoomToSelection() {
   if (own.length) show({ between: [Math.min(...own.map((b) => b.x_low)), Math.max(...own.map((b) => b.x_high))] });
 }
 
-function quantile(values, share) {
-  const sorted = Float32Array.from(values).sort();
-  return sorted.length ? sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))] : 0;
-}
-
 // From one model to the next the points move: what each step took off is seen.
 export function drawCharts(before = null) {
   const points = told.points;
@@ -132,9 +133,10 @@ export function drawCharts(before = null) {
   const { head } = points, last = before && before.head.count === head.count ? before : null;
   if (!view.between) whole = { of: `${view.model} ${view.channel} ${view.x}`, x: extent(points.x) };
   const x = view.between ?? extent(points.x), sd = quantile(points.sd, 0.5);
-  const y = extent(points.y, 1.15 * sd), was = last ? extent(last.y, 1.15 * sd) : y;
+  const other = beside.points(previewing()), y = extent(other ? [...points.y, ...other.y] : points.y, 1.15 * sd), was = last ? extent(last.y, 1.15 * sd) : y;
   measurement.show({ x, y: extent(points.observed) }, "", head.output_label);
-  document.getElementById("residual-title").textContent = head.refitted ? "residual of the refit; band: 95 % of noise alone" : told.preview?.effects.length
+  beside.show(other, { x, y }, head);
+  document.getElementById("residual-title").textContent = view.beside ? `residual ${head.refitted ? "of the refit" : "of this model"}` : head.refitted ? "residual of the refit; band: 95 % of noise alone" : told.preview?.effects.length
     ? `residual, and what ${told.preview.effects.length > 2 ? `the ${told.preview.effects.length} causes previewed` : told.preview.effects.join(" and ")} would explain of it` : "residual; band: 95 % of noise alone";
   document.getElementById("residuals").setAttribute("aria-label",
     `Residuals of ${view.channel}: ${head.of} readings. ${told.selection?.sentence ?? ""} Left and right arrows move a selection.`);
@@ -160,33 +162,6 @@ function move(last, points, x, was, y) {
   requestAnimationFrame(step);
 }
 
-function byGroup(points) {
-  const groups = points.head.groups.map(() => []);
-  for (let k = 0; k < points.head.count; k++) groups[points.group[k]].push(k);
-  return groups;
-}
-
-function drawPoints(context, at, points, y, faint) {
-  const size = (points.head.count > 4000 ? 1.3 : points.head.count > 800 ? 2 : 2.8) * at.ratio;
-  const selecting = told.selection?.n > 0 && view.brushes.length > 0;
-  for (const chosen of selecting ? [false, true] : [null]) {
-    byGroup(points).forEach((members, place) => {
-      const { colour, shape: kind } = sign(place);
-      context.beginPath();
-      for (const k of members) if (chosen === null || Boolean(points.marked[k]) === chosen) shape(context, kind, at.x(points.x[k]), at.y(y[k]), size);
-      context.globalAlpha = (chosen === false ? 0.28 : 0.9) * (faint ? 0.45 : 1);
-      context.fillStyle = colour;
-      context.fill();
-      if (chosen) {
-        context.strokeStyle = css("--marked");
-        context.lineWidth = at.ratio;
-        context.stroke();
-      }
-    });
-  }
-  context.globalAlpha = 1;
-}
-
 function drawMeasurement(context, at) {
   const points = told.points;
   if (!points) return;
@@ -210,11 +185,7 @@ function drawMeasurement(context, at) {
 function drawResiduals(context, at) {
   const points = told.points;
   if (!points) return;
-  const sd = quantile(points.sd, 0.5), { box } = at;
-  context.fillStyle = css("--band");
-  context.fillRect(box.left, at.y(sd), box.width, at.y(-sd) - at.y(sd));
-  context.fillStyle = css("--quiet");
-  context.fillRect(box.left, at.y(0), box.width, at.ratio);
+  drawBand(context, at, points);
   if (afterShown()) {
     drawPoints(context, at, points, points.after, false);
     return;
@@ -223,14 +194,3 @@ function drawResiduals(context, at) {
   if (previewing()) dashes(context, at, points, points.y.map((value, k) => value - points.after[k]));
 }
 
-function dashes(context, at, points, y) {
-  context.strokeStyle = css("--preview");
-  context.lineWidth = 2.2 * at.ratio;
-  context.beginPath();
-  for (let k = 0; k < points.head.count; k++) {
-    const x = at.x(points.x[k]), height = at.y(y[k]);
-    context.moveTo(x - 5 * at.ratio, height);
-    context.lineTo(x + 5 * at.ratio, height);
-  }
-  context.stroke();
-}

@@ -1,11 +1,11 @@
 // The view of this window, which its address holds, and what the server has told; panels only read it.
 
-const FIRST = { model: "", channel: "", x: "", y: "known", colour: "", only: [], brushes: [], ticked: [], tab: "models", between: null, after: false };
+const FIRST = { model: "", channel: "", x: "", y: "known", colour: "", only: [], brushes: [], ticked: [], tab: "models", between: null, after: false, beside: false };
 
 export const view = { ...FIRST, ...fromAddress() };
 export const told = {
   session: null, kept: "", facts: null, points: null, selection: null, preview: null, hovered: "", fault: "", lost: false,
-  dismissed: 0, folded: false, weighing: "",
+  dismissed: 0, folded: false, weighing: "", soFar: null, before: null,
 };
 
 export function atWork(task) {

@@ -176,10 +176,15 @@ _MOST_EXPANDED, _PAIRED_UP_TO = 24, 2
 
 
 class ModelSearch:
-    """A search, and all hypotheses that it has evaluated."""
+    """A search, and all hypotheses that it has evaluated.
 
-    def __init__(self, problem: LinearProblem):
-        self.of = EvidenceOf(problem)
+    Parameters
+    ----------
+    heard : called with the search after each hypothesis that it evaluates.
+    """
+
+    def __init__(self, problem: LinearProblem, heard: "Callable[[ModelSearch], None]" = lambda _: None):
+        self.of, self._heard = EvidenceOf(problem), heard
         self.forms: Sequence[FormHypothesis] = ()
         self.wrong_rows: WrongRows | None = None
         empty = self.of.evaluate(Hypothesis((), self.of.stated))
@@ -188,6 +193,10 @@ class ModelSearch:
         self._screen = Screen(self.of)
         self._expanded: set[Hypothesis] = set()
         self._scanned: set[Hypothesis] = set()
+
+    def about(self, problem: LinearProblem) -> "ModelSearch":
+        """Return a search of the same campaign linearised elsewhere, which the same listener hears."""
+        return ModelSearch(problem, self._heard)
 
     @property
     def known(self) -> list[Evaluated]:
@@ -252,9 +261,11 @@ class ModelSearch:
 
     def _get(self, hypothesis: Hypothesis, start: Evaluated | None = None) -> Evaluated | None:
         try:
-            return self.of.evaluate(hypothesis, start)
+            found = self.of.evaluate(hypothesis, start)
         except np.linalg.LinAlgError:
             return None
+        self._heard(self)
+        return found
 
     def _allowed(self, hypothesis: Hypothesis) -> bool:
         variants = [self.of.variants[each] for each in hypothesis.variants]

@@ -95,7 +95,7 @@ class ExplanationPosterior:
         return record.Evidence(
             explanations=self._explanations,
             slots=tuple(map(self._slot_record, self.slots)),
-            inclusion=self._inclusion[:_TABLED],
+            inclusion=self.inclusion[:_TABLED],
             form=self._form_record(),
             noise=tuple(self._noise_records()),
             noise_known=max(rows.scale_sd for rows in self.of.problem.of_channels if len(rows.entry)),
@@ -164,7 +164,8 @@ class ExplanationPosterior:
         return min(float(self.share[[bool(each) for each in named]].sum()), 1.0)
 
     @cached_property
-    def _inclusion(self) -> tuple[record.ProbableEffect, ...]:
+    def inclusion(self) -> tuple[record.ProbableEffect, ...]:
+        """The effects of all hypotheses with their probabilities, the likeliest first."""
         owners: dict[str, tuple[str, ...]] = {}
         for place in np.argsort(-self.share):
             for n in self.distinct[place].hypothesis.variants:

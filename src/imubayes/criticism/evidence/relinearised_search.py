@@ -60,21 +60,27 @@ def _flat(point: LinearisationPoint) -> dict[str, float]:
     return {f"{effect}.{name}": x for effect, shape in point.shapes.items() for name, x in shape.items()}
 
 
-def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> ExplanationPosterior:
+def explain(
+    fitted: Fit,
+    responses: Responses,
+    covariates: Sequence[ResidualCovariate],
+    heard: Callable[[ModelSearch], None] = lambda _: None,
+) -> ExplanationPosterior:
     """Return how probable each explanation of what a fit leaves is.
 
     Of a fit that did not converge it is that of where it stopped: its linear model leads on from there.
+    `heard` is called with the search at work after each hypothesis.
     """
     about, problem = _About(fitted), linear_problem(fitted, responses)
-    search = ModelSearch(problem)
+    first = search = ModelSearch(problem, heard)
     if _is_large(search, search.large_effects):
         large = _moved(search, about, search.large_effects, fitted)
         moved = _linearised(problem, large) if large is not None else None
         if large is not None and moved is not None:
-            about, search = large, ModelSearch(moved)
+            about, search = large, search.about(moved)
     recorded = fitted.model.campaign
     begun = _run(search, about, recorded, covariates), about
-    corrected = _corrected(problem, fitted, covariates)
+    corrected = _corrected(first, fitted, covariates)
     gross = _gross_input if corrected is None else _gross_row
     leads = (_leader, gross, _wide_prior) if fitted.optimised else (_leader,)
     found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
@@ -86,7 +92,7 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
 
 
 def _corrected(
-    problem: LinearProblem, fitted: Fit, covariates: Sequence[ResidualCovariate]
+    search: ModelSearch, fitted: Fit, covariates: Sequence[ResidualCovariate]
 ) -> tuple[ModelSearch, _About] | None:
     """Return a search about the likeliest error of the record, corrected; None where none acts through the model.
 
@@ -97,10 +103,10 @@ def _corrected(
     if best is None:
         return None
     about = _about(fitted, best.wrong, best.size, best.z, LinearisationPoint())
-    moved = _linearised(problem, about) if about is not None else None
+    moved = _linearised(search.of.problem, about) if about is not None else None
     if about is None or moved is None:
         return None
-    return _run(ModelSearch(moved), about, fitted.model.campaign, covariates), about
+    return _run(search.about(moved), about, fitted.model.campaign, covariates), about
 
 
 def _followed(
@@ -120,7 +126,7 @@ def _followed(
         problem = _linearised(search.of.problem, moved)
         if problem is None:
             break
-        about, search = moved, _run(ModelSearch(problem), moved, fitted.model.campaign, covariates)
+        about, search = moved, _run(search.about(problem), moved, fitted.model.campaign, covariates)
         further = [(search, about)] if not fitted.optimised else [best, (search, about)]
         best = max(further, key=lambda each: each[0].best().log_posterior)
     return best

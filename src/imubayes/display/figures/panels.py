@@ -56,6 +56,8 @@ def set_abscissa(axes: Axes, values: np.ndarray, covariate: Covariate) -> None:
         least, most = np.floor(np.log10(sizes.min()) + 1e-9), np.ceil(np.log10(sizes.max()))
         smallest = 10.0 ** max(least, most - _MOST_DECADES)
         set_symlog(axes, "x", smallest, 9 if most - least < _MOST_DECADES else 6)
+        if most - least >= _MOST_DECADES:
+            _name_zero_alone(axes, smallest)
         edge = 1.6
         axes.set_xlim(low * edge if low < 0 else low - smallest / 2, high * edge if high > 0 else high + smallest / 2)
         return
@@ -63,6 +65,12 @@ def set_abscissa(axes: Axes, values: np.ndarray, covariate: Covariate) -> None:
     if covariate.unit == "deg" and high - low >= 90:
         # Multiples of 45 and 90 degrees.
         axes.xaxis.set_major_locator(MaxNLocator(9, steps=[1, 1.8, 4.5, 9, 10]))
+
+
+def _name_zero_alone(axes: Axes, smallest: float) -> None:
+    """Leave out the labels of the smallest decade: over many decades they would touch that of zero."""
+    plain = StrMethodFormatter("{x:g}")
+    axes.xaxis.set_major_formatter(lambda x, _: "" if 0 < abs(x) < 1.1 * smallest else plain(x))
 
 
 def set_symlog(axes: Axes, axis: Literal["x", "y"], smallest: float, most: int = 9) -> None:

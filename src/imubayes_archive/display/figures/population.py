@@ -12,6 +12,7 @@ from imubayes.display import figure_style as style
 from imubayes.display.loop.diagnosis_sentences import probability
 from imubayes.display.numbers_and_labels import pretty, shortened
 from imubayes.foundations.errors import Issue, closest_first, refuse
+from imubayes.results.unit_page import UNIT_LINK
 from imubayes_archive.population.parameter_population import ParameterPopulation, Populations
 
 _MOST_UNITS, _WIDE = 60, 0.5
@@ -32,7 +33,7 @@ def population_picture(found: Populations, units: pl.DataFrame, parameters: Sequ
     found, units : as `imubayes_archive.population.hierarchical_fit.HierarchicalFit` holds them.
     parameters : names of those to draw; the six that deviate most if there are none.
     """
-    known = {each.parameter: each for each in found.parameters if each.mean is not None and each.spread}
+    known = {each.parameter: each for each in drawn(found)}
     refuse(
         Issue(f"'{name}' has no population", "--parameter", closest_first(name, known), "name one of these")
         for name in parameters
@@ -43,7 +44,8 @@ def population_picture(found: Populations, units: pl.DataFrame, parameters: Sequ
     tables = [_rows(each, units) for each in chosen]
     rows = max(1, -(-len(chosen) // 3))
     height = max(1.6, 0.11 * max((table.height for table in tables), default=1) + 0.5)
-    figure = style.picture(12.0, (height + 0.9) * rows, "Population of the units", _CAPTION, _left_out(known, chosen))
+    figure = style.picture(12.0, (height + 0.9) * rows, "Population of the units", _CAPTION,
+                           "" if parameters else _left_out(known, chosen))  # fmt: skip
     grid = style.panels(figure, rows, min(3, max(1, len(chosen))), (0.8, 0.5, 0.2, 0.45), (0.95, 0.95))
     for axes in grid.flat[len(chosen) :]:
         axes.set_visible(False)
@@ -51,6 +53,11 @@ def population_picture(found: Populations, units: pl.DataFrame, parameters: Sequ
         _panel(axes, each, table)
     style.legend_above(figure, _legend())
     return figure
+
+
+def drawn(found: Populations) -> list[ParameterPopulation]:
+    """Return the populations that can be drawn: those with a mean and a spread."""
+    return [each for each in found.parameters if each.mean is not None and each.spread]
 
 
 def ranked(found: Sequence[ParameterPopulation]) -> list[ParameterPopulation]:
@@ -100,10 +107,12 @@ def _panel(axes: Axes, each: ParameterPopulation, table: pl.DataFrame) -> None:
         own, place, xerr=own_sd, linestyle="", marker="o", markersize=3, color=style.QUIET, elinewidth=0.6, zorder=2
     )
     for row in place:
-        axes.errorbar(
+        mark, _, bars = axes.errorbar(
             value[row], row, xerr=sd[row], marker=_marker(table, int(row)), markersize=4,
             color=colours[row], elinewidth=1.2, zorder=3,
         )  # fmt: skip
+        for artist in (mark, *bars):
+            artist.set_url(UNIT_LINK.format(table["digest"][int(row)]))
     _name_units(axes, table)
     _limits(axes, own, own_sd, value, sd)
     unit = pretty(each.unit_of_measure)
@@ -162,6 +171,8 @@ def _name_units(axes: Axes, table: pl.DataFrame) -> None:
     if table.height > 2 * style.MOST_PANELS * 4:
         names = [name if outlying else "" for name, outlying in table.select("unit", "outlying").iter_rows()]
     axes.set_yticks(range(len(names)), [shortened(name, 12) for name in names], fontsize=6)
+    for label, digest in zip(axes.get_yticklabels(), table["digest"], strict=True):
+        label.set_url(UNIT_LINK.format(digest))
     axes.tick_params(axis="y", length=0)
 
 
