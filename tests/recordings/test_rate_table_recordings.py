@@ -132,6 +132,31 @@ def test_without_the_rate_of_the_table_it_is_asked_for(tmp_path):
         read([file])
 
 
+@pytest.mark.parametrize("unit", ["rad/s", "deg/s", "mrad/s"])
+@pytest.mark.parametrize(("gyros", "options"), [(("gx", "gy", "gz"), {}), (("gz",), {"columns": {"gz": "gz"}})])
+def test_the_rate_of_the_table_determines_the_unit_of_the_gyros(tmp_path, unit, gyros, options):
+    per_degree = {"rad/s": np.pi / 180, "deg/s": 1.0, "mrad/s": np.pi / 0.18}[unit]
+    rows = np.loadtxt(Unit(6).record(tmp_path / "log.csv", SEATS[1], forces=1.0), delimiter=",", skiprows=1)
+    kept = [0, 1, *(2 + "xyz".index(name[1]) for name in gyros), *((5, 6, 7) if len(gyros) == 3 else ())]
+    names = ["time_s", "table_rate_deg_s", *gyros, *(("ax", "ay", "az") if len(gyros) == 3 else ())]
+    rows[:, 2:5] *= per_degree
+    late = np.roll(rows[:, 2:5], 60 * 20, axis=0)  # an offset of the clocks does not change the unit
+    for place, values in enumerate((rows, np.column_stack([rows[:, :2], late, rows[:, 5:]]))):
+        file = tmp_path / f"{place}.csv"
+        np.savetxt(file, values[:, kept], delimiter=",", header=",".join(names), comments="")
+        made = read_recordings([file], latitude_deg=48.0, **options).campaign
+        assert made.options.gyro_unit == unit
+        assert "for 1 rad/s of the table" in made.guesses["gyro_unit"]
+
+
+def test_the_unit_of_two_gyros_that_may_lie_across_the_axis_is_asked_for(tmp_path):
+    rows = np.loadtxt(Unit(7).record(tmp_path / "log.csv", SEATS[1]), delimiter=",", skiprows=1)
+    file = tmp_path / "two.csv"
+    np.savetxt(file, rows[:, :4], delimiter=",", header="time_s,table_rate_deg_s,gx,gy", comments="")
+    with pytest.raises(InputError, match="the unit of the gyros is not known"):
+        read_recordings([file], latitude_deg=48.0, columns={"gx": "gx", "gy": "gy"})
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_scale_factors_and_biases_are_within_their_intervals(tmp_path, seed):
     unit = Unit(10 + seed)

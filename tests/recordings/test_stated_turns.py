@@ -51,6 +51,14 @@ def test_each_turn_is_a_row_of_the_stated_angle(tmp_path: Path) -> None:
     assert sum("turn left out: 273.7 deg about gx" in note for note in made.document["notes"]) == 1
 
 
+@pytest.mark.parametrize(("unit", "per_radian"), [("rad/s", 1.0), ("deg/s", 57.29578)])
+def test_the_unit_follows_from_the_stated_turns(tmp_path: Path, unit: str, per_radian: float) -> None:
+    values = turned(FULL) * [1.0, *[per_radian] * 3]
+    made = read_recordings([write(tmp_path / "log.csv", values, "time_s,gx,gy,gz")], turn_deg=360.0).campaign
+    assert made.options.gyro_unit == unit
+    assert made.guesses["gyro_unit"].startswith("turns of 360 deg integrate to ")
+
+
 @pytest.mark.compiled
 def test_the_angles_are_no_better_than_they_are_stated(tmp_path: Path) -> None:
     file = write(tmp_path / "turns.csv", turned(FULL))
