@@ -19,6 +19,7 @@ _MOST_LAG = 0.5  # of the log
 _LEAST_BLOCKS = 100
 _SAME = 1.5  # of the least unexplained variance: lags as good, of which the smallest counts in a periodic motion
 _EXPLAINED = 0.05  # of the unexplained variance at no lag, which a shift alone leaves at most
+_ROUNDING = 1e-12
 _FINE = np.arange(-1.0, 1.01, 0.05)  # blocks
 
 
@@ -94,4 +95,5 @@ def _unexplained(table: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, np.
     spread = (xx - x * x / count) * (yy - y * y / count)
     # Where an overlap is nearly constant, a correlation is noise.
     enough = spread > (0.1 * math.prod((float(table @ table), float(output @ output))) * (count / length) ** 2)
-    return lags, np.where(enough, 1 - (both - x * y / count) ** 2 / np.where(enough, spread, 1.0), 1.0)
+    explained = (both - x * y / count) ** 2 / np.where(enough, spread, 1.0)
+    return lags, np.where(enough, np.maximum(1 - explained, _ROUNDING), 1.0)
