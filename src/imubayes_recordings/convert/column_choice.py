@@ -95,10 +95,21 @@ def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions
         raise InputError(tables[0].faults or _nothing(tables))
     usable = [table for table in (stated or tables) if table.usable] or _refuse(tables, alone)
     chosen = _one_way(usable, len(options.topic) > 1)
+    if not options.topic and not stated:
+        _refuse_lost_kind(tables, "".join(table.kinds for table in chosen))
     read = {id(table.recording) for table in chosen}
     if idle := [table for table in tables if id(table.recording) not in read]:
         _refuse(idle, alone=True)  # a file of which nothing is read was not given for nothing
     return chosen
+
+
+def _refuse_lost_kind(tables: Sequence[ChosenTable], kinds: str) -> None:
+    """Raise InputError where a topic names the channels that no chosen table has, and cannot serve."""
+    for table in tables:
+        roles = [role_of(column.name, column.unit) for column in table.topic.columns if column.name]
+        named = {kind for kind, names in TRIPLES.items() for role in roles if role and role.target in names}
+        if table.faults and named - set(kinds):
+            raise InputError(table.faults)
 
 
 def _topics(recordings: Sequence[SourceRecording], options: ConvertOptions) -> list[tuple[SourceRecording, Topic]]:
@@ -286,7 +297,10 @@ def _without_names(
 ) -> ChosenTable:
     topic, recording = table.topic, table.recording
     if any(name in stated for name in SIX):
-        return replace(table, columns=dict(stated))
+        # Of several topics each has the channels of its own sensor: numbers of columns are alike in all.
+        kind = "" if alone else hinted_kind(topic, recording)
+        own = {name: column for name, column in stated.items() if not kind or name not in SIX or name[0] == kind}
+        return replace(table, columns=own, faults=tuple(_read_twice(topic, own)))
     width = len(topic.columns)
     names = topic.note if topic.misfit else f"the table has {width} columns and no names"
     state = "state the column of each channel, such as --column ax=NUMBER"

@@ -75,15 +75,16 @@ _SPELLED = {
     "d": "day days",
     "degC": "c degc °c ºc celsius deg.c",
     "K": "k kelvin",
-    "degF": "degf °f fahrenheit",
+    "degF": "degf °f fahrenheit deg.f",
 }
 _UNITS = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
 # Units as the last words of a name: accel_x_m_s2, gyro_rad_s, temp_degC.
 _ENDINGS = (
     ("m", "s2", "m/s^2"), ("m", "s", "s", "m/s^2"), ("m", "s", "2", "m/s^2"), ("ms", "2", "m/s^2"),
     ("mps", "2", "m/s^2"), ("m", "s", "m/s"), ("s", "2", "m/s^2"),
-    ("rad", "s", "rad/s"), ("rad", "sec", "rad/s"), ("rad", "per", "s", "rad/s"), ("deg", "s", "deg/s"),
-    ("deg", "sec", "deg/s"), ("deg", "per", "s", "deg/s"), ("deg", "h", "deg/h"), ("deg", "c", "degC"),
+    ("rad", "s", "rad/s"), ("rad", "sec", "rad/s"), ("rad", "per", "s", "rad/s"), ("rad", "per", "sec", "rad/s"),
+    ("deg", "s", "deg/s"), ("deg", "sec", "deg/s"), ("deg", "per", "s", "deg/s"), ("deg", "per", "sec", "deg/s"),
+    ("deg", "h", "deg/h"), ("deg", "c", "degC"),
     ("mdeg", "s", "mdeg/s"), ("mrad", "s", "mrad/s"),
 )  # fmt: skip
 
@@ -103,7 +104,7 @@ _NEITHER = _words(
     "mag magn magnetometer magnetic compass baro barometer gps gnss quat quaternion euler roll pitch yaw cov covariance"
     " var variance position pos gravity grav bias true ref reference nominal target ideal set max min error err user"
     " altitude lat lon latitude longitude integral delta setpoint clipping clip status free orientation linearacc"
-    " angle angles inclination tilt heading attitude speed"
+    " drift angle angles inclination tilt heading attitude speed"
 )
 _GRAVITY, _MOTION = _words("gravity grav"), _words("user linear linearacc")
 WITHOUT_GRAVITY = frozenset({"lin"})
@@ -303,7 +304,8 @@ def _beside(words: list[str], unit: str) -> ColumnRole | None:
     """Return the role of a time, a temperature or a counter."""
     known = set(words)
     group = tuple(word for word in words if word not in _TIMES | _TEMPERATURES)
-    if known & _TEMPERATURES or (words in (["t"], ["tc"]) and unit in TEMPERATURE_UNITS):
+    measured_in = unit in ("degC", "degF") or (words in (["t"], ["tc"], ["ts"]) and unit == "K")
+    if known & _TEMPERATURES or measured_in:
         return ColumnRole(TEMPERATURE, unit, group)
     written = {"ustime": "us", "mstime": "ms"}.get(words[0]) or _UNITS.get(words[0], "")
     if unit in (*TIME_UNITS, "") and (known & _TIMES or (len(words) == 1 and written in TIME_UNITS)):
