@@ -25,6 +25,8 @@ from imubayes_recordings.convert.column_names import (
     quantity_of,
     role_of,
     separate_gravity,
+    unit_in_brackets,
+    without_gravity,
     words_of,
 )
 from imubayes_recordings.convert.options import ConvertOptions
@@ -200,19 +202,29 @@ def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, al
         rates = body_rates(topic.names)
         roles = [rates.get(place, role) for place, role in enumerate(roles)]
     try:
-        columns = _with_gravity(topic, stated | _by_name(topic, roles, stated))
+        columns = _with_gravity(topic, stated | _by_name(topic, roles, stated), options)
     except InputError as error:
         return replace(table, columns=stated, faults=error.issues)
     return _checked(replace(table, columns=columns), roles, options)
 
 
-def _with_gravity(topic: Topic, columns: dict[str, ChosenColumn]) -> dict[str, ChosenColumn]:
+def _with_gravity(
+    topic: Topic, columns: dict[str, ChosenColumn], options: ConvertOptions
+) -> dict[str, ChosenColumn]:
     """Return columns with accelerometers as sums of gravity and the rest, if there are no others."""
     if any(name in columns for name in ACCELEROMETERS):
         return columns
+    sums = separate_gravity(topic.names)
+    if not sums and (motion := without_gravity(topic.names)) and not any(name in options.columns for name in SIX):
+        raise input_error(
+            f"gravity was subtracted from {', '.join(topic.names[place] for place in motion)}, and no column has it",
+            topic.where,
+            "the full reading of the accelerometers, or gravity and the acceleration beside it",
+            "record the accelerometers themselves; to read the gyros alone: --column gx=NAME --column gy=NAME "
+            "--column gz=NAME",
+        )
     return columns | {
-        name: ChosenColumn(parts.motion, parts.unit, added=parts.gravity)
-        for name, parts in separate_gravity(topic.names).items()
+        name: ChosenColumn(parts.motion, parts.unit, added=parts.gravity) for name, parts in sums.items()
     }
 
 
@@ -273,7 +285,8 @@ def _stated(topic: Topic, target: str, source: str | int, roles: Sequence[Column
         word, sign = word[1:], -1.0
     position = topic.position(word, target)
     role = roles[position]
-    return ChosenColumn(position, role.unit if role else "", sign)
+    named = unit_in_brackets(topic.names[position]) if role is None or not role.unit else ""
+    return ChosenColumn(position, named or (role.unit if role else ""), sign)
 
 
 def _resolved(role: ColumnRole | None, topic: Topic, recording: SourceRecording) -> ColumnRole | None:

@@ -14,7 +14,7 @@ from imubayes.foundations.covariates import recorded_columns
 ACCELEROMETERS, GYROS = ("ax", "ay", "az"), ("gx", "gy", "gz")
 SIX = (*ACCELEROMETERS, *GYROS)
 TIME, TEMPERATURE, SAMPLES, COUNTER = "time_s", "temperature_degC", "samples", "counter"
-DATE, CLOCK, TABLE_RATE = "date", "clock", "table_rate_deg_s"
+DATE, CLOCK, TABLE_RATE, TABLE_ANGLE = "date", "clock", "table_rate_deg_s", "table_angle_deg"
 UNKNOWN_AXES = ("?x", "?y", "?z")
 """Axes of a quantity that neither the name nor the unit of the column says."""
 
@@ -166,6 +166,11 @@ def is_unit(cell: str) -> bool:
     return bool(unit_named(cell)) or cell.strip() in ("-", "1", "[]", "[-]")
 
 
+def unit_in_brackets(name: str) -> str:
+    """Return the unit that a name states in brackets; empty where it states none."""
+    return next((unit for found in _BRACKETED.findall(name) if (unit := unit_named(found))), "")
+
+
 def words_of(name: str) -> list[str]:
     """Return the words that a name is made of, in small letters."""
     return [part.lower() for part in _PARTS.findall(name)]
@@ -243,6 +248,20 @@ def separate_gravity(names: Sequence[str]) -> dict[str, SeparateGravity]:
 
     A phone estimates gravity and subtracts it: what is left is the acceleration of its user.
     """
+    gravity, motion = (_parts_of_force(names)[part] for part in ("gravity", "motion"))
+    if not set(gravity) == set(motion) == set(_AXES) or any(gravity[axis][1] != motion[axis][1] for axis in _AXES):
+        return {}
+    return {f"a{axis}": SeparateGravity(gravity[axis][0], motion[axis][0], gravity[axis][1]) for axis in _AXES}
+
+
+def without_gravity(names: Sequence[str]) -> tuple[int, ...]:
+    """Return the places of three accelerations from which gravity was subtracted; empty unless all axes have one."""
+    motion = _parts_of_force(names)["motion"]
+    return tuple(motion[axis][0] for axis in _AXES) if set(motion) == set(_AXES) else ()
+
+
+def _parts_of_force(names: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
+    """Return part → axis → place and unit of the columns of gravity, and of the acceleration beside it."""
     found: dict[str, dict[str, tuple[int, str]]] = {"gravity": {}, "motion": {}}
     for place, name in enumerate(names):
         words = words_of(_BRACKETED.sub(" ", name))
@@ -251,10 +270,7 @@ def separate_gravity(names: Sequence[str]) -> dict[str, SeparateGravity]:
         if part and len(axes) == 1 and axes[0] not in found[part]:
             unit = next((unit for word in _BRACKETED.findall(name) if (unit := unit_named(word))), "")
             found[part][axes[0]] = place, unit
-    gravity, motion = found["gravity"], found["motion"]
-    if not set(gravity) == set(motion) == set(_AXES) or any(gravity[axis][1] != motion[axis][1] for axis in _AXES):
-        return {}
-    return {f"a{axis}": SeparateGravity(gravity[axis][0], motion[axis][0], gravity[axis][1]) for axis in _AXES}
+    return found
 
 
 def quantity_of(words: set[str], unit: str) -> str:
