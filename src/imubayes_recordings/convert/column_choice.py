@@ -136,16 +136,17 @@ def _one_way(usable: Sequence[ChosenTable], session: bool) -> tuple[ChosenTable,
 
     Parameters
     ----------
-    session : whether several topics are stated: those with both kinds each are the runs of a session.
+    session : whether several topics are stated: those that have the same kinds each are the runs of a session.
     """
     by_kind = {kinds: [table for table in usable if table.kinds == kinds] for kinds in _HOLDS}
     whole, apart = by_kind["ag"], [by_kind["a"], by_kind["g"]]
     candidates = whole or [*apart[0], *apart[1]]
-    if not (session and len(whole) == len(usable)) and _is_open(*by_kind.values()):
+    alike = len({table.kinds for table in usable}) == 1
+    if not (session and alike) and _is_open(*by_kind.values()):
         listed = {table.topic.name or table.recording.file.name: _HOLDS[table.kinds] for table in candidates}
         first, *others = listed
         several = (
-            f"; runs of one unit are stated together: --topic {first} --topic {others[0]}" if whole and others else ""
+            f"; runs of one unit are stated together: --topic {first} --topic {others[0]}" if alike and others else ""
         )
         issue = Issue(
             f"{len(candidates)} topics hold channels",
