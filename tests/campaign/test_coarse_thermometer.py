@@ -1,4 +1,4 @@
-"""Thermometers that resolve whole degrees: between their steps the temperature is interpolated, never beyond rounding."""
+"""Thermometers of whole degrees: between their steps the temperature is interpolated, never beyond rounding."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,12 @@ def test_the_temperature_between_steps(course: str, noise: float, step: float) -
 
 @pytest.mark.parametrize(
     "reading",
-    [np.repeat([20.0, 30.0, 40.0], 9000), COURSES["warm-up"], np.round(COURSES["warm-up"], 1), np.full(len(TIME), 20.0)],
+    [
+        np.repeat([20.0, 30.0, 40.0], 9000),
+        COURSES["warm-up"],
+        np.round(COURSES["warm-up"], 1),
+        np.full(len(TIME), 20.0),
+    ],
     ids=["set-points", "fine", "tenths", "constant"],
 )
 def test_other_temperatures_stay(reading: np.ndarray) -> None:
@@ -59,4 +64,3 @@ def test_rows_of_a_ramp_have_the_temperature_between_the_steps() -> None:
     # The channel `a` is the temperature itself, averaged over the same rows.
     assert np.std(rows.numbers["temperature_degC"] - rows.numbers["a"]) < 0.05
     assert "'temperature_degC' has steps of 1 °C: it is interpolated between the instants of its steps" in rows.notes
-

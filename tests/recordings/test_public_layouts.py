@@ -136,7 +136,9 @@ def test_a_magnetometer_before_the_accelerometers_is_no_gyro(tmp_path: Path, tur
 
 
 def shaker(folder: Path, force: np.ndarray, rate: np.ndarray) -> list[Path]:
-    above = "# Own Data\n# Num. samples: 9, Duration: 9.0 s\n# Config: data_rate = 100.0 Hz, filter = 42 Hz, range = 4 g\n"
+    above = (
+        "# Own Data\n# Num. samples: 9, Duration: 9.0 s\n# Config: data_rate = 100.0 Hz, filter = 42 Hz, range = 4 g\n"
+    )
     columns = [[str(place + 1) for place in range(len(force))], *(force / 9.80665).T, *np.degrees(rate).T]
     return table(folder / "shaker.csv", "count,a_x,a_y,a_z,g_x,g_y,g_z", columns, above=above)
 
@@ -169,7 +171,9 @@ def satellite_logger(folder: Path, force: np.ndarray, rate: np.ndarray) -> list[
     return [folder / "satellites.txt"]
 
 
-@pytest.mark.parametrize("layout", [shaker, card_logger, factory_logger, satellite_logger], ids=lambda each: each.__name__)
+@pytest.mark.parametrize(
+    "layout", [shaker, card_logger, factory_logger, satellite_logger], ids=lambda each: each.__name__
+)
 def test_a_layout_found_later_gives_the_readings(tmp_path: Path, turned, layout: Callable) -> None:
     options = {"accel_unit": "mg"} if layout is card_logger else {}  # asked for: cm/s² and counts are near
     read = read_recordings(layout(tmp_path, *turned), latitude_deg=48, **options)
@@ -206,7 +210,9 @@ def test_lines_told_apart_by_a_number_are_named(tmp_path: Path, turned) -> None:
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     with pytest.raises(InputError, match="lines are of several kinds: '1' with 6 fields, '4' with 5") as caught:
         read_recordings([tmp_path / "log.csv"])
-    assert "replace '1' and '4' at the start of the lines by the names of their sensors" in caught.value.issues[0].remedy
+    assert (
+        "replace '1' and '4' at the start of the lines by the names of their sensors" in caught.value.issues[0].remedy
+    )
     names = {"1": "acc", "4": "gyro"}
     (tmp_path / "named.csv").write_text("\n".join([names[line[0]] + line[1:] for line in lines[1:]]) + "\n")
     numbers = {"time_s": 1} | {f"{kind}{axis}": 2 + k for kind in "ag" for k, axis in enumerate("xyz")}

@@ -211,7 +211,7 @@ def test_accelerations_without_gravity_alone_are_refused(tmp_path: Path) -> None
     names = [f"{kind}.{axis}" for kind in ("userAcceleration", "rotationRate") for axis in "xyz"]
     rows = np.column_stack([np.arange(600) / 50, 0.01 * np.random.default_rng(1).normal(size=(600, 6))])
     np.savetxt(tmp_path / "phone.csv", rows, delimiter=",", header=",".join(["time_s", *names]), comments="")
-    with pytest.raises(InputError, match="gravity was subtracted from userAcceleration.x, userAcceleration.y"):
+    with pytest.raises(InputError, match="gravity was subtracted from userAcceleration"):
         read_recordings([tmp_path / "phone.csv"])
     gyros = {f"g{axis}": f"rotationRate.{axis}" for axis in "xyz"}
     made = read_recordings([tmp_path / "phone.csv"], gyro_unit="rad/s", columns=gyros).campaign

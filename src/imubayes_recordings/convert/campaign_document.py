@@ -69,7 +69,7 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     site_notes: list[str] = []
     site = _site(options, site_notes)
     gravity = site.get("gravity_m_s2") or normal_gravity(math.radians(site["latitude_deg"]), options.height_m)
-    runs = [_of_table(_temperatures(run, source), source) for run in runs]
+    runs = _in_own_units(runs, source)
     longest = max(runs, key=_rows)
     units = find_units(longest.columns, longest.units, options, source)
     runs = [_in_rates(run, units, source) for run in runs]
@@ -268,6 +268,11 @@ def _temperatures(run: RecordedRun, where: str) -> RecordedRun:
         allowed = "degC, K or degF"
         raise input_error(f"temperatures are in {unit}", where, allowed, "state another column of temperature_degC")
     return replace(run, columns=run.columns | {TEMPERATURE: turned(values)})
+
+
+def _in_own_units(runs: Sequence[RecordedRun], where: str) -> list[RecordedRun]:
+    """Return the runs with temperatures in °C, and the motion of the table in deg and s."""
+    return [_of_table(_temperatures(run, where), where) for run in runs]
 
 
 def _of_table(run: RecordedRun, where: str) -> RecordedRun:

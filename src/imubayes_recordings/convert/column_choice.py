@@ -97,17 +97,17 @@ def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions
         raise InputError(tables[0].faults or _nothing(tables))
     usable = [table for table in (stated or tables) if table.usable] or _refuse(tables, alone)
     chosen = _one_way(usable, len(options.topic) > 1)
-    if not options.topic and not stated:
-        _refuse_lost_kind(tables, "".join(table.kinds for table in chosen))
+    _refuse_lost_kind(tables, chosen, options)
     read = {id(table.recording) for table in chosen}
     if idle := [table for table in tables if id(table.recording) not in read]:
         _refuse(idle, alone=True)  # a file of which nothing is read was not given for nothing
     return chosen
 
 
-def _refuse_lost_kind(tables: Sequence[ChosenTable], kinds: str) -> None:
+def _refuse_lost_kind(tables: Sequence[ChosenTable], chosen: Sequence[ChosenTable], options: ConvertOptions) -> None:
     """Raise InputError where a topic names the channels that no chosen table has, and cannot serve."""
-    for table in tables:
+    kinds = "".join(table.kinds for table in chosen)
+    for table in () if options.topic or options.columns else tables:
         roles = [role_of(column.name, column.unit) for column in table.topic.columns if column.name]
         named = {kind for kind, names in TRIPLES.items() for role in roles if role and role.target in names}
         if table.faults and named - set(kinds):
@@ -209,9 +209,7 @@ def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, al
     return _checked(replace(table, columns=columns), roles, options)
 
 
-def _with_gravity(
-    topic: Topic, columns: dict[str, ChosenColumn], options: ConvertOptions
-) -> dict[str, ChosenColumn]:
+def _with_gravity(topic: Topic, columns: dict[str, ChosenColumn], options: ConvertOptions) -> dict[str, ChosenColumn]:
     """Return columns with accelerometers as sums of gravity and the rest, if there are no others."""
     if any(name in columns for name in ACCELEROMETERS):
         return columns
@@ -224,9 +222,7 @@ def _with_gravity(
             "record the accelerometers themselves; to read the gyros alone: --column gx=NAME --column gy=NAME "
             "--column gz=NAME",
         )
-    return columns | {
-        name: ChosenColumn(parts.motion, parts.unit, added=parts.gravity) for name, parts in sums.items()
-    }
+    return columns | {name: ChosenColumn(parts.motion, parts.unit, added=parts.gravity) for name, parts in sums.items()}
 
 
 def _checked(table: ChosenTable, roles: Sequence[ColumnRole | None], options: ConvertOptions) -> ChosenTable:
@@ -311,10 +307,7 @@ def _without_names(
 ) -> ChosenTable:
     topic, recording = table.topic, table.recording
     if any(name in stated for name in SIX):
-        # Of several topics each has the channels of its own sensor: numbers of columns are alike in all.
-        kind = "" if alone else hinted_kind(topic, recording)
-        own = {name: column for name, column in stated.items() if not kind or name not in SIX or name[0] == kind}
-        return replace(table, columns=own, faults=tuple(_read_twice(topic, own)))
+        return _by_number(table, stated, alone)
     width = len(topic.columns)
     names = topic.note if topic.misfit else f"the table has {width} columns and no names"
     state = "state the column of each channel, such as --column ax=NUMBER"
@@ -336,6 +329,16 @@ def _without_names(
     if options.sample_rate_hz is not None and TIME not in stated:
         columns.pop(TIME, None)
     return replace(table, columns=columns, evidence=layout.evidence, left=_labels(topic))
+
+
+def _by_number(table: ChosenTable, stated: Mapping[str, ChosenColumn], alone: bool) -> ChosenTable:
+    """Return a table with its stated columns.
+
+    Of several topics each has the channels of its own kind: numbers of columns are alike in all.
+    """
+    kind = "" if alone else hinted_kind(table.topic, table.recording)
+    own = {name: column for name, column in stated.items() if not kind or name not in SIX or name[0] == kind}
+    return replace(table, columns=own, faults=tuple(_read_twice(table.topic, own)))
 
 
 def _labels(topic: Topic) -> tuple[str, ...]:

@@ -320,8 +320,7 @@ def _beside(words: list[str], unit: str) -> ColumnRole | None:
     """Return the role of a time, a temperature or a counter."""
     known = set(words)
     group = tuple(word for word in words if word not in _TIMES | _TEMPERATURES)
-    measured_in = unit in ("degC", "degF") or (words in (["t"], ["tc"], ["ts"]) and unit == "K")
-    if known & _TEMPERATURES or measured_in:
+    if known & _TEMPERATURES or _is_warmth(words, unit):
         return ColumnRole(TEMPERATURE, unit, group)
     written = {"ustime": "us", "mstime": "ms"}.get(words[0]) or _UNITS.get(words[0], "")
     if unit in (*TIME_UNITS, "") and (known & _TIMES or (len(words) == 1 and written in TIME_UNITS)):
@@ -329,6 +328,11 @@ def _beside(words: list[str], unit: str) -> ColumnRole | None:
     if known <= _COUNTERS | {"imu", "no"} or words == ["n"]:
         return ColumnRole(COUNTER, "", group)
     return None
+
+
+def _is_warmth(words: Sequence[str], unit: str) -> bool:
+    """Tell a temperature by its unit; `K` alone may be something else."""
+    return unit in ("degC", "degF") or (unit == "K" and list(words) in (["t"], ["tc"], ["ts"]))
 
 
 def _apart(words: list[str]) -> tuple[list[str], str]:

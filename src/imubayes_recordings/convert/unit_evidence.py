@@ -184,25 +184,16 @@ def _whole(values: np.ndarray) -> bool:
     return bool((part % 1 == 0).all() and np.ptp(values, axis=0).max() > _FEW_COUNTS)
 
 
-def _of_gyros(
-    columns: Mapping[str, np.ndarray], accel: str, options: ConvertOptions, where: str
-) -> tuple[str, str]:
+def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, options: ConvertOptions, where: str) -> tuple[str, str]:
     """Return the unit of the gyros by a stated motion or the turns between poses; else that of the other SI unit."""
-    names, rate = (*SIX, TIME), np.stack([columns[name] for name in GYROS if name in columns], axis=1)
-    known = all(name in columns for name in names)
+    rate = np.stack([columns[name] for name in GYROS if name in columns], axis=1)
     stated, how = per_radian_of_stated_motion(columns, options, where)
-    per_radian, turned = (
-        (stated, f" ({how})") if stated
-        else _per_radian({name: columns[name] for name in names}, where) if known
-        else (0.0, "")
-    )  # fmt: skip
+    per_radian, turned = (stated, f" ({how})") if stated else _of_poses(columns, where)
     if _whole(rate):  # counts may have nearly the scale of a unit
         return "count", f"whole numbers{turned}"
     near = [unit for unit, size in _PER_RADIAN.items() if abs(per_radian / size - 1) < _NEAR]
-    if near and stated:
-        return near[0], how
     if near:
-        return near[0], f"turns between poses integrate to {per_radian:.4g} {near[0].split('/')[0]} per radian"
+        return near[0], how or f"turns between poses integrate to {per_radian:.4g} {near[0].split('/')[0]} per radian"
     size = float(np.median(np.linalg.norm(rest_means(rate), axis=1)))
     if accel == "m/s^2" and not turned:
         if size < _LARGEST_BIAS["rad/s"]:
@@ -215,15 +206,24 @@ def _of_gyros(
                 f"{size:.3g} at rest is too large for a bias in rad/s; without turns the unit is not "
                 f"tested; if it is another one, state --gyro-unit"
             )
-    told = (
-        "no usual one fits" if stated
-        else "the accelerometers do not determine it" if accel
-        else "there are no accelerometers and no turns to determine it"
-    )  # fmt: skip
+    told = "no usual one fits" if stated else _not_told(accel)
     raise input_error(
         f"the unit of the gyros is not known{turned}: {told}", where, ", ".join(GYRO_UNITS),
         "state it, such as --gyro-unit deg/s" + _other_rate(columns.get(TIME), per_radian),
     )  # fmt: skip
+
+
+def _of_poses(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:
+    """Return what the gyros read for one radian by the turns between poses; 0 and nothing where they are not known."""
+    names = (*SIX, TIME)
+    known = all(name in columns for name in names)
+    return _per_radian({name: columns[name] for name in names}, where) if known else (0.0, "")
+
+
+def _not_told(accel: str) -> str:
+    if accel:
+        return "the accelerometers do not determine it"
+    return "there are no accelerometers and no turns to determine it"
 
 
 def _other_rate(time: np.ndarray | None, per_radian: float) -> str:

@@ -209,8 +209,8 @@ def _remedy(campaign: Campaign, names: Sequence[str]) -> str:
     if not still:
         return "name a run of this procedure, or add one"
     return (
-        f'write procedure = "{PROCEDURE}" in the [[run]] of \'{still[0]}\', a {_WARM_UP} in one attitude: its drift with '
-        f"temperature counts as noise then; or convert a part at constant temperature with --procedure {PROCEDURE}"
+        f"write procedure = \"{PROCEDURE}\" in the [[run]] of '{still[0]}', a {_WARM_UP} in one attitude: its drift "
+        f"with temperature counts as noise then; or convert a part at constant temperature with --procedure {PROCEDURE}"
     )
 
 

@@ -1,6 +1,6 @@
 """Offset between the clocks of a table and of a unit, in a raw log that holds the columns of both.
 
-The outputs of a gyro repeat the rate of the table after the offset.  It is the lag of the highest correlation, and it is
+The outputs of a gyro repeat the rate of the table after the offset.  It is the lag of the highest correlation, and is
 reported only if a shift alone explains the difference: a table that follows its command on a ramp differs from the
 command in form as well.
 """

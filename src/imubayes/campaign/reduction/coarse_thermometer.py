@@ -16,7 +16,9 @@ COARSEST = 1.0  # °C; set-points of a chamber, which are recorded in place of r
 _HALF = 0.5
 _THERMOMETERS = ("temperature_degC", "converter_temperature_degC")
 _LEAST_LEVELS = 3
-_HELD = 0.9  # share of blocks whose reading is that of the block before: noise that dithers a reading averages its steps
+_HELD = (
+    0.9  # share of blocks whose reading is that of the block before: noise that dithers a reading averages its steps
+)
 _ALIKE = 1e-6  # °C
 
 
@@ -105,9 +107,7 @@ def _there_and_back(
     ]
 
 
-def _ends(
-    time: np.ndarray, values: np.ndarray, reading: np.ndarray, nodes: list[tuple[float, float]]
-) -> np.ndarray:
+def _ends(time: np.ndarray, values: np.ndarray, reading: np.ndarray, nodes: list[tuple[float, float]]) -> np.ndarray:
     """Return temperatures, (B,), that go on before the first node and behind the last, at most to the reading."""
     values = values.copy()
     for (at, value), (other, beside), outside in (

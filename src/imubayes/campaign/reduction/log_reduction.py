@@ -106,7 +106,7 @@ def reduce_log(
     transitions : whether what lies between spans of constant stimulus is used as well, in short means.
     """
     layout, coarse = source.layout, coarse_temperatures(blocks)
-    blocks = replace(blocks, mean=blocks.mean | {name: each.values for name, each in coarse.items()})
+    blocks = _with_temperatures(blocks, coarse)
     detected, how = _spans_of(source, reduction, blocks, labelled, bench)
     if transitions:
         detected, how = with_transitions(detected, blocks), f"{how}, and between"
@@ -115,7 +115,7 @@ def reduce_log(
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
     jerked = _jerked(reduced)
     numbers = _columns(columns, layout, reduced, jerked)
-    numbers |= {name: _span_means(blocks, spans, each.values) for name, each in coarse.items() if name in numbers}
+    numbers |= _span_temperatures(blocks, spans, coarse)
     first = tuple(span.start for span in spans)
     if "time_s" not in numbers and blocks.interval is None and all(row.samples == 1 for row in reduced):
         note = f"no 'samples' and no 'time_s' column: each of the {rows} rows counts as one sample"
@@ -132,10 +132,20 @@ def reduce_log(
     )
 
 
-def _span_means(blocks: BlockSurvey, spans: Sequence[Span], values: np.ndarray) -> np.ndarray:
-    """Return means of the values of blocks, (B,), over spans, (S,)."""
+def _with_temperatures(blocks: BlockSurvey, coarse: Mapping[str, CoarseTemperature]) -> BlockSurvey:
+    """Return the survey with the temperatures between the steps of coarse thermometers."""
+    return replace(blocks, mean=blocks.mean | {name: each.values for name, each in coarse.items()})
+
+
+def _span_temperatures(
+    blocks: BlockSurvey, spans: Sequence[Span], coarse: Mapping[str, CoarseTemperature]
+) -> dict[str, np.ndarray]:
+    """Return column → means over spans, (S,), of the temperatures of coarse thermometers."""
     edges = [np.searchsorted(blocks.start, (span.start, span.stop)) for span in spans]
-    return np.array([np.nanmean(values[first : max(last, first + 1)]) for first, last in edges])
+    return {
+        name: np.array([np.nanmean(each.values[first : max(last, first + 1)]) for first, last in edges])
+        for name, each in coarse.items()
+    }
 
 
 def _between_steps(coarse: Mapping[str, CoarseTemperature]) -> tuple[str, ...]:

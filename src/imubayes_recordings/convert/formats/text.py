@@ -173,7 +173,8 @@ def _line_kinds(file: Path, layout: TextLayout) -> dict[str, int]:
 def _several_kinds(where: str, kinds: Mapping[str, int]) -> InputError:
     first, second, *_ = sorted(kinds, key=lambda kind: -kinds[kind])
     return input_error(
-        "the lines are of several kinds: " + ", ".join(f"'{kind}' with {count} fields" for kind, count in kinds.items()),
+        "the lines are of several kinds: "
+        + ", ".join(f"'{kind}' with {count} fields" for kind, count in kinds.items()),
         where,
         "lines of one kind; or a word that names the sensor at the start of each, such as acc and gyro",
         f"replace '{first}' and '{second}' at the start of the lines by the names of their sensors, and state the "
