@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ import imubayes
 from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.errors import InputError
 from imubayes.inference.laplace_marginal import knowledge
+from imubayes.inference.parameter_fit import linearise_once
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.carried_motion import first_point
 from imubayes.model.model_file import EffectSpec, ModelSpec
@@ -130,6 +132,18 @@ def test_rows_that_are_far_apart_last_no_longer_than_their_samples() -> None:
     rows = campaign.runs[0].rows
     assert timeline.row.length[:rows] == pytest.approx(campaign.runs[0].samples[0] / 50.0, rel=1e-6)
     assert np.mean(timeline.row.gap[1:rows] > 0.5 * timeline.row.length[1:rows]) > 0.3
+
+
+def test_a_unit_in_motion_is_linearised_without_compiling(caplog: pytest.LogCaptureFixture) -> None:
+    """`new` linearises a model of every candidate once: to compile it takes ten times as long."""
+    errors = random_unit(np.random.default_rng(1))
+    model = imubayes.bind(model_of(), campaign_of({"waved": waved(errors, 1, seconds=20.0, hz=50.0)}, "slow_motion"))
+    problem, z = model.problem, first_point(model.assembly)
+    step = 1e-6 * np.random.default_rng(2).normal(size=len(z))
+    with jax.log_compiles():
+        before, about, after = (linearise_once(problem, point) for point in (z - step, z, z + step))
+    assert "XLA" not in caplog.text
+    np.testing.assert_allclose(about.jacobian @ step, (before.misfit - after.misfit) / 2, rtol=1e-4, atol=1e-12)
 
 
 def test_a_short_log_is_refused() -> None:

@@ -121,6 +121,7 @@ def read_model_text(file: Path, text: str) -> ModelSpec:
     [
         (["noise", str(SHIPPED), "--runs", "day"], "'day' is not a static record"),
         (["noise", str(SHIPPED.parent / "servo-table")], "there is no static record"),
+        (["noise", str(SHIPPED.parent / "hidden-thermal")], 'write procedure = "static_record" in the [[run]] of'),
         (["noise", str(SHIPPED), "--shortest-tau", "-1"], "a value of -1"),
         (["noise", str(SHIPPED), "--shortest-tau", "5000"], "too few octaves"),
     ],

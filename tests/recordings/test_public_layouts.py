@@ -11,6 +11,7 @@ from tumble_recordings import random_attitudes
 from imubayes.foundations.errors import InputError
 from imubayes.foundations.units import to_si
 from imubayes_recordings.convert import read_recordings
+from imubayes_recordings.convert.formats.stated_rate import stated_rate
 
 HZ = 100.0
 FORCE, RATE = ("ax", "ay", "az"), ("gx", "gy", "gz")
@@ -132,3 +133,108 @@ def test_a_magnetometer_before_the_accelerometers_is_no_gyro(tmp_path: Path, tur
     with pytest.raises(InputError, match="the numbers do not show which are which") as caught:
         read_recordings([tmp_path / "sentences.txt"], latitude_deg=48, sample_rate_hz=HZ)
     assert "--column ax=5 --column ay=6" in caught.value.issues[0].remedy
+
+
+def shaker(folder: Path, force: np.ndarray, rate: np.ndarray) -> list[Path]:
+    above = (
+        "# Own Data\n# Num. samples: 9, Duration: 9.0 s\n# Config: data_rate = 100.0 Hz, filter = 42 Hz, range = 4 g\n"
+    )
+    columns = [[str(place + 1) for place in range(len(force))], *(force / 9.80665).T, *np.degrees(rate).T]
+    return table(folder / "shaker.csv", "count,a_x,a_y,a_z,g_x,g_y,g_z", columns, above=above)
+
+
+def card_logger(folder: Path, force: np.ndarray, rate: np.ndarray) -> list[Path]:
+    clock = [f"12:{place // 6000:02d}:{place % 6000 / HZ:05.2f}" for place in range(len(force))]
+    warm = [f"{24.8 + 0.01 * (place % 7):.2f}" for place in range(len(force))]
+    columns = [["06/29/2020"] * len(force), clock, *(force / 9.80665e-3).T, *np.degrees(rate).T, warm]
+    return table(folder / "dataLog.TXT", "rtcDate,rtcTime,aX,aY,aZ,gX,gY,gZ,imu_degC,", [*columns, [""] * len(force)])
+
+
+def factory_logger(folder: Path, force: np.ndarray, rate: np.ndarray) -> list[Path]:
+    head = "Sample No.,time[s],Gx[dps],Gy[dps],Gz[dps],Ax[mG],Ay[mG],Az[mG],Ts[deg.C],Check"
+    warm = [f"{26.1 + 0.01 * (place % 5):.2f}" for place in range(len(force))]
+    columns = [counted(len(force)), np.arange(len(force)) / HZ, *np.degrees(rate).T, *(force / 9.80665e-3).T, warm]
+    return table(folder / "LOG_IMU1.csv", head, [*columns, ["OK"] * len(force)], above="#Port,COM4,Sampling,10.00 ms\n")
+
+
+def satellite_logger(folder: Path, force: np.ndarray, rate: np.ndarray) -> list[Path]:
+    lines = ["# ", "# Header Description:", "# ", "# Raw,utcTimeMillis,TimeNanos"]
+    for kind, unit, bias in (("Accel", "Mps2", "Bias"), ("Gyro", "RadPerSec", "Drift")):
+        names = [f"{part}{axis}{unit}" for part in (f"Uncal{kind}", bias) for axis in "XYZ"]
+        lines.append(f"# Uncal{kind},utcTimeMillis,elapsedRealtimeNanos,{','.join(names)}")
+    for place, (forces, rates) in enumerate(zip(force, rate, strict=True)):
+        times = f"{1_600_000_000_000 + 10 * place},{5_000_000_000 + 10_000_000 * place}"
+        for kind, values in (("Accel", forces), ("Gyro", rates)):
+            lines.append(f"Uncal{kind},{times},{','.join(f'{value:.6f}' for value in values)},0.0,0.001,0.0")
+        lines += ["Fix,gps,48.1,11.5,500.0,0.0,3.9,16000"] if place % 100 == 0 else []
+    (folder / "satellites.txt").write_text("\n".join(lines) + "\n")
+    return [folder / "satellites.txt"]
+
+
+@pytest.mark.parametrize(
+    "layout", [shaker, card_logger, factory_logger, satellite_logger], ids=lambda each: each.__name__
+)
+def test_a_layout_found_later_gives_the_readings(tmp_path: Path, turned, layout: Callable) -> None:
+    options = {"accel_unit": "mg"} if layout is card_logger else {}  # asked for: cm/s² and counts are near
+    read = read_recordings(layout(tmp_path, *turned), latitude_deg=48, **options)
+    columns = next(iter(read.campaign.tables.values()))
+    entries = {entry["name"]: entry for entry in read.campaign.document["channel"]}
+    for names, values in zip((FORCE, RATE), turned, strict=True):
+        for name, truth in zip(names, values.T, strict=True):
+            found = np.asarray(columns[name]) / entries[name]["scale"] * to_si(entries[name]["per"])
+            np.testing.assert_allclose(found, truth, atol=2e-3)
+    np.testing.assert_allclose(np.diff(columns["time_s"]), 1 / HZ, atol=2e-6)
+    assert ("temperature_degC" in columns) == (layout in (card_logger, factory_logger))
+
+
+def test_a_stated_rate_is_the_only_one_in_hertz() -> None:
+    def stated(line: str) -> float | None:
+        found = stated_rate([(1, line)])
+        return found and found.hz
+
+    assert stated("# Config: data_rate = 2000.0 Hz, filter = 488 Hz") == 2000.0
+    assert stated("OutputRate:,100Hz") == 100.0
+    assert stated('"sample_rate_hz": 52') == 52.0
+    assert stated("# Sampling frequency: 1.6 kHz") == 1600.0
+    assert stated("# sample rate of the accelerometer unknown, 4 g") is None
+    assert stated("# accel sample rate 100 Hz, gyro sample rate 200 Hz") is None
+    assert stated("# baud rate 115200, data rate 3") is None
+
+
+def test_lines_told_apart_by_a_number_are_named(tmp_path: Path, turned) -> None:
+    force, rate = turned
+    lines = ["info;time;x;y;z;geo;lon;lat;alt;provider;accuracy"]
+    for place, (forces, rates) in enumerate(zip(force[:600], rate[:600], strict=True)):
+        lines.append(f"4;{place / HZ:.3f};" + ";".join(f"{value:.5f}" for value in rates))
+        lines.append(f"1;{place / HZ:.3f};" + ";".join(f"{value:.5f}" for value in forces) + ";12.0")
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="lines are of several kinds: '1' with 6 fields, '4' with 5") as caught:
+        read_recordings([tmp_path / "log.csv"])
+    assert (
+        "replace '1' and '4' at the start of the lines by the names of their sensors" in caught.value.issues[0].remedy
+    )
+    names = {"1": "acc", "4": "gyro"}
+    (tmp_path / "named.csv").write_text("\n".join([names[line[0]] + line[1:] for line in lines[1:]]) + "\n")
+    numbers = {"time_s": 1} | {f"{kind}{axis}": 2 + k for kind in "ag" for k, axis in enumerate("xyz")}
+    made = read_recordings([tmp_path / "named.csv"], gyro_unit="rad/s", latitude_deg=48, columns=numbers).campaign
+    columns = next(iter(made.tables.values()))
+    np.testing.assert_allclose(columns["ax"][-590:], force[10:600, 0], atol=1e-4)
+    np.testing.assert_allclose(columns["gx"][-590:], rate[10:600, 0], atol=1e-4)
+
+
+def test_one_column_is_not_two_channels(tmp_path: Path, turned) -> None:
+    np.savetxt(tmp_path / "log.txt", np.column_stack(turned))
+    numbers = {f"{kind}{axis}": 1 + k for kind in "ag" for k, axis in enumerate("xyz")}
+    with pytest.raises(InputError, match="column 1 '' would be ax and gx"):
+        read_recordings([tmp_path / "log.txt"], latitude_deg=48, sample_rate_hz=HZ, columns=numbers)
+
+
+def test_gyros_that_cannot_be_chosen_are_not_left_out_in_silence(tmp_path: Path, turned) -> None:
+    force, rate = turned
+    lines = ["# acc,ms,acc_x,acc_y,acc_z", "# gyro,ms,left_gyro_x,left_gyro_y,left_gyro_z,gyro_x,gyro_y,gyro_z"]
+    for place, (forces, rates) in enumerate(zip(force[:600], rate[:600], strict=True)):
+        lines.append(f"acc,{10 * place}," + ",".join(f"{value:.5f}" for value in forces))
+        lines.append(f"gyro,{10 * place}," + ",".join(f"{value:.5f}" for value in (*rates, *(0.9 * rates))))
+    (tmp_path / "log.txt").write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="2 sets of columns may be gx gy gz"):
+        read_recordings([tmp_path / "log.txt"], latitude_deg=48)

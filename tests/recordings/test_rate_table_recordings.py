@@ -132,6 +132,63 @@ def test_without_the_rate_of_the_table_it_is_asked_for(tmp_path):
         read([file])
 
 
+@pytest.mark.parametrize("unit", ["rad/s", "deg/s", "mrad/s"])
+@pytest.mark.parametrize(("gyros", "options"), [(("gx", "gy", "gz"), {}), (("gz",), {"columns": {"gz": "gz"}})])
+def test_the_rate_of_the_table_determines_the_unit_of_the_gyros(tmp_path, unit, gyros, options):
+    per_degree = {"rad/s": np.pi / 180, "deg/s": 1.0, "mrad/s": np.pi / 0.18}[unit]
+    rows = np.loadtxt(Unit(6).record(tmp_path / "log.csv", SEATS[1], forces=1.0), delimiter=",", skiprows=1)
+    kept = [0, 1, *(2 + "xyz".index(name[1]) for name in gyros), *((5, 6, 7) if len(gyros) == 3 else ())]
+    names = ["time_s", "table_rate_deg_s", *gyros, *(("ax", "ay", "az") if len(gyros) == 3 else ())]
+    rows[:, 2:5] *= per_degree
+    late = np.roll(rows[:, 2:5], 60 * 20, axis=0)  # an offset of the clocks does not change the unit
+    for place, values in enumerate((rows, np.column_stack([rows[:, :2], late, rows[:, 5:]]))):
+        file = tmp_path / f"{place}.csv"
+        np.savetxt(file, values[:, kept], delimiter=",", header=",".join(names), comments="")
+        made = read_recordings([file], latitude_deg=48.0, **options).campaign
+        assert made.options.gyro_unit == unit
+        assert "for 1 rad/s of the table" in made.guesses["gyro_unit"]
+
+
+@pytest.mark.parametrize(("header", "per_degree"), [("ref [rad/s]", np.pi / 180), ("ref [mdeg/s]", 1000.0)])
+def test_the_rate_of_the_table_is_read_in_the_unit_of_its_name(tmp_path, header, per_degree):
+    rows = np.loadtxt(Unit(8).record(tmp_path / "log.csv", SEATS[1]), delimiter=",", skiprows=1)
+    rows[:, 1] *= per_degree
+    names = f"time_s,{header},gx,gy,gz"
+    np.savetxt(tmp_path / "named.csv", rows, delimiter=",", header=names, comments="")
+    made = read_recordings([tmp_path / "named.csv"], latitude_deg=48.0, columns={"table_rate_deg_s": header}).campaign
+    assert made.options.gyro_unit == "deg/s"
+    np.testing.assert_allclose(made.tables["runs/recording.csv"]["table_rate_deg_s"], rows[:, 1] / per_degree)
+
+
+def test_a_rate_of_the_table_in_no_unit_of_rate_is_refused(tmp_path):
+    rows = np.loadtxt(Unit(8).record(tmp_path / "log.csv", SEATS[1]), delimiter=",", skiprows=1)
+    np.savetxt(tmp_path / "named.csv", rows, delimiter=",", header="time_s,ref [degC],gx,gy,gz", comments="")
+    with pytest.raises(InputError, match="column table_rate_deg_s is in degC"):
+        read_recordings([tmp_path / "named.csv"], latitude_deg=48.0, columns={"table_rate_deg_s": "ref [degC]"})
+
+
+@pytest.mark.parametrize("rests", [True, False])
+def test_gyros_in_counts_have_their_scale_by_the_rate_of_the_table(tmp_path, rests):
+    unit, scale = Unit(9), 65.5
+    rows = np.loadtxt(unit.record(tmp_path / "log.csv", SEATS[1]), delimiter=",", skiprows=1)
+    rows = rows if rests else rows[np.abs(rows[:, 1]) > 1.0]
+    rows[:, 2:5] = np.round(scale * rows[:, 2:5] + [40.0, -30.0, 20.0])
+    np.savetxt(tmp_path / "counts.csv", rows, delimiter=",", header="time_s,table_rate_deg_s,gx,gy,gz", comments="")
+    made = read_recordings([tmp_path / "counts.csv"], latitude_deg=48.0).campaign
+    channels = {each["name"]: each for each in made.document["channel"]}
+    for name, offset in (("gx", 40.0), ("gy", -30.0), ("gz", 20.0)):
+        assert channels[name]["scale"] == pytest.approx(np.degrees(scale), rel=0.01)
+        assert channels[name]["offset"] == pytest.approx(offset, abs=scale * (np.abs(unit.bias).max() + 0.02) + 1)
+
+
+def test_the_unit_of_two_gyros_that_may_lie_across_the_axis_is_asked_for(tmp_path):
+    rows = np.loadtxt(Unit(7).record(tmp_path / "log.csv", SEATS[1]), delimiter=",", skiprows=1)
+    file = tmp_path / "two.csv"
+    np.savetxt(file, rows[:, :4], delimiter=",", header="time_s,table_rate_deg_s,gx,gy", comments="")
+    with pytest.raises(InputError, match="the unit of the gyros is not known"):
+        read_recordings([file], latitude_deg=48.0, columns={"gx": "gx", "gy": "gy"})
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_scale_factors_and_biases_are_within_their_intervals(tmp_path, seed):
     unit = Unit(10 + seed)

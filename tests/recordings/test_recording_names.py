@@ -10,7 +10,7 @@ from tumble_files import NAMES, tumble_log
 from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
 from imubayes.foundations.errors import InputError
-from imubayes_recordings.convert import convert
+from imubayes_recordings.convert import convert, read_recordings
 from imubayes_recordings.convert.column_choice import choose_tables
 from imubayes_recordings.convert.column_names import role_of
 from imubayes_recordings.convert.formats import open_recording
@@ -205,3 +205,14 @@ def test_units_at_the_end_of_a_name(name: str, unit: str | None) -> None:
         assert role is None  # an accelerometer without an axis
     else:
         assert (role and role.unit) == unit
+
+
+def test_accelerations_without_gravity_alone_are_refused(tmp_path: Path) -> None:
+    names = [f"{kind}.{axis}" for kind in ("userAcceleration", "rotationRate") for axis in "xyz"]
+    rows = np.column_stack([np.arange(600) / 50, 0.01 * np.random.default_rng(1).normal(size=(600, 6))])
+    np.savetxt(tmp_path / "phone.csv", rows, delimiter=",", header=",".join(["time_s", *names]), comments="")
+    with pytest.raises(InputError, match="gravity was subtracted from userAcceleration"):
+        read_recordings([tmp_path / "phone.csv"])
+    gyros = {f"g{axis}": f"rotationRate.{axis}" for axis in "xyz"}
+    made = read_recordings([tmp_path / "phone.csv"], gyro_unit="rad/s", columns=gyros).campaign
+    assert [each["name"] for each in made.document["channel"]] == ["gx", "gy", "gz"]

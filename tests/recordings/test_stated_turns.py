@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 
 import imubayes
 from imubayes.foundations.errors import InputError
@@ -49,6 +50,26 @@ def test_each_turn_is_a_row_of_the_stated_angle(tmp_path: Path) -> None:
         assert (np.isnan(rows["gx_sd"]) == (angles != 0)).all()
     # The turn that is none through a full circle, nor from rest to rest about one axis, is named.
     assert sum("turn left out: 273.7 deg about gx" in note for note in made.document["notes"]) == 1
+
+
+def test_matrices_of_gyros_stated_together_are_the_runs_of_a_session(tmp_path: Path) -> None:
+    """Turns about three axes, one matrix each in one file."""
+    turns = {f"turn{axis}": turned([(place, 360.0), (place, -360.0)], seed=place) for place, axis in enumerate("XYZ")}
+    scipy.io.savemat(tmp_path / "three.mat", turns)
+    columns = {"time_s": 1, "gx": 2, "gy": 3, "gz": 4}
+    with pytest.raises(InputError, match="3 topics hold channels") as caught:
+        read_recordings([tmp_path / "three.mat"], turn_deg=360.0, columns=columns)
+    assert "stated together: --topic turnX --topic turnY" in caught.value.issues[0].remedy
+    made = read_recordings([tmp_path / "three.mat"], turn_deg=360.0, columns=columns, topic=tuple(turns)).campaign
+    assert [run["name"] for run in made.document["run"]] == ["turns-x-1", "turns-y-2", "turns-z-3"]
+
+
+@pytest.mark.parametrize(("unit", "per_radian"), [("rad/s", 1.0), ("deg/s", 57.29578)])
+def test_the_unit_follows_from_the_stated_turns(tmp_path: Path, unit: str, per_radian: float) -> None:
+    values = turned(FULL) * [1.0, *[per_radian] * 3]
+    made = read_recordings([write(tmp_path / "log.csv", values, "time_s,gx,gy,gz")], turn_deg=360.0).campaign
+    assert made.options.gyro_unit == unit
+    assert made.guesses["gyro_unit"].startswith("turns of 360 deg integrate to ")
 
 
 @pytest.mark.compiled

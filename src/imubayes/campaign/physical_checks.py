@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign.reduction import BlockSurvey, turning_span
+from imubayes.campaign.reduction import BlockSurvey, clock_offset, turning_span
 from imubayes.campaign.stream_checks import Finding
 from imubayes.foundations.campaign_data import Channel, Mounting, Run, Site, Table
 from imubayes.foundations.earth import normal_gravity
@@ -22,6 +22,9 @@ LARGEST_ANOMALY = 5e-3  # m/s², 500 mGal (convention): free-air anomalies on la
 HIGHEST = 5000.0  # m, of a laboratory
 ORDINARY = (0.6, 1.6)  # slopes consistent with the nominal scale factor
 LEAST_SPREAD = {"gyro": 0.05 * DEGREE, "accelerometer": 0.5}  # of the input, rad/s and m/s²
+MOST_SKEW = 0.05  # s, the largest delay that the effect `time_skew` is for
+LEAST_OFFSET = 0.5  # s; a table follows its command with less
+LEVEL_SHARE = 0.25  # of a level; a larger offset leaves no steady stretch of it
 FOLLOWS = 0.9  # least squared correlation for a slope to be used
 _DECIMAL = "a decimal place of the scale"
 _RATE_FACTORS = {
@@ -83,6 +86,33 @@ def check_log(blocks: BlockSurvey, run: str, where: str) -> list[Finding]:
         return []
     what = f"the angle column stays within {reach:.3g} while the table turns by {swept:.4g} deg"
     return [_angle_finding(run, what, where)]
+
+
+def check_clock(
+    blocks: BlockSurvey, run: str, channels: Sequence[Channel], where: str, momentary: bool
+) -> list[Finding]:
+    """Check that the outputs of a raw log answer the table at the time of its columns.
+
+    Parameters
+    ----------
+    momentary : whether rows are used while the rate changes; otherwise an offset only shortens the levels.
+    """
+    found = clock_offset(blocks, [channel.name for channel in channels if channel.kind == "gyro"])
+    if found is None or blocks.interval is None:
+        return []
+    size, error = abs(found.seconds), momentary or abs(found.seconds) > LEVEL_SHARE * found.level
+    if size < max(MOST_SKEW if momentary else LEAST_OFFSET, 2 * blocks.interval):
+        return []
+    sense, change = ("later", "add") if found.seconds > 0 else ("earlier", "subtract")
+    return [
+        Finding(
+            "time_shift", "error" if error else "warning", run,
+            f"the outputs are {size:.3g} s {sense} than the columns of the table, by channel '{found.channel}'",
+            f"{where}, column 'time_s'", "outputs and table recorded on one clock",
+            f"{change} {size:.3g} s {'to' if found.seconds > 0 else 'from'} the times of the table, and join the two "
+            "logs again",
+        )
+    ]  # fmt: skip
 
 
 def check_rows(

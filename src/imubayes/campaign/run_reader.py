@@ -12,7 +12,7 @@ import numpy as np
 from imubayes.campaign import reduction as reduce
 from imubayes.campaign.equipment import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.file_schemas import RunEntry
-from imubayes.campaign.physical_checks import check_log, check_rest, check_rows
+from imubayes.campaign.physical_checks import check_clock, check_log, check_rest, check_rows
 from imubayes.campaign.reduction.carried_rows import reduce_motion
 from imubayes.campaign.reduction.free_tumble import ReducedTumble, reduce_tumble
 from imubayes.campaign.reduction.pose_table import reduce_means
@@ -306,7 +306,10 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     assert survey.blocks is not None
     where = str(source.file)
     reduce.refuse_impossible_rate(survey.blocks.interval, where)
+    momentary = entry.transitions or reduction is Reduction.FOLLOWED
     found = check_log(survey.blocks, entry.name, where)
+    if not PROCEDURES[entry.procedure].driven:
+        found += check_clock(survey.blocks, entry.name, equipment.channels, where, momentary)
     rows = reduce.reduce_log(
         source, reduction, survey.rows, survey.blocks, survey.labelled, survey.limits, bench, entry.transitions
     )

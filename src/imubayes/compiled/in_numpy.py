@@ -66,25 +66,26 @@ holds as much as a third of them."""
 _programs: dict[Any, _TracedFunction | None] = {}
 
 
-def in_numpy[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+def in_numpy[**P, R](function: Callable[P, R], most_values: int | None = None) -> Callable[P, R]:
     """Return a function of JAX that NumPy evaluates; where it cannot, and in a trace of another, as `kept` does.
 
     Parameters
     ----------
     function : of a module, not a closure; what it returns depends on its arguments and the package's sources alone.
+    most_values : computed in one run, above which it is compiled; `MOST_VALUES` if None.
     """
-    return cast(Callable[P, R], _InNumpy(function))
+    return cast(Callable[P, R], _InNumpy(function, most_values))
 
 
 class _InNumpy:
-    def __init__(self, function: Callable):
-        self.function, self.otherwise = function, compiled.kept(function)
+    def __init__(self, function: Callable, most_values: int | None):
+        self.function, self.otherwise, self.most_values = function, compiled.kept(function), most_values
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if not core.trace_state_clean():
             return self.otherwise(*args, **kwargs)
         given = Arguments.of(args, kwargs)
-        found = _traced(self.function, False, given)
+        found = _traced(self.function, False, given, self.most_values)
         if found is None:
             return self.otherwise(*args, **kwargs)
         with np.errstate(all="ignore"):
@@ -115,14 +116,17 @@ def linearised_in_numpy(function: Callable[..., Any], *arguments: Any) -> Pushed
     return value, pushed
 
 
-def _traced(function: Callable, with_derivative: bool, given: Arguments) -> _TracedFunction | None:
+def _traced(
+    function: Callable, with_derivative: bool, given: Arguments, most_values: int | None = None
+) -> _TracedFunction | None:
     """Return the program of a function for arguments like these; None where NumPy cannot evaluate it."""
     key = (function, with_derivative, given.kinds, config.trace_context())
     if key in _programs:
         _programs[key] = _programs.pop(key)  # used last
         return _programs[key]
     found = _found_or_traced(function, with_derivative, given.slotted())
-    found = None if found is None or found.program.work > MOST_VALUES else found
+    most = MOST_VALUES if most_values is None else most_values
+    found = None if found is None or found.program.work > most else found
     _programs[key] = found
     held = [0 if each is None else len(each.program.steps) for each in _programs.values()]
     for other, total in zip(list(_programs), sum(held) - np.cumsum([0, *held[:-1]]), strict=True):

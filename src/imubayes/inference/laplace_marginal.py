@@ -167,9 +167,9 @@ class MarginalSlope:
 
 
 @kept
-def _traced_slopes(problem: Problem, about: Linearised, points: Float[Array, "N H"]):
-    """Return the Laplace marginal and its gradient at several h, one after another in one call of compiled code."""
-    return jax.lax.map(lambda h: jax.value_and_grad(log_marginal, argnums=2)(problem, about, h), points)
+def _traced_slope(problem: Problem, about: Linearised, h: Float[Array, " H"]):
+    """Return the Laplace marginal and its gradient at one h: one program, whatever the number of points."""
+    return jax.value_and_grad(log_marginal, argnums=2)(problem, about, h)
 
 
 class ScaleMarginal:
@@ -199,8 +199,8 @@ class ScaleMarginal:
         """Return log p(y, h), (n,), and its gradient, (n, H), at several h, (n, H)."""
         if self.statistics is not None:
             return self.statistics.slopes(points)
-        value, gradient = _traced_slopes(self.problem, self.about, points)
-        return np.asarray(value), np.asarray(gradient)
+        found = [_traced_slope(self.problem, self.about, point) for point in points]
+        return np.array([float(value) for value, _ in found]), np.stack([np.asarray(slope) for _, slope in found])
 
     def slope(self, h: np.ndarray) -> MarginalSlope:
         """Return value and gradient at one h, (H,)."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from imubayes.effects.base import AmbientEffect
 from imubayes.inference.laplace_marginal import inverse_of_precision, whitened_about
-from imubayes.inference.parameter_fit import linearise
+from imubayes.inference.parameter_fit import linearise_once
 from imubayes.model.bind import Model
 from imubayes.model.carried_motion import first_point
 from imubayes.model.effect_registry import Registry
@@ -57,7 +57,7 @@ class LinearInformation:
 def linear_information(model: Model, h: np.ndarray | None = None) -> LinearInformation:
     """Return the linear model at noise scales h, (H,), those of the campaign if None."""
     start = first_point(model.assembly)
-    about = linearise(model.problem, start)
+    about = linearise_once(model.problem, start)
     scales = np.zeros(len(model.hyper_layout)) if h is None else h
     residual, jacobian, widths = whitened_about(model.problem, about, scales)
     owner = np.array([parameter.effect for parameter in model.layout.parameters])

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.compiled.in_numpy import in_numpy
 from imubayes.compiled.kept_programs import kept
 from imubayes.foundations.arrays import Array, Float, on_host
 from imubayes.inference.least_squares import GramCholesky, LeastSquares, minimise
@@ -91,3 +92,12 @@ def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
     """Return the model linearised about z, as arrays of NumPy."""
     found = _fit_parameters(problem, *map(np.asarray, (z, np.zeros(problem.size[1]), _ANY)))
     return on_host(found.aux)
+
+
+# At most some 7 s of NumPy (1e9 values take 1.4 s): to compile the program of a fit takes 10 s and more.
+_linearised_in_numpy = in_numpy(linearised, most_values=5_000_000_000)
+
+
+def linearise_once(problem: Problem, z: Float[Array, " P"]) -> Linearised:
+    """Return the same as `linearise`, for a model that is not fitted: compiling it would take longer."""
+    return on_host(_linearised_in_numpy(problem, np.asarray(z)))

@@ -29,14 +29,14 @@ class CarriedInstants(eqx.Module):
 
     Attributes
     ----------
-    node : shape (n,), place among all nodes.
+    of_node : shape (N,), place of each node of the campaign among them; n for one that is not carried.
     turn, step : shape (n,), transition, and steps from its start.
     back : shape (n,), whether its pose is that at the end of the transition.
     before, after : shape (n,), the steps before and after it, as t·K + k; the same one at the ends.
     per_second : shape (n,), one over the time between the middles of these steps, 1/s; 0 at the ends.
     """
 
-    node: Int[Array, " n"]
+    of_node: Int[Array, " N"]
     turn: Int[Array, " n"]
     step: Int[Array, " n"]
     back: Bool[Array, " n"]
@@ -60,8 +60,10 @@ def bind_carried(assembly: Assembly, transitions: Transitions | None) -> Carried
     before, after = np.maximum(step - 1, 0), np.minimum(step, steps - 1)
     apart = 0.5 * (length[turn, before] + length[turn, after])
     width = length.shape[1]
+    of_node = np.full(len(hand.carried), len(node))
+    of_node[node] = np.arange(len(node))
     return CarriedInstants(
-        node=node,
+        of_node=of_node,
         turn=turn,
         step=step,
         back=hand.back[node],
@@ -75,14 +77,12 @@ def carried_motion(
     transitions: Transitions,
     carried: CarriedInstants,
     rate: Float[Array, "TK 3"],
-    count: int,
 ) -> HandMotion:
     """Return the motion of every node since its pose; of a node that is not carried the identity.
 
     Parameters
     ----------
     rate : mean inertial rate of every step, rad/s, body axes.
-    count : number of all nodes.
     """
     rotation = rate.reshape(*transitions.step.shape, 3) * transitions.step[..., None] + transitions.coning
     total, since_start = _since_start(jax.vmap(jax.vmap(exponential))(rotation))
@@ -92,13 +92,17 @@ def carried_motion(
     elapsed = jnp.concatenate([jnp.zeros((len(transitions.step), 1)), jnp.cumsum(transitions.step, axis=1)], axis=1)
     time = elapsed[carried.turn, carried.step] - jnp.where(carried.back, elapsed[carried.turn, -1], 0.0)
     early, late = take(rate, carried.before), take(rate, carried.after)
-    eye, zero = jnp.broadcast_to(jnp.eye(3), (count, 3, 3)), jnp.zeros((count, 3))
+
+    def of_all(values: Array, otherwise: Array) -> Array:
+        return take(jnp.concatenate([values, otherwise[None]]), carried.of_node)
+
+    none = jnp.zeros(3)
     return HandMotion(
-        turn=eye.at[carried.node].set(turn),
-        elapsed=jnp.zeros(count).at[carried.node].set(time),
-        rate=zero.at[carried.node].set(0.5 * (early + late)),
-        acceleration=zero.at[carried.node].set((late - early) * carried.per_second[:, None]),
-        carried=jnp.zeros(count).at[carried.node].set(1.0),
+        turn=of_all(turn, jnp.eye(3)),
+        elapsed=of_all(time, none[0]),
+        rate=of_all(0.5 * (early + late), none),
+        acceleration=of_all((late - early) * carried.per_second[:, None], none),
+        carried=of_all(jnp.ones(len(carried.turn)), none[0]),
     )
 
 

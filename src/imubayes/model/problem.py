@@ -294,7 +294,7 @@ def _rates(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "TK 3"]
 def _signal_path(problem: Problem, values: Float[Array, " V"], rate: Float[Array, "TK 3"] | None) -> SignalPath:
     nodes = problem.nodes
     if problem.carried is not None and problem.transitions is not None and rate is not None:
-        hand = carried_motion(problem.transitions, problem.carried, rate, len(nodes.stand))
+        hand = carried_motion(problem.transitions, problem.carried, rate)
         nodes = replace(nodes, hand=hand)
     return propagate(problem.layers, initial_path(nodes), values)
 

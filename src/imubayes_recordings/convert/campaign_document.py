@@ -18,6 +18,7 @@ from imubayes_recordings.convert.column_names import (
     GYRO_UNITS,
     GYROS,
     SIX,
+    TABLE_ANGLE,
     TABLE_RATE,
     TEMPERATURE,
     TIME,
@@ -68,9 +69,10 @@ def make_campaign(runs: Sequence[RecordedRun], options: ConvertOptions, name: st
     site_notes: list[str] = []
     site = _site(options, site_notes)
     gravity = site.get("gravity_m_s2") or normal_gravity(math.radians(site["latitude_deg"]), options.height_m)
+    runs = _in_own_units(runs, source)
     longest = max(runs, key=_rows)
     units = find_units(longest.columns, longest.units, options, source)
-    runs = [_in_rates(_temperatures(run, source), units, source) for run in runs]
+    runs = [_in_rates(run, units, source) for run in runs]
     longest = max(runs, key=_rows)
     stated = replace(options, accel_unit=units.accel or "m/s^2", gyro_unit=units.gyro or "rad/s")
     notes = [f"converted from {source}", *(note for run in runs for note in run.notes)]
@@ -266,6 +268,26 @@ def _temperatures(run: RecordedRun, where: str) -> RecordedRun:
         allowed = "degC, K or degF"
         raise input_error(f"temperatures are in {unit}", where, allowed, "state another column of temperature_degC")
     return replace(run, columns=run.columns | {TEMPERATURE: turned(values)})
+
+
+def _in_own_units(runs: Sequence[RecordedRun], where: str) -> list[RecordedRun]:
+    """Return the runs with temperatures in °C, and the motion of the table in deg and s."""
+    return [_of_table(_temperatures(run, where), where) for run in runs]
+
+
+def _of_table(run: RecordedRun, where: str) -> RecordedRun:
+    """Return the run with the rate of the table in deg/s and its angle in deg, whatever unit their names state."""
+    columns = dict(run.columns)
+    for name, units, own in ((TABLE_RATE, GYRO_UNITS, "deg/s"), (TABLE_ANGLE, GYRO_UNITS, "deg")):
+        unit = run.units.get(name, own)
+        if name not in columns or unit == own:
+            continue
+        known = units.get(unit)
+        if known is None or unit == "count" or known.increment != units[own].increment:
+            remedy = f"state another column of {name}, or convert it"
+            raise input_error(f"column {name} is in {unit}", where, f"{own}, or a unit that is one in rad", remedy)
+        columns[name] = np.degrees(np.asarray(columns[name]) / known.scale * to_si(known.per))
+    return replace(run, columns=columns)
 
 
 def _in_rates(run: RecordedRun, units: Units, where: str) -> RecordedRun:

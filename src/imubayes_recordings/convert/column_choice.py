@@ -25,6 +25,8 @@ from imubayes_recordings.convert.column_names import (
     quantity_of,
     role_of,
     separate_gravity,
+    unit_in_brackets,
+    without_gravity,
     words_of,
 )
 from imubayes_recordings.convert.options import ConvertOptions
@@ -95,10 +97,21 @@ def choose_tables(recordings: Sequence[SourceRecording], options: ConvertOptions
         raise InputError(tables[0].faults or _nothing(tables))
     usable = [table for table in (stated or tables) if table.usable] or _refuse(tables, alone)
     chosen = _one_way(usable, len(options.topic) > 1)
+    _refuse_lost_kind(tables, chosen, options)
     read = {id(table.recording) for table in chosen}
     if idle := [table for table in tables if id(table.recording) not in read]:
         _refuse(idle, alone=True)  # a file of which nothing is read was not given for nothing
     return chosen
+
+
+def _refuse_lost_kind(tables: Sequence[ChosenTable], chosen: Sequence[ChosenTable], options: ConvertOptions) -> None:
+    """Raise InputError where a topic names the channels that no chosen table has, and cannot serve."""
+    kinds = "".join(table.kinds for table in chosen)
+    for table in () if options.topic or options.columns else tables:
+        roles = [role_of(column.name, column.unit) for column in table.topic.columns if column.name]
+        named = {kind for kind, names in TRIPLES.items() for role in roles if role and role.target in names}
+        if table.faults and named - set(kinds):
+            raise InputError(table.faults)
 
 
 def _topics(recordings: Sequence[SourceRecording], options: ConvertOptions) -> list[tuple[SourceRecording, Topic]]:
@@ -123,16 +136,17 @@ def _one_way(usable: Sequence[ChosenTable], session: bool) -> tuple[ChosenTable,
 
     Parameters
     ----------
-    session : whether several topics are stated: those with both kinds each are the runs of a session.
+    session : whether several topics are stated: those that have the same kinds each are the runs of a session.
     """
     by_kind = {kinds: [table for table in usable if table.kinds == kinds] for kinds in _HOLDS}
     whole, apart = by_kind["ag"], [by_kind["a"], by_kind["g"]]
     candidates = whole or [*apart[0], *apart[1]]
-    if not (session and len(whole) == len(usable)) and _is_open(*by_kind.values()):
+    alike = len({table.kinds for table in usable}) == 1
+    if not (session and alike) and _is_open(*by_kind.values()):
         listed = {table.topic.name or table.recording.file.name: _HOLDS[table.kinds] for table in candidates}
         first, *others = listed
         several = (
-            f"; runs of one unit are stated together: --topic {first} --topic {others[0]}" if whole and others else ""
+            f"; runs of one unit are stated together: --topic {first} --topic {others[0]}" if alike and others else ""
         )
         issue = Issue(
             f"{len(candidates)} topics hold channels",
@@ -189,20 +203,26 @@ def _table(recording: SourceRecording, topic: Topic, options: ConvertOptions, al
         rates = body_rates(topic.names)
         roles = [rates.get(place, role) for place, role in enumerate(roles)]
     try:
-        columns = _with_gravity(topic, stated | _by_name(topic, roles, stated))
+        columns = _with_gravity(topic, stated | _by_name(topic, roles, stated), options)
     except InputError as error:
         return replace(table, columns=stated, faults=error.issues)
     return _checked(replace(table, columns=columns), roles, options)
 
 
-def _with_gravity(topic: Topic, columns: dict[str, ChosenColumn]) -> dict[str, ChosenColumn]:
+def _with_gravity(topic: Topic, columns: dict[str, ChosenColumn], options: ConvertOptions) -> dict[str, ChosenColumn]:
     """Return columns with accelerometers as sums of gravity and the rest, if there are no others."""
     if any(name in columns for name in ACCELEROMETERS):
         return columns
-    return columns | {
-        name: ChosenColumn(parts.motion, parts.unit, added=parts.gravity)
-        for name, parts in separate_gravity(topic.names).items()
-    }
+    sums = separate_gravity(topic.names)
+    if not sums and (motion := without_gravity(topic.names)) and not any(name in options.columns for name in SIX):
+        raise input_error(
+            f"gravity was subtracted from {', '.join(topic.names[place] for place in motion)}, and no column has it",
+            topic.where,
+            "the full reading of the accelerometers, or gravity and the acceleration beside it",
+            "record the accelerometers themselves; to read the gyros alone: --column gx=NAME --column gy=NAME "
+            "--column gz=NAME",
+        )
+    return columns | {name: ChosenColumn(parts.motion, parts.unit, added=parts.gravity) for name, parts in sums.items()}
 
 
 def _checked(table: ChosenTable, roles: Sequence[ColumnRole | None], options: ConvertOptions) -> ChosenTable:
@@ -262,7 +282,8 @@ def _stated(topic: Topic, target: str, source: str | int, roles: Sequence[Column
         word, sign = word[1:], -1.0
     position = topic.position(word, target)
     role = roles[position]
-    return ChosenColumn(position, role.unit if role else "", sign)
+    named = unit_in_brackets(topic.names[position]) if role is None or not role.unit else ""
+    return ChosenColumn(position, named or (role.unit if role else ""), sign)
 
 
 def _resolved(role: ColumnRole | None, topic: Topic, recording: SourceRecording) -> ColumnRole | None:
@@ -286,7 +307,7 @@ def _without_names(
 ) -> ChosenTable:
     topic, recording = table.topic, table.recording
     if any(name in stated for name in SIX):
-        return replace(table, columns=dict(stated))
+        return _by_number(table, stated, alone)
     width = len(topic.columns)
     names = topic.note if topic.misfit else f"the table has {width} columns and no names"
     state = "state the column of each channel, such as --column ax=NUMBER"
@@ -308,6 +329,16 @@ def _without_names(
     if options.sample_rate_hz is not None and TIME not in stated:
         columns.pop(TIME, None)
     return replace(table, columns=columns, evidence=layout.evidence, left=_labels(topic))
+
+
+def _by_number(table: ChosenTable, stated: Mapping[str, ChosenColumn], alone: bool) -> ChosenTable:
+    """Return a table with its stated columns.
+
+    Of several topics each has the channels of its own kind: numbers of columns are alike in all.
+    """
+    kind = "" if alone else hinted_kind(table.topic, table.recording)
+    own = {name: column for name, column in stated.items() if not kind or name not in SIX or name[0] == kind}
+    return replace(table, columns=own, faults=tuple(_read_twice(table.topic, own)))
 
 
 def _labels(topic: Topic) -> tuple[str, ...]:

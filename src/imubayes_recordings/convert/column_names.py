@@ -14,7 +14,7 @@ from imubayes.foundations.covariates import recorded_columns
 ACCELEROMETERS, GYROS = ("ax", "ay", "az"), ("gx", "gy", "gz")
 SIX = (*ACCELEROMETERS, *GYROS)
 TIME, TEMPERATURE, SAMPLES, COUNTER = "time_s", "temperature_degC", "samples", "counter"
-DATE, CLOCK, TABLE_RATE = "date", "clock", "table_rate_deg_s"
+DATE, CLOCK, TABLE_RATE, TABLE_ANGLE = "date", "clock", "table_rate_deg_s", "table_angle_deg"
 UNKNOWN_AXES = ("?x", "?y", "?z")
 """Axes of a quantity that neither the name nor the unit of the column says."""
 
@@ -75,15 +75,16 @@ _SPELLED = {
     "d": "day days",
     "degC": "c degc °c ºc celsius deg.c",
     "K": "k kelvin",
-    "degF": "degf °f fahrenheit",
+    "degF": "degf °f fahrenheit deg.f",
 }
 _UNITS = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
 # Units as the last words of a name: accel_x_m_s2, gyro_rad_s, temp_degC.
 _ENDINGS = (
     ("m", "s2", "m/s^2"), ("m", "s", "s", "m/s^2"), ("m", "s", "2", "m/s^2"), ("ms", "2", "m/s^2"),
     ("mps", "2", "m/s^2"), ("m", "s", "m/s"), ("s", "2", "m/s^2"),
-    ("rad", "s", "rad/s"), ("rad", "sec", "rad/s"), ("rad", "per", "s", "rad/s"), ("deg", "s", "deg/s"),
-    ("deg", "sec", "deg/s"), ("deg", "per", "s", "deg/s"), ("deg", "h", "deg/h"), ("deg", "c", "degC"),
+    ("rad", "s", "rad/s"), ("rad", "sec", "rad/s"), ("rad", "per", "s", "rad/s"), ("rad", "per", "sec", "rad/s"),
+    ("deg", "s", "deg/s"), ("deg", "sec", "deg/s"), ("deg", "per", "s", "deg/s"), ("deg", "per", "sec", "deg/s"),
+    ("deg", "h", "deg/h"), ("deg", "c", "degC"),
     ("mdeg", "s", "mdeg/s"), ("mrad", "s", "mrad/s"),
 )  # fmt: skip
 
@@ -103,7 +104,7 @@ _NEITHER = _words(
     "mag magn magnetometer magnetic compass baro barometer gps gnss quat quaternion euler roll pitch yaw cov covariance"
     " var variance position pos gravity grav bias true ref reference nominal target ideal set max min error err user"
     " altitude lat lon latitude longitude integral delta setpoint clipping clip status free orientation linearacc"
-    " angle angles inclination tilt heading attitude speed"
+    " drift angle angles inclination tilt heading attitude speed"
 )
 _GRAVITY, _MOTION = _words("gravity grav"), _words("user linear linearacc")
 WITHOUT_GRAVITY = frozenset({"lin"})
@@ -163,6 +164,11 @@ def unit_named(word: str) -> str:
 def is_unit(cell: str) -> bool:
     """Tell whether a cell of a text table is a unit and not a name: `g` is both."""
     return bool(unit_named(cell)) or cell.strip() in ("-", "1", "[]", "[-]")
+
+
+def unit_in_brackets(name: str) -> str:
+    """Return the unit that a name states in brackets; empty where it states none."""
+    return next((unit for found in _BRACKETED.findall(name) if (unit := unit_named(found))), "")
 
 
 def words_of(name: str) -> list[str]:
@@ -242,6 +248,20 @@ def separate_gravity(names: Sequence[str]) -> dict[str, SeparateGravity]:
 
     A phone estimates gravity and subtracts it: what is left is the acceleration of its user.
     """
+    gravity, motion = (_parts_of_force(names)[part] for part in ("gravity", "motion"))
+    if not set(gravity) == set(motion) == set(_AXES) or any(gravity[axis][1] != motion[axis][1] for axis in _AXES):
+        return {}
+    return {f"a{axis}": SeparateGravity(gravity[axis][0], motion[axis][0], gravity[axis][1]) for axis in _AXES}
+
+
+def without_gravity(names: Sequence[str]) -> tuple[int, ...]:
+    """Return the places of three accelerations from which gravity was subtracted; empty unless all axes have one."""
+    motion = _parts_of_force(names)["motion"]
+    return tuple(motion[axis][0] for axis in _AXES) if set(motion) == set(_AXES) else ()
+
+
+def _parts_of_force(names: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
+    """Return part → axis → place and unit of the columns of gravity, and of the acceleration beside it."""
     found: dict[str, dict[str, tuple[int, str]]] = {"gravity": {}, "motion": {}}
     for place, name in enumerate(names):
         words = words_of(_BRACKETED.sub(" ", name))
@@ -250,10 +270,7 @@ def separate_gravity(names: Sequence[str]) -> dict[str, SeparateGravity]:
         if part and len(axes) == 1 and axes[0] not in found[part]:
             unit = next((unit for word in _BRACKETED.findall(name) if (unit := unit_named(word))), "")
             found[part][axes[0]] = place, unit
-    gravity, motion = found["gravity"], found["motion"]
-    if not set(gravity) == set(motion) == set(_AXES) or any(gravity[axis][1] != motion[axis][1] for axis in _AXES):
-        return {}
-    return {f"a{axis}": SeparateGravity(gravity[axis][0], motion[axis][0], gravity[axis][1]) for axis in _AXES}
+    return found
 
 
 def quantity_of(words: set[str], unit: str) -> str:
@@ -303,7 +320,7 @@ def _beside(words: list[str], unit: str) -> ColumnRole | None:
     """Return the role of a time, a temperature or a counter."""
     known = set(words)
     group = tuple(word for word in words if word not in _TIMES | _TEMPERATURES)
-    if known & _TEMPERATURES or (words in (["t"], ["tc"]) and unit in TEMPERATURE_UNITS):
+    if known & _TEMPERATURES or _is_warmth(words, unit):
         return ColumnRole(TEMPERATURE, unit, group)
     written = {"ustime": "us", "mstime": "ms"}.get(words[0]) or _UNITS.get(words[0], "")
     if unit in (*TIME_UNITS, "") and (known & _TIMES or (len(words) == 1 and written in TIME_UNITS)):
@@ -311,6 +328,11 @@ def _beside(words: list[str], unit: str) -> ColumnRole | None:
     if known <= _COUNTERS | {"imu", "no"} or words == ["n"]:
         return ColumnRole(COUNTER, "", group)
     return None
+
+
+def _is_warmth(words: Sequence[str], unit: str) -> bool:
+    """Tell a temperature by its unit; `K` alone may be something else."""
+    return unit in ("degC", "degF") or (unit == "K" and list(words) in (["t"], ["tc"], ["ts"]))
 
 
 def _apart(words: list[str]) -> tuple[list[str], str]:

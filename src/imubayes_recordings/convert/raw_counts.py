@@ -24,6 +24,7 @@ from imubayes.foundations.errors import InputError, input_error
 from imubayes.foundations.units import to_si
 from imubayes_recordings.convert.column_names import ACCELEROMETERS, GYROS, SIX, TIME
 from imubayes_recordings.convert.options import ConvertOptions
+from imubayes_recordings.convert.stated_motion import counts_of_table
 from imubayes_recordings.convert.stated_turns import counts_of_turns
 
 QUIET = 6.0  # multiple of the variance at rest
@@ -214,6 +215,7 @@ def nominal_of_counts(
     accel = _given(options.accel_unit, options.accel_scale, options.accel_offset)
     gyro = _given(options.gyro_unit, options.gyro_scale, options.gyro_offset)
     gyro = _by_turns(columns, options, notes, source) if gyro is None else gyro
+    gyro = _by_table(columns, options, notes) if gyro is None else gyro
     if accel is None or gyro is None:
         accel, gyro = _estimated(columns, options, gravity, accel, gyro, notes, source)
     pairs = {}
@@ -237,6 +239,18 @@ def _by_turns(
     found.scale[places], found.offset[places] = scale, offset
     how = f"turns through {options.turn_deg:g} deg"
     gyro, note = _nominal("gyros", how, found, options.gyro_scale, options.gyro_offset)
+    notes.append(note)
+    return gyro
+
+
+def _by_table(columns: Mapping[str, np.ndarray], options: ConvertOptions, notes: list[str]) -> Nominal | None:
+    """Return the nominal calibration of gyros by the rate of the table; None where it is not recorded."""
+    names = [name for name in GYROS if name in columns]
+    if (known := counts_of_table(columns, names)) is None:
+        return None
+    found = Nominal(np.full(3, known[0]), np.zeros(3))
+    found.offset[[GYROS.index(name) for name in names]] = known[1]
+    gyro, note = _nominal("gyros", "the rate of the table", found, options.gyro_scale, options.gyro_offset)
     notes.append(note)
     return gyro
 

@@ -17,7 +17,7 @@ from imubayes.foundations.campaign_data import GRADES, Campaign, Grade
 from imubayes.foundations.tail_probabilities import chi2_survival, normal_survival
 from imubayes.inference.laplace_marginal import climb, inverse_of_precision
 from imubayes.inference.linear_information import TOLD, linear_information
-from imubayes.inference.parameter_fit import linearise
+from imubayes.inference.parameter_fit import linearise_once
 from imubayes.model.bind import Model, bind
 from imubayes.model.carried_motion import first_point
 from imubayes.model.model_file import ModelSpec
@@ -80,7 +80,8 @@ def shown_grade(campaign: Campaign, proposal: EffectProposal) -> ShownGrade | No
     grade: Grade = coarser[0]
     # Under the widest priors the noise scales do not make up for errors that the priors forbid.
     wide = _graded(spec, campaign, grade)
-    h, _ = climb(wide.problem, linearise(wide.problem, first_point(wide.assembly)), np.zeros(len(wide.hyper_layout)))
+    about = linearise_once(wide.problem, first_point(wide.assembly))
+    h, _ = climb(wide.problem, about, np.zeros(len(wide.hyper_layout)))
     plain = _distances(bind(spec, campaign), h)
     if not plain.contradict:
         return None

@@ -1,7 +1,8 @@
 """Units of the channels: as stated, or as the numbers say, with the evidence; asked for where two fit.
 
 Accelerometers at rest read g in some unit.  Gyros at rest say little; the turns between poses do: the angle between the
-directions of gravity before and after a turn is what the gyros integrate to, in rad, deg or counts.
+directions of gravity before and after a turn is what the gyros integrate to, in rad, deg or counts.  Turns through a
+stated angle, and the rate of a table, do as well (`stated_motion`).
 """
 
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ from imubayes_recordings.convert.column_names import ACCEL_UNITS, ACCELEROMETERS
 from imubayes_recordings.convert.motion_kind import per_radian_in_motion
 from imubayes_recordings.convert.options import ConvertOptions
 from imubayes_recordings.convert.raw_counts import LEAST_TURNS, estimate_gyros, find_poses
+from imubayes_recordings.convert.stated_motion import per_radian_of_stated_motion
 from imubayes_recordings.convert.unnamed_columns import GRAVITY, READ, rest_means, unit_of_gravity
 
 _PER_RADIAN = {"rad/s": 1.0, "deg/s": 57.29578, "mrad/s": 1000.0, "mdeg/s": 57295.78}
@@ -73,7 +75,7 @@ def find_units(
         accel, guesses["accel_unit"] = _of_accelerometers(force, where)
     gyro = _of_stated_gyros(columns, stated, options, where)
     if not gyro and any(name in columns for name in GYROS):
-        gyro, guesses["gyro_unit"] = _of_gyros(columns, accel, where)
+        gyro, guesses["gyro_unit"] = _of_gyros(columns, accel, options, where)
     return Units(accel, gyro, guesses)
 
 
@@ -182,16 +184,16 @@ def _whole(values: np.ndarray) -> bool:
     return bool((part % 1 == 0).all() and np.ptp(values, axis=0).max() > _FEW_COUNTS)
 
 
-def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, where: str) -> tuple[str, str]:
-    """Return the unit of the gyros by the turns between poses; without turns, that of the other SI unit."""
-    names, rate = (*SIX, TIME), np.stack([columns[name] for name in GYROS if name in columns], axis=1)
-    known = all(name in columns for name in names)
-    per_radian, turned = _per_radian({name: columns[name] for name in names}, where) if known else (0.0, "")
+def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, options: ConvertOptions, where: str) -> tuple[str, str]:
+    """Return the unit of the gyros by a stated motion or the turns between poses; else that of the other SI unit."""
+    rate = np.stack([columns[name] for name in GYROS if name in columns], axis=1)
+    stated, how = per_radian_of_stated_motion(columns, options, where)
+    per_radian, turned = (stated, f" ({how})") if stated else _of_poses(columns, where)
     if _whole(rate):  # counts may have nearly the scale of a unit
         return "count", f"whole numbers{turned}"
     near = [unit for unit, size in _PER_RADIAN.items() if abs(per_radian / size - 1) < _NEAR]
     if near:
-        return near[0], f"turns between poses integrate to {per_radian:.4g} {near[0].split('/')[0]} per radian"
+        return near[0], how or f"turns between poses integrate to {per_radian:.4g} {near[0].split('/')[0]} per radian"
     size = float(np.median(np.linalg.norm(rest_means(rate), axis=1)))
     if accel == "m/s^2" and not turned:
         if size < _LARGEST_BIAS["rad/s"]:
@@ -204,15 +206,24 @@ def _of_gyros(columns: Mapping[str, np.ndarray], accel: str, where: str) -> tupl
                 f"{size:.3g} at rest is too large for a bias in rad/s; without turns the unit is not "
                 f"tested; if it is another one, state --gyro-unit"
             )
-    told = (
-        "the accelerometers do not determine it"
-        if accel
-        else ("there are no accelerometers and no turns to determine it")
-    )
+    told = "no usual one fits" if stated else _not_told(accel)
     raise input_error(
         f"the unit of the gyros is not known{turned}: {told}", where, ", ".join(GYRO_UNITS),
         "state it, such as --gyro-unit deg/s" + _other_rate(columns.get(TIME), per_radian),
     )  # fmt: skip
+
+
+def _of_poses(columns: Mapping[str, np.ndarray], where: str) -> tuple[float, str]:
+    """Return what the gyros read for one radian by the turns between poses; 0 and nothing where they are not known."""
+    names = (*SIX, TIME)
+    known = all(name in columns for name in names)
+    return _per_radian({name: columns[name] for name in names}, where) if known else (0.0, "")
+
+
+def _not_told(accel: str) -> str:
+    if accel:
+        return "the accelerometers do not determine it"
+    return "there are no accelerometers and no turns to determine it"
 
 
 def _other_rate(time: np.ndarray | None, per_radian: float) -> str:

@@ -30,7 +30,7 @@ from imubayes_recordings.noise_analysis.running_sum import OutlyingSamples, Runn
 from imubayes_recordings.noise_analysis.spectral_lines import SpectralLine
 from imubayes_recordings.noise_analysis.term_estimates import PROBABILITY, NoiseEstimate, TermEstimate, estimate_terms
 
-PROCEDURE = "static_record"
+PROCEDURE, _WARM_UP = "static_record", "thermal_ramp"
 _TEMPERATURE = "temperature_degC"
 LEAST_SAMPLES = 256
 _CORRELATION_TIME = "correlation_time"
@@ -199,8 +199,19 @@ def _chosen(campaign: Campaign, names: Sequence[str]) -> list[Run]:
     if unknown or not records:
         what = f"'{unknown[0]}' is not a static record" if unknown else "there is no static record"
         allowed = closest_first(unknown[0], list(records)) if unknown and records else f"a run of {PROCEDURE}"
-        raise input_error(what, f"campaign '{campaign.name}'", allowed, "name a run of this procedure, or add one")
+        raise input_error(what, f"campaign '{campaign.name}'", allowed, _remedy(campaign, unknown))
     return [records[name] for name in names] if names else list(records.values())
+
+
+def _remedy(campaign: Campaign, names: Sequence[str]) -> str:
+    """Return what to do without a static record: a warm-up in one attitude may be read as one."""
+    still = [run.name for run in campaign.runs if run.procedure == _WARM_UP and run.name in (names or [run.name])]
+    if not still:
+        return "name a run of this procedure, or add one"
+    return (
+        f"write procedure = \"{PROCEDURE}\" in the [[run]] of '{still[0]}', a {_WARM_UP} in one attitude: its drift "
+        f"with temperature counts as noise then; or convert a part at constant temperature with --procedure {PROCEDURE}"
+    )
 
 
 def _of_channel(

@@ -6,6 +6,7 @@ column (`log_reduction`).  The second pass averages each span exactly (`span_mea
 left out.  Memory does not grow with the length of the log.
 """
 
+from imubayes.campaign.reduction.clock_offset import clock_offset
 from imubayes.campaign.reduction.constant_spans import BenchSettings, Span, UnsettledLevel, constant_spans
 from imubayes.campaign.reduction.log_reduction import Limits, Rows, SegmentTracker, clipping_note, reduce_log
 from imubayes.campaign.reduction.log_survey import (
@@ -26,6 +27,7 @@ __all__ = [
     "Span",
     "UnsettledLevel",
     "clipping_note",
+    "clock_offset",
     "constant_spans",
     "reduce_log",
     "refuse_impossible_rate",

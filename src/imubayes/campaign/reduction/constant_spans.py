@@ -382,6 +382,25 @@ def wrap_degrees(angle: np.ndarray) -> np.ndarray:
     return (angle + 180.0) % 360.0 - 180.0
 
 
+def table_rates(blocks: BlockSurvey) -> np.ndarray:
+    """Return the rate of the table in each block, deg/s, shape (B,): of its angle, which no command precedes."""
+    if "table_angle_deg" in blocks.mean and np.median(blocks.count) > 1:
+        return np.where(_holed(blocks), np.nan, _rate_of_angle(blocks)[0])
+    return _rate(blocks)[0]
+
+
+def typical_level(blocks: BlockSurvey) -> float:
+    """Return how long the level of rate of a typical row lasts, s."""
+    _, _, label, _ = _levels(blocks, BenchSettings())
+    return _typical_rows(blocks, label) * (blocks.interval or 0.0)
+
+
+def _typical_rows(blocks: BlockSurvey, label: np.ndarray) -> int:
+    """Return the number of rows of the level of a typical row."""
+    rows = np.sort(np.bincount(label, blocks.count))
+    return int(rows[np.searchsorted(np.cumsum(rows), 0.5 * rows.sum())])
+
+
 def _rate(blocks: BlockSurvey) -> tuple[np.ndarray, np.ndarray, float]:
     """Return per block the rate and its range within the block, deg/s, and the noise of the block means."""
     still = np.zeros(blocks.size)
@@ -457,6 +476,5 @@ def _least_rows(blocks: BlockSurvey, label: np.ndarray) -> int:
         return 1
     if blocks.interval < LEAST_SECONDS:
         return int(np.ceil(LEAST_SECONDS / blocks.interval))
-    rows = np.sort(np.bincount(label, blocks.count))
-    typical = rows[np.searchsorted(np.cumsum(rows), 0.5 * rows.sum())]  # of the level of a typical row
+    typical = _typical_rows(blocks, label)
     return 1 if typical < LONG_LEVEL_ROWS else max(2, int(np.ceil(LEAST_SHARE * typical)))

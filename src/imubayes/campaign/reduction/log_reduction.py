@@ -7,10 +7,11 @@ a sample at the limit says only that the input was beyond.
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imubayes.campaign.reduction.coarse_thermometer import CoarseTemperature, coarse_temperatures
 from imubayes.campaign.reduction.constant_spans import (
     BIN_KELVIN,
     BIN_SECONDS,
@@ -104,7 +105,8 @@ def reduce_log(
     bench : settings of the table.
     transitions : whether what lies between spans of constant stimulus is used as well, in short means.
     """
-    layout = source.layout
+    layout, coarse = source.layout, coarse_temperatures(blocks)
+    blocks = _with_temperatures(blocks, coarse)
     detected, how = _spans_of(source, reduction, blocks, labelled, bench)
     if transitions:
         detected, how = with_transitions(detected, blocks), f"{how}, and between"
@@ -113,6 +115,7 @@ def reduce_log(
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
     jerked = _jerked(reduced)
     numbers = _columns(columns, layout, reduced, jerked)
+    numbers |= _span_temperatures(blocks, spans, coarse)
     first = tuple(span.start for span in spans)
     if "time_s" not in numbers and blocks.interval is None and all(row.samples == 1 for row in reduced):
         note = f"no 'samples' and no 'time_s' column: each of the {rows} rows counts as one sample"
@@ -124,8 +127,32 @@ def reduce_log(
         numbers,
         first,
         unsteady,
-        (*_account(rows, reduced, how, spans, detected.dropped), *changing, *lost),
+        (*_account(rows, reduced, how, spans, detected.dropped), *changing, *lost, *_between_steps(coarse)),
         tuple(detected.dropped.levels),
+    )
+
+
+def _with_temperatures(blocks: BlockSurvey, coarse: Mapping[str, CoarseTemperature]) -> BlockSurvey:
+    """Return the survey with the temperatures between the steps of coarse thermometers."""
+    return replace(blocks, mean=blocks.mean | {name: each.values for name, each in coarse.items()})
+
+
+def _span_temperatures(
+    blocks: BlockSurvey, spans: Sequence[Span], coarse: Mapping[str, CoarseTemperature]
+) -> dict[str, np.ndarray]:
+    """Return column → means over spans, (S,), of the temperatures of coarse thermometers."""
+    edges = [np.searchsorted(blocks.start, (span.start, span.stop)) for span in spans]
+    return {
+        name: np.array([np.nanmean(each.values[first : max(last, first + 1)]) for first, last in edges])
+        for name, each in coarse.items()
+    }
+
+
+def _between_steps(coarse: Mapping[str, CoarseTemperature]) -> tuple[str, ...]:
+    """Return a note on each thermometer that is coarse."""
+    return tuple(
+        f"'{name}' has steps of {each.step:.3g} °C: it is interpolated between the instants of its steps"
+        for name, each in coarse.items()
     )
 
 

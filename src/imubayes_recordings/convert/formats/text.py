@@ -1,15 +1,16 @@
 """Text tables of any layout, read block by block; a few damaged lines are left out and counted."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from imubayes.foundations.errors import input_error
+from imubayes.foundations.errors import InputError, input_error
 from imubayes_recordings.convert.formats.cell_values import VALUE, CellKind
 from imubayes_recordings.convert.formats.text_layout import (
     COMMENT_SIGN,
+    TextLayout,
     find_layout,
     open_text,
 )
@@ -17,6 +18,7 @@ from imubayes_recordings.convert.recording import BLOCK_ROWS, SourceColumn, Sour
 
 _MOST_DAMAGED = 1e-4  # share of the lines; a torn last line is left out besides
 _LINES_FOR_ONE = 1000  # of which one may be damaged
+_PROBED_LINES, _MOST_KINDS = 300, 12
 
 
 class TextRecording(SourceRecording):
@@ -32,7 +34,7 @@ class TextRecording(SourceRecording):
         layout = self.layout
         if layout.tags:
             return tuple(
-                Topic(tag, tuple(SourceColumn("", _unit(kind)) for kind in kinds), str(self.file))
+                Topic(tag, tuple(map(SourceColumn, _names(layout, tag), map(_unit, kinds))), str(self.file))
                 for tag, kinds in layout.tags.items()
             )
         fits = len(layout.names) == len(layout.kinds)
@@ -49,7 +51,10 @@ class TextRecording(SourceRecording):
         else:
             note = f"names in line {layout.heading}" if fits else "no names"
             note += f", numbers from line {layout.first}"
-        return (Topic("", columns, where, note, misfit=bool(layout.names) and not fits),)
+        rate = layout.rate
+        note += f", {rate.hz:g} Hz stated in line {rate.line}" if rate else ""
+        misfit = bool(layout.names) and not fits
+        return (Topic("", columns, where, note, rate.hz if rate else None, misfit),)
 
     def blocks(self, topic: Topic, positions: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield rows; a damaged line is a row of NaN, and more than a few are refused."""
@@ -137,6 +142,8 @@ class TextRecording(SourceRecording):
         most = int(np.ceil(self._lines * _MOST_DAMAGED)) if self._lines >= _LINES_FOR_ONE else 0
         if len(self._damaged) - torn > most:
             number, why = self._damaged[0]
+            if kinds := _line_kinds(self.file, self.layout):
+                raise _several_kinds(f"{self.file}:{number}", kinds)
             raise input_error(
                 f"{len(self._damaged)} of {self._lines} lines cannot be read; the first: {why}",
                 f"{self.file}:{number}",
@@ -147,3 +154,29 @@ class TextRecording(SourceRecording):
 
 def _unit(kind: CellKind) -> str:
     return {CellKind.NUMBER: "", CellKind.TEXT: "text"}.get(kind, kind.value)
+
+
+def _names(layout: TextLayout, tag: str) -> tuple[str, ...]:
+    """Return the names of the cells behind a tag, empty where no line lists them."""
+    return layout.tag_names.get(tag) or ("",) * len(layout.tags[tag])
+
+
+def _line_kinds(file: Path, layout: TextLayout) -> dict[str, int]:
+    """Return first cell → number of cells, where a number at the start of a line says what it holds; else nothing."""
+    with open_text(file, layout.encoding) as stream:
+        rows = [layout.cells(line) for line in islice(stream, layout.first - 1, layout.first + _PROBED_LINES)]
+    kinds = {row[0]: len(row) for row in rows if row}
+    steady = all(kinds[row[0]] == len(row) for row in rows if row)
+    return kinds if steady and 1 < len(kinds) <= _MOST_KINDS and len(set(kinds.values())) > 1 else {}
+
+
+def _several_kinds(where: str, kinds: Mapping[str, int]) -> InputError:
+    first, second, *_ = sorted(kinds, key=lambda kind: -kinds[kind])
+    return input_error(
+        "the lines are of several kinds: "
+        + ", ".join(f"'{kind}' with {count} fields" for kind, count in kinds.items()),
+        where,
+        "lines of one kind; or a word that names the sensor at the start of each, such as acc and gyro",
+        f"replace '{first}' and '{second}' at the start of the lines by the names of their sensors, and state the "
+        "fields behind them by number: --column time_s=1 --column ax=2 … --column gx=2 …",
+    )

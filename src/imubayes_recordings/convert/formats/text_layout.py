@@ -5,8 +5,8 @@ import csv
 import gzip
 import lzma
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
@@ -16,6 +16,7 @@ from imubayes.campaign.run_tables import has_decimal_comma
 from imubayes.foundations.errors import InputError, input_error
 from imubayes_recordings.convert.column_names import is_unit, role_of
 from imubayes_recordings.convert.formats.cell_values import CellKind, is_number, kind_of
+from imubayes_recordings.convert.formats.stated_rate import StatedRate, stated_rate
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": None}
 # A sign of numpy.savetxt, MATLAB, C and others before a line that is not data.
@@ -47,6 +48,8 @@ class TextLayout:
     labels : what stands between the numbers, where each line names its numbers: `AX: 0.12 AY: 9.7`, JSON.
     tags : first words of the lines, where each line says what it holds, with the kinds of its columns.
     label_columns : columns that hold the same word in every line.
+    tag_names : first word of lines → names of the cells behind it, where a line above the table lists them.
+    rate : the sampling rate that the lines above the table state; None where they state none.
     """
 
     encoding: str
@@ -61,6 +64,8 @@ class TextLayout:
     head: str = ""
     labels: tuple[str, ...] = ()
     label_columns: frozenset[int] = frozenset()
+    tag_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    rate: StatedRate | None = None
 
     def cells(self, line: str) -> list[str]:
         """Return the cells of a data line, with decimal points."""
@@ -120,7 +125,7 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
         heading, names, units = _heading(lines[:index], separator, {len(cells), width})
         width = len(cells) if len(names) == len(cells) else width
         kinds = tuple(kind_of([row[place] for row in sample if place < len(row)]) for place in range(width))
-        head = dict(lines).get(heading, "").strip()
+        head, tags = dict(lines).get(heading, "").strip(), _tags(sample, names)
         return TextLayout(
             encoding,
             separator,
@@ -130,9 +135,11 @@ def _table(file: Path, encoding: str, lines: Sequence[tuple[int, str]], delimite
             names,
             units,
             kinds,
-            _tags(sample, names),
+            tags,
             head,
+            tag_names=_tag_names(lines[:index], separator, tags),
             label_columns=_label_columns(sample, kinds),
+            rate=stated_rate(lines[:index]),
         )
     raise input_error(
         f"there is no line of numbers among the first {lines[-1][0]} lines",
@@ -313,6 +320,8 @@ def _numbered(words: Sequence[str]) -> Iterator[str]:
 
 def _shortened(cells: Sequence[str]) -> Sequence[str]:
     """Return units without the word that says so, or names without that of remarks, which no line has."""
+    if not cells:
+        return ()
     if cells[0].rstrip(":").lower() in ("unit", "units"):
         return cells[1:]
     return cells[:-1] if cells[-1].lower() in _REMARKS else ()
@@ -344,11 +353,12 @@ def _are_tags(words: Sequence[str], lines: int) -> bool:
 def _tags(sample: Sequence[Sequence[str]], names: Sequence[str] = ()) -> dict[str, tuple[CellKind, ...]]:
     """Return the first words of lines that say what they hold, with the kinds of their cells behind the word.
 
-    One word alone, in every line, says it where it names a sensor; below names for all columns it is a label.
+    One word alone, in every line, says it where it names a sensor; below names for all columns it is a label.  Names
+    that begin with a tag are those of its lines.
     """
     rows = [row for row in sample if len(row) > 2]
     words = [row[0] for row in rows]
-    if _names_all(names, len(sample[0])):
+    if _names_all(names, len(sample[0])) and names[0] not in words:
         return {}
     tags = dict.fromkeys(words if _are_tags(words, len(sample)) else ())
     return {
@@ -358,3 +368,16 @@ def _tags(sample: Sequence[Sequence[str]], names: Sequence[str] = ()) -> dict[st
         )
         for tag in tags
     }
+
+
+def _tag_names(
+    lines: Sequence[tuple[int, str]], separator: str | None, tags: Mapping[str, Sequence[CellKind]]
+) -> dict[str, tuple[str, ...]]:
+    """Return tag → names of its cells, of those tags that begin a line above the table with as many cells."""
+    found = {}
+    for _, line in lines:
+        cells = split_cells(_without_sign(line, separator), separator)
+        text = all(kind_of([cell]) is CellKind.TEXT for cell in cells)
+        if text and cells and len(cells) - 1 == len(tags.get(cells[0], ())) > 0:
+            found[cells[0]] = tuple(cells[1:])
+    return found
