@@ -11,6 +11,8 @@ from xdist.scheduler import LoadScopeScheduling
 
 # Tests replace functions, which the identity of a kept program cannot see.
 os.environ["IMUBAYES_KEEP_PROGRAMS"] = "0"
+# Two test processes share the machine: threads of the linear algebra would wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Everything compiled is kept, for tests and for the commands they run alike, so that it is paid for once.
 os.environ["XDG_CACHE_HOME"] = str(Path(__file__).parents[1] / ".cache" / "commands")
 os.environ["XDG_CONFIG_HOME"] = str(Path(__file__).parents[1] / ".cache" / "configuration")

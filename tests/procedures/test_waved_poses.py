@@ -115,7 +115,7 @@ def test_a_rotation_without_gyros_is_refused_with_the_procedures_that_need_none(
     assert "slow_motion" in raised.value.issues[0].remedy
 
 
-@pytest.mark.compiled
+@pytest.mark.slow
 def test_the_accelerometers_are_recovered_within_their_uncertainties() -> None:
     """Bias and scale factor of three channels, of a hand whose acceleration nobody stated."""
     errors = random_unit(np.random.default_rng(301))
