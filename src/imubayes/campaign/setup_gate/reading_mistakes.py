@@ -339,7 +339,12 @@ class ChannelGain(Mistake):
                     yield cls(scope, names, group, offsets, factor, units)
 
     def like(self, other: Mistake) -> bool:
-        """Return whether another mistake is the sense of the table in the run: alike for the one gyro that turns."""
+        """Return whether another mistake is the sense of the table in the run, alike for the one gyro that turns.
+
+        The same factor of the rates is alike as well.
+        """
+        if isinstance(other, RateUnit):
+            return other.like(self)
         return not self.units and isinstance(other, TableSense) and other.scope == self.scope
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
