@@ -241,9 +241,11 @@ def test_a_record_that_cannot_be_so_wrong_leads_no_search() -> None:
     forms = [wrong_record("exchange", shape, 0.5 / 40), wrong_record("offset", shape + 0.02 * RATE, 1.0)]
     search = ModelSearch(problem(residual)).run(forms)
     best = search.best().hypothesis.form
-    assert best is not None and best.form.name == "offset"
+    assert best is not None
+    assert best.form.name == "offset"
     likeliest = max(search.known, key=lambda each: each.log_posterior).hypothesis.form
-    assert likeliest is not None and likeliest.form.name == "exchange"
+    assert likeliest is not None
+    assert likeliest.form.name == "exchange"
 
 
 def test_a_record_that_scatter_between_runs_absorbs_is_looked_for_beside_the_least_scatter() -> None:

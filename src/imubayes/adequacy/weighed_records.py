@@ -89,7 +89,9 @@ def weighed_records(fitted: Fit) -> tuple[WeighedRecord, ...]:
 def _suspects(fitted: Fit, runs: Sequence[int]) -> Iterator[WrongInput]:
     campaign = fitted.model.campaign
     for run in runs:
-        yield from (each for each in suspected(campaign, run) if each.form != "output_offset" or each.channel is not None)
+        yield from (
+            each for each in suspected(campaign, run) if each.form != "output_offset" or each.channel is not None
+        )
         if len(campaign.runs) > 2:
             yield WrongInput(run, "unit")
     yield from (each for each in exchanged(campaign) if {each.run, each.other} <= {*runs})

@@ -17,8 +17,6 @@ from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, sing
 from imubayes.campaign.setup_gate.setup_view import RunView, changed
 from imubayes.foundations.campaign_data import Campaign
 
-_PLACES = 5  # of offsets, between which the best one is found; the misfit is a parabola of it
-
 
 def _single_outputs(campaign: Campaign, views: Sequence[RunView]) -> Iterator[tuple[Scope, int]]:
     """Yield each run with each of several channels in it, where other runs tell what its outputs are."""
@@ -32,7 +30,7 @@ def _single_outputs(campaign: Campaign, views: Sequence[RunView]) -> Iterator[tu
 
 @dataclass(frozen=True)
 class ChannelOffset(Mistake):
-    """The outputs of a channel in a run are off by a size, output units.
+    """The outputs of a channel in a run are off by a size, as a ratio to the largest output.
 
     Attributes
     ----------
@@ -45,16 +43,12 @@ class ChannelOffset(Mistake):
     largest: float
     kind: ClassVar[str] = "output_offset"
     rarity: ClassVar[float] = 8.0
+    sizes: ClassVar[tuple[float, ...]] = (-1.0, -0.5, 0.0, 0.5, 1.0)
 
     @property
     def variant(self) -> str:
         """The channel."""
         return self.channel
-
-    @property
-    def per_radian(self) -> float:
-        """A degree counts like a per cent of the largest output."""
-        return self.largest / 2
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
@@ -65,14 +59,10 @@ class ChannelOffset(Mistake):
             if largest > 0:
                 yield cls(scope, channel.name, k, float(largest))
 
-    def grid(self) -> tuple[float, ...]:
-        """Return sizes up to the largest output."""
-        return tuple(np.linspace(-self.largest, self.largest, _PLACES).tolist())
-
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the outputs less their error."""
         observed = views[place].observed.copy()
-        observed[:, self.place] -= size
+        observed[:, self.place] -= size * self.largest
         return changed(views[place], observed=observed)
 
 

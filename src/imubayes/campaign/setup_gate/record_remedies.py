@@ -102,8 +102,8 @@ def _offset(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(mistake, ChannelOffset)
     channel, run = campaign.channels[mistake.place], mistake.scope.name
     digits = max(2, 1 + math.floor(math.log10(abs(found.size) / found.uncertainty))) if found.uncertainty else 4
-    size = f"{found.size:+.{min(digits, 9)}g}"
-    sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
+    size = f"{found.size * mistake.largest:+.{min(digits, 9)}g}"
+    sd = f" ± {found.uncertainty * mistake.largest:.1g}" if found.uncertainty else ""
     return Issue(
         f"the outputs of channel '{channel.name}' are off by {size}{sd} {channel.output_unit} in run '{run}', in all "
         "rows alike",
@@ -119,7 +119,9 @@ def _apart(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(mistake, ChannelApart)
     run, name = mistake.scope.name, mistake.channel
     like = repeats(campaign, next(k for k, each in enumerate(campaign.runs) if each.name == run), mistake.place)
-    how = "hold one value" if like == name else f"repeat those of channel '{like}'" if like else "do not follow the input"
+    how = (
+        "hold one value" if like == name else f"repeat those of channel '{like}'" if like else "do not follow the input"
+    )
     return Issue(
         f"the outputs of channel '{name}' {how} in run '{run}'",
         places.column(mistake, name),

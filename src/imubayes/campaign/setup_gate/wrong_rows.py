@@ -332,7 +332,7 @@ class RateFactor(Mistake):
         return abs(size) < self.sizes[-1]
 
     def like(self, other: Mistake) -> bool:
-        """Return whether another mistake is the scale factor of one gyro in the run: alike if it alone sees the rate."""
+        """Return whether another is the scale factor of one gyro in the run, alike if it alone sees the rate."""
         return isinstance(other, NominalScale) and other.scope == self.scope and len(other.places) == 1
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:

@@ -370,7 +370,7 @@ class ModelSearch:
     # ---- forms ----
 
     def _scan_forms(self) -> None:
-        """Add the best forms to the likeliest effects, to those less each, and to none at the noise as known and least."""
+        """Add forms to the likeliest effects, to those less each, and to none at the noise as known or least."""
         best = self.best(_pure)
         without = [self._get(best.hypothesis.without(each), best) for each in best.hypothesis.variants]
         for less in without:

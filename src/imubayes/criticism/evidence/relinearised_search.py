@@ -78,7 +78,9 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
     gross = _gross_input if corrected is None else _gross_row
     leads = (_leader, gross, _wide_prior) if fitted.optimised else (_leader,)
     found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
-    search, about = max([*found, *([corrected] if corrected is not None else [])], key=_support)
+    if corrected is not None:
+        found.append(corrected)
+    search, about = max(found, key=_support)
     return ExplanationPosterior(search, about.fitted)
 
 
