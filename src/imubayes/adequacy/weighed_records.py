@@ -246,6 +246,7 @@ class _Weighing:
         """Return what is wrong with one channel in a run, to which its outputs respond linearly."""
         campaign = self.model.campaign
         response = Predictions(self.model, np.asarray(self.fitted.z)).response(wrong, campaign)
+        assert response is not None  # outputs always have one
         width = _RATIO
         if wrong.form == "output_offset":
             known = np.concatenate([run.observed[:, wrong.channel] for run in campaign.runs])

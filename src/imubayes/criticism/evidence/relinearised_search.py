@@ -78,9 +78,11 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
     gross = _gross_input if corrected is None else _gross_row
     leads = (_leader, gross, _wide_prior) if fitted.optimised else (_leader,)
     found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
-    if corrected is not None:
-        found.append(corrected)
-    search, about = max(found, key=_support)
+    best = max(found, key=_support)
+    # The size of a record that was weighed is settled, that of one which leads on to within a tenth.
+    if corrected is not None and _support(corrected) > _support(best) - NEAR:
+        best = corrected
+    search, about = best
     return ExplanationPosterior(search, about.fitted)
 
 
