@@ -126,10 +126,64 @@ def scale_ten_times(files: Files, draw: np.random.Generator) -> tuple[str, ...] 
     return tuple(right)
 
 
+def _one_output(files: Files, draw: np.random.Generator) -> tuple[dict, list[str]]:
+    """A run, and the channels of the kind that it moves, one of them first."""
+    run = files.runs[draw.integers(len(files.runs))]
+    names = files.channels("gyro" if run["procedure"] == "rate_table" else "accelerometer")
+    moved = max(names, key=lambda name: np.ptp(_values(files, run, name)))
+    return run, [moved, *(each for each in names if each != moved)]
+
+
+def _values(files: Files, run: dict, column: str) -> np.ndarray:
+    found: list[np.ndarray] = []
+    changed(files, run, column, lambda values: found.append(values) or values)
+    return found[0]
+
+
+def output_off(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Move all outputs of one channel in one run by a tenth of their range."""
+    run, (name, *_) = _one_output(files, draw)
+    off = 0.1 * float(np.ptp(_values(files, run, name)))
+    changed(files, run, name, lambda values: values + off)
+    return (f"in run '{run['name']}'", f"channel '{name}' are off by {off:+.0f}")
+
+
+def output_stuck(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Let one channel hold its fourth output in all of a run but for its last digit."""
+    run, (name, *_) = _one_output(files, draw)
+    changed(files, run, name, lambda values: values[3] * (1 + 1e-6 * draw.uniform(-1, 1, len(values))))
+    return (f"the outputs of channel '{name}' hold one value in run '{run['name']}'",)
+
+
+def output_copied(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Paste the outputs of one channel over those of another in one run."""
+    run, (name, other, *_) = _one_output(files, draw)
+    values = _values(files, run, name)
+    changed(files, run, other, lambda _: values)
+    return (f"the outputs of channel '{other}' repeat those of channel '{name}' in run '{run['name']}'",)
+
+
+def rate_times(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Write the rates of one run two or three times as large."""
+    runs = files.of("rate_table")
+    run, factor = runs[draw.integers(len(runs))], float(draw.choice([2.0, 3.0]))
+    changed(files, run, "table_rate_deg_s", lambda rate: factor * rate)
+    return (f"'table_rate_deg_s' of run '{run['name']}' is", "relative to the other runs, or channel")
+
+
+def decimal_of_a_rate(files: Files, draw: np.random.Generator) -> tuple[str, ...] | None:
+    """Write one rate of a run ten times too small."""
+    runs = files.of("rate_table")
+    run, row = runs[draw.integers(len(runs))], 2
+    true = _values(files, run, "table_rate_deg_s")[row]
+    changed(files, run, "table_rate_deg_s", lambda rate: np.where(np.arange(len(rate)) == row, rate / 10, rate))
+    return (f"row {row + 1} are as at 'table_rate_deg_s' = {true:.4g} ",)
+
+
 RECORD_MISTAKES: dict[str, Planter] = {
     each.__name__: each
     for each in (
         heater_off, temperatures_exchanged, other_unit, rate_without_sign, rates_missing, sign_in_one_row,
-        scale_ten_times,
+        scale_ten_times, output_off, output_stuck, output_copied, rate_times, decimal_of_a_rate,
     )
 }  # fmt: skip

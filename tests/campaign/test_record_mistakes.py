@@ -23,6 +23,9 @@ def all_said(folder: Path) -> str:
     [
         ("heater_off", "imu", 5), ("temperatures_exchanged", "imu", 5), ("other_unit", "imu", 5),
         ("rate_without_sign", "gyro", 1), ("rates_missing", "imu", 2), ("sign_in_one_row", "triad", 3),
+        ("output_off", "triad", 3), ("output_stuck", "triad", 3), ("output_copied", "triad", 3),
+        ("rate_times", "gyro", 1),
+        ("decimal_of_a_rate", "gyro", 2),
     ],
 )  # fmt: skip
 def test_a_wrong_record_is_named(kind: str, bench: str, seed: int, tmp_path: Path):

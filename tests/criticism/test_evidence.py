@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg, stats
 
 from imubayes.criticism.evidence.effect_variants import effect_variants, gain_of_coefficients, summed_over_widths
-from imubayes.criticism.evidence.free_forms import FormHypothesis, free_forms
+from imubayes.criticism.evidence.free_forms import FormColumns, FormHypothesis, free_forms
 from imubayes.criticism.evidence.hypothesis_evidence import EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
 from imubayes.criticism.evidence.model_search import ModelSearch
@@ -23,6 +23,7 @@ from imubayes.parameters.declarations import Parameter
 from imubayes.parameters.priors import Normal
 from imubayes.responses.candidate_effects import Coefficient, Response, ShapeScan
 from imubayes.responses.residual_covariates import ResidualCovariate
+from imubayes.responses.wrong_inputs import Form, WrongInput
 
 RUNS, ROWS = 6, 20
 RATE = np.tile(np.linspace(-1.0, 1.0, ROWS), RUNS)
@@ -224,6 +225,35 @@ def test_without_forms_the_same_would_get_a_wrong_name() -> None:
     residual = drawn(6)
     residual[0] += 3.0 * np.sin(12 * RATE)
     assert evidence_of(searched(residual, forms=False)).leading.kind != "outside"
+
+
+def wrong_record(form: Form, shape: np.ndarray, most: float) -> FormHypothesis:
+    """Return a wrong record to which both channels respond, whose size is `most` at a coefficient of 1."""
+    columns = {k: FormColumns(1, lambda: shape[:, None]) for k in range(2)}
+    wrong = WrongInput(RUNS - 1, form, "temperature", other=0, apart=(30.0,))
+    return FormHypothesis("input", form, (), columns, (64.0,), -5.0, RUNS - 1, None, wrong, most)
+
+
+def test_a_record_that_cannot_be_so_wrong_leads_no_search() -> None:
+    """Columns that two runs exchanged are exchanged as a whole."""
+    shape = np.where(TEMPERATURE == 1.0, 1.0, 0.0)
+    residual = drawn(41) + 40 * shape
+    forms = [wrong_record("exchange", shape, 0.5 / 40), wrong_record("offset", shape + 0.02 * RATE, 1.0)]
+    search = ModelSearch(problem(residual)).run(forms)
+    best = search.best().hypothesis.form
+    assert best is not None
+    assert best.form.name == "offset"
+    likeliest = max(search.known, key=lambda each: each.log_posterior).hypothesis.form
+    assert likeliest is not None
+    assert likeliest.form.name == "exchange"
+
+
+def test_a_record_that_scatter_between_runs_absorbs_is_looked_for_beside_the_least_scatter() -> None:
+    shape = np.where(TEMPERATURE == 1.0, 1.0, 0.0)
+    made = problem(drawn(42) + 40 * shape, scatter=((0.3, math.log(0.5)), (20.0, math.log(0.5))))
+    best = ModelSearch(made).run([wrong_record("offset", shape, 1.0)]).best().hypothesis
+    assert best.form is not None
+    assert all(noise.scatter == 0.3 for noise in best.noise)
 
 
 def test_noise_of_another_size_is_noise_and_no_effect() -> None:

@@ -97,10 +97,10 @@ class AgreeingInput(Record):
 
     Attributes
     ----------
-    form : an ``offset`` or a ``factor`` of a column; the attitude of the ``seat``; an ``output_offset`` of each channel
-        or an ``output_factor`` of all; an ``exchange`` of a column with that of another run; another ``unit``;
-        a ``prior`` that is too narrow.
-    quantity : the column; ``mounting``; ``outputs``, or the channel of the only output; ``unit``; the parameter
+    form : an ``offset`` or a ``factor`` of a column; the attitude of the ``seat``; an ``output_offset`` or an
+        ``output_factor`` of all channels or of one; an ``exchange`` of a column with that of another run; another
+        ``unit``; a ``prior`` that is too narrow.
+    quantity : the column; ``mounting``; ``outputs``, or the only channel; ``unit``; the parameter
         that is farthest off its prior as fitted, in standard deviations.
     unit : of the values; of a factor 1, of outputs the unit of the first channel.
     recorded : what the record says: the value of the row, the mean of the column, or 0 for the attitude and offsets and

@@ -26,6 +26,7 @@ from imubayes.adequacy.deletion_diagnostics import (
     runs_apart,
 )
 from imubayes.adequacy.known_noise import largest_scatter
+from imubayes.foundations.campaign_data import Campaign
 from imubayes.foundations.covariates import COVARIATES
 from imubayes.foundations.units import to_si
 from imubayes.inference.fitted_model import Fit
@@ -88,7 +89,9 @@ def weighed_records(fitted: Fit) -> tuple[WeighedRecord, ...]:
 def _suspects(fitted: Fit, runs: Sequence[int]) -> Iterator[WrongInput]:
     campaign = fitted.model.campaign
     for run in runs:
-        yield from (each for each in suspected(campaign, run) if each.form != "output_offset")
+        yield from (
+            each for each in suspected(campaign, run) if each.form != "output_offset" or each.channel is not None
+        )
         if len(campaign.runs) > 2:
             yield WrongInput(run, "unit")
     yield from (each for each in exchanged(campaign) if {each.run, each.other} <= {*runs})
@@ -139,7 +142,7 @@ def agreeing_input(
         quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "unit"
         unit, recorded, factor = "1", 0.0, 1.0
     elif wrong.form.endswith("factor"):
-        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else "outputs"
+        quantity = COVARIATES[wrong.covariate].column if wrong.covariate else _outputs(campaign, wrong)
         unit, recorded, factor = "1", 1.0, 1.0
     elif wrong.form == "seat":
         quantity, unit, recorded, factor = "mounting", "arcmin", 0.0, to_si("arcmin")
@@ -151,13 +154,17 @@ def agreeing_input(
     else:
         # The outputs of all channels, or of one.
         channel = campaign.channels[wrong.channel or 0]
-        quantity = "outputs" if wrong.channel is None else channel.name
+        quantity = _outputs(campaign, wrong)
         unit, recorded, factor = channel.output_unit, 0.0, 1.0
     return AgreeingInput(
         form=wrong.form, quantity=quantity, unit=unit, recorded=recorded,
         agreeing=tuple((recorded + size / factor).tolist()), sd=tuple((sd / abs(factor)).tolist()),
         probability=probability, other="" if wrong.other is None else campaign.runs[wrong.other].name,
     )  # fmt: skip
+
+
+def _outputs(campaign: Campaign, wrong: WrongInput) -> str:
+    return "outputs" if wrong.channel is None else campaign.channels[wrong.channel].name
 
 
 class _Weighing:
@@ -173,13 +180,15 @@ class _Weighing:
         """Return an error of the record at its best size; None where it explains nothing."""
         if wrong.form == "unit":
             return self._of_other_unit(wrong)
+        if wrong.channel is not None:
+            return self._of_one_output(wrong)
         z = np.asarray(self.fitted.z)
         starts = [self._at(wrong, size, z, free=False) for size in self._starts(wrong)]
         known = [each for each in starts if each is not None]
         best = max(known, key=lambda each: each.log_odds, default=None)
         for _ in range(_ROUNDS):
             further = self._at(wrong, best.size, best.z, free=True) if best is not None else None
-            if best is None or further is None or not wrong.possible(self.model.campaign, further.size):
+            if best is None or further is None or not wrong.possible(further.size):
                 break
             settled = bool(np.all(np.abs(further.size - best.size) < 0.1 * further.sd))
             best = further
@@ -231,7 +240,21 @@ class _Weighing:
         own = of_sensors(self.model)
         here = (self.stated.run == wrong.run)[:, None]
         response, weighted = self.stated.jacobian[:, own] * here, self.stated.weighted[:, own] * here
-        linear = _beside(self.stated, weighted, response, math.sqrt(2.0), np.zeros(len(own)))
+        return self._linearly(wrong, _beside(self.stated, weighted, response, math.sqrt(2.0), np.zeros(len(own))))
+
+    def _of_one_output(self, wrong: WrongInput) -> WeighedRecord:
+        """Return what is wrong with one channel in a run, to which its outputs respond linearly."""
+        campaign = self.model.campaign
+        response = Predictions(self.model, np.asarray(self.fitted.z)).response(wrong, campaign)
+        assert response is not None  # outputs always have one
+        width = _RATIO
+        if wrong.form == "output_offset":
+            known = np.concatenate([run.observed[:, wrong.channel] for run in campaign.runs])
+            width *= float(np.nanmax(np.abs(known - campaign.channels[wrong.channel or 0].offset))) or 1.0
+        weighted = divide(self.model.problem, self.h, response)
+        return self._linearly(wrong, _beside(self.stated, weighted, response, width, np.zeros(1)))
+
+    def _linearly(self, wrong: WrongInput, linear: LinearFit) -> WeighedRecord:
         fit, evidence = _evidence(linear)
         count = len(self.stated.precision)
         z, size = self.fitted.z + fit.shift[:count], fit.shift[count:]

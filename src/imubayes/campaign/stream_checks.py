@@ -47,6 +47,8 @@ FINDINGS: dict[str, str] = {
     "temperature_value": "the outputs of a run are as at another temperature",
     "temperatures_exchanged": "the temperatures of two runs are exchanged",
     "other_unit": "a run is of another unit",
+    "outputs_apart": "the outputs of a channel in a run are those of anything else",
+    "output_offset": "the outputs of a channel are off in a run, all rows alike",
     "rate_without_sign": "the rates of a run are recorded without their sign",
     "rates_exchanged": "the rates of two rows are exchanged",
     "rates_missing": "the rate column is zero while the table turns",

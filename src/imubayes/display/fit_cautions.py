@@ -272,7 +272,7 @@ def agreement_text(each: AgreeingInput, row: int | None = None) -> str:
     if each.form == "factor":
         return f"{each.quantity} times {sizes}, all rows alike"
     if each.form == "output_factor":
-        return f"its outputs times {sizes}"
+        return f"its {'outputs' if each.quantity == 'outputs' else f'output of {each.quantity}'} times {sizes}"
     recorded = significant(each.recorded, 5)
     if row is not None:
         return f"{each.quantity} = {sizes}{unit} (recorded: {recorded})"

@@ -37,6 +37,8 @@ _LARGEST_FACTOR = 10.0
 NO_RUN = -1
 _NEARLY_EXCHANGED = 0.2
 """How far the size of an exchange may be from 1: what is estimated beside it moves with the column."""
+_NEARLY_REVERSED = 0.1
+"""The same of a factor from −1: of the negative ones a reversed sign alone is a mistake of a record."""
 _LEAST_EXCHANGED = 2.0  # °C of mean temperatures; columns that are nearer to each other are the same exchanged
 
 
@@ -103,12 +105,10 @@ class WrongInput:
     def _outputs(self, campaign: Campaign, run: Run, size: np.ndarray) -> np.ndarray:
         observed = run.observed.copy()
         here = slice(None) if self.row is None else slice(self.row, self.row + 1)
-        if self.channel is not None:
-            observed[here, self.channel] += size[0]
-            return observed
-        offsets = np.array([channel.offset for channel in campaign.channels])
-        change = size if self.form == "output_offset" else size[0] * (observed[here] - offsets)
-        observed[here] = observed[here] + change
+        there = slice(None) if self.channel is None else slice(self.channel, self.channel + 1)
+        offsets = np.array([channel.offset for channel in campaign.channels])[there]
+        change = size if self.form == "output_offset" else size[0] * (observed[here, there] - offsets)
+        observed[here, there] = observed[here, there] + change
         return observed
 
     def freedom(self, campaign: Campaign) -> int:
@@ -117,14 +117,15 @@ class WrongInput:
             return 1
         return {"seat": 3, "output_offset": len(campaign.channels)}.get(self.form, 1)
 
-    def possible(self, campaign: Campaign, size: np.ndarray) -> bool:
+    def possible(self, size: np.ndarray) -> bool:
         """Whether a record can be wrong by a size: what lies beyond is the work of something else."""
         if self.form == "seat":
             return float(np.linalg.norm(size)) < math.pi / 2
         if self.form == "exchange":
             return abs(float(size[0]) - 1) < _NEARLY_EXCHANGED
         if self.form.endswith("factor"):
-            return _LARGEST_FACTOR > 1 + float(size[0]) > 1 / _LARGEST_FACTOR
+            factor = 1 + float(size[0])
+            return _LARGEST_FACTOR > factor > 1 / _LARGEST_FACTOR or abs(factor + 1) < _NEARLY_REVERSED
         if not self.covariate:
             return True
         largest = _LARGEST.get(COVARIATES[self.covariate].si, np.inf)
@@ -152,6 +153,10 @@ def suspected(campaign: Campaign, run: int) -> Iterator[WrongInput]:
         yield WrongInput(run, "seat")
     yield WrongInput(run, "output_factor")
     yield WrongInput(run, "output_offset")
+    seen = np.flatnonzero(np.isfinite(one.observed).any(axis=0)).tolist()
+    for channel in seen if len(seen) > 1 else ():
+        yield WrongInput(run, "output_factor", channel=channel)
+        yield WrongInput(run, "output_offset", channel=channel)
 
 
 def exchanged(campaign: Campaign) -> Iterator[WrongInput]:
@@ -253,19 +258,21 @@ class Predictions:
         """
         entries = self.model.entries
         own = (entries.run == wrong.run) & ~entries.closing & ((entries.row == wrong.row) | (wrong.row is None))
-        if wrong.channel is not None:
-            return np.where(own & (entries.channel == wrong.channel), -1.0, 0.0)[:, None]
-        return np.where(own[:, None], self.responses_of_outputs(campaign)[wrong.form], 0.0)
+        return np.where(own[:, None], self.responses_of_outputs(campaign)[wrong.form, wrong.channel], 0.0)
 
-    def responses_of_outputs(self, campaign: Campaign) -> Mapping[Form, np.ndarray]:
-        """Return the response to outputs that are off, (E, d), all runs at once."""
+    def responses_of_outputs(self, campaign: Campaign) -> Mapping[tuple[Form, int | None], np.ndarray]:
+        """Return the response to outputs of all channels, or of one, that are off, (E, d), all runs at once."""
         entries, channels = self.model.entries, campaign.channels
         channel = np.where(entries.closing, 0, entries.channel)
         offsets = np.array([each.offset for each in channels])[channel]
-        return {
-            "output_offset": -np.eye(len(channels))[channel] * ~entries.closing[:, None],
-            "output_factor": np.where(entries.closing, 0.0, offsets - self._predicted)[:, None],
+        found: dict[tuple[Form, int | None], np.ndarray] = {
+            ("output_offset", None): -np.eye(len(channels))[channel] * ~entries.closing[:, None],
+            ("output_factor", None): np.where(entries.closing, 0.0, offsets - self._predicted)[:, None],
         }
+        for k in range(len(channels)):
+            found["output_offset", k] = found["output_offset", None][:, k : k + 1]
+            found["output_factor", k] = np.where((channel == k)[:, None], found["output_factor", None], 0.0)
+        return found
 
     def responses_of_columns(self, campaign: Campaign) -> Mapping[str, np.ndarray]:
         """Return the derivative by each column of the record, (E,), each row by its own value, all runs at once."""

@@ -243,7 +243,8 @@ class NominalScale(_Factor):
 
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is a factor of the rates that makes the same of the same gyros."""
-        return self.of_gyros and isinstance(other, TableRates)
+        alone = len(self.places) == 1 and other.kind == "table_rate" and other.scope == self.scope
+        return self.of_gyros and (alone or isinstance(other, TableRates))
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the response of the channels."""
@@ -284,6 +285,8 @@ ANGLE_UNITS = {
     "rad": 1 / _DEGREE, "gon": 0.9, "turns": 360.0, "arcmin": 1 / 60, "arcsec": 1 / 3600, "mrad": 1e-3 / _DEGREE,
 }  # fmt: skip
 """Units of angle in degrees."""
+RATES = "table rate"
+"""The rates of a table as a record."""
 _MOST_TURNS = 4
 """Angles of more turns are in no other unit; multiples of 15 degrees in turns would all be one angle."""
 _SAME_FACTOR = 0.02
@@ -336,7 +339,12 @@ class ChannelGain(Mistake):
                     yield cls(scope, names, group, offsets, factor, units)
 
     def like(self, other: Mistake) -> bool:
-        """Return whether another mistake is the sense of the table in the run: alike for the one gyro that turns."""
+        """Return whether another mistake is the sense of the table in the run, alike for the one gyro that turns.
+
+        The same factor of the rates is alike as well.
+        """
+        if isinstance(other, RateUnit):
+            return other.like(self)
         return not self.units and isinstance(other, TableSense) and other.scope == self.scope
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
@@ -356,6 +364,16 @@ class RateUnit(Mistake):
 
     unit: str
     kind: ClassVar[str] = "rate_unit"
+
+    @property
+    def record(self) -> str:
+        """The rates of a table."""
+        return RATES
+
+    @property
+    def point(self) -> float:
+        """The logarithm of the unit in deg/s."""
+        return math.log(RATE_UNITS[self.unit])
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from imubayes.campaign.setup_gate import thermal_mistakes as thermal
+from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset, repeats
 from imubayes.campaign.setup_gate.places import Places, subject_of
 from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign
 from imubayes.campaign.setup_gate.search import Explanation
@@ -96,6 +97,39 @@ def _other_unit(campaign: Campaign, found: Explanation, places: Places) -> Issue
     )
 
 
+def _offset(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    mistake = found.mistake
+    assert isinstance(mistake, ChannelOffset)
+    channel, run = campaign.channels[mistake.place], mistake.scope.name
+    digits = max(2, 1 + math.floor(math.log10(abs(found.size) / found.uncertainty))) if found.uncertainty else 4
+    size = f"{found.size * mistake.largest:+.{min(digits, 9)}g}"
+    sd = f" ± {found.uncertainty * mistake.largest:.1g}" if found.uncertainty else ""
+    return Issue(
+        f"the outputs of channel '{channel.name}' are off by {size}{sd} {channel.output_unit} in run '{run}', in all "
+        "rows alike",
+        places.column(mistake, channel.name),
+        "outputs with the bias of the other runs",
+        f"subtract {size} from column '{channel.name}' of {places.file(run)} if its zero was moved, or leave the run "
+        "out",
+    )
+
+
+def _apart(campaign: Campaign, found: Explanation, places: Places) -> Issue:
+    mistake = found.mistake
+    assert isinstance(mistake, ChannelApart)
+    run, name = mistake.scope.name, mistake.channel
+    like = repeats(campaign, next(k for k, each in enumerate(campaign.runs) if each.name == run), mistake.place)
+    how = (
+        "hold one value" if like == name else f"repeat those of channel '{like}'" if like else "do not follow the input"
+    )
+    return Issue(
+        f"the outputs of channel '{name}' {how} in run '{run}'",
+        places.column(mistake, name),
+        "the outputs of the channel itself in that run",
+        f"record the outputs of '{name}' in run '{run}' again, or leave its cells in {places.file(run)} empty",
+    )
+
+
 def _unsigned(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     assert isinstance(found.mistake, RateWithoutSign)
     rows = [str(k + 1) for k in np.flatnonzero(found.mistake.signs < 0)]
@@ -140,6 +174,8 @@ RECORD_REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Issue]] = {
     "temperature_value": _temperature,
     "temperatures_exchanged": _temperatures,
     "other_unit": _other_unit,
+    "output_offset": _offset,
+    "outputs_apart": _apart,
     "rate_without_sign": _unsigned,
     "rates_missing": _no_rates,
     "rates_exchanged": _swapped,

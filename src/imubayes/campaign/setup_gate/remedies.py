@@ -302,7 +302,7 @@ def _time(campaign: Campaign, found: Explanation, places: Places) -> Issue:
 
 def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Issue:
     run = found.mistake.scope.name
-    large, digits = 1 / (1 + found.size), max(2, min(5, 1 - math.floor(math.log10(found.uncertainty or 1e-3))))
+    large, digits = math.exp(-found.size), max(2, min(5, 1 - math.floor(math.log10(found.uncertainty or 1e-3))))
     sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
     return Issue(
         f"'table_rate_deg_s' of run '{run}' is {large:.{digits}f}{sd} times that of the outputs, "

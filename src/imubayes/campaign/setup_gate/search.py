@@ -23,6 +23,7 @@ from imubayes.campaign.setup_gate.error_model import (
 from imubayes.campaign.setup_gate.evidence import ErrorModel
 from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
 from imubayes.campaign.setup_gate.mounting_mistakes import MISTAKES
+from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset
 from imubayes.campaign.setup_gate.rate_records import RATE_RECORDS
 from imubayes.campaign.setup_gate.reading_mistakes import UNIT_MISTAKES, AxisZero, ChannelGain
 from imubayes.campaign.setup_gate.setup_view import CarryingAxes, RunView, views_of
@@ -45,9 +46,11 @@ TRIED_FIRST, TRIED_NEXT = 4, 1
 """How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations; of hidden ones, `DECISIVE`."""
+ALIKE = 0.5
+"""Share of the gain of a mistake from which on one that is like it is told beside it."""
 NAMED_WITHIN = 12.0
 """How much less than the open value of a record a named mistake may gain: three and a half standard deviations."""
-RECORDS_OF_RUNS: tuple[type[Mistake], ...] = (*RATE_RECORDS, OtherUnit)
+RECORDS_OF_RUNS: tuple[type[Mistake], ...] = (*RATE_RECORDS, ChannelOffset, ChannelApart, OtherUnit)
 """Mistakes in the record of a whole run that is no single value."""
 _REFINEMENTS, _REMEMBERED = 4, 256
 _SAME_POINT = 0.05  # of how far a name may be from a value, within which two names are one
@@ -94,7 +97,8 @@ def equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tu
     """Return the best explanations, the first of each kind and scope, and those that are like them."""
     best = max(each.support for each in found)
     equal = [each for each in found if each.support >= best - within]
-    like = [each for each in found if any(each.mistake.like(other.mistake) for other in equal)]
+    gained = [each for each in found if each.gain > ALIKE * max(other.gain for other in equal)]
+    like = [each for each in gained if any(each.mistake.like(other.mistake) for other in equal)]
     first = [each for each in like if not any(other.mistake.like(each.mistake) for other in equal)]
     return tuple(_distinct([*first, *sorted(equal, key=lambda each: -each.support), *like]))
 

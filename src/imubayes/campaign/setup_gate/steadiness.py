@@ -35,6 +35,7 @@ from imubayes.campaign.setup_gate.error_model import (
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
 from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
 from imubayes.campaign.setup_gate.mounting_mistakes import MISTAKES
+from imubayes.campaign.setup_gate.output_mistakes import ChannelOffset
 from imubayes.campaign.setup_gate.reading_mistakes import (
     LATITUDE_MISTAKES,
     AngleUnit,
@@ -348,8 +349,10 @@ def _bar(mistake: Mistake, campaign: Campaign) -> float:
     return DECISIVE_LATITUDE if isinstance(mistake, LatitudeSign) and several else DECISIVE
 
 
-SIZED = (TableZero, AxisZero, TableElevation, TableAzimuth, LatitudeValue, RateFactor, TemperatureValue)
-"""Mistakes whose size is an angle, a ratio or a temperature, of which the remedy writes the value."""
+SIZED = (
+    TableZero, AxisZero, TableElevation, TableAzimuth, LatitudeValue, RateFactor, TemperatureValue, ChannelOffset,
+)  # fmt: skip
+"""Mistakes whose size is an angle, a ratio, a temperature or an output, of which the remedy writes the value."""
 _STEP = math.radians(0.01)  # of the derivative by the size; a ratio is as small a number as an angle in rad
 _APART = math.radians(1.0)
 _LONGEST = math.radians(10.0)  # of one step to the best size

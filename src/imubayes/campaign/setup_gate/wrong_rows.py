@@ -18,6 +18,7 @@ import numpy as np
 from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, has_angles, single_runs, turns
 from imubayes.campaign.setup_gate.error_model import NormalTerms, stacked_terms
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
+from imubayes.campaign.setup_gate.reading_mistakes import RATES, NominalScale
 from imubayes.campaign.setup_gate.setup_view import RunView, changed, views_of
 from imubayes.foundations.campaign_data import Campaign
 
@@ -109,7 +110,8 @@ def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
     Two wrong rows may hide each other behind a right one, which is left out first and then agrees.
     """
     recorded = model.seen_of(views)
-    fitted, terms, out = list(recorded), [model.terms_of(seen) for seen in recorded], list[tuple[int, int]]()
+    fitted, out = [_no_more_than_it_moves(seen) for seen in recorded], list[tuple[int, int]]()
+    terms = [model.terms_of(seen) for seen in fitted]
     judged = _judged(model, terms, fitted, recorded)
     while len(out) < _MOST_LEFT_OUT:
         place, row = _farthest(judged.apart, out)
@@ -129,6 +131,15 @@ def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
             found = WrongRow(views[place].name, row, "", 0.0, 0.0, 0.0, wrong[place, row])
             return _likeliest(model, views[place], place, found, several, judged)
     return None
+
+
+def _no_more_than_it_moves(seen: Seen) -> Seen:
+    """Return the rows of a run as fitted: what is left out of a row is a share of its output as well as of its input.
+
+    A row whose recorded rate is near zero, and whose outputs are not, would draw the fit to itself and seem right.
+    """
+    apart = np.where(seen.there, seen.error - _medians(np.where(seen.there, seen.error, np.nan)), 0.0)
+    return replace(seen, square=np.maximum(seen.square, apart**2))
 
 
 def _likeliest(
@@ -294,11 +305,21 @@ def _medians(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RateFactor(Mistake):
-    """The rates of one run are to be multiplied by 1 + size; the other runs that turn tell by how much."""
+    """The rates of one run are the recorded ones times a factor; the size is its logarithm.
+
+    The other runs that turn tell it.  Another unit of the rates is a point on it.
+    """
 
     kind: ClassVar[str] = "table_rate"
     rarity: ClassVar[float] = 8.0
-    sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-0.2, 0.2, 9).tolist())
+    sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-2.4, 2.4, 25).tolist())
+    usual_within: ClassVar[float] = 0.02
+    open_value: ClassVar[bool] = True
+
+    @property
+    def record(self) -> str:
+        """The rates of a table."""
+        return RATES
 
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
@@ -307,9 +328,13 @@ class RateFactor(Mistake):
         return turning if len(turning) > 1 and campaign.of_kind("gyro") else []
 
     def possible(self, size: float) -> bool:
-        """Return whether there can be such a factor: larger ones are another unit."""
-        return abs(size) < 1.5 * self.sizes[-1]
+        """Return whether the factor is within the range of those tried: at its end there is no estimate."""
+        return abs(size) < self.sizes[-1]
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another is the scale factor of one gyro in the run, alike if it alone sees the rate."""
+        return isinstance(other, NominalScale) and other.scope == self.scope and len(other.places) == 1
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with its rates multiplied."""
-        return changed(views[place], rate=views[place].rate * (1 + size))
+        return changed(views[place], rate=views[place].rate * np.exp(size))

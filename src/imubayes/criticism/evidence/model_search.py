@@ -204,8 +204,8 @@ class ModelSearch:
         return list(self.of.known.values())
 
     def best(self, which: Callable[[Evaluated], bool] = lambda _: True) -> Evaluated:
-        """Return the likeliest hypothesis of those that fulfil a condition."""
-        return max((each for each in self.known if which(each)), key=lambda each: each.log_posterior)
+        """Return the likeliest hypothesis that is possible, of those that fulfil a condition."""
+        return max((each for each in self.known if possible(each) and which(each)), key=lambda each: each.log_posterior)
 
     @cached_property
     def _as_fitted(self) -> Evaluated:
@@ -381,7 +381,7 @@ class ModelSearch:
     # ---- forms ----
 
     def _scan_forms(self) -> None:
-        """Add the best forms to the likeliest effects, to those less each, and to none at the noise as known."""
+        """Add forms to the likeliest effects, to those less each, and to none at the noise as known or least."""
         best = self.best(_pure)
         without = [self._get(best.hypothesis.without(each), best) for each in best.hypothesis.variants]
         for less in without:
@@ -393,6 +393,10 @@ class ModelSearch:
         if none is not None:
             self._add_forms(none, best.scale)
         self._add_forms(stated, np.minimum(1.0, best.scale))
+        # A scatter between runs absorbs a wrong record as it does an effect.
+        quiet = tuple(min(unit.stated, key=lambda each: each.scatter) for unit in self.of.units)
+        if (least := self._get(Hypothesis((), quiet), stated)) is not None:
+            self._add_forms(least, np.minimum(1.0, best.scale))
 
     def _add_forms(self, at: Evaluated, scale: np.ndarray) -> None:
         if at.hypothesis in self._scanned:
@@ -410,17 +414,19 @@ class ModelSearch:
                     break
                 if key not in seen:
                     seen.add(key)
-                    told += 1
-                    self._with_form(at, form)
+                    told += self._with_form(at, form)
 
-    def _with_form(self, at: Evaluated, form: ChosenForm) -> None:
-        """Evaluate a form, with amplitudes beside it as well."""
+    def _with_form(self, at: Evaluated, form: ChosenForm) -> bool:
+        """Evaluate a form, with amplitudes beside it as well; tell whether it is possible."""
         hypothesis = at.hypothesis
         first = self._get(Hypothesis(hypothesis.variants, hypothesis.noise, form), at)
+        if first is not None and not possible(first):
+            return False
         amplitudes = form.form.amplitudes
         place = amplitudes.index(form.amplitude)
         for other in amplitudes[max(place - 1, 0) : place + 2]:
             self._get(Hypothesis(hypothesis.variants, hypothesis.noise, form.at(other)), first or at)
+        return True
 
 
 def _first(unit: NoiseUnit, structure: NoiseStructure) -> NoiseOfUnit:
@@ -433,7 +439,18 @@ def _pure(each: Evaluated) -> bool:
 
 
 def _formed(each: Evaluated) -> bool:
-    return each.hypothesis.form is not None
+    return each.hypothesis.form is not None and possible(each)
+
+
+def possible(found: Evaluated) -> bool:
+    """Tell whether a record can be wrong by what a hypothesis says.
+
+    An impossible size is nothing to look about: the noise beside it is not that of what comes after it.
+    """
+    form = found.hypothesis.form
+    if form is None or form.form.wrong is None:
+        return True
+    return form.form.wrong.possible(found.mean[len(found.columns) :] * form.form.unit)
 
 
 def beyond_prior(each: Evaluated) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from imubayes.criticism import explanation_records as record
 from imubayes.criticism.evidence.hypothesis_evidence import Evaluated, Hypothesis
 from imubayes.criticism.evidence.linear_problem import LinearProblem
-from imubayes.criticism.evidence.model_search import ModelSearch
+from imubayes.criticism.evidence.model_search import ModelSearch, possible
 from imubayes.inference.fitted_model import Fit
 from imubayes.responses.candidate_effects import Responses
 
@@ -68,20 +68,12 @@ class ExplanationPosterior:
 
     def __init__(self, search: ModelSearch, fitted: Fit):
         self.search, self.of, self.fitted = search, search.of, fitted
-        self.distinct = [each for each in _distinct(search.known) if self._possible(each)]
+        self.distinct = [each for each in _distinct(search.known) if possible(each)]
         self._logs = np.array([each.log_posterior for each in self.distinct])
         share = np.exp(self._logs - np.logaddexp.reduce(self._logs))
         self._imitating = np.array([self._beside_excess(each) for each in self.distinct])
         taken = UNLISTED * self._imitating
         self.share, self.unlisted = share * (1 - taken), float(share @ taken)
-
-    def _possible(self, found: Evaluated) -> bool:
-        """Whether a record can be wrong by what a hypothesis says."""
-        form = found.hypothesis.form
-        if form is None or form.form.wrong is None:
-            return True
-        size = found.mean[len(found.columns) :] * form.form.unit
-        return form.form.wrong.possible(self.fitted.model.campaign, size)
 
     def _beside_excess(self, found: Evaluated) -> bool:
         """Tell whether effects stand beside noise of the rows above what is known."""

@@ -84,11 +84,20 @@ def explain(
     gross = _gross_input if corrected is None else _gross_row
     leads = (_leader, gross, _wide_prior) if fitted.optimised else (_leader,)
     found = [_followed(*begun, fitted, covariates, lead) for lead in leads]
-    search, about = max(found, key=lambda each: each[0].best().log_posterior)
-    # Where both explain as much, the size is that about the corrected record: elsewhere it has errors of second order.
-    if corrected is not None and corrected[0].best().log_posterior > search.best().log_posterior - NEAR:
-        search, about = corrected
+    best = max(found, key=_support)
+    # The size of a record that was weighed is settled, that of one which leads on to within a tenth.
+    if corrected is not None and _support(corrected) > _support(best) - NEAR:
+        best = corrected
+    search, about = best
     return ExplanationPosterior(search, about.fitted)
+
+
+def _support(found: tuple[ModelSearch, _About]) -> float:
+    """Return the log posterior of a search; of those that explain as much, that about a corrected record is preferred.
+
+    The size of a wrong record has errors of second order elsewhere.
+    """
+    return found[0].best().log_posterior + (NEAR if found[1].wrong is not None else 0.0)
 
 
 def _corrected(
@@ -127,8 +136,7 @@ def _followed(
         if problem is None:
             break
         about, search = moved, _run(search.about(problem), moved, fitted.model.campaign, covariates)
-        further = [(search, about)] if not fitted.optimised else [best, (search, about)]
-        best = max(further, key=lambda each: each[0].best().log_posterior)
+        best = max(best, (search, about), key=_support) if fitted.optimised else (search, about)
     return best
 
 
@@ -147,14 +155,16 @@ def _leader(search: ModelSearch, fitted: Fit) -> Evaluated | None:
 
 
 def _gross_input(search: ModelSearch, fitted: Fit) -> Evaluated | None:
-    """Return the likeliest wrong input where it is gross.
+    """Return the likeliest wrong input that acts through the model where one of any kind leads, or it is gross.
 
     What its curvature leaves excludes it as long as it is not corrected, so that it need not lead.
     """
     wrong = max(filter(_is_input, search.known), key=lambda each: each.log_posterior, default=None)
     if wrong is None or wrong is _leader(search, fitted):
         return None
-    return wrong if wrong.log_posterior > search.best(states_noise).log_posterior + GROSS else None
+    gross = wrong.log_posterior > search.best(states_noise).log_posterior + GROSS
+    leading = search.best().hypothesis.form
+    return wrong if gross or (leading is not None and leading.form.wrong is not None) else None
 
 
 def _gross_row(search: ModelSearch, fitted: Fit) -> Evaluated | None:
@@ -202,7 +212,7 @@ def _about(
 ) -> _About | None:
     """Return the linearisation about a corrected record; None where it cannot be corrected so."""
     campaign = recorded.model.campaign
-    if not wrong.possible(campaign, size):
+    if not wrong.possible(size):
         return None
     corrected = wrong.corrected(campaign, size)
     problem = problem_of(recorded.model, corrected)

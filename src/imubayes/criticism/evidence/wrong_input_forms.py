@@ -130,16 +130,17 @@ def _of_runs(
     campaign = fitted.model.campaign
     suspects = [each for run in range(len(campaign.runs)) for each in suspected(campaign, run)]
     of_outputs, seats = predictions.responses_of_outputs(campaign), predictions.response_of_seats(campaign)
-    kinds: dict[tuple[Form, str], list[WrongInput]] = {}
+    kinds: dict[tuple[Form, str, int | None], list[WrongInput]] = {}
     for each in suspects:
-        kinds.setdefault((each.form, each.covariate), []).append(each)
-    for (form, column), alike in kinds.items():
-        every = seats if form == "seat" else of_outputs.get(form) if not column else columns.get(column)
+        kinds.setdefault((each.form, each.covariate, each.channel), []).append(each)
+    for (form, column, channel), alike in kinds.items():
+        every = seats if form == "seat" else of_outputs.get((form, channel)) if not column else columns.get(column)
         if every is None:
             continue
         if form == "factor":
             every = every * np.nan_to_num(_recorded(fitted, column))
-        name = f"{form} of {column or 'outputs'}" if form != "seat" else "attitude"
+        outputs = "outputs" if channel is None else campaign.channels[channel].name
+        name = f"{form} of {column or outputs}" if form != "seat" else "attitude"
         yield from _in_runs(problem, fitted, every.reshape(len(every), -1), name, alike)
 
 

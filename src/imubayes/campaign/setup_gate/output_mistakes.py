@@ -1,0 +1,122 @@
+"""Mistakes in the outputs of one channel in one run: off by one value, or those of anything else.
+
+An offset is that of a readout whose zero was changed, or of a sensor that came up with another bias.  Without it among
+the mistakes a run with one output that is off becomes one of another unit.  Outputs of anything else are the open value
+of a channel in a run: those of a sensor that is stuck, or the copy of another column.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, single_runs
+from imubayes.campaign.setup_gate.setup_view import RunView, changed
+from imubayes.foundations.campaign_data import Campaign
+
+
+def _single_outputs(campaign: Campaign, views: Sequence[RunView]) -> Iterator[tuple[Scope, int]]:
+    """Yield each run with each of several channels in it, where other runs tell what its outputs are."""
+    channels = [k for k, each in enumerate(campaign.channels) if each.kind != "angle"]
+    if len(channels) < 2 or len(views) < 3:
+        return
+    for scope, k in itertools.product(single_runs(views, tables_only=False), channels):
+        if np.isfinite(views[scope.runs[0]].observed[:, k]).any():
+            yield scope, k
+
+
+@dataclass(frozen=True)
+class ChannelOffset(Mistake):
+    """The outputs of a channel in a run are off by a size, as a ratio to the largest output.
+
+    Attributes
+    ----------
+    place : of the channel.
+    largest : of its outputs about their offset, output units.
+    """
+
+    channel: str
+    place: int
+    largest: float
+    kind: ClassVar[str] = "output_offset"
+    rarity: ClassVar[float] = 8.0
+    sizes: ClassVar[tuple[float, ...]] = (-1.0, -0.5, 0.0, 0.5, 1.0)
+
+    @property
+    def variant(self) -> str:
+        """The channel."""
+        return self.channel
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every channel of several in every run, where other runs tell what its outputs are."""
+        for scope, k in _single_outputs(campaign, views):
+            channel = campaign.channels[k]
+            largest = max(np.nanmax(np.abs(view.observed[:, k] - channel.offset), initial=0.0) for view in views)
+            if largest > 0:
+                yield cls(scope, channel.name, k, float(largest))
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the outputs less their error."""
+        observed = views[place].observed.copy()
+        observed[:, self.place] -= size * self.largest
+        return changed(views[place], observed=observed)
+
+
+_RANGE = 1e3
+"""Largest output over the errors of a plausible unit: what an output is worth that may be anything."""
+
+
+@dataclass(frozen=True)
+class ChannelApart(Mistake):
+    """The outputs of a channel in a run are those of anything else, and tell nothing."""
+
+    channel: str
+    place: int
+    rows: int
+    kind: ClassVar[str] = "outputs_apart"
+
+    @property
+    def variant(self) -> str:
+        """The channel."""
+        return self.channel
+
+    @property
+    def unlikelihood(self) -> float:
+        """Every output is any within the range."""
+        return 2 * math.log(_RANGE) * self.rows
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every channel of several in every run, where other runs tell what its outputs are."""
+        for scope, k in _single_outputs(campaign, views):
+            rows = int(np.isfinite(views[scope.runs[0]].observed[:, k]).sum())
+            yield cls(scope, campaign.channels[k].name, k, rows)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run without the outputs."""
+        observed = views[place].observed.copy()
+        observed[:, self.place] = np.nan
+        return changed(views[place], observed=observed)
+
+
+def repeats(campaign: Campaign, run: int, channel: int) -> str:
+    """Return the name of the channel whose outputs a channel repeats in a run, and its own if they hold one value.
+
+    Empty where they do neither.
+    """
+    outputs = campaign.runs[run].observed
+    own = outputs[:, channel]
+    reach = np.nanmax(np.abs(own), initial=0.0)
+    if np.ptp(own[np.isfinite(own)]) <= _ALIKE * reach:
+        return campaign.channels[channel].name
+    others = [k for k in range(outputs.shape[1]) if k != channel]
+    alike = [k for k in others if np.nanmax(np.abs(outputs[:, k] - own), initial=0.0) <= _ALIKE * reach]
+    return campaign.channels[alike[0]].name if alike else ""
+
+
+_ALIKE = 1e-5
+"""Relative difference of outputs that are one value, or one column twice."""
