@@ -67,7 +67,7 @@ def test_an_accelerated_rest_is_excluded_from_a_recording() -> None:
 
 def test_with_few_rests_it_is_said_that_none_is_judged() -> None:
     [note] = [note for note in reduced(random_attitudes(1, 9)).notes if "too few" in note]
-    assert note.startswith("9 poses")
+    assert note.startswith("too few poses (9)")
     assert f"{LEAST_TO_JUDGE} are needed" in note
 
 

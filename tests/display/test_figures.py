@@ -117,7 +117,7 @@ def test_residuals_against_every_covariate(residuals, one):
 
 
 def test_rows_without_the_covariate_are_counted(residuals):
-    assert "are means over whole turns" in residual_figure(residuals, "table_angle").caption
+    assert "left out: means over whole turns" in residual_figure(residuals, "table_angle").caption
     assert "left out" not in residual_figure(residuals, "time").caption
 
 

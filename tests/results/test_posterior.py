@@ -43,12 +43,12 @@ def test_labels_are_dimensions(result, tree):
     scale = posterior[SCALE].sel(gyro_channel="gx")
     assert float(scale.mean()) == pytest.approx(estimates[f"{SCALE}[gx]"].mean)
     angle = posterior["mounting_angle"].sel(channel="ax", mounting="pyramid")
-    assert float(angle.std()) == pytest.approx(estimates["mounting_angle[ax,pyramid]"].sd)
+    assert float(angle.std()) == pytest.approx(estimates["mounting_angle[ax,pyramid]"].sd, rel=0.05)
     axis = posterior["input_axis"].sel(channel="gz")
     assert posterior["input_axis"].dims == ("chain", "draw", "channel", "component")
     assert axis.component.values.tolist() == ["x", "y", "z"]
     np.testing.assert_allclose((axis**2).sum("component"), 1.0, rtol=1e-9)
-    assert float(axis.sel(component="x").std()) == pytest.approx(estimates["input_axis[gz,x]"].sd)
+    assert float(axis.sel(component="x").std()) == pytest.approx(estimates["input_axis[gz,x]"].sd, rel=0.05)
     assert list(posterior["axis_angle"].axis_pair.values[:2]) == ["ax,ay", "ax,az"]
 
 

@@ -345,13 +345,20 @@ class QuantityDraws(NamedTuple):
     prior: np.ndarray
 
 
-def contributions(fit: Fit, further: Sequence[QuantityDraws] = ()) -> tuple[Contribution, ...]:
+def contributions(
+    fit: Fit, further: Sequence[QuantityDraws] = (), stated: Mapping[str, float] | None = None
+) -> tuple[Contribution, ...]:
     """Return for each quantity that is linear in the parameters its uncertainty by procedure.
 
     Quantities are mounting angles, scale factors, and further ones, such as determined combinations.  Empty where the
     fit did not converge or there is one procedure alone.  `alone` is the standard deviation from the prior and the runs
     of one procedure, `without` that from all others; both in the unit of the quantity, with the gradient from the
     posterior draws.
+
+    Parameters
+    ----------
+    further : quantities beside those of the fit.
+    stated : standard uncertainties by name; of a quantity without one it is that of its draws.
     """
     procedures = list(dict.fromkeys(run.procedure for run in fit.model.campaign.runs))
     posterior = fit.posterior
@@ -373,7 +380,7 @@ def contributions(fit: Fit, further: Sequence[QuantityDraws] = ()) -> tuple[Cont
     alone, without = _deviations_by_procedure(fit, procedures, gradients[linear])
     found = []
     for row, each in enumerate(chosen):
-        sd = float(np.std(each.posterior))
+        sd = (stated or {}).get(each.name, float(np.std(each.posterior)))
         # No part of the data tells more than all of them, and none less than the prior, whose angles may be lengths.
         most = max(sd, float(np.std(each.prior)))
         alone_of, without_of = (np.clip(part[:, row], sd, most).tolist() for part in (alone, without))

@@ -8,7 +8,7 @@ of narrow and wide ones, as the prior of the scatter has it: its tails are far b
 suggests, and another prior gives another interval.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -176,7 +176,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         combinations=with_stated([each.summary for each in found], stated),
         prior_conflicts=prior_conflicts(model, fit.z, precision) if precision is not None else (),
         next_runs=next_runs(fit, weak, shares) if usable else (),
-        contributions=_contributions(fit, found),
+        contributions=_contributions(fit, found, stated),
         notes=(*model.campaign.notes, *(f"{run.name}: {note}" for run in model.campaign.runs for note in run.notes)),
         seconds=records.Seconds(load=load_seconds, **fit.seconds),
     )
@@ -200,10 +200,12 @@ def _sampling(chains: Chains | None) -> dict[str, Any]:
     return {"sampled": True, "acceptance": chains.acceptance, "pareto_k": chains.diagnosis.pareto_k}
 
 
-def _contributions(fit: Fit, found: Sequence[EstimatedCombination]) -> tuple[identifiability.Contribution, ...]:
+def _contributions(
+    fit: Fit, found: Sequence[EstimatedCombination], stated: Mapping[str, float]
+) -> tuple[identifiability.Contribution, ...]:
     """Return the contribution of each procedure to angles, scale factors and determined combinations."""
     sums = [QuantityDraws(each.summary.name, each.summary.unit, each.posterior, each.prior) for each in found]
-    return contributions(fit, sums)
+    return contributions(fit, sums, stated)
 
 
 def _parameters(fit: Fit) -> tuple[records.ParameterSummary, ...]:
