@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
 
 from imubayes.campaign.reduction.constant_spans import table_rates, typical_level
 from imubayes.campaign.reduction.log_survey import BlockSurvey
@@ -80,10 +79,11 @@ def _best_lag(table: np.ndarray, output: np.ndarray) -> tuple[float, float, floa
 def _unexplained(table: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return whole lags, and the share of the variance of the output that the shifted table leaves unexplained."""
     table, output, length = table - table.mean(), output - output.mean(), len(table)
-    lags = scipy.signal.correlation_lags(length, length)
-    used = np.abs(lags) <= _MOST_LAG * length
-    lags = lags[used]
-    both = scipy.signal.correlate(output, table)[used]
+    most = int(_MOST_LAG * length)
+    lags = np.arange(-most, most + 1)
+    # Twice the length, so that the ends do not meet; `scipy.signal` takes longer to import than a campaign to check.
+    spectrum = np.fft.rfft(output, 2 * length) * np.conj(np.fft.rfft(table, 2 * length))
+    both = np.fft.irfft(spectrum, 2 * length)[lags]
     count = length - np.abs(lags)
 
     def moments(values: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -16,9 +16,8 @@ COARSEST = 1.0  # °C; set-points of a chamber, which are recorded in place of r
 _HALF = 0.5
 _THERMOMETERS = ("temperature_degC", "converter_temperature_degC")
 _LEAST_LEVELS = 3
-_HELD = (
-    0.9  # share of blocks whose reading is that of the block before: noise that dithers a reading averages its steps
-)
+_HELD = 0.9
+"""Share of blocks whose reading is that of the block before: noise that dithers a reading averages its steps."""
 _ALIKE = 1e-6  # °C
 
 
