@@ -378,18 +378,23 @@ def contributions(
     if not chosen:
         return ()
     alone, without = _deviations_by_procedure(fit, procedures, gradients[linear])
-    found = []
-    for row, each in enumerate(chosen):
-        sd = (stated or {}).get(each.name, float(np.std(each.posterior)))
-        # No part of the data tells more than all of them, and none less than the prior, whose angles may be lengths.
-        most = max(sd, float(np.std(each.prior)))
-        alone_of, without_of = (np.clip(part[:, row], sd, most).tolist() for part in (alone, without))
-        by = tuple(
-            ProcedureShare(procedure=name, alone=one, without=others)
-            for name, one, others in zip(procedures, alone_of, without_of, strict=True)
-        )
-        found.append(Contribution(quantity=each.name, unit=each.unit, sd=sd, by=by))
-    return tuple(found)
+    by_procedure = zip(np.moveaxis(alone, 1, 0), np.moveaxis(without, 1, 0), strict=True)
+    return tuple(
+        _contribution(each, (stated or {}).get(each.name), procedures, *parts)
+        for each, parts in zip(chosen, by_procedure, strict=True)
+    )
+
+
+def _contribution(
+    of: QuantityDraws, stated: float | None, procedures: Sequence[str], alone: np.ndarray, without: np.ndarray
+) -> Contribution:
+    """Return a quantity with its standard uncertainty by procedure, (L,) each, and from all data."""
+    sd = float(np.std(of.posterior)) if stated is None else stated
+    # No part of the data tells more than all of them, and none less than the prior, whose angles may be lengths.
+    most = max(sd, float(np.std(of.prior)))
+    by = zip(procedures, np.clip(alone, sd, most).tolist(), np.clip(without, sd, most).tolist(), strict=True)
+    shares = tuple(ProcedureShare(procedure=name, alone=one, without=others) for name, one, others in by)
+    return Contribution(quantity=of.name, unit=of.unit, sd=sd, by=shares)
 
 
 def _deviations_by_procedure(

@@ -1,12 +1,12 @@
 """Set-up mistakes of the equipment: what each changes in the nominal set-up of which runs.
 
-Those of units and scale factors are in `reading_mistakes`, those of temperatures in `thermal_mistakes`, those of whole
-files in `file_mistakes`; `search` tries all.  A mistake is one small
-class.  `suspected` lists where in a campaign it may have been made; `corrected` returns the view of a run as it would
-be without the mistake.  A mistake with a size, an angle or a shift, has a grid of sizes, between which the best is
-found.  Mistakes are listed from the most to the least usual; of those that explain the outputs equally well, the first
-is named.  A mistake of an `open_value` holds whatever a record may say instead.  It rivals every named mistake of the
-same `record`, which is a point on it.
+Those of units and scale factors are in `reading_mistakes`, those of temperatures in `thermal_mistakes`, those of
+whole files in `file_mistakes`; `catalogue` lists all, and `search` tries them.  A mistake is one small class, which
+holds all that is known of it but for its words, in `remedies`.  `suspected` lists where in a campaign it may have
+been made; `corrected` returns the view of a run as it would be without the mistake.  A mistake with a size, an angle
+or a shift, has a grid of sizes, between which the best is found.  Mistakes are listed from the most to the least
+usual; of those that explain the outputs equally well, the first is named.  A mistake of an `open_value` holds
+whatever a record may say instead.  It rivals every named mistake of the same `record`, which is a point on it.
 """
 
 import itertools
@@ -14,6 +14,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from enum import Flag, auto
 from typing import ClassVar
 
 import numpy as np
@@ -23,6 +24,12 @@ from imubayes.foundations.campaign_data import Campaign
 
 _DEGREE = math.pi / 180
 RIGHT_ANGLES = math.pi / 2, -math.pi / 2, math.pi
+DECISIVE = 25.0
+"""Gain in twice the log evidence, less the `unlikelihood` of a mistake, for it to be named: odds of e^12 to 1 outweigh
+some thousand suspected mistakes and priors of 1 in 100."""
+RIVALLED = 49.0
+"""Gain per channel beyond which a mistake is said, as a warning, although other biases in a run explain the outputs as
+well: a bias off by seven plausible standard deviations.  Valid campaigns gained up to 26."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,14 @@ class Scope:
     runs: tuple[int, ...]
 
 
+class Concealed(Flag):
+    """Where plausible errors of a poor unit conceal a mistake, so that it shows in a steady unit only."""
+
+    NEVER = 0
+    BY_INPUTS = auto()  # of other directions, levels or runs
+    BY_ONE_INPUT = auto()  # the Earth rate alone, or every run turns
+
+
 @dataclass(frozen=True)
 class Mistake(ABC):
     """A suspected mistake in the set-up of some runs.
@@ -50,6 +65,10 @@ class Mistake(ABC):
     less than `as_usual`.  `per_radian` is what a size counts like a radian of an angle.  `by_evidence` is whether the
     size of most evidence is the best, not that of least misfit.  The search for it ends where twice the log likelihood
     changes by less than `settled`: a hundredth is a tenth of a standard deviation of the size.
+
+    `gross` is whether it is looked for where the outputs are beyond plausible errors.  `of_doubted_runs` is whether it
+    is looked for in the runs alone that agree least with the others.  A size that is `estimated` is refined and has an
+    uncertainty.  One below `least` is not said where plausible errors would explain the outputs as well.
     """
 
     scope: Scope
@@ -62,6 +81,11 @@ class Mistake(ABC):
     settled: ClassVar[float] = 0.01
     by_evidence: ClassVar[bool] = False
     rarity: ClassVar[float] = 0.0
+    gross: ClassVar[bool] = True
+    concealed: ClassVar[Concealed] = Concealed.NEVER
+    of_doubted_runs: ClassVar[bool] = False
+    estimated: ClassVar[bool] = False
+    least: ClassVar[float] = 0.0
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator["Mistake"]:
@@ -92,6 +116,19 @@ class Mistake(ABC):
     def stops(self, size: float) -> bool:
         """Return whether a mistake of that size is beyond a poor unit; else it is a warning."""
         return True
+
+    def negligible(self, campaign: Campaign, size: float) -> bool:
+        """Return whether a mistake of that size is not said if plausible errors would explain the outputs as well."""
+        return abs(size) < self.least
+
+    def bar(self, campaign: Campaign) -> float:
+        """Return the support from which a concealed mistake is said."""
+        return DECISIVE
+
+    @property
+    def passes_for(self) -> str:
+        """What is mistaken for it in a valid set-up, in words."""
+        return "a bias that changes from run to run"
 
     def like(self, other: "Mistake") -> bool:
         """Return whether another mistake, although of more evidence, is none that the outputs tell from this one.
@@ -187,6 +224,7 @@ class FilesExchanged(Mistake):
     second: str
     other: int
     kind: ClassVar[str] = "files_exchanged"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
@@ -212,6 +250,7 @@ class TableSense(Mistake):
 
     zero_too: bool = False
     kind: ClassVar[str] = "table_reversed"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
 
     @property
     def unlikelihood(self) -> float:
@@ -247,6 +286,9 @@ class TableZero(Mistake):
     """The zero of the table angle is off."""
 
     kind: ClassVar[str] = "table_zero"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
+    estimated: ClassVar[bool] = True
+    least: ClassVar[float] = 4 * _DEGREE  # a loose mounting may be turned about the axis
     usual_within: ClassVar[float] = 3.5 * _DEGREE
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-150, 181, 30) * _DEGREE)
 
@@ -286,6 +328,9 @@ class TableElevation(Mistake):
     """The elevation of the axis of a table is wrong."""
 
     kind: ClassVar[str] = "table_elevation"
+    concealed: ClassVar[Concealed] = Concealed.BY_INPUTS | Concealed.BY_ONE_INPUT
+    estimated: ClassVar[bool] = True
+    least: ClassVar[float] = 2 * _DEGREE  # smaller ones pass for errors that the linear model leaves out
     rarity: ClassVar[float] = 2.0
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-180, 180, 30) * _DEGREE)
 
@@ -314,6 +359,9 @@ class TableAzimuth(Mistake):
     """The azimuth of the axis of a table is wrong."""
 
     kind: ClassVar[str] = "table_azimuth"
+    concealed: ClassVar[Concealed] = Concealed.BY_INPUTS | Concealed.BY_ONE_INPUT
+    estimated: ClassVar[bool] = True
+    least: ClassVar[float] = 25 * _DEGREE  # the Earth rate of a tactical gyro determines no less
     rarity: ClassVar[float] = 4.0
     # The g-sensitivity of a poor gyro moves the best azimuth by three standard deviations.
     as_usual: ClassVar[float] = 12.0
@@ -342,6 +390,7 @@ class ChannelsExchanged(Mistake):
     places: tuple[int, ...]
     order: tuple[int, ...]
     kind: ClassVar[str] = "axes_exchanged"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
 
     @property
     def unlikelihood(self) -> float:
@@ -381,6 +430,7 @@ class TimeShift(Mistake):
 
     whole: bool
     kind: ClassVar[str] = "time_shift"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
     sizes: ClassVar[tuple[float, ...]] = tuple(np.concatenate([np.arange(-3, 3.1, 0.5), [-5.0, -4.0, 4.0, 5.0]]))
 
     @classmethod

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, single_runs
+from imubayes.campaign.setup_gate.equipment_mistakes import RIVALLED, Concealed, Mistake, Scope, single_runs
 from imubayes.campaign.setup_gate.setup_view import RunView
 from imubayes.foundations.campaign_data import Campaign
 
@@ -18,6 +18,8 @@ class OtherUnit(Mistake):
     """
 
     kind: ClassVar[str] = "other_unit"
+    concealed: ClassVar[Concealed] = Concealed.BY_INPUTS
+    of_doubted_runs: ClassVar[bool] = True
 
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
@@ -27,6 +29,15 @@ class OtherUnit(Mistake):
         """
         known = [scope for scope in single_runs(views, tables_only=False) if views[scope.runs[0]].reference is None]
         return known if len(known) > 2 else []
+
+    def bar(self, campaign: Campaign) -> float:
+        """Return what other biases in a run would gain."""
+        return RIVALLED * len(campaign.channels)
+
+    @property
+    def passes_for(self) -> str:
+        """What another unit is."""
+        return "biases and scale factors unlike those of other runs"
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run as it is."""

@@ -8,14 +8,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
+from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE
 from imubayes.campaign.setup_gate.places import Places
 from imubayes.campaign.setup_gate.rate_records import RatesMissing
 from imubayes.campaign.setup_gate.remedies import REMEDIES
-from imubayes.campaign.setup_gate.search import DECISIVE, MOST_MISTAKES, Explanation, Search, equally_good
+from imubayes.campaign.setup_gate.search import MOST_MISTAKES, Explanation, Search, equally_good
 from imubayes.campaign.setup_gate.setup_view import feels_the_earth_alone
 from imubayes.campaign.setup_gate.steadiness import hidden_mistakes, noise_as_rival, sized
-from imubayes.campaign.setup_gate.thermal_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
 from imubayes.campaign.setup_gate.wrong_rows import WrongRow, with_rows, wrong_rows
 from imubayes.campaign.stream_checks import Finding, Severity
 from imubayes.foundations.campaign_data import Campaign
@@ -158,7 +157,7 @@ def _explained(
     what = ", or ".join([words.what, *(each.what for each in others)])
     evidence = f"the outputs fit {'each' if others else 'that'} far better (Δχ² {first.gain:.3g})"
     if first.rivalled:
-        evidence += f", but cannot distinguish it from {_rival(first)}"
+        evidence += f", but cannot distinguish it from {first.mistake.passes_for}"
     remedy = words.remedy
     if others:
         what = f"the data cannot determine whether {what}"
@@ -178,19 +177,6 @@ def _stops(equal: tuple[Explanation, ...]) -> bool:
     first = equal[0]
     sure = first.support > first.stopping and not first.rivalled
     return sure and all(each.mistake.stops(each.size) for each in equal)
-
-
-def _rival(found: Explanation) -> str:
-    """Return what passes for a mistake in a valid set-up."""
-    if isinstance(found.mistake, OtherUnit):
-        return "biases and scale factors unlike those of other runs"
-    if not isinstance(found.mistake, TEMPERATURE_MISTAKES):
-        return "a bias that changes from run to run"
-    if isinstance(found.mistake, TemperatureReversed):
-        return "biases that drift, or unlike those of other runs"
-    if found.mistake.scope.section == "run":
-        return "biases and scale factors unlike those of other runs"
-    return "outputs that ignore the temperature"
 
 
 def _unexplained(run: str, misfit: float, where: str) -> Finding:

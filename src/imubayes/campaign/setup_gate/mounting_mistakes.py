@@ -1,4 +1,4 @@
-"""Mistakes in how a unit was mounted, and in the axes of its channels; `MISTAKES` lists all of the equipment."""
+"""Mistakes in how a unit was mounted, and in the axes of its channels."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -8,16 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from imubayes.campaign.setup_gate.equipment_mistakes import (
-    ChannelsExchanged,
-    FilesExchanged,
+    Concealed,
     Mistake,
-    MountingTurned,
     Scope,
-    TableAzimuth,
-    TableElevation,
-    TableSense,
-    TableZero,
-    TimeShift,
     all_runs,
     mountings_of,
     single_runs,
@@ -35,6 +28,7 @@ class MountingMislabelled(Mistake):
     actual: str
     matrix: np.ndarray
     kind: ClassVar[str] = "mounting_mislabelled"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
@@ -56,6 +50,7 @@ class MountingsExchanged(Mistake):
     first: str
     second: str
     kind: ClassVar[str] = "mountings_exchanged"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
@@ -84,6 +79,7 @@ class MountingWrong(Mistake):
     matrix: np.ndarray
     transposed: bool
     kind: ClassVar[str] = "mounting_wrong"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
 
     @property
     def unlikelihood(self) -> float:
@@ -112,6 +108,7 @@ class InputAxisWrong(Mistake):
     channel: int
     axes: np.ndarray
     kind: ClassVar[str] = "input_axis_wrong"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
     rarity: ClassVar[float] = 8.0
 
     @classmethod
@@ -146,9 +143,3 @@ def _orientations() -> Iterator[np.ndarray]:
 
 ORIENTATIONS = list(_orientations())
 """The 24 rotations that map the axes of a cube onto each other, the identity first."""
-
-MISTAKES: tuple[type[Mistake], ...] = (
-    FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
-    TableElevation, TableAzimuth, ChannelsExchanged, TimeShift, MountingWrong, InputAxisWrong,
-)  # fmt: skip
-"""Kinds of mistakes in the equipment, from the most to the least usual."""

@@ -42,6 +42,7 @@ class ChannelOffset(Mistake):
     place: int
     largest: float
     kind: ClassVar[str] = "output_offset"
+    estimated: ClassVar[bool] = True
     rarity: ClassVar[float] = 8.0
     sizes: ClassVar[tuple[float, ...]] = (-1.0, -0.5, 0.0, 0.5, 1.0)
 

@@ -130,6 +130,3 @@ class RatesMissing(Mistake):
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the rates that the gyro shows."""
         return changed(views[place], rate=self.rates[self.scope.runs.index(place)])
-
-
-RATE_RECORDS: tuple[type[Mistake], ...] = (RateWithoutSign, RatesExchanged, RatesMissing)

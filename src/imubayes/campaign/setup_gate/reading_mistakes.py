@@ -18,7 +18,9 @@ from typing import ClassVar
 import numpy as np
 
 from imubayes.campaign.setup_gate.equipment_mistakes import (
+    DECISIVE,
     RIGHT_ANGLES,
+    Concealed,
     Mistake,
     Scope,
     TableSense,
@@ -41,6 +43,7 @@ class AxisZero(Mistake):
 
     axis: int
     kind: ClassVar[str] = "axis_zero"
+    estimated: ClassVar[bool] = True
     usual_within: ClassVar[float] = math.radians(3.5)
     sizes: ClassVar[tuple[float, ...]] = tuple(np.radians(np.arange(-150, 181, 30)))
 
@@ -78,11 +81,19 @@ def _feels_the_earth(campaign: Campaign, views: Sequence[RunView]) -> bool:
     return bool(campaign.of_kind("gyro")) and any(view.reference is None for view in views)
 
 
+DECISIVE_LATITUDE = 8.0
+"""Support from which the sign of the latitude is named where several gyros show it: a single suspected mistake.  Up to
+`DECISIVE` it is a warning."""
+LEAST_LATITUDE = math.radians(15.0)
+
+
 @dataclass(frozen=True)
 class LatitudeSign(Mistake):
     """The latitude has the wrong sign."""
 
     kind: ClassVar[str] = "latitude_sign"
+    gross: ClassVar[bool] = False
+    concealed: ClassVar[Concealed] = Concealed.BY_INPUTS | Concealed.BY_ONE_INPUT
 
     @classmethod
     def scopes(cls, campaign: Campaign, views: Sequence[RunView]) -> Sequence[Scope]:
@@ -93,6 +104,10 @@ class LatitudeSign(Mistake):
         """Return the view on the other hemisphere."""
         return changed(views[place], latitude=-views[place].latitude)
 
+    def bar(self, campaign: Campaign) -> float:
+        """Return less than usual where several gyros show it."""
+        return DECISIVE_LATITUDE if len(campaign.of_kind("gyro")) > 1 else DECISIVE
+
 
 @dataclass(frozen=True)
 class LatitudeValue(Mistake):
@@ -100,6 +115,9 @@ class LatitudeValue(Mistake):
 
     north: bool
     kind: ClassVar[str] = "latitude_value"
+    gross: ClassVar[bool] = False
+    concealed: ClassVar[Concealed] = Concealed.BY_INPUTS | Concealed.BY_ONE_INPUT
+    estimated: ClassVar[bool] = True
     rarity: ClassVar[float] = 15.0
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-90, 91, 15) * _DEGREE)
 
@@ -125,8 +143,9 @@ class LatitudeValue(Mistake):
         """Return whether the latitude exists: outputs beyond the poles show more than the Earth rate."""
         return abs(size) <= math.pi / 2
 
-
-LATITUDE_MISTAKES: tuple[type[Mistake], ...] = (LatitudeSign, LatitudeValue)
+    def negligible(self, campaign: Campaign, size: float) -> bool:
+        """Return whether it is near the stated one: what a linear model leaves out moved a valid one by 9 degrees."""
+        return abs(size - campaign.site.latitude) < LEAST_LATITUDE
 
 
 GAINS = {
@@ -204,11 +223,16 @@ class NominalScale(_Factor):
     places: tuple[int, ...]
     of_gyros: bool
     kind: ClassVar[str] = "channel_unit"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
 
     @property
     def unlikelihood(self) -> float:
         """A scale factor is that of all runs."""
         return self.rarity if self.scope.section == "campaign" else 20.0
+
+    def negligible(self, campaign: Campaign, size: float) -> bool:
+        """Return whether a poor unit may have that scale factor."""
+        return not self.stops(size)
 
     @property
     def record(self) -> str:
@@ -273,9 +297,6 @@ class TableRates(_Factor):
         return changed(views[place], rate=views[place].rate * math.exp(size))
 
 
-SCALE_MISTAKES: tuple[type[Mistake], ...] = (NominalScale, TableRates)
-
-
 RATE_UNITS = {
     "rpm": 6.0, "rev/s": 360.0, "rad/s": 1 / _DEGREE, "deg/min": 1 / 60, "deg/h": 1 / 3600, "mdeg/s": 1e-3,
     "rad/h": 1 / _DEGREE / 3600,
@@ -302,6 +323,7 @@ class ChannelGain(Mistake):
     factor: float
     units: str
     kind: ClassVar[str] = "channel_unit"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
 
     @property
     def record(self) -> str:
@@ -405,6 +427,7 @@ class AngleUnit(Mistake):
 
     unit: str
     kind: ClassVar[str] = "angle_unit"
+    concealed: ClassVar[Concealed] = Concealed.BY_ONE_INPUT
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
@@ -419,6 +442,3 @@ class AngleUnit(Mistake):
         """Return the run with the angles converted."""
         factor, view = ANGLE_UNITS[self.unit], views[place]
         return changed(view, angle=(view.angle + view.zero) * factor - view.zero, span=view.span * factor)
-
-
-UNIT_MISTAKES: tuple[type[Mistake], ...] = (ChannelGain, RateUnit, AngleUnit, *SCALE_MISTAKES)

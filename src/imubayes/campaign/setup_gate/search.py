@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.campaign.setup_gate.catalogue import MISTAKES
 from imubayes.campaign.setup_gate.drift_rivals import score_with_drift
-from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope
+from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, Mistake, Scope
 from imubayes.campaign.setup_gate.error_model import (
     G_SENSITIVITIES,
     POOR,
@@ -22,22 +23,15 @@ from imubayes.campaign.setup_gate.error_model import (
 )
 from imubayes.campaign.setup_gate.evidence import ErrorModel
 from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
-from imubayes.campaign.setup_gate.mounting_mistakes import MISTAKES
-from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset
-from imubayes.campaign.setup_gate.rate_records import RATE_RECORDS
-from imubayes.campaign.setup_gate.reading_mistakes import UNIT_MISTAKES, AxisZero, ChannelGain
+from imubayes.campaign.setup_gate.reading_mistakes import ChannelGain
 from imubayes.campaign.setup_gate.setup_view import CarryingAxes, RunView, views_of
-from imubayes.campaign.setup_gate.thermal_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
-from imubayes.campaign.setup_gate.wrong_rows import RateFactor
+from imubayes.campaign.setup_gate.thermal_mistakes import TemperatureReversed
 from imubayes.foundations.campaign_data import Campaign
 
 ORDINARY_MISFIT, ORDINARY_ERROR = 1.0, 3.5
 """Misfit per output, and largest error in standard deviations, up to which a campaign is valid.  What is left out of
 the linear model is assumed several times as large as it is in good units: shipped campaigns, hidden effects included,
 have a misfit of 0.01 to 0.4 and errors within 1.6 standard deviations."""
-DECISIVE = 25.0
-"""Gain in twice the log evidence, less the `unlikelihood` of a mistake, for it to be named: odds of e^12 to 1 outweigh
-some thousand suspected mistakes and priors of 1 in 100."""
 LEAST_SHARE = 0.98
 """Least share of the excess misfit that the correction of a mistake removes."""
 MOST_MISTAKES = 3
@@ -50,8 +44,6 @@ ALIKE = 0.5
 """Share of the gain of a mistake from which on one that is like it is told beside it."""
 NAMED_WITHIN = 12.0
 """How much less than the open value of a record a named mistake may gain: three and a half standard deviations."""
-RECORDS_OF_RUNS: tuple[type[Mistake], ...] = (*RATE_RECORDS, ChannelOffset, ChannelApart, OtherUnit)
-"""Mistakes in the record of a whole run that is no single value."""
 _REFINEMENTS, _REMEMBERED = 4, 256
 _SAME_POINT = 0.05  # of how far a name may be from a value, within which two names are one
 _SUSPECTS = 5  # runs whose own mistakes are tried
@@ -233,8 +225,8 @@ class Search:
         found = self.explain(
             [
                 mistake
-                for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, RateFactor, *TEMPERATURE_MISTAKES, *RECORDS_OF_RUNS)
-                for mistake in kind.suspected(self.campaign, self.views)
+                for kind in MISTAKES
+                for mistake in (kind.suspected(self.campaign, self.views) if kind.gross else ())
                 if mistake.scope.section != "run" or suspects.issuperset(mistake.scope.runs)
             ]
         )

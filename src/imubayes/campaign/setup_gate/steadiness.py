@@ -19,12 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.equipment_mistakes import (
-    Mistake,
-    TableAzimuth,
-    TableElevation,
-    TableZero,
-)
+from imubayes.campaign.setup_gate.catalogue import MISTAKES
+from imubayes.campaign.setup_gate.equipment_mistakes import DECISIVE, RIVALLED, Concealed, Mistake, TableElevation
 from imubayes.campaign.setup_gate.error_model import (
     G_SENSITIVITIES,
     POOR,
@@ -34,26 +30,10 @@ from imubayes.campaign.setup_gate.error_model import (
 )
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen
 from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
-from imubayes.campaign.setup_gate.mounting_mistakes import MISTAKES
-from imubayes.campaign.setup_gate.output_mistakes import ChannelOffset
-from imubayes.campaign.setup_gate.reading_mistakes import (
-    LATITUDE_MISTAKES,
-    AngleUnit,
-    AxisZero,
-    ChannelGain,
-    LatitudeSign,
-    LatitudeValue,
-    NominalScale,
-)
-from imubayes.campaign.setup_gate.search import DECISIVE, ORDINARY_ERROR, Explanation, Search, told_by_name
+from imubayes.campaign.setup_gate.reading_mistakes import DECISIVE_LATITUDE, LatitudeSign
+from imubayes.campaign.setup_gate.search import ORDINARY_ERROR, Explanation, Search, told_by_name
 from imubayes.campaign.setup_gate.setup_view import RunView, feels_the_earth_alone, turns_through, views_of
-from imubayes.campaign.setup_gate.thermal_mistakes import (
-    TEMPERATURE_MISTAKES,
-    TemperatureReversed,
-    TemperaturesExchanged,
-    TemperatureValue,
-)
-from imubayes.campaign.setup_gate.wrong_rows import RateFactor
+from imubayes.campaign.setup_gate.thermal_mistakes import OfTemperatures, TemperatureReversed, TemperatureValue
 from imubayes.foundations.campaign_data import Campaign
 
 FACTORS = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
@@ -142,9 +122,6 @@ def _noise(
 STOPPING = 100.0
 """Support beyond which a hidden mistake stops a fit; up to it a warning says it.  Its evidence rests on how steady the
 unit is taken to be, which errors that no model lists make too much of."""
-DECISIVE_LATITUDE = 8.0
-"""Support from which the sign of the latitude is named where several gyros show it: a single suspected mistake.  Up to
-`DECISIVE` it is a warning."""
 MOST_MISFIT_LEFT, MOST_MISFIT_OF_TEMPERATURES = 2.0, 1.25
 """Misfit per output of a unit that is taken for steady, up to which a correction explains its outputs, and up to which
 one of temperatures does.  Of a unit that is taken for too steady any correction explains something."""
@@ -152,18 +129,6 @@ WORTH_TRYING = 4.0
 """Gain of a hidden mistake in a unit as steady as its outputs show, from which it is tried in a steadier one."""
 DOUBTED = 10
 """Runs that agree least with the others, whose temperatures and files are doubted: pairs of them are tried as well."""
-LEAST_TURN = math.radians(25.0)
-"""Least error of an azimuth that is doubted where plausible errors would explain the outputs as well: the Earth rate
-of a tactical gyro tells no less."""
-LEAST_LATITUDE = math.radians(15.0)
-"""The same of a latitude: what a linear model leaves out moved that of a valid campaign by 9 degrees."""
-LEAST_TILT = math.radians(2.0)
-"""The same of an elevation: smaller ones pass for errors that the linear model leaves out."""
-LEAST_ZERO = math.radians(4.0)
-"""The same of a zero, beside which a loose mounting may be turned about the axis."""
-RIVALLED = 49.0
-"""Gain per channel beyond which a mistake is said, as a warning, although other biases in a run explain the outputs as
-well: a bias off by seven plausible standard deviations.  Valid campaigns gained up to 26."""
 LEVELS = (
     (1.0, 1.0, 0), (3.0, 3.0, 0), (1.0, 1.0, 1), (1.0, 0.3, 2), (0.3, 0.3, 2), (1.0, 0.1, 3), (0.3, 0.1, 4),
     (1.0, 0.03, 5),
@@ -196,10 +161,9 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     levels = SteadinessLevels(campaign)
     first, stated = levels.of_most_evidence()
     views = levels[0].views
-    concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES, OtherUnit)
-    if feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views):
-        concealed = (*MISTAKES, ChannelGain, AngleUnit, NominalScale, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
-    doubted = levels[first].suspects(DOUBTED)
+    one_input = feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views)
+    where = Concealed.BY_ONE_INPUT if one_input else Concealed.BY_INPUTS
+    doubted, concealed = levels[first].suspects(DOUBTED), [kind for kind in MISTAKES if where in kind.concealed]
     suspected = [each for kind in concealed for each in kind.suspected(campaign, views) if _is_tried(each, doubted)]
     tried = levels.tried(suspected, first)
     likeliest = (levels.steadiest(mistake, own, stated) for mistake, own in zip(suspected, tried, strict=True))
@@ -218,7 +182,7 @@ def _strongest(found: Sequence[Explanation]) -> list[Explanation]:
 
 def _is_sayable(found: Explanation, campaign: Campaign) -> bool:
     """Whether a mistake is supported well enough to be said."""
-    if found.support <= _bar(found.mistake, campaign) or _small(found, campaign):
+    if found.support <= found.mistake.bar(campaign) or found.mistake.negligible(campaign, found.size):
         return False
     return not found.rivalled or found.gain > RIVALLED * len(campaign.channels)
 
@@ -285,7 +249,7 @@ class SteadinessLevels:
         gain, rival = stated - score, stated
         if self.tumbled:
             rival = self.unsteady - (STOPPING - DECISIVE)
-        if isinstance(mistake, (*TEMPERATURE_MISTAKES, OtherUnit)):
+        if isinstance(mistake, (OfTemperatures, OtherUnit)):
             rival = min(self[each.level].rival(mistake) for each in tried)
             if isinstance(mistake, TemperatureReversed):
                 drifting = np.array([self[each.level].with_drift(mistake) for each in tried])
@@ -322,37 +286,16 @@ class SteadinessLevels:
 
 
 def _most_misfit(mistake: Mistake) -> float:
-    return MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, TEMPERATURE_MISTAKES) else MOST_MISFIT_LEFT
+    return MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, OfTemperatures) else MOST_MISFIT_LEFT
 
 
 def _is_tried(mistake: Mistake, doubted: set[int]) -> bool:
     """Whether a mistake of elevation is that of a table as a whole, and one of whole records that of doubted runs."""
-    if isinstance(mistake, (TemperatureValue, TemperaturesExchanged, OtherUnit)):
+    if mistake.of_doubted_runs:
         return doubted.issuperset(mistake.scope.runs)
     return not (isinstance(mistake, TableElevation) and mistake.scope.section == "run")
 
 
-def _small(found: Explanation, campaign: Campaign) -> bool:
-    if isinstance(found.mistake, LatitudeValue):
-        return abs(found.size - campaign.site.latitude) < LEAST_LATITUDE
-    if isinstance(found.mistake, NominalScale):
-        return not found.mistake.stops(found.size)
-    least = LEAST_ZERO if isinstance(found.mistake, TableZero) else LEAST_TILT
-    least = LEAST_TURN if isinstance(found.mistake, TableAzimuth) else least
-    return isinstance(found.mistake, (TableAzimuth, TableElevation, TableZero)) and abs(found.size) < least
-
-
-def _bar(mistake: Mistake, campaign: Campaign) -> float:
-    if isinstance(mistake, OtherUnit):
-        return RIVALLED * len(campaign.channels)
-    several = len(campaign.of_kind("gyro")) > 1
-    return DECISIVE_LATITUDE if isinstance(mistake, LatitudeSign) and several else DECISIVE
-
-
-SIZED = (
-    TableZero, AxisZero, TableElevation, TableAzimuth, LatitudeValue, RateFactor, TemperatureValue, ChannelOffset,
-)  # fmt: skip
-"""Mistakes whose size is an angle, a ratio, a temperature or an output, of which the remedy writes the value."""
 _STEP = math.radians(0.01)  # of the derivative by the size; a ratio is as small a number as an angle in rad
 _APART = math.radians(1.0)
 _LONGEST = math.radians(10.0)  # of one step to the best size
@@ -373,7 +316,7 @@ class _Bowl:
 
 def sized(campaign: Campaign, found: Explanation) -> Explanation:
     """Return an explanation with the size of most evidence nearby, and its uncertainty."""
-    if not isinstance(found.mistake, SIZED):
+    if not found.mistake.estimated:
         return found
     views = views_of(campaign)
     steadiness = _shown(campaign, found.mistake.removed(views, found.size))

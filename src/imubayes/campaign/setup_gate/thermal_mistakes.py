@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.equipment_mistakes import Mistake, Scope, all_runs, single_runs
+from imubayes.campaign.setup_gate.equipment_mistakes import Concealed, Mistake, Scope, all_runs, single_runs
 from imubayes.campaign.setup_gate.setup_view import RunView, changed
 from imubayes.foundations.campaign_data import Campaign
 
@@ -45,7 +45,18 @@ def _among_others(mistake: Mistake, views: Sequence[RunView]) -> bool:
 
 
 @dataclass(frozen=True)
-class _OfTemperatures(Mistake):
+class OfTemperatures(Mistake):
+    """A mistake in recorded temperatures."""
+
+    concealed: ClassVar[Concealed] = Concealed.BY_INPUTS | Concealed.BY_ONE_INPUT
+
+    @property
+    def passes_for(self) -> str:
+        """Biases of a run, or a unit that the temperature does not move."""
+        if self.scope.section == "run":
+            return "biases and scale factors unlike those of other runs"
+        return "outputs that ignore the temperature"
+
     @property
     def record(self) -> str:
         """Temperatures."""
@@ -53,7 +64,7 @@ class _OfTemperatures(Mistake):
 
 
 @dataclass(frozen=True)
-class TemperatureUnit(_OfTemperatures):
+class TemperatureUnit(OfTemperatures):
     """Temperatures of a run are in degrees Fahrenheit.
 
     In all runs they would be another scale of temperature, with other coefficients, and describe the outputs as well.
@@ -84,7 +95,7 @@ class TemperatureUnit(_OfTemperatures):
 
 
 @dataclass(frozen=True)
-class ThermometersExchanged(_OfTemperatures):
+class ThermometersExchanged(OfTemperatures):
     """The temperatures of sensor and converter are exchanged."""
 
     kind: ClassVar[str] = "thermometers_exchanged"
@@ -106,11 +117,16 @@ class ThermometersExchanged(_OfTemperatures):
 
 
 @dataclass(frozen=True)
-class TemperatureReversed(_OfTemperatures):
+class TemperatureReversed(OfTemperatures):
     """Columns of temperatures run backwards in time."""
 
     names: tuple[str, ...]
     kind: ClassVar[str] = "temperature_reversed"
+
+    @property
+    def passes_for(self) -> str:
+        """Biases of the run, which may drift."""
+        return "biases that drift, or unlike those of other runs"
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
@@ -128,7 +144,7 @@ class TemperatureReversed(_OfTemperatures):
 
 
 @dataclass(frozen=True)
-class TemperatureValue(_OfTemperatures):
+class TemperatureValue(OfTemperatures):
     """The temperature of a run is another one; the size in °C is added to what was recorded.
 
     Attributes
@@ -139,6 +155,8 @@ class TemperatureValue(_OfTemperatures):
     names: tuple[str, ...]
     reach: tuple[float, float]
     kind: ClassVar[str] = "temperature_value"
+    of_doubted_runs: ClassVar[bool] = True
+    estimated: ClassVar[bool] = True
     open_value: ClassVar[bool] = True
     per_radian: ClassVar[float] = 100.0
     settled: ClassVar[float] = 1.0
@@ -173,12 +191,13 @@ class TemperatureValue(_OfTemperatures):
 
 
 @dataclass(frozen=True)
-class TemperaturesExchanged(_OfTemperatures):
+class TemperaturesExchanged(OfTemperatures):
     """The temperatures of two runs are exchanged; `second` is the name of the second, `other` its place."""
 
     second: str
     other: int
     kind: ClassVar[str] = "temperatures_exchanged"
+    of_doubted_runs: ClassVar[bool] = True
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
@@ -200,8 +219,3 @@ def _as_long(values: np.ndarray, rows: int) -> np.ndarray:
     if len(values) == rows:
         return values
     return np.interp(np.linspace(0, 1, rows), np.linspace(0, 1, len(values)), values)
-
-
-TEMPERATURE_MISTAKES: tuple[type[Mistake], ...] = (
-    ThermometersExchanged, TemperaturesExchanged, TemperatureUnit, TemperatureReversed, TemperatureValue,
-)  # fmt: skip

@@ -311,6 +311,7 @@ class RateFactor(Mistake):
     """
 
     kind: ClassVar[str] = "table_rate"
+    estimated: ClassVar[bool] = True
     rarity: ClassVar[float] = 8.0
     sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-2.4, 2.4, 25).tolist())
     usual_within: ClassVar[float] = 0.02

@@ -1,0 +1,53 @@
+"""All mistakes of a set-up, from the most to the least usual.
+
+Of those that explain the outputs equally well the first is named.  A new mistake is its class, its place here, and its
+words in `remedies` or `record_remedies`.
+"""
+
+from imubayes.campaign.setup_gate.equipment_mistakes import (
+    ChannelsExchanged,
+    FilesExchanged,
+    Mistake,
+    MountingTurned,
+    TableAzimuth,
+    TableElevation,
+    TableSense,
+    TableZero,
+    TimeShift,
+)
+from imubayes.campaign.setup_gate.file_mistakes import OtherUnit
+from imubayes.campaign.setup_gate.mounting_mistakes import (
+    InputAxisWrong,
+    MountingMislabelled,
+    MountingsExchanged,
+    MountingWrong,
+)
+from imubayes.campaign.setup_gate.output_mistakes import ChannelApart, ChannelOffset
+from imubayes.campaign.setup_gate.rate_records import RatesExchanged, RatesMissing, RateWithoutSign
+from imubayes.campaign.setup_gate.reading_mistakes import (
+    AngleUnit,
+    AxisZero,
+    ChannelGain,
+    LatitudeSign,
+    LatitudeValue,
+    NominalScale,
+    RateUnit,
+    TableRates,
+)
+from imubayes.campaign.setup_gate.thermal_mistakes import (
+    TemperatureReversed,
+    TemperaturesExchanged,
+    TemperatureUnit,
+    TemperatureValue,
+    ThermometersExchanged,
+)
+from imubayes.campaign.setup_gate.wrong_rows import RateFactor
+
+MISTAKES: tuple[type[Mistake], ...] = (
+    FilesExchanged, MountingMislabelled, MountingsExchanged, TableSense, TableZero, MountingTurned,
+    TableElevation, TableAzimuth, ChannelsExchanged, TimeShift, MountingWrong, InputAxisWrong,
+    AxisZero, ChannelGain, RateUnit, AngleUnit, NominalScale, TableRates, RateFactor,
+    LatitudeSign, LatitudeValue,
+    ThermometersExchanged, TemperaturesExchanged, TemperatureUnit, TemperatureReversed, TemperatureValue,
+    RateWithoutSign, RatesExchanged, RatesMissing, ChannelOffset, ChannelApart, OtherUnit,
+)  # fmt: skip
