@@ -113,7 +113,7 @@ class Session:
         self.worker, self.closed = Worker(self.changed), False
 
     def close(self) -> None:
-        """End the news of every window, and cancel what is at work."""
+        """End the news of every window, and cancel the running task."""
         self.closed = True
         for each in self.worker.tasks:
             self.worker.cancel(each.number)
@@ -475,7 +475,7 @@ class Session:
             others = sorted(each.name for each in Path(scratch).iterdir() if each != file)
             if others:
                 raise input_error(
-                    f"the selected model needs {', '.join(others)} beside it", "export", "a model in one file",
+                    f"the selected model also needs {', '.join(others)}", "export", "a model in one file",
                     f"run: {command_line('history', shown(self.root), '--export', 'model.toml')}",
                 )  # fmt: skip
             return file.read_text(encoding="utf-8")
