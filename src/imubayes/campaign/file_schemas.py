@@ -254,8 +254,8 @@ class RunEntry(_Entry):
     """of all rows, where the file has no column of that name"""
     temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
         default=None,
-        description="standard uncertainty of temperature_degC, stated or recorded, common to all rows and of no "
-        "other run: the prior of thermometer_error; exact where absent",
+        description="standard uncertainty of the error of temperature_degC that all rows of this run have in common, "
+        "and no other run has: the prior of thermometer_error; exact if absent",
     )
     converter_temperature_uncertainty_degC: TemperatureUncertainty | None = None
     """the same of converter_temperature_degC: the prior of converter_thermometer_error"""

@@ -49,9 +49,7 @@ class ThermometerError(TemperatureOffset):
     needs = ("temperature",)
     covariate = "temperature"
     confused_with = "gyro_run_bias and accel_run_bias if one coefficient alone depends on temperature"
-    offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.1, 20), "the excess of true over stated temperature", "temperature"
-    )
+    offset: Scalar = parameter("degC", "normal(0, 1 degC)", (0.1, 20), "true minus stated temperature", "temperature")
 
 
 class ConverterThermometerError(TemperatureOffset):
@@ -63,9 +61,9 @@ class ConverterThermometerError(TemperatureOffset):
     name = "converter_thermometer_error"
     needs = ("converter_temperature",)
     covariate = "converter_temperature"
-    confused_with = "thermometer_error if gain or offset of one channel alone depends on temperature"
+    confused_with = "thermometer_error if only one gain or offset, of one channel, depends on temperature"
     offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.1, 20), "the excess of true over stated temperature of the converter",
+        "degC", "normal(0, 1 degC)", (0.1, 20), "true minus stated temperature of the converter",
         "converter_temperature",
     )  # fmt: skip
 
@@ -100,13 +98,15 @@ class ThermometerCalibration(SharedThermometer):
     needs = ("temperature",)
     per = ("thermometer",)
     covariate = "temperature"
-    confused_with = "gyro_bias and accel_bias times their temperature coefficients, as an offset shifts T_ref"
+    confused_with = (
+        "gyro_bias and accel_bias: an offset changes them by the offset times their temperature coefficients"
+    )
     offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.01, 5), "the excess of true over read temperature at 25 °C",
+        "degC", "normal(0, 1 degC)", (0.01, 5), "true minus indicated temperature at 25 °C",
         "thermometer offset",
     )  # fmt: skip
     gain: Scalar = parameter(
-        "%", "normal(0, 0.3 %)", (0.01, 2), "the excess of true over read changes of temperature", "thermometer gain"
+        "%", "normal(0, 0.3 %)", (0.01, 2), "true minus indicated change of temperature, relative", "thermometer gain"
     )
 
 
@@ -121,12 +121,12 @@ class ConverterThermometerCalibration(SharedThermometer):
     needs = ("converter_temperature",)
     per = ("converter_thermometer",)
     covariate = "converter_temperature"
-    confused_with = "thermometer_calibration if gain or offset of one channel alone depends on temperature"
+    confused_with = "thermometer_calibration if only one gain or offset, of one channel, depends on temperature"
     offset: Scalar = parameter(
-        "degC", "normal(0, 1 degC)", (0.01, 5), "the excess of true over read temperature of the converter at 25 °C",
+        "degC", "normal(0, 1 degC)", (0.01, 5), "true minus indicated temperature of the converter at 25 °C",
         "converter_thermometer offset",
     )  # fmt: skip
     gain: Scalar = parameter(
-        "%", "normal(0, 0.3 %)", (0.01, 2), "the excess of true over read changes of temperature of the converter",
+        "%", "normal(0, 0.3 %)", (0.01, 2), "true minus indicated change of the converter's temperature, relative",
         "converter_thermometer gain",
     )  # fmt: skip

@@ -145,8 +145,8 @@ class MeasurementStandard(_CertificatePart):
     name: Identity = Field(description="what it is: rate table, dividing head, gravity, thermometer")
     equipment: tuple[Text, ...] = Field(
         default=(),
-        description="that it is or traces: tables and thermometers by name, reference_gyro, current_injection, "
-        "gravity, temperature, converter_temperature, time, vibration, meter",
+        description="equipment that this standard is, or to which it gives traceability: tables and thermometers by "
+        "name, reference_gyro, current_injection, gravity, temperature, converter_temperature, time, vibration, meter",
     )
     serial: Identity | None = Field(default=None, description="its serial number")
     certificate: Identity | None = Field(default=None, description="number of its calibration certificate")
@@ -195,7 +195,7 @@ class Amendment(_CertificatePart):
     changes: Text = Field(description="information that is changed")
     reason: Text | None = Field(default=None, description="of the change")
     replaces: bool = Field(
-        default=True, description="whether this is a complete new certificate in its place, and no amendment to it"
+        default=True, description="true for a complete new certificate that replaces it, false for an amendment"
     )
 
 

@@ -100,7 +100,7 @@ def _along_axes(
 
 
 def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) -> None:
-    """Write the carrier's rate and specific force, the table's measured rotation taken out, and a picture.
+    """Write rate and specific force of the carrier, without the measured rotation of the table, and a picture.
 
     Example: imubayes carrier data/rotation-modulation pyramid-forward --out carrier.csv
 

@@ -40,7 +40,7 @@ class ConvertOptions:
     gyro_offset: Sequence[float] | None = None
     """Counts at zero rate, one number or one per axis."""
     sample_rate_hz: float | None = None
-    """Sampling rate; the samples are taken as even, whatever times were recorded."""
+    """Sampling rate; the samples are treated as evenly spaced, and recorded times are ignored."""
     time_unit: str = ""
     """Unit of the time column: s, ms, us, ns, 100us, min or h."""
     clock: str = ""
