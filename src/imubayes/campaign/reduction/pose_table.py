@@ -90,7 +90,7 @@ def reduce_means(
     if left_out := int(np.sum(~flagged)) - len(kept):
         notes.append(
             f"{counted(left_out, 'pose')} left out, evenly over directions, to limit unknown attitudes: "
-            f"standard uncertainties are about {np.sqrt(1 + left_out / len(kept)):.2g} times as large as with all of them"
+            f"standard uncertainties are about {np.sqrt(1 + left_out / len(kept)):.2g} times as large as with all"
         )
     notes += _calibration_notes(fit, np.flatnonzero(complete), force)
     return ReducedTumble(

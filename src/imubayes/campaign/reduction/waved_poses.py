@@ -99,7 +99,7 @@ def reduce_waved(
     if left := len(good) - len(chosen):
         notes.append(
             f"{counted(left, 'window')} left out, evenly over directions, to limit unknown attitudes: "
-            f"standard uncertainties are about {np.sqrt(len(good) / len(chosen)):.2g} times as large as with all of them"
+            f"standard uncertainties are about {np.sqrt(len(good) / len(chosen)):.2g} times as large as with all"
         )
     return ReducedTumble(
         columns_of_windows(
