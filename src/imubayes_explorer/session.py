@@ -432,7 +432,7 @@ class Session:
             raise input_error(
                 "the campaign is no longer the one that was fitted",
                 model.readings.fit.model.campaign.folder or "campaign",
-                "the files as they were: the fit belongs to their every byte",
+                "the files exactly as they were fitted",
                 f"restore them, or fit the campaign as it is now: "
                 f"{command_line('explore', 'CAMPAIGN', '--model', str(model.folder / MODEL))}",
             )  # fmt: skip
