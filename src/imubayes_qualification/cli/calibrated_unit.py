@@ -170,7 +170,7 @@ def export(
     noise
         noise.json of `imubayes noise` on a static record of the unit, for kalibr.
     noise_of_another_unit
-        Take the noise although the record is of another unit, or does not say of which.
+        Use the noise even if the record is of another unit, or does not name its unit.
     rate_hz
         Rate of the samples on board in Hz, for kalibr.
     topic
