@@ -39,10 +39,10 @@ class TemperatureOffset(UncertainTemperature):
 
 
 class ThermometerError(TemperatureOffset):
-    """True temperature T + δ, where T was stated or recorded, with the same δ in all rows of a run.
+    """True temperature T + δ: T as stated or recorded, and the same δ in all rows of a run.
 
-    The prior of δ is normal, with the `temperature_uncertainty_degC` that the run states; without one, δ = 0.  A model
-    with effects of temperature has it wherever a run states an uncertainty, listed or not.
+    The prior of δ is normal, with the `temperature_uncertainty_degC` that the run states; without one, δ = 0. If a run
+    states an uncertainty, every model with effects of temperature includes this effect, listed or not.
     """
 
     name = "thermometer_error"
@@ -53,7 +53,7 @@ class ThermometerError(TemperatureOffset):
 
 
 class ConverterThermometerError(TemperatureOffset):
-    """True temperature T_c + δ of the converter, where T_c was stated or recorded, with the same δ in a whole run.
+    """True temperature T_c + δ of the converter: T_c as stated or recorded, and the same δ in a whole run.
 
     The prior of δ is normal, with the `converter_temperature_uncertainty_degC` of the run; see `thermometer_error`.
     """
@@ -87,11 +87,11 @@ class SharedThermometer(UncertainTemperature):
 
 
 class ThermometerCalibration(SharedThermometer):
-    """True temperature T + δ + γ·(T − 25 °C), where T was read, with one δ and γ for all runs of a thermometer.
+    """True temperature T + δ + γ·(T − 25 °C) at the reading T, with one δ and γ for all runs of a thermometer.
 
-    The priors are normal, with the uncertainties that the `[[thermometer]]` of these runs states; an error without one
-    is 0.  A model with effects of temperature has it wherever a thermometer states one, listed or not.  An error of one
-    run alone is that of `thermometer_error`, which is beside it.
+    The priors are normal, with the uncertainties that the `[[thermometer]]` of these runs states; an error without a
+    stated uncertainty is 0. If a thermometer states one, every model with effects of temperature includes this effect,
+    listed or not. The error of a single run is `thermometer_error`, in addition.
     """
 
     name = "thermometer_calibration"
